@@ -1,4 +1,4 @@
-"""A stored run to its conclusions: observations, judged measurements, verdict, and the calibration it earns."""
+"""Evaluation of a stored run: observations, judged measurements, verdict, calibration."""
 
 from dataclasses import dataclass, replace
 

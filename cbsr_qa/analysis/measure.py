@@ -1,4 +1,4 @@
-"""Observations to judged measurements: asks every metric, then holds the answers against the recipe's limits.
+"""Measurements from observations: calls every metric and judges by the recipe's limits.
 
 What a metric answers is looked at where it is asked: nothing else can be stored, judged and shown.
 """

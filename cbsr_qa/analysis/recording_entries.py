@@ -1,4 +1,4 @@
-"""One entry of a recording file, checked where it is read: that it is there, and its kind, type, shape and length.
+"""Validated entries of a recording file: presence, kind, type, shape, length.
 
 Whoever wrote the file may have put anything under any name. Refusals name the entry, what was found and what is
 expected; whoever opened the file puts its name before them.

@@ -1,4 +1,4 @@
-"""Our own recording file: HDF5 with a schema version, units on every dataset, and a digest.
+"""The recording file: HDF5 with a schema version, units on every dataset, and a digest.
 
 Frames, reading flags, times, samples of other channels, and the presses that are documented. Nothing in it can
 execute; datasets are plain numbers and UTF-8 text, readable from MATLAB, LabVIEW, C and Python.

@@ -1,7 +1,4 @@
-"""What the frames of a reference ring say of a station, line by line.
-
-Frames of a ring of resistors against its closed form: gain, offset, leads, and what is left of each reading.
-"""
+"""Frames of a reference ring against its closed form: gain, offset, leads and residuals, reported line by line."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

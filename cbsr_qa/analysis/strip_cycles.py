@@ -1,4 +1,4 @@
-"""A stored run on a strip to press cycles: resistance between the pins, stress, and what cannot be used of them.
+"""Press cycles of a strip run: resistance between the pins, stress, and excluded data.
 
 Stress of press cycles, as far as the load cell could follow.
 """

@@ -1,4 +1,4 @@
-"""Measurements of a characterisation: everything a limit may judge."""
+"""Measurements of a characterisation, for limits to judge."""
 
 from collections.abc import Iterator
 from typing import Final

@@ -1,4 +1,4 @@
-"""A fielded sensor against its stored calibration: some short loads tell whether it still says the truth."""
+"""Verification of a fielded sensor's calibration with a few short loads."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,4 @@
-"""Errors a user may meet. Each carries what went wrong, what to do about it, and the exit code it ends with."""
+"""Errors shown to users. Each has a reason, a remedy and an exit code."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""Numbers as callers give them, refused by name where they are of another type.
-
-Names with what they are of, as a reader says them, and which text may name anything.
-"""
+"""Validation of numbers and text from callers."""
 
 from numbers import Integral
 from typing import Any

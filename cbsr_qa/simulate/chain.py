@@ -1,4 +1,4 @@
-"""The effects of a scene as an ordered list of callables; one that is off is not there.
+"""The effects of a scene as an ordered list of callables; a disabled effect is absent.
 
 What no effect of the simulated world models.
 """

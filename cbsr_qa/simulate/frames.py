@@ -1,4 +1,4 @@
-"""One frame of the simulated world: from what presses to readings, each taken at its own time.
+"""One frame of the simulated world, each reading taken at its own time.
 
 A ring of resistors where the simulated sheet would be: what a station check measures.
 """

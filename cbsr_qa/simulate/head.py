@@ -1,4 +1,4 @@
-"""The simulated head: it travels in the station's time and leaves strain ramps under it.
+"""The simulated head: it moves in station time and applies strain ramps.
 
 What a head leaves in the sheet: strain ramps, in a press of its own from touching to lifting.
 """

@@ -1,4 +1,4 @@
-"""What parameters of effects may be, said in one way."""
+"""Validation of effect parameters."""
 
 import sys
 from typing import Any, Final

@@ -1,4 +1,4 @@
-"""A scene's frames and samples, one after the other, as a recording.
+"""Frames and samples of a scene, as a recording.
 
 The heads of a scene that is recorded by itself: they press its loads before the first frame is taken.
 """

@@ -1,4 +1,4 @@
-"""Random numbers by address: (seed, name of what uses them, index), never by the order of drawing.
+"""Random numbers addressed by (seed, stream name, index), independent of the order of drawing.
 
 A counter-based generator (Philox 4×64; Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") makes
 each address an independent sequence that can be reached at once. So turning an effect on changes no other

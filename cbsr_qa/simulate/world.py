@@ -1,4 +1,4 @@
-"""The simulated world: a sheet, the presses on it, and the effects a scene calls for.
+"""The simulated world: a sheet, the presses on it, and the effects of a scene.
 
 A moment of it depends on its time, its index and the presses so far, on nothing else: any moment can be asked for,
 in any order, any number of times.

@@ -1,4 +1,4 @@
-"""The stream of documents: the journal has them first, everybody else only what the journal has.
+"""The stream of events: the journal stores each one before listeners see it.
 
 A run that is kept in memory only: for simulations that are priced and forgotten.
 """

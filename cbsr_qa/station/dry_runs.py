@@ -1,4 +1,4 @@
-"""Walk a plan without moving anything: how long, how far, how hard, and what the station would not allow."""
+"""Dry run: duration, travel, strain and force of a plan, and violations of the station's limits."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field

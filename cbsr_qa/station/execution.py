@@ -1,4 +1,4 @@
-"""Runs a plan: every step, every document, and one way to end whatever happens.
+"""Execution of a plan: every step, every event, one way to end.
 
 How a run ended, in words: by whom it was stopped, or which rule, instrument or error broke it, and where.
 """

@@ -1,4 +1,4 @@
-"""Ctrl-C, termination and hang-up during a run: the first ends it in order, the second at once.
+"""Signals during a run: the first one stops it in order, the second at once.
 
 An operator who is being asked is waited for: nothing hangs meanwhile.
 """

@@ -1,4 +1,4 @@
-"""The station's limits, held against what the bench says while steps are executed.
+"""The station's limits, checked before steps and against measured values.
 
 The dry run has checked what was planned; here is checked what happens. Every check raises
 :class:`~cbsr_qa.domain.SafetyError` naming its rule.

@@ -1,4 +1,4 @@
-"""Carries out one step after the other on the bench.
+"""Execution of single steps on the bench.
 
 Times of the press under way, until its rest is over and it becomes a record.
 """

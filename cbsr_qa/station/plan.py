@@ -1,4 +1,4 @@
-"""What a run is going to do, put together from station and recipe.
+"""The plan of a run: phases and numbered steps from station and recipe.
 
 How many frames fit a hold: one rule for the dry run and for the hold itself.
 

@@ -1,4 +1,4 @@
-"""What a person who waits sees of a run: phase, what the head does, how long it will take. Only on stderr."""
+"""Progress display of a run on stderr: phase, current step, remaining time."""
 
 import sys
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Safety as a state machine: what the bench may do next, and how it comes to rest whatever happens.
+"""Safety state machine: allowed transitions of the bench, and the way to its safe state.
 
 Looks after the bench while steps are carried out: samples, limits, and whether everybody is still there.
 """

@@ -1,4 +1,4 @@
-"""From configuration files to a plan, a clock and a bench."""
+"""Plan, clock and bench from configuration files."""
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial

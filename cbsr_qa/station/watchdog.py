@@ -1,4 +1,4 @@
-"""Notices that an instrument hangs: a call that never comes back is not waited for with the head down."""
+"""Watchdog: detects instrument calls that hang, so the head does not stay down."""
 
 import threading
 from collections.abc import Callable, Iterator

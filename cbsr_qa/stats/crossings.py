@@ -1,4 +1,4 @@
-"""Which sensors of which group were measured on which station, and what such a design can tell apart.
+"""Designs of groups and stations: which differences the runs can estimate.
 
 Groups (batches, materials, periods) and stations are the two sides of a graph; every run joins its group to its
 station. Differences between groups, with the stations' taken out, exist within a connected part of the graph and

@@ -1,4 +1,4 @@
-"""Difference of the means of two groups, and its size in deviations.
+"""Difference of two group means, with tests of difference and equivalence.
 
 Welch 1947 (deviations may differ; ν by Welch–Satterthwaite) and Student's pooled test:
 

@@ -1,4 +1,4 @@
-"""Limits from a golden lot: what share of good sensors a bound holds, with what confidence.
+"""Tolerance limits from a golden lot: share of good sensors within a limit, with stated confidence.
 
 Sensors are the unit. A run judges every value of a measurement (nine locations, three trials) against one limit and
 fails by the worst, so each run of a sensor counts with its worst value, and a bound is asked to hold the worst value

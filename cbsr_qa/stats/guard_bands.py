@@ -1,4 +1,4 @@
-"""Guard bands inside a limit, and the risks that remain with them (JCGM 106:2012, clauses 8.3 and 9).
+"""Guard bands inside a limit and the remaining risks (JCGM 106:2012, clauses 8.3 and 9).
 
 Consumer's and producer's risk of a limit judged with an uncertain measurement (JCGM 106:2012, clause 9).
 

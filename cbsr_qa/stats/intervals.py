@@ -1,25 +1,18 @@
-"""An estimate against a reference that is not known exactly: scatter is estimated, the reference's share is known.
+"""Exact intervals: noncentral t, tolerance and prediction limits, and estimates with an uncertain reference.
 
-    half width = √((t(ν) s)² + (z u)²)
+Uncertain reference: half width = √((t(ν) s)² + (z u)²), where s is the standard error of the readings on ν degrees of
+freedom and u the standard uncertainty of the reference. Effective degrees of freedom (Welch and Satterthwaite, GUM
+G.4) would multiply √(s² + u²) by one t of more degrees of freedom. With three readings that shrinks t by more than u
+adds, so a stated uncertainty narrowed intervals and their coverage was too low (92.5 % instead of 95 %). Here each
+part has its own factor, so u always widens the interval. In simulation coverage is at least as stated, and higher for
+few readings with an uncertainty as large as their scatter (95 % intervals of three readings: up to 97.5 %).
 
-s is the standard error of the readings, on ν degrees of freedom, and u what the reference's own standard uncertainty
-adds. Effective degrees of freedom (Welch and Satterthwaite, GUM G.4) would multiply √(s² + u²) by one t of more
-degrees of freedom. Of three readings that shrinks t by more than u adds, so that a stated uncertainty narrowed
-intervals, and they held the truth too seldom (92.5 % instead of 95 %). Here each part has its own factor: what is
-known adds, always. By simulation such intervals hold the truth at least as often as they say, and more often of few
-readings with an uncertainty as large as their scatter (95 % ones of three in up to 97.5 %).
+Tolerance limits: NIST/SEMATECH e-Handbook 7.2.6.3 (normal, one-sided by the noncentral t), Krishnamoorthy & Mathew
+2009, chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. Factors take the number of values behind the
+mean and the degrees of freedom of the standard deviation apart; for a plain sample of n they are n and n − 1.
 
-Noncentrality of Student's t from an observed value: what exact intervals of standardised quantities invert.
-
-Tolerance limits: bounds that hold a stated share of a population with a stated confidence.
-
-Sources: NIST/SEMATECH e-Handbook 7.2.6.3 (normal, one-sided by the noncentral t), Krishnamoorthy & Mathew 2009,
-chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. Factors take the number of values behind the mean
-and the degrees of freedom of the standard deviation apart; of a plain sample of n they are n and n − 1.
-
-Prediction intervals: where one further value of the same population lies, with a stated confidence.
-
-Source: Hahn & Meeker, Statistical Intervals (1991), section 4.7: mean ± t s √(1 + 1/n), exact for normal values.
+Prediction intervals: Hahn & Meeker, Statistical Intervals (1991), section 4.7: mean ± t s √(1 + 1/n), exact for
+normal values.
 """
 
 from collections.abc import Sequence

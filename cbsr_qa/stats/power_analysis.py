@@ -1,4 +1,4 @@
-"""How many sensors are needed: to find a difference, and to show that there is none that matters.
+"""Sample sizes: to detect a difference, and to show equivalence within a margin.
 
 To find it: power of the two-sided two-sample t test, exact by the noncentral t.
 

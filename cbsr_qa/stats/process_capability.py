@@ -1,4 +1,4 @@
-"""Capability: how a process's spread and place fit between its limits.
+"""Process capability indices and yield, with confidence intervals.
 
 With the deviation σ̂ within subgroups (short term, ν = N − k degrees of freedom) and s of all values (ν = N − 1),
 

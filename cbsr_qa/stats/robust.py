@@ -1,4 +1,4 @@
-"""Two groups without normal distributions: shift of medians, ranks, and the chance that one value exceeds another.
+"""Two groups without assuming normality: shift of medians, rank tests, probability of superiority.
 
 Mann & Whitney 1947 with Hodges & Lehmann's 1963 shift, the median of all x_i − y_j, and its interval from ordered
 differences (Hollander & Wolfe 1999, sections 4.1 to 4.3); both suppose that the distributions differ by a shift only.

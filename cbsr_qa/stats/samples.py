@@ -1,4 +1,4 @@
-"""What every statistic takes and gives: checked samples, and intervals.
+"""Validated samples and intervals, shared by all statistics.
 
 Mean, deviation, lag-1 autocorrelation and quantiles of one sample, to the digits that double precision allows.
 

@@ -1,7 +1,4 @@
-"""Changes of files from run to run, noted in the transaction that begins a run.
-
-Overrides of verdicts: rows beside the analysis they are about, which stays as it was.
-"""
+"""Configuration changes noted with each run, and overrides of verdicts. Neither alters earlier rows."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Connections: SQLite set up for journalling, PostgreSQL as it is.
+"""Database connections: SQLite set up for journalling, PostgreSQL with its defaults.
 
 What a database says when something is wrong, turned into one clear message with what to do.
 """

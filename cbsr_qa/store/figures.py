@@ -1,4 +1,4 @@
-"""Figures of many runs at once, read by sets: which runs, and the metrics of their latest analyses."""
+"""Values of many runs: selection of runs, and the metrics of their latest analyses."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The runs of a fleet with the values of their latest analyses: a few queries, whatever the number of runs."""
+"""Runs of a fleet with the values of their latest analyses, in a fixed number of queries."""
 
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, time

@@ -1,4 +1,4 @@
-"""One writer a run, one maker of tables, one run a seed: locks that go with the process, however it ends."""
+"""Locks that end with the process: one writer per run, one schema change at a time, one run per seed."""
 
 import hashlib
 import os

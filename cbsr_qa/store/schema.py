@@ -1,4 +1,4 @@
-"""Versions of the database's schema: what is there, what this program needs, and how to get from one to the other."""
+"""Schema versions of the database: detection, required version, upgrade."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress

@@ -1,4 +1,4 @@
-"""Checks of stations: added one after the other; the latest one says how a station stands.
+"""Station checks: appended; the latest one gives a station's state.
 
 References of control charts: added one after the other; the latest of each chart holds, unless it retires it.
 """

@@ -1,4 +1,4 @@
-"""Column types that behave alike on SQLite and PostgreSQL, and let no NaN and no foreign number type through.
+"""Column types that behave alike on SQLite and PostgreSQL, and reject NaN and foreign number types.
 
 Time-ordered identifiers (UUID version 7, RFC 9562): stations merge without collision, rows sort by age.
 

@@ -1,4 +1,4 @@
-"""Time, real and virtual. No other module sleeps or asks for the time.
+"""Real and virtual clocks. No other module sleeps or reads the time.
 
 Both clocks tell multiples of one tick, a power of two: sums and differences of such times are exact in double
 precision for two and a half centuries, so that what rests on differences of times is the same, bit for bit, at

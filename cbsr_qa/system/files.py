@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and tables that spreadsheets open safely.
+"""Atomic file writes, and tables that spreadsheets open safely.
 
 A lock of one process: a locked file that says who holds it, and goes when it is released.
 """

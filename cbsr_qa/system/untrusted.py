@@ -1,4 +1,4 @@
-"""Reading files of unknown origin in a child process that can neither crash, hang nor fill the memory of its parent.
+"""Reading of untrusted files in a child process, so that a crash, hang or memory bomb cannot harm the parent.
 
 Libraries that parse files (HDF5 above all) crash, loop or ask for gigabytes when a byte of a file is changed. So what
 reads a file is called in a forked child, whose memory, time and open files are limited; its result comes back as

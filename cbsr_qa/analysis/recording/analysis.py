@@ -1,4 +1,4 @@
-"""A recording with everything that can be found in it: channels, reading memory, noise, presses."""
+"""Complete analysis of a recording: channels, carry-over, noise, presses."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""When something changed: steps of the matched patterns, at a controlled rate of false alarms.
+"""Change detection: steps of the matched patterns, at a controlled false alarm rate.
 
 For each candidate place the series of scores is scanned with windows before and after each moment, at several
 widths. The noise of such a step is not taken from theory but, per place and width, from all moments of the same

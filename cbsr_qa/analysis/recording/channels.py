@@ -1,4 +1,4 @@
-"""What the channels of a recording are worth: saturated, stuck, nothing connected.
+"""Faulty channels of a recording: saturated, stuck, disconnected, or changed at an electrode.
 
 Changes that come from an electrode and not from the sheet.
 

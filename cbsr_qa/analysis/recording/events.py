@@ -1,4 +1,4 @@
-"""Presses in a recording nobody annotated: one press, one event.
+"""Presses in an unannotated recording: one event per press.
 
 The sheet is slow: it creeps while it is held, keeps much of the change after the release (two thirds, two seconds
 later, on the lab's recordings), and relaxes for long. So a press is looked for as a *step* (:mod:`changes`)

@@ -1,4 +1,4 @@
-"""Short presses: up there for one to three frames, and gone again.
+"""Short presses: visible for one to three frames only.
 
 Windows of a step hold the beginning and the end of such a press at once. So it is looked for by itself: a pulse is a
 few frames that stand out of the frames before *and* of the frames after them, to the same side. As with steps the

@@ -1,4 +1,4 @@
-"""From what was found in a recording to events with their images.
+"""Events of a recording with their images.
 
 Where images show events, and whether those that overlap in time each still have a region of their own.
 

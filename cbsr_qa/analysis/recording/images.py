@@ -1,4 +1,4 @@
-"""Images of the events of a recording, by whatever reconstruction a user chose.
+"""Images of a recording's events, by the chosen reconstruction.
 
 Events are found without images: the patterns loads leave in the readings are matched (:mod:`places`). What
 is imaged is each event's change alone, never every frame, so that methods that take a second an image can be used.

@@ -1,4 +1,4 @@
-"""From a recording's readings to changes of the unit model, and the patterns loads leave in them.
+"""Readings of a recording as changes of the unit model, and the patterns of loads in them.
 
 Nobody says what a stranger's recording was measured on, so it is imaged on a nominal unit disc unless a sensor type
 is named; lengths are then in units of its radius. Readings become changes of the unit model in one of two ways:

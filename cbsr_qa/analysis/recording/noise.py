@@ -1,4 +1,4 @@
-"""Noise of a recording: robust, and steps are reported rather than averaged over."""
+"""Robust noise of a recording; steps are reported instead of averaged over."""
 
 from dataclasses import replace
 from itertools import pairwise

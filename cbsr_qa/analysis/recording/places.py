@@ -1,4 +1,4 @@
-"""Where a load is: matching the pattern a small load at each place would leave.
+"""Template matching: the place whose small-load pattern fits a change best.
 
 For one small load in Gaussian noise the place whose unit-length whitened pattern has the largest product with the
 whitened change is the maximum-likelihood estimate; unlike the maximum of a regularised image it is not drawn

@@ -1,4 +1,4 @@
-"""Reading recordings: the format that knows a file, in a child process that can do no harm."""
+"""Reading of recordings: detection of the format, in a sandboxed child process."""
 
 from collections.abc import Callable
 from pathlib import Path

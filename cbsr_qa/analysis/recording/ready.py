@@ -1,4 +1,4 @@
-"""A recording made ready for imaging: bad channels known, reading memory taken out.
+"""Preparation of a recording for imaging: bad channels masked, carry-over removed.
 
 Single readings that jump for a frame or so: replaced before anything is looked for.
 

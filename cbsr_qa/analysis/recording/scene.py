@@ -1,4 +1,4 @@
-"""A recording on its sheet, searched for loads."""
+"""Search for loads in a recording of a sheet."""
 
 from dataclasses import dataclass, replace
 from typing import Self

@@ -1,4 +1,4 @@
-"""Tanks that are no sheets: how deep one is, told from its reference frame, and the patterns of balls in it.
+"""Recordings of tanks: depth from the reference frame, and patterns of balls.
 
 In a tank readings fall off faster with distance than on a sheet, and a large ball is not a small one: the parts of it
 that are near an electrode are seen by it alone. In a tank as deep as it is wide a sheet's patterns put balls of 0.15

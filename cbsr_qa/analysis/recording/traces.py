@@ -1,4 +1,4 @@
-"""Traces of presses: how strongly a recording shows one pattern from frame to frame, and what is read off it.
+"""Traces of presses: strength of one pattern from frame to frame.
 
 The trace is 0 before a press and 1 on the mean of its hold. Where it rises, the press began; where its final decline
 sets in, the press ended (the sheet keeps much of a change, so it need not come back to 0).

@@ -1,4 +1,4 @@
-"""Whether a run's relaxations agree: the whole image's with the blobs', and the sheet's with its material's strip."""
+"""Agreement of relaxations: whole image and blobs, sheet and material strip."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

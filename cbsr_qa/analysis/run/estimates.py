@@ -1,4 +1,4 @@
-"""Estimates of a run's loads from their readings, beside what their images show."""
+"""Load estimates from the readings of a run, independent of its images."""
 
 from collections import defaultdict
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What a run's map of the response would have been with fewer loads, as far as the run itself can say.
+"""Prediction of the response map with fewer loads, from the run itself.
 
 The map is learned again from some of the places, spread as evenly as they can be, and held against what was seen at
 the places that were left out. It says nothing of what lies between places that nobody pressed; the map's own stated

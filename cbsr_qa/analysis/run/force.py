@@ -1,4 +1,4 @@
-"""The force model of a run's sensor, and what it says of loads it was not learned from."""
+"""The force model of a run's sensor, tested on held-out loads."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""How the strength of a sensor's loads rises under a hold and fades after a release: kernels for its runtime.
+"""Kernels of a load's rise under a hold and decay after release, for the runtime.
 
 Transient compensation of a calibration: short holds brought to where the run's longest ones end.
 

@@ -1,4 +1,4 @@
-"""How good the force of a run's sensor is: errors of loads it was not learned from, its map, what it can detect."""
+"""Quality of a sensor's force: held-out errors, response map, detection limit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,9 +1,4 @@
-"""Percentage masks of one image: the blobs each leaves, and the one that was sensed.
-
-From stored voltages to relative conductance images, against a reference frame.
-
-Which way the conductance goes under load: a property of the material, decided from its loads where not given.
-"""
+"""Conductance images of a run relative to its reference, percentage masks, and the sign of the response."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""One press at a time: its steady image, its blobs, its force, its relaxations.
+"""Analysis of one press: steady image, blobs, force, relaxations.
 
 Whether a load cell stood at the end of its range while a load was held.
 """

@@ -1,4 +1,4 @@
-"""Loops: what the readings and the force did while a press was eased up and down through its strains."""
+"""Loops: readings and force while a press is eased up and down through its strains."""
 
 from collections import defaultdict
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A stored run to observations: reference, noise floor, response, every press. Pure, given a reconstruction.
+"""Observations from a stored run: reference, noise floor, response, every press. Pure, given a reconstruction.
 
 Spatial metrics of every frame of a phase, for every mask: how they come and go with the load.
 """
@@ -147,7 +147,7 @@ def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tupl
     unknown = sum(load.settled is None for load in loads)
     if unknown:
         words.append(
-            f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): their last frames may not be"
-            " settled"
+            f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): their last frames"
+            " may not be settled"
         )
     return tuple(words)

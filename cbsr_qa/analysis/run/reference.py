@@ -1,9 +1,4 @@
-"""How much each reading of a run counts in its images.
-
-What every single reading of the rested sheet is worth: its signal-to-noise ratio, and its reciprocity.
-
-The unloaded sheet of a run: its frames, its reference, its usable readings.
-"""
+"""The unloaded sheet of a run: its frames, reference frame, usable readings, and the weight of each reading."""
 
 from dataclasses import dataclass, replace
 from typing import Final

@@ -1,4 +1,4 @@
-"""Relaxations of one press: conductance of the blob, of the whole image, and stress, after press and release."""
+"""Relaxations of one press: blob, whole image and stress, after press and release."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""How the area of a masked region answers to the area of what presses: what an overlap near 100 % is worth."""
+"""Size response: area of the masked region against area of the load."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

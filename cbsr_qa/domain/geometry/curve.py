@@ -1,4 +1,4 @@
-"""Closed curves of straight stretches and circular arcs: the edge of a sheet, by length along it."""
+"""Closed curves of straight segments and circular arcs: a sheet's edge by arc length."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What a head presses on, where it presses: a disc, or any polygon. Sensed regions are compared with it."""
+"""Footprint of a head, a disc or a polygon, to which sensed regions are compared."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""What is going to happen: the station, the recipe and the scene, as read from their files."""
+"""Station, recipe and scene as read from their files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

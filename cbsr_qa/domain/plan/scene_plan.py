@@ -1,4 +1,4 @@
-"""A scene that is recorded by itself, without a station: what is simulated, which loads press, for how long."""
+"""A scene recorded without a station: sensor, loads, duration."""
 
 from dataclasses import dataclass
 from typing import Final

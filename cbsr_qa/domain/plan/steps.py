@@ -1,4 +1,4 @@
-"""Steps a sequence asks for. The runner executes them; a dry run only counts them.
+"""Steps of a sequence. The runner executes them; a dry run only checks them.
 
 How long the head takes, as a station's motion tells: the dry run counts with it before anything has moved.
 

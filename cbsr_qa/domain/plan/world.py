@@ -1,4 +1,4 @@
-"""What the effects of a scene change in turn: the sheet as it is made, and the world at one moment."""
+"""State that the effects of a scene modify: the sheet's design, and the world at one moment."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Reading memory: each reading keeps a share of the one taken just before it.
+"""Carry-over between readings: each keeps a share of the one taken just before it.
 
 A multiplexer and a converter that do not settle fully mix a share m of the previous reading into each one,
 s[n] = (1 − m) x[n] + m s[n−1]. A passive sheet is reciprocal (V_ij = V_ji), the memory is not, so m shows in the

@@ -1,4 +1,4 @@
-"""What was found in a recording nobody annotated: channels, noise, and presses as events."""
+"""Findings in an unannotated recording: channels, noise, and presses as events."""
 
 from dataclasses import dataclass
 from typing import Final

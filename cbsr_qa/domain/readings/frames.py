@@ -1,4 +1,4 @@
-"""What the instruments deliver: frames of voltages, and samples of everything else.
+"""Frames of voltages, and samples of other channels, as instruments deliver them.
 
 A recording somebody else's rig, or ours, wrote to a file.
 """

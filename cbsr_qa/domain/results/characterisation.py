@@ -1,4 +1,4 @@
-"""What press cycles on a strip tell about its material (paper 2.2)."""
+"""Characterisation of a material from press cycles on a strip (paper 2.2)."""
 
 from dataclasses import dataclass
 

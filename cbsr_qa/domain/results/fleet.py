@@ -1,4 +1,4 @@
-"""Figures of runs: one number a run and metric, as studies over many runs take them.
+"""Values of many runs: one number per run and metric, for studies.
 
 Many runs of many sensors as columns: what a comparison of batches, stations or periods is made from.
 """

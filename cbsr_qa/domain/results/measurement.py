@@ -1,4 +1,4 @@
-"""Measurements, the limits they are held against, and the verdict that follows.
+"""Measurements, limits, and the verdict that follows.
 
 How things end: outcomes of measurements, verdicts, and end reasons of runs.
 

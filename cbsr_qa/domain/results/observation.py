@@ -1,4 +1,4 @@
-"""What the analysis has worked out about a load and about a run: the input of every metric plugin.
+"""Observations of a load and of a run: the input of every metric plugin.
 
 What the measurements say about one load: where, how large, how strong, and how surely.
 """

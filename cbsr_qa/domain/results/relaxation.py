@@ -1,4 +1,4 @@
-"""Fitted relaxations and what follows from them."""
+"""Fitted relaxations and quantities derived from them."""
 
 from dataclasses import dataclass
 from enum import StrEnum

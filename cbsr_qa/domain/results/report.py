@@ -1,4 +1,4 @@
-"""Content of a report, before anybody decided how it looks. Text stays text: escaping is the template's job."""
+"""Content of a report, independent of layout. Text stays text: escaping is the template's job."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,4 @@
-"""What was changed by somebody: files of a name that a run used with another content, and verdicts.
-
-Earlier runs of one sensor: how many tries there were, how they ended, and what they state of the sensor.
-"""
+"""History before a run: earlier runs of the sensor, changed configuration files, overridden verdicts."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""What presses on the sheet, where, how hard, and when it happened."""
+"""Heads and loads: what presses on the sheet, where, how hard, when."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

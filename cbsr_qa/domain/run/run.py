@@ -1,8 +1,6 @@
-"""What is known of the chain of digests a stored run is under.
+"""Runs: the stream of events, the stored record, and the state of its chain of digests.
 
-A run as it is stored: who, where, with what, and everything the instruments said.
-
-What happens in a run, as a stream of documents. The journal, the screen and the safety log only subscribe.
+The journal, the screen and the safety log only subscribe to the stream.
 """
 
 from dataclasses import dataclass, field

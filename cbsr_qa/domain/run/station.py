@@ -1,7 +1,4 @@
-"""Control charts of a station: what their limits rest on, and which of them signal.
-
-What a check of a station found: one line for everything that was looked at, kept and shown in its reports.
-"""
+"""Checks and control charts of a station: check results, chart references and standing signals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Where the electrodes are and how they are counted.
+"""Positions and numbering of electrodes.
 
 Whether electrodes fit a sheet: inside it or on its edge, and clear of each other.
 """

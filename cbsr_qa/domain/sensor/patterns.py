@@ -1,7 +1,4 @@
-"""How many of many sparse linear functions are independent.
-
-Which electrode pairs are driven and which are measured, and in what canonical order frames are kept.
-"""
+"""Drive and measurement patterns: electrode pairs, canonical order of readings, number of independent readings."""
 
 import re
 from collections import defaultdict

@@ -1,4 +1,4 @@
-"""What any unbiased estimate of a round load can reach: the Cramér–Rao bound.
+"""Least-squares fit of a round load, and the Cramér–Rao bound of its parameters.
 
 Least-squares fit of one round load to each of many frames at once, by damped Gauss–Newton steps.
 

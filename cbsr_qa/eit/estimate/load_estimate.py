@@ -1,4 +1,4 @@
-"""Where a round load is and how strong, with the uncertainty of both: maximum likelihood on the readings.
+"""Maximum-likelihood estimate of place and strength of a round load, with uncertainties.
 
 The image plays no part but for a place to start from: weighted least squares on the readings' changes is unbiased
 and as precise as the Cramér–Rao bound allows, which an image masked at 85 % is not. What the readings do not

@@ -1,4 +1,4 @@
-"""Readings ready for a least-squares fit: reciprocal pairs merged, every row of unit noise.
+"""Readings prepared for least squares: reciprocal pairs merged, rows scaled to unit noise.
 
 The load model of a sensor type, made once per process.
 """

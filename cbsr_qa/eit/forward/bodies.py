@@ -1,14 +1,12 @@
-"""Readings of a round tank that is no sheet: electrodes at mid-height of a cylinder, and what small objects change.
+"""Bodies other than sheets: a cylindrical tank with electrodes at mid-height, and a strip with two pins.
 
 In a cylinder of radius 1 and depth H, with electrodes at mid-height, the potential is a sum over modes cos(κz),
 κ = 2πk/H, each of which solves ∇²u = κ²u in the plane: Bessel functions I_m(κρ) cos(mθ) instead of ρᵐ cos(mθ). H → 0
-is the sheet. Far readings fall off faster the deeper the tank is, which is how its depth can be told.
+is the sheet. Far readings decay faster the deeper the tank is, which is how its depth can be estimated.
 
-A strip with two pins: how far the reading between them tells what the material under the head does.
-
-The current between the pins passes their contacts, the strip beside the head and the strip under it, all in series.
-Only the last changes under load, so that the reading changes by less than the material does (about a third on the
-shipped strip). How much less follows from the forward model of the strip, and from what is assumed of the contacts.
+On a strip, the current between the pins passes their contacts, the strip beside the head and the strip under it, in
+series. Only the last changes under load, so the reading changes by less than the material does (about a third on the
+shipped strip). How much less follows from the forward model of the strip, and from the assumed contacts.
 """
 
 from functools import cached_property

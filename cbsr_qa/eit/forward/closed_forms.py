@@ -1,15 +1,12 @@
-"""A ring of resistors between neighbouring electrodes: what a station should read of it, in closed form.
+"""Closed-form voltages of discs and resistor rings: reference solutions for meshed models and stations.
 
-Exact voltages of a round sheet, homogeneous or with a concentric inclusion: truth for everything that is meshed.
-
-On the edge of such a sheet the current density Σ j_n e^{inθ} makes the potential Σ j_n R g_n/(γ n) e^{inθ} with
+Concentric disc: on its edge the current density Σ j_n e^{inθ} makes the potential Σ j_n R g_n/(γ n) e^{inθ} with
 g_n = (1 + μ a²ⁿ)/(1 − μ a²ⁿ), μ = (γ − γ_i)/(γ + γ_i) and a the inclusion's radius over the sheet's (Isaacson 1986).
-Nothing here uses a mesh, so that agreement with :mod:`cbsr_qa.eit.forward.model` is evidence.
+Nothing here uses a mesh, so agreement with :mod:`cbsr_qa.eit.forward.model` is independent evidence.
 
-Exact voltages of a homogeneous round sheet with round pins through it: truth for meshes with holes.
-
-Boundary integral over the pins' rims with the Neumann function of the disc (method of images), so that the sheet's
-edge needs no unknowns; trapezoidal Nyström points converge exponentially because every rim is a circle (Kress 2014).
+Disc with round pins: a boundary integral over the pins' rims with the Neumann function of the disc (method of
+images), so the sheet's edge needs no unknowns. Trapezoidal Nyström points converge exponentially because every rim
+is a circle (Kress 2014).
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Where the electrodes touch the sheet: along edges of the mesh, or at single nodes."""
+"""Electrodes on the mesh: along boundary edges, or at single nodes."""
 
 from dataclasses import dataclass
 

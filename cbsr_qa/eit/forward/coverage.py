@@ -1,4 +1,4 @@
-"""What a load covers of each element, and what that makes of the element's conductance."""
+"""Share of each element that a load covers, and the conductance change that follows."""
 
 from dataclasses import dataclass
 from typing import Final

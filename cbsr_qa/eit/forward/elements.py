@@ -1,4 +1,4 @@
-"""Finite elements on a mesh: what depends on geometry alone, for first and second order alike.
+"""Finite elements of first and second order: everything that depends on geometry alone.
 
 Plain numpy instead of scikit-fem: the matrices are needed per element, unassembled, so that the conductance enters as
 a scale and a local change touches its own elements only.

@@ -1,4 +1,4 @@
-"""Entries of K⁻¹ between the nodes anybody has asked about, each node solved for once."""
+"""Entries of K⁻¹ between the nodes requested so far; each node is solved for once."""
 
 from typing import Final
 

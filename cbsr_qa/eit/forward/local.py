@@ -1,4 +1,4 @@
-"""Exact voltages after local changes of conductance, without factorising again.
+"""Exact voltages after local conductance changes, without a new factorisation.
 
 Changed elements form patches. A node whose elements all belong to one patch, and which lies on no electrode, is seen
 by nobody outside: it is condensed away. With E the discrete harmonic extension from a patch's rim to its inside (E of

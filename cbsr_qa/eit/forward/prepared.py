@@ -1,4 +1,4 @@
-"""A sheet's system of equations, prepared: for every new conductance it is only scaled, factorised and solved.
+"""Prepared system of equations of a sheet: a new conductance only scales, factorises and solves it.
 
 The matrix is linear in the elements' conductance and in the reciprocal contact impedance, so that its entries are two
 sparse products; where they go, and the order in which nodes are eliminated, depend on the mesh alone.

@@ -1,4 +1,4 @@
-"""How far apart conductances and contact impedances may be before rounding decides the readings.
+"""Allowed range of conductances and contact impedances; outside it rounding would decide the readings.
 
 Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest entry: of the best conductor, and of
 |E|/z under a contact. The leak counts against the worst conductor the current has to pass. Where values are more than

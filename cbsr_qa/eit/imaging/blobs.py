@@ -1,4 +1,4 @@
-"""Blobs: connected regions of the elements that a mask kept.
+"""Blobs: connected regions of the elements above a mask's threshold.
 
 Percentage masks.
 

@@ -1,4 +1,4 @@
-"""Regions bounded by a contour inside the elements, for images whose masks would jump by whole elements.
+"""Regions bounded by a contour inside elements, so that masks do not jump by whole elements.
 
 An image of one value per element becomes one value per node (:func:`nodal_values`), linear in between; a region is
 where that field reaches a share of its maximum. ``contour_regions(image, fraction)`` returns them heaviest first

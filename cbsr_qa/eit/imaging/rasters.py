@@ -1,4 +1,4 @@
-"""Images on square pixels (GREIT and pixel plugins), by scikit-image: outlines, regions, touching loads parted."""
+"""Images on square pixels (GREIT, pixel plugins), by scikit-image: contours, regions, watershed of touching loads."""
 
 from dataclasses import dataclass
 from typing import Any, Final

@@ -1,4 +1,4 @@
-"""How a whole set of places is seen shifted, turned and scaled, and what is left of their errors without that."""
+"""Registration of seen to nominal places: shift, rotation, scale, and the residual errors."""
 
 from dataclasses import dataclass
 from typing import Final

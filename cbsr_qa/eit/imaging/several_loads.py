@@ -1,4 +1,4 @@
-"""Several loads at once: which region belongs to which load, and what was merged, missed or made up.
+"""Several simultaneous loads: assignment of regions to loads; merged, missed and spurious regions.
 
 Touching loads parted on a mesh: a blob with several peaks is cut along the valleys between them.
 

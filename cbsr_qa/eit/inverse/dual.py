@@ -1,4 +1,4 @@
-"""One-step Gauss–Newton in its dual form: a solve as large as the number of readings, not of elements.
+"""One-step Gauss–Newton in dual form: a system of the size of the readings, not of the elements.
 
 With P = R⁻¹, (JᵀWJ + λ²R)⁻¹JᵀW = PJᵀ (JPJᵀ + λ²W⁻¹)⁻¹. With one eigendecomposition of W^½ JPJᵀ W^½ every λ costs a
 product. To form that matrix squares the condition number of J: what is below 1e-8 of its largest singular value is

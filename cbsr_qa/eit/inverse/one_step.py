@@ -1,4 +1,4 @@
-"""One-step Gauss–Newton with any prior: what its plugins share."""
+"""One-step Gauss–Newton with any prior: the code its plugins share."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Options of reconstruction plugins: checked when the plugin is made, before anything is solved."""
+"""Validation of reconstruction plugins' options, before anything is solved."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Linear images on square pixels, as one matrix from readings to pixels: for screens, and for raster methods.
+"""Linear images on square pixels: one matrix from readings to pixels.
 
 A pixel is the mean of the image over the part of the sheet it covers, by exact overlap. The matrix takes folded
 readings and is kept in single precision: what that rounds is as much as readings of 24 bits would, 144 dB below

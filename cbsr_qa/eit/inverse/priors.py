@@ -1,4 +1,4 @@
-"""What is expected of an image before it is measured, the R of (JᵀWJ + λ²R), in the form the dual system needs.
+"""Priors: the R of (JᵀWJ + λ²R), in the form the dual system needs.
 
 That form is P = R⁻¹ as a product with columns. Diagonal priors are a division; the Laplace prior is one sparse
 factorisation; the priors with a length (:mod:`cbsr_qa.eit.inverse.priors`) are built from P or its root.

@@ -1,4 +1,4 @@
-"""The linearised problem of a sensor type: a fine mesh for the voltages, a coarse one for the image.
+"""The linearised problem of a sensor type: a fine mesh for voltages, a coarse one for the image.
 
 Sensitivity of readings to the elements of an image, from fields on another mesh.
 

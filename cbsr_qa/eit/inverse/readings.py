@@ -1,4 +1,4 @@
-"""Noise variance of every reading from a few frames of a sheet nobody touches, shrunk towards what is common.
+"""Noise variance of each reading, shrunk towards a common value, and folding of reciprocal readings.
 
 The variance of one reading over n frames is known to √(2/(n − 2)) of itself, a third of it from twenty frames. Taken
 as it is, a reading that happened to be quiet would count too much. So variances are *moderated* (Smyth 2004, eqs 6, 8

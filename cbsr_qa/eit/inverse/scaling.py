@@ -1,4 +1,4 @@
-"""From a sensor's volts to the unit model's."""
+"""Scaling of a sensor's voltages to the unit model."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""One-step images of consecutive frames that belong together: slow materials change little from frame to frame.
+"""One-step images of consecutive frames with a temporal prior: slow materials change little between frames.
 
 The prior of a block of images is P = R⁻¹ between elements times Γ between frames, Γ_ts = a^|t−s| with a = exp(−1/τ)
 (Adler, Dai & Lionheart 2007, there for a window of frames). In the coordinates of the dual spectrum the block falls

@@ -1,4 +1,4 @@
-"""Truncated singular value decomposition: the singular vectors of W^½J that stand out of the noise, unregularised.
+"""Truncated singular value decomposition of W^½J, with no other regularisation.
 
 On a symmetric sheet singular values come in pairs, a pattern and its turned twin. Half a pair would prefer one
 direction over another, so that cuts are made between values that differ by more than a mesh makes them differ.

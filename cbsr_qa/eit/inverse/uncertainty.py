@@ -1,4 +1,4 @@
-"""What noise, and readings that are left out, do to images and to places."""
+"""Propagation of noise and of left-out readings to images and places."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,4 @@
-"""Loads that keep their shape while their strength changes: what each sends back to its rim, tabulated.
+"""Loads of fixed shape and varying strength: their response on the rim, tabulated.
 
 Everything about such a load is a smooth function of one number. With X = (I + ΔΛ W)⁻¹ ΔΛ what a patch answers to the
 fields that reach its rim (:mod:`cbsr_qa.eit.forward.local`), X/s is analytic in the strength s wherever all elements

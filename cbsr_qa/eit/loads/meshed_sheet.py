@@ -1,4 +1,4 @@
-"""Fields of any meshed sheet of even conductance, expanded about places in it, from what is known on its edge alone.
+"""Fields of a meshed sheet of uniform conductance, expanded about interior points from boundary values.
 
 Inside an even sheet every field is harmonic, and Green's identity with the pole p = (z − c)⁻ᵐ reads its coefficients
 off the edge: 2πm A_m = ∮ (p ∂u/∂n − u ∂p/∂n) ds. Where the mesh puts its elements inside does not show, so that what

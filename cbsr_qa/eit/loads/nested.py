@@ -1,4 +1,4 @@
-"""What a load that is made of nested outlines covers: one whose strain is not the same all over."""
+"""Loads of nested outlines, for heads whose strain is not uniform."""
 
 from dataclasses import dataclass
 from typing import Final

@@ -1,4 +1,4 @@
-"""Patches of changed elements, seen from their rims: what they need, whatever their change."""
+"""Patches of changed elements as seen from their rims, independent of the size of the change."""
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""Fields of a homogeneous round sheet with round pins, expanded about any place in it: no mesh, every digit.
+"""Fields of a homogeneous disc with round pins, expanded about any point: no mesh, full precision.
 
 A potential is the real part of an analytic function. A pin that carries a current is a logarithm at its centre plus
 poles d_n (z − p)⁻ⁿ that hold its rim at one potential behind the contact impedance; the sheet's edge adds the image

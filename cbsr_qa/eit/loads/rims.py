@@ -1,4 +1,4 @@
-"""Rims of changed patches: who sees them, what lies between them, and the few fields that are ever met there."""
+"""Rims of changed patches: coupling between them and to the electrodes, in few modes."""
 
 from collections.abc import Iterator, Sequence
 

@@ -1,4 +1,4 @@
-"""Voltages of a sheet under many loads of known shapes, whose strengths change all the time.
+"""Voltages of a sheet under many loads of fixed shape and varying strength.
 
 As :class:`~cbsr_qa.eit.forward.LocalUpdate`, with which it agrees to eight digits, for sequences of frames: what a
 load answers to the fields about it is tabulated over its strength (:mod:`cbsr_qa.eit.loads.family`), contacts are

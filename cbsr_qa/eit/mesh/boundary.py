@@ -1,4 +1,4 @@
-"""The edge of a sheet as nodes: spaced by a size field, with every corner and every strip's end on one.
+"""Boundary nodes of a sheet: spaced by a size field, with a node on every corner and electrode end.
 
 How large the elements of a sheet's mesh are, from place to place.
 """

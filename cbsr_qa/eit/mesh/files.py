@@ -1,7 +1,4 @@
-"""Sensor types whose sheet is a mesh made elsewhere.
-
-Mesh files: our own ``.npz``, and whatever meshio reads where it is installed.
-"""
+"""Mesh files: our own ``.npz`` and, where meshio is installed, its formats; sensor types made from them."""
 
 import io
 import re

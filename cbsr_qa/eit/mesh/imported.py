@@ -1,4 +1,4 @@
-"""Meshes made elsewhere: checked, and given their electrodes.
+"""Imported meshes: validation, and placement of electrodes.
 
 What must be right about a mesh that was made elsewhere, each with what to do where it is not.
 """

@@ -1,4 +1,4 @@
-"""Meshes of sheets of any outline, with electrodes anywhere: the edge node by node, then filled.
+"""Meshes of sheets of any outline with electrodes anywhere: boundary nodes first, then the interior.
 
 The outline is first laid in a frame of its own, its first corner in the origin and its first edge along +x, on a grid
 far finer than any drawing: a sheet that is turned or moved has the same mesh, turned or moved.

@@ -1,9 +1,8 @@
-"""A mesh whose edges follow a circle inside it, so that every element lies on one side of a round load's outline.
+"""Meshes of a round sheet: graded at the electrodes for voltages, nearly uniform for images, fitted to a circle.
 
-Loads that come and go are better served by cutting elements (:mod:`cbsr_qa.eit.forward`); this is for reference
-solutions, which then converge as fast as without a load.
-
-Meshes of a sensor type's round sheet: graded at the electrodes for voltages, near-uniform for images.
+A fitted mesh has edges along a circle inside it, so every element lies on one side of a round load's outline. Use it
+for reference solutions, which then converge as fast as without a load; for moving loads cut elements
+(:mod:`cbsr_qa.eit.forward`) are the better choice.
 """
 
 from dataclasses import dataclass

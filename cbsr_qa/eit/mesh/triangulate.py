@@ -1,4 +1,4 @@
-"""Fill an outline with triangles of a wanted size: Delaunay refinement, then smoothing.
+"""Triangulation of an outline to a size field: Delaunay refinement, then smoothing.
 
 Points are inserted at circumcentres of triangles that are too large (Chew 1989; Ruppert 1995), many at a time, and
 then moved so that every edge gets the length the size function wants (Persson & Strang 2004). No random

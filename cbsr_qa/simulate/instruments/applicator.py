@@ -1,4 +1,4 @@
-"""An emulated Cartesian force applicator: a Prusa MK3, or another printer with stock Marlin.
+"""An emulated Cartesian force applicator: a Prusa MK3, or a printer with stock Marlin.
 
 Marlin's line protocol: numbered lines with checksums, and how a printer asks for one again.
 """

@@ -1,4 +1,4 @@
-"""The station's clock where instruments are emulated: whoever waits moves the emulated world on.
+"""Clock of a station with emulated instruments: waiting advances the emulated world.
 
 What emulated instruments can be told to do wrong.
 """

@@ -1,4 +1,4 @@
-"""The ERT board, emulated: it scans from the moment it has power, sends what it reads, and is told nothing."""
+"""An emulated ERT board: it scans and sends continuously from power-on, and takes no commands."""
 
 import math
 from collections.abc import Callable, Mapping

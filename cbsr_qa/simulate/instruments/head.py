@@ -1,4 +1,4 @@
-"""The emulated head: it moves in the machine's coordinates, and leaves strain in the world's sheet."""
+"""The emulated head: it moves in machine coordinates and strains the world's sheet."""
 
 import math
 from collections import deque

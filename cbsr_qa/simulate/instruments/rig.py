@@ -1,4 +1,4 @@
-"""The one world behind all emulated instruments: sheet, head, and how source and meter are wired to the pins.
+"""The world behind all emulated instruments: sheet, head, and wiring of source and meter to the pins.
 
 Start the emulated instruments of a station, each on a byte stream of its own.
 """

@@ -1,9 +1,4 @@
-"""An emulated thermometer: one line a second with the temperature of a room that slowly warms and cools.
-
-Instruments that send a line every so often, whether anybody asks or not.
-
-An emulated load cell with its amplifier: text lines, eight a second.
-"""
+"""Emulated samplers that stream text lines unasked: a load cell (eight a second) and a thermometer (one a second)."""
 
 import math
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""Byte streams with an emulated instrument at the far end: a pseudo terminal, or a socket on the loopback."""
+"""Byte streams to emulated instruments: a pseudo terminal, or a loopback socket."""
 
 import errno
 import fcntl

@@ -1,4 +1,4 @@
-"""As much of TSP (the Lua of Keithley's 2600 series) as drivers send: assignments, calls, functions, loops."""
+"""The subset of TSP (the Lua of Keithley's 2600 series) that drivers use."""
 
 import re
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""Groups compared across stations with the sensors as a random effect, so that a station is not taken for a batch.
+"""Mixed model of groups across stations with sensors as a random effect.
 
     y = group (fixed) + station (fixed) + sensor (random, σ²θ) + run (σ²)
 

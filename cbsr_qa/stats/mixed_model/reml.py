@@ -1,4 +1,4 @@
-"""Ratio of variances θ = σ²_sensor/σ² by restricted maximum likelihood, with everything else profiled out.
+"""Variance ratio θ = σ²_sensor/σ² by restricted maximum likelihood, all other parameters profiled out.
 
 With A = XᵀH⁻¹X, R = rᵀH⁻¹r (r the generalised least-squares residuals) and f = N − p, minus twice the log likelihood
 is

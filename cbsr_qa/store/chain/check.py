@@ -1,4 +1,4 @@
-"""The check of a stored run: every row that a reader uses is the one that was stored, or is refused by name."""
+"""Verification of a stored run: every row that is read must match its digest."""
 
 import hashlib
 from collections.abc import Collection, Iterator, Sequence

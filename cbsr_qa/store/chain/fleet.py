@@ -1,4 +1,4 @@
-"""The check of many runs at once: what a comparison reads of them, against the links that cover it."""
+"""Verification of many runs at once: the rows a comparison reads against their links."""
 
 from array import array
 from collections import defaultdict

@@ -1,4 +1,4 @@
-"""What the chain of a run covers: rows as canonical text, alike on every database, and the digests over it.
+"""What the chain of a run covers: rows as canonical text, identical on every database, and their digests.
 
 A document is the rows of one table that share a key. Columns come from the tables themselves, so that one that is
 added later is covered. A column without a value is left out, so that a nullable one changes no digest of before.

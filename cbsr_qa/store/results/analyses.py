@@ -1,4 +1,4 @@
-"""Analyses of runs: added beside the earlier ones, never changed."""
+"""Analyses of runs: appended, never changed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The lists of a calibration as rows, and back: places, settling, relaxations, fit parameters, bands.
+"""Rows of a calibration's lists: places, settling, relaxations, fit parameters, bands.
 
 What a calibration says of force as a row, and back: the map, merging and scatter, but no templates.
 """

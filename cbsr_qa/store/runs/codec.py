@@ -1,4 +1,4 @@
-"""Sensor type, material and indenter as JSON within a run's row: a stored run needs no configuration file.
+"""Sensor type, material and indenter as JSON in a run's row, so a stored run needs no configuration file.
 
 Blocks of frames and samples as rows, and back with their digest checked.
 """

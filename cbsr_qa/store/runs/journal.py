@@ -1,4 +1,4 @@
-"""The journal: every document of a run is committed before anybody else sees it.
+"""The journal: commits every event of a run before anyone else sees it.
 
 Documents of a resumed session on the clock of the whole run.
 

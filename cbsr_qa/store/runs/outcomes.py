@@ -1,9 +1,4 @@
-"""The outcome of a run, looked up by whoever needs nothing else of the store.
-
-Earlier runs of one sensor, each checked against its chain, and the seeds they had.
-
-Whether a SQLite file is whole, seen as the next program will see it.
-"""
+"""Quick look-ups: outcome of a run, earlier runs of a sensor, and whether a SQLite file is intact."""
 
 import json
 from datetime import UTC, datetime

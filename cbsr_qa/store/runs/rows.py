@@ -1,4 +1,4 @@
-"""Rows of a run: begun once, looked up by everybody."""
+"""Rows of a run: inserted at its start, and look-ups."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""Stored runs: loaded whole for analysis, or looked up."""
+"""Stored runs: loaded in full for analysis, or looked up."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The table of links: the chain of digests each run is under. Rows are added and never changed.
+"""Table of links: the chain of digests of each run. Rows are appended, never changed.
 
 Tables of what people changed: files of a known name, and verdicts. Rows are never changed.
 

@@ -1,4 +1,4 @@
-"""Tables of what happened: sensors, runs, phases, frames, samples, presses.
+"""Tables of runs: sensors, runs, phases, frames, samples, presses.
 
 Rows are added and never changed, but for one cell: a phase gets its end time, once.
 """

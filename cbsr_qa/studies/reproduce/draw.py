@@ -1,4 +1,4 @@
-"""A publication beside simulated sensors: one section a table, with figures where pictures say more.
+"""Report of the reproduction: one section per table, with figures.
 
 Printed numbers and ours as words.
 """

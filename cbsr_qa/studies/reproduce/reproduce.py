@@ -1,4 +1,4 @@
-"""The paper's tables beside simulated sensors: simulated, compared, written as JSON or as a page."""
+"""Reproduction of the paper's tables: simulation, comparison, JSON or page."""
 
 import multiprocessing
 import tomllib

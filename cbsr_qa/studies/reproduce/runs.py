@@ -1,4 +1,4 @@
-"""Simulated sensors a publication is reproduced on: shipped recipes on the simulated bench, reduced to figures."""
+"""Simulated runs of the reproduction: shipped recipes on the simulated bench, reduced to values."""
 
 import copy
 import tempfile

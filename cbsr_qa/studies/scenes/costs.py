@@ -1,4 +1,4 @@
-"""What the effects of a scene cost, measured on frames of its own recording."""
+"""Cost of a scene's effects, measured on frames of its own recording."""
 
 import sys
 import time

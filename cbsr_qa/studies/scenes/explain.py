@@ -1,4 +1,4 @@
-"""Say what a scene contains: its effects, what each costs, those that are off, and what is not modelled."""
+"""Explanation of a scene: its effects, their cost, disabled effects, and what is not modelled."""
 
 import inspect
 from collections.abc import Callable, Mapping

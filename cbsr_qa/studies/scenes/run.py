@@ -1,4 +1,4 @@
-"""Simulate a scene to a recording, in one or several formats.
+"""Simulation of a scene to a recording, in one or several formats.
 
 The files that a simulated scene is written to.
 """

@@ -1,4 +1,4 @@
-"""What the commands about scenes share: the files of a scene, and the world they make."""
+"""Files of a scene and the world they define, shared by the scene commands."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""Noise figure of a linear imaging matrix: how much signal-to-noise ratio the image has lost.
+"""Noise figure of a linear imaging matrix: input over output signal-to-noise ratio.
 
 What a parameter is chosen on: a small central target, and changes measured or made up, with their noise.
 

@@ -1,4 +1,4 @@
-"""How much a method smooths: by which criterion, on what, and what the others would have said."""
+"""Choice of λ: the criterion, the data it used, and what the other criteria would choose."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

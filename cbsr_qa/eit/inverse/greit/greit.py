@@ -1,4 +1,4 @@
-"""GREIT: the matrix that turns the readings of training targets into the images one wants of them.
+"""GREIT: the matrix that maps readings of training targets to desired images.
 
 Each row of the matrix, one for each node of the image, is a least-squares fit of its own (Adler et al. 2009, eq. 5):
 min Σ_k W_k(x) [r(x)·y_k − d_k(x)]² + λ² |r(x)|², where W lets what is near the target count in full and the rest

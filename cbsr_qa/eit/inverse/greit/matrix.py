@@ -1,4 +1,4 @@
-"""GREIT's imaging matrix: of a λ, and the λ of a noise figure. What was made last is kept.
+"""GREIT's imaging matrix for a λ, and the λ for a noise figure; the last matrix is cached.
 
 Shaping GREIT's images until masked images of targets lie where the targets do, and are as large.
 

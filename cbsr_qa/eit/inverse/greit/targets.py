@@ -1,4 +1,4 @@
-"""What GREIT is trained on: round targets, the readings they cause, and the images they should become."""
+"""Training data of GREIT: round targets, their readings and their desired images."""
 
 from dataclasses import dataclass
 from functools import cached_property

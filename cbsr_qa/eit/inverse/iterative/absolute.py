@@ -1,4 +1,4 @@
-"""Iterative Gauss–Newton for the state of a sheet: conductance and contact impedances from readings, not changes.
+"""Iterative Gauss–Newton for absolute conductance and contact impedances.
 
 Minimises Φ(θ) = Σ (V(θ) − d)²/σ² + (θ − θ₀)ᵀC⁻¹(θ − θ₀), θ the logarithms of conductance and contact impedance, σ the
 noise, C what is expected of θ before it is measured: the most probable state (Tarantola 2005, section 3.2; absolute

@@ -1,4 +1,4 @@
-"""Absolute images of a sensor: its own unloaded state first, then every frame against it."""
+"""Absolute images of a sensor: the unloaded state first, then every frame relative to it."""
 
 from dataclasses import dataclass, fields
 from typing import Final

@@ -1,4 +1,4 @@
-"""Images of least total variation that explain the readings: flat where nothing tells otherwise, edges stay edges.
+"""Total-variation images: piecewise flat, with sharp edges.
 
 Minimises ½‖A x − y‖² + α Σ_k l_k |x_i − x_j| over the edges k between elements i and j, l their length [mm]: the sum
 is ∫|∇x| of an image that is constant on each element (Rudin, Osher & Fatemi 1992; for impedance images Borsic,

@@ -1,4 +1,4 @@
-"""Total variation on the readings of a problem, frame by frame.
+"""Total-variation reconstruction, frame by frame.
 
 How much total variation may cost: as much as leaves a residual of the noise's size (Morozov 1966).
 

@@ -1,4 +1,4 @@
-"""Hard cases of what a calibration rests on: lines, maps of the response, registrations, loads in the readings."""
+"""Hard cases of calibration: line fits, response maps, registration, loads in readings."""
 
 from functools import partial
 from typing import Final

@@ -1,4 +1,4 @@
-"""Hard cases of the forward model: contrasts, contacts, slivers and units, against its equations in fifty digits."""
+"""Hard cases of the forward model: contrasts, contacts, slivers and units, against fifty-digit solutions."""
 
 from collections.abc import Callable
 from functools import partial

@@ -1,4 +1,4 @@
-"""Hard cases of loads on a sheet: changes that are solved for without factorising again, and exact limits of them."""
+"""Hard cases of loads on a sheet: local updates without refactorising, and exact limits."""
 
 from collections.abc import Callable
 from functools import partial

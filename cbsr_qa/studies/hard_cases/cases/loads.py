@@ -1,4 +1,4 @@
-"""Hard cases of loads in the readings, and of forces from them: symmetric places, electrodes, extreme sizes."""
+"""Hard cases of load and force estimates: symmetric places, electrodes, extreme sizes."""
 
 from functools import lru_cache, partial
 from typing import Any, Final

@@ -1,4 +1,4 @@
-"""Hard cases of readings: offsets a million times the signal, units, precision, and channels that say nothing."""
+"""Hard cases of readings: offsets a million times the signal, units, precision, dead channels."""
 
 from collections.abc import Callable
 from dataclasses import replace

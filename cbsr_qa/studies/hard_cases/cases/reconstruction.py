@@ -1,4 +1,4 @@
-"""Hard cases of reconstruction: next to no regularisation and nothing but, noise over twelve decades, limits."""
+"""Hard cases of reconstruction: almost no and extreme regularisation, noise over twelve decades, limits."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace

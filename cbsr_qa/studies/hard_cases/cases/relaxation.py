@@ -1,4 +1,4 @@
-"""Hard cases of relaxation fits: time constants that are alike, lost, too slow, or in other units."""
+"""Hard cases of relaxation fits: time constants that are close, lost, too slow or in other units."""
 
 from functools import partial
 from typing import Any, Final

@@ -1,4 +1,4 @@
-"""Hard cases of time: stamps that repeat, step back, lie far from zero or all fall together."""
+"""Hard cases of time stamps: repeated, decreasing, far from zero, all equal."""
 
 from functools import partial
 from typing import Final
