@@ -142,7 +142,7 @@ def measure_run(
 
 
 def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
-    """Hold measurements against limits; the strictest outcome counts where several limits fit one measurement.
+    """Judge measurements by limits; if several limits match one measurement, the strictest outcome counts.
 
     Returns
     -------

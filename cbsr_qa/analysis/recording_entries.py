@@ -213,7 +213,7 @@ def _real(where: str, value: Any) -> float:
 
 
 def _kind(value: Any) -> str:
-    """How a message names what was found."""
+    """Describe a value for a message."""
     if isinstance(value, str):
         return echo(value)
     if isinstance(value, dict | list):

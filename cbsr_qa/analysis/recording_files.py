@@ -75,7 +75,7 @@ def write_recording(path: Path, recording: Recording) -> None:
 
 @contextmanager
 def recording_file(path: Path) -> Iterator[BinaryIO]:
-    """Write a recording's file, whatever its format, whole or not at all.
+    """Write a recording file of any format, atomically.
 
     Raises
     ------
@@ -229,7 +229,7 @@ def _read(path: Path, file: h5py.File) -> Recording:
 
 
 def _told(said: Described) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the notes and what was simulated, which files of earlier versions hold as notes."""
+    """Return notes and the simulation's description, which earlier versions stored as notes."""
     notes = said.texts("notes")
     if "simulated" in said:
         return notes, said.texts("simulated")

@@ -60,7 +60,7 @@ class RingFit:
 
 
 def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
-    """Hold frames of a ring against its closed form.
+    """Fit gain, offset and leads of a ring's frames to its closed form.
 
     Raises
     ------
@@ -319,7 +319,7 @@ def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> Check
 
 
 def _less_noise(rms: float, allowed: ReferenceRing) -> str:
-    """What to do about noise: also small readings make it large, where it is the same in volts whatever is read."""
+    """Advice on noise: small readings make relative noise large if it is constant in volts."""
     enough_ohm = float(f"{1.05 * float(np.mean(allowed.resistance_ohm)) * rms / allowed.noise:.1e}")
     return (
         "look for loose plugs and mains hum; average longer; with a ring of"

@@ -55,7 +55,7 @@ class StripForce:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is wrong with the force as a whole."""
+        """Problems of the force as a whole."""
         return () if self.samples is not None else ("no force was recorded: the stress is unknown",)
 
     def stress(self, load: LoadRecord) -> HeldStress:
@@ -122,7 +122,7 @@ _DEAD_SHARE: Final = 0.5  # of all readings; a pin without contact shows in most
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pins:
-    """What was read between the pins, without what cannot be used: times and resistances, (n,)."""
+    """Usable readings between the pins: times and resistances, (n,)."""
 
     time_s: Array
     ohm: Array

@@ -76,7 +76,7 @@ def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str 
 
 
 def _relative_error(found: Characterisation) -> Measurement:
-    """Standard error of the slope over the slope, without what is assumed of the contacts: it is alike for all.
+    """Relative standard error of the slope, without the assumed contacts: they affect all slopes equally.
 
     Of a characterisation that cannot stand for its material there is none, so that a limit on it is not met.
     """

@@ -58,7 +58,7 @@ class Recheck:
 
 
 def recheck(run: RunObservation, calibration: Calibration) -> Recheck:
-    """Hold a run's loads against a calibration of the same sensor.
+    """Compare a run's loads with a calibration of the same sensor.
 
     A sheet that lies otherwise than it should is read where it lies. The run's own unloaded frames are the
     reference: what the unloaded sheet has drifted by since is reported and does not reach the forces. Holds may be

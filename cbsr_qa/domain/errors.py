@@ -24,7 +24,7 @@ class RowProblem:
     rejected: bool
 
     def __post_init__(self) -> None:
-        """Cut what a file may have made long: a line of megabytes is no message."""
+        """Cut parts that a file may have made long: a line of megabytes is not a message."""
         if len(self.what) > LONGEST_PROBLEM:
             object.__setattr__(self, "what", f"{self.what[:LONGEST_PROBLEM]}… ({len(self.what)} characters)")
 
@@ -59,7 +59,7 @@ class ConfigError(RefusedError):
 
 
 class PluginError(RefusedError):
-    """A plugin that was asked for is unknown or cannot be loaded."""
+    """A requested plugin is unknown or cannot be loaded."""
 
 
 class RecordingError(RefusedError):
@@ -76,19 +76,19 @@ class RecordingError(RefusedError):
 
 
 class StoreError(RefusedError):
-    """The database is missing, damaged, of another version, or does not hold what was asked for."""
+    """The database is missing, damaged, of another version, or lacks the requested data."""
 
 
 class CalibrationError(RefusedError):
-    """A calibration file is damaged, edited, of another version, or does not fit what it is used for."""
+    """A calibration file is damaged, edited, of another version, or does not match its use."""
 
 
 class NumericsError(RefusedError):
-    """A computation was refused by name (rank, range, shape) instead of returning an image of noise."""
+    """A computation was refused (rank, range, shape) instead of returning an image of noise."""
 
 
 class InstrumentError(CbsrError):
-    """An instrument did not do what it was told (exit code 3).
+    """An instrument did not execute a command (exit code 3).
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class SafetyError(CbsrError):
 
 
 class BrokenRunError(CbsrError):
-    """A run had begun and could not be brought to its conclusion: what was stored of it stays (exit code 3)."""
+    """A run had begun and could not be completed; its stored data stay (exit code 3)."""
 
     exit_code = 3
 
@@ -143,7 +143,7 @@ class NotReproducedError(CbsrError):
 
 
 class UnconcludedError(CbsrError):
-    """The bench had done its part, and somebody stopped the program before the result was written (exit code 3).
+    """Measuring was complete, and the program was stopped before the result was written (exit code 3).
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class UnconcludedError(CbsrError):
 
 
 class AbortedError(CbsrError):
-    """Somebody stopped the run; the bench has been brought to its safe state (exit code 3)."""
+    """The run was stopped by an operator or a signal; the bench is in its safe state (exit code 3)."""
 
     exit_code = 3
 

@@ -59,7 +59,7 @@ def finite_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
 
 
 def array_of(values: ArrayLike, what: str) -> NDArray[Any]:
-    """Return values as an array of whatever type they are.
+    """Return values as an array of any type.
 
     Raises
     ------

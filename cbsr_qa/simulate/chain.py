@@ -74,7 +74,7 @@ class Chain:
 
     @property
     def memory_s(self) -> float:
-        """How long after a press the response may still feel it; for ever where an effect does not say."""
+        """How long a press affects the response [s]; infinite if an effect does not limit it."""
         return max((getattr(effect, "memory_s", math.inf) for _, effect in self._stages["response"]), default=0.0)
 
     def design(self, design: SheetDesign) -> None:
@@ -212,7 +212,7 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
 
 
 def _check_names(name: str, effect: Any) -> None:
-    """Refuse an effect that does not say in text what it perturbs, needs and acts after."""
+    """Refuse an effect whose `perturbs`, `needs` or `after` are not text."""
     perturbs = getattr(effect, "perturbs", None)
     if not isinstance(perturbs, str):
         raise ConfigError(

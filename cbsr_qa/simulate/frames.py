@@ -54,7 +54,7 @@ class SimulatedRing:
         self.unloaded: Array = self.readings(self._impedance)
 
     def impedances(self, changes: Sequence[Mapping[Place, float]], contact_mm: Array | None = None) -> Array:
-        """The ring's own at every moment, (moments, electrodes, electrodes) [V/A], whatever is pressed."""
+        """The ring's impedances at every moment, (moments, electrodes, electrodes) [V/A], independent of presses."""
         return np.repeat(self._impedance[None], len(changes), axis=0)
 
     def readings(self, impedance_ohm: Array) -> Array:
@@ -172,7 +172,7 @@ class FrameMaker:
         )
 
     def _contacts(self, moment: Moment) -> Array | None:
-        """Contacts in the frame's middle, after the effects on them; None where there are none."""
+        """Contacts in the middle of the frame, after effects on them; None if there are none."""
         if not self._chain.has("contacts"):
             return None
         moment.contact_mm = self._sheet.design.contact_mm.copy()

@@ -101,7 +101,7 @@ class PressWriter:
             self._pressing = None
 
     def halt(self, time_s: float) -> None:
-        """Stop where the head is at a time: what was written of its last stroke for later does not happen."""
+        """Stop the head at a given time: the rest of its last stroke is dropped."""
         stroke, self._stroke = self._stroke, None
         if stroke is None or time_s >= stroke.start_s + stroke.duration_s:
             return
@@ -116,7 +116,7 @@ class PressWriter:
         self._true = (x_mm, y_mm, depth_mm)
 
     def _cut(self, time_s: float) -> SimulatedPress:
-        """Replace the last press by one that ends now: whoever remembers the old one sees that it is another."""
+        """Replace the last press by a new object that ends now, so references to the old one stay distinct."""
         old = self._sheet.presses[-1]
         steps = [_until(step, time_s) for step in old.steps if step.start_s < time_s]
         new = SimulatedPress(old.index, old.x_mm, old.y_mm, steps)
@@ -206,7 +206,7 @@ class SimulatedHead:
         self._go(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
 
     def drop_everything(self) -> None:
-        """Start lifting at the travel speed and return at once; the next movement waits until the head is up."""
+        """Start lifting at the travel speed and return; the next movement waits until the head is up."""
         up_s = self._start(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
         self._free_at_s = max(self._free_at_s, up_s)
 

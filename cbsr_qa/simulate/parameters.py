@@ -32,7 +32,7 @@ def number(name: str, value: Any, *, least: float = 0.0, most: float = _BEYOND, 
 
 
 def shown(value: Any) -> str:
-    """What was given, as short as a message needs it: whole numbers may have thousands of digits."""
+    """A given value as short text: whole numbers may have thousands of digits."""
     if isinstance(value, int) and abs(value) > _LARGEST:
         return "a whole number beyond 1.8e308"
     said = repr(value)

@@ -93,7 +93,7 @@ class Transients:
 
     @property
     def memory_s(self) -> float:
-        """How long after a press nothing of it is left, whatever its strain: less than :data:`FORGOTTEN`."""
+        """Time after a press beyond which less than :data:`FORGOTTEN` of it remains, for any strain [s]."""
         largest = 1.0 if self._line is None else abs(self._line.slope.value) + abs(self._line.intercept.value)
         kernels = [kernel for kernel in self._kernels.values() if kernel is not None]
         parts = [part for kernel in kernels for part in zip(kernel.weights, kernel.time_constants_s, strict=True)]
@@ -127,7 +127,7 @@ class Transients:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Over:
-    """A press with so many steps: its ramps with their kernels, and what is left of them from its end on."""
+    """A press of many steps: its ramps with their kernels, and their remainder after its end."""
 
     press: SimulatedPress
     steps: int

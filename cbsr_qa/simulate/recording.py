@@ -60,7 +60,7 @@ class PressedLoad:
 
 
 def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[PressedLoad, ...]:
-    """Let every head of a scene press its loads, each on a clock of its own.
+    """Let every head of a scene press its loads, each on its own clock.
 
     Parameters
     ----------

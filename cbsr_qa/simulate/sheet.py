@@ -100,7 +100,7 @@ class SimulatedSheet:
         return impedance
 
     def impedances(self, changes: Sequence[Mapping[Place, float]], contact_mm: Array | None = None) -> Array:
-        """The same at moments within a frame, but for what is of third order in what has changed since the first.
+        """The same at moments within a frame, up to third-order terms in the change since the first.
 
         Parameters and errors as of :meth:`impedance`; a place that has not changed at a moment may be left out there.
 
@@ -134,7 +134,7 @@ class SimulatedSheet:
 
     @cached_property
     def contact_share(self) -> float:
-        """Share of the resistance of driven pairs that lies in the contacts.
+        """Share of the contacts in the resistance of driven pairs.
 
         A resistance is homogeneous of degree one in (1/γ, z), so the contacts' part is Σ z ∂R/∂z (Euler).
         """

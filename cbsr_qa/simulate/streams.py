@@ -45,7 +45,7 @@ class RandomStream:
         self._state = self._bits.state
 
     def generator(self, index: int) -> np.random.Generator:
-        """Return a generator of its own that starts at an index.
+        """Return a new generator that starts at an index.
 
         Raises
         ------
@@ -102,11 +102,11 @@ class StepAddresses:
         self._first: list[int] = [0]
 
     def begin_step(self, phase: int, number: int) -> int:
-        """A step begins; returns its first address."""
+        """Begin a step; return its first address."""
         return self._begin((phase * _STEPS + number) * _ACTS)
 
     def begin_act(self) -> int:
-        """The head is told something; returns the first address of what it does."""
+        """Begin an act of the head; return its first address."""
         return self._begin(self._act + 1)
 
     def frame(self) -> int:

@@ -34,7 +34,7 @@ _TOUCHING: Final = 1e-9  # strain that is more than rounding
 
 @dataclass(frozen=True, slots=True)
 class PressTruth:
-    """What is true of one press at one time.
+    """True state of one press at one time.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class SimulatedWorld:
         return self._frames.frame(lambda at_s: self._moment(at_s, index, felt), time_s, pauses_s)
 
     def transcript(self, time_s: Array) -> Transcript:
-        """How frames at these times (frames,) [s] come to be written down: what is lost, where a board pauses."""
+        """How frames at these times (frames,) [s] are recorded: what is lost, where a board pauses."""
         transcript = Transcript.complete(self.setting, time_s)
         self.chain.record(transcript)
         return transcript
@@ -176,7 +176,7 @@ class SimulatedWorld:
         return (*moment.place_mm, moment.depth_mm)
 
     def truth(self, time_s: float) -> tuple[PressTruth, ...]:
-        """Return what is true of every press at a time, before the sheet is measured."""
+        """Return the true state of every press at a time, before the sheet is measured."""
         moment = self._moment(time_s, 0, self.presses)
         self.chain.apply("response", moment)
         self.chain.apply("stress", moment)

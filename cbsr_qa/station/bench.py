@@ -36,7 +36,7 @@ Action = tuple[str, Callable[[], object]]
 
 
 class _Call(threading.Thread):
-    """One action in a thread of its own, which is left behind if it never comes back."""
+    """One action in its own thread, which is abandoned if it never returns."""
 
     def __init__(self, name: str, action: Callable[[], object]) -> None:
         super().__init__(name=f"stop {name}", daemon=True)
@@ -46,7 +46,7 @@ class _Call(threading.Thread):
         self._action = action
 
     def run(self) -> None:
-        """Call, and keep what it raised."""
+        """Call the action, and keep its exception."""
         try:
             self._action()
         except BaseException as error:  # noqa: BLE001 - nothing one instrument does may stop the others
@@ -151,7 +151,7 @@ class Bench:
         _link(self.mounted, filled)
 
     def identities(self) -> tuple[InstrumentIdentity, ...]:
-        """Ask every instrument who it is; one that the station emulates is simulated, whatever it says.
+        """Identify every instrument; an emulated one counts as simulated, whatever it reports.
 
         So is one without an address of its own that is linked with those, such as frames scanned with a meter.
 
@@ -168,11 +168,11 @@ class Bench:
         return next((one.name for one in self.mounted if one.instrument is instrument), "an unknown instrument")
 
     def alive(self) -> tuple[Alive, ...]:
-        """Return the instruments that can be asked whether they are there."""
+        """Return the instruments with a liveness check."""
         return tuple(one.instrument for one in self.mounted if isinstance(one.instrument, Alive))
 
     def safe_state(self) -> tuple[str, ...]:
-        """Bring every instrument to its safe state, whatever the others do: the head first, then current sources.
+        """Bring every instrument to its safe state even if others fail: the head first, then current sources.
 
         Returns
         -------
@@ -182,7 +182,7 @@ class Bench:
         return self._tell_all([(one.name, one.instrument.safe_state) for one in by_urgency])
 
     def close(self) -> tuple[str, ...]:
-        """Close every instrument, whatever the others do; returns who did not, in words."""
+        """Close every instrument even if others fail; return descriptions of the failures."""
         return self._tell_all([*((one.name, one.instrument.close) for one in self.mounted), *self._after])
 
     def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
@@ -229,7 +229,7 @@ def _urgency(one: Mounted) -> int:
 
 
 def _works_through_others(one: Mounted) -> bool:
-    """Whether it has no address of its own: it is then as real as those it is linked with."""
+    """Whether it has no address: it is then as real as the instruments it is linked to."""
     return isinstance(one.instrument, Linked) and "address" not in one.spec.options
 
 

@@ -63,7 +63,7 @@ class DryPhase:
 
 @dataclass(frozen=True, slots=True)
 class DryRun:
-    """What a plan will take, and what is wrong with it.
+    """Expected duration and extent of a plan, and its violations.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def dry_run(
 
 @dataclass(slots=True)
 class _Walk:
-    """Where the head would be, and what was added up so far."""
+    """Simulated position of the head, and totals so far."""
 
     plan: Plan
     frame_period_s: float

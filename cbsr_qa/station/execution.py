@@ -50,7 +50,7 @@ def ending(error: BaseException, where: str, *, at_once: bool = False, before: E
 
 
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
-    """Say that instruments did not reach their safe state: whatever else it was, the run is broken."""
+    """Report instruments that did not reach their safe state; the run is then broken in any case."""
     said = [f"NOT SAFE: {who}; look at the bench before touching it" for who in silent]
     return EndReason.BROKEN, "; ".join([*filter(None, [_told(end)]), *said])
 
@@ -79,7 +79,7 @@ def _what(error: BaseException) -> str:
 
 
 def _remedy(error: BaseException) -> str:
-    """What to do about it, where the error says so."""
+    """The remedy of an error, if it has one."""
     cause = error.error if isinstance(error, BrokenInto) else error
     remedy = cause.remedy if isinstance(cause, CbsrError) else ""
     return f"; {remedy}" if remedy else ""
@@ -191,7 +191,7 @@ class _Walk:
         self._end: Ending | None = None
 
     def to_its_end(self, identity: RunIdentity, bench: Bench, interrupts: Interrupts) -> Ending:
-        """Carry out everything, and leave the bench safe whatever comes up; nothing is raised."""
+        """Execute the plan and leave the bench safe in any case; never raises."""
         silent: tuple[str, ...] = ()
         try:
             with interrupts.heard():
@@ -207,7 +207,7 @@ class _Walk:
         return unsafe(self._end, silent) if silent else self._end
 
     def _through_or_back(self, identity: RunIdentity, interrupts: Interrupts) -> None:
-        """Carry out everything; where somebody stops it, lift the head as after any press."""
+        """Execute the plan; if stopped, lift the head as after any press."""
         try:
             self._through(identity)
         except (AbortedError, KeyboardInterrupt) as error:

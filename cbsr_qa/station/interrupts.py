@@ -19,7 +19,7 @@ A = TypeVar("A")
 
 
 class Asking(Generic[A]):
-    """Asks the operator, and knows while somebody is being asked.
+    """Asks the operator, and knows while a question is open.
 
     The runner's own prompts and instruments that are worked by hand must ask through the same one.
 
@@ -33,7 +33,7 @@ class Asking(Generic[A]):
         self._waiting = False
 
     def is_waiting(self) -> bool:
-        """Say whether somebody is being asked right now."""
+        """Whether a question to the operator is open."""
         return self._waiting
 
     def __call__(self, text: str) -> A:
@@ -72,7 +72,7 @@ def on_stderr(line: str) -> None:
 
 
 def _nobody(line: str) -> None:
-    """Tell nobody."""
+    """Discard the notice."""
 
 
 class Interrupts:
@@ -131,7 +131,7 @@ class Interrupts:
 
     @contextmanager
     def heard(self) -> Iterator[None]:
-        """Let signals end what is inside; what comes up while this is left is raised to whoever entered it."""
+        """Let signals end the body; a signal during exit is raised to the caller."""
         self._heard_now = True
         try:
             with self._redelivery:
@@ -141,7 +141,7 @@ class Interrupts:
 
     @contextmanager
     def idle(self) -> Iterator[None]:
-        """Let the first signal end at once what is inside: nothing happens but waiting."""
+        """Let the first signal end the body at once: it only waits."""
         self._idle = True
         try:
             self.poll()
@@ -151,7 +151,7 @@ class Interrupts:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Let the first signal end the run once what is inside has been done."""
+        """Let the first signal end the run after the body has finished."""
         yield
         self.poll()
 

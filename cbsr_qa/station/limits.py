@@ -39,7 +39,7 @@ class Violation:
 
 
 def place_violations(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
-    """Yield what is wrong with a place: out of the head's range, or the head not wholly on the sheet."""
+    """Yield violations of a place: out of the head's range, or the head not entirely on the sheet."""
     radius_mm = math.hypot(x_mm, y_mm)
     if not radius_mm <= plan.safety.travel_radius_mm:
         yield Violation(
@@ -87,13 +87,13 @@ def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
 
 
 def load_violations(load: Load, plan: Plan) -> Iterator[Violation]:
-    """Yield what is wrong with a load: its place, its strain, the force it is expected to take."""
+    """Yield violations of a load: its place, its strain, its expected force."""
     yield from place_violations(load.x_mm, load.y_mm, plan)
     yield from strain_violations(load.strain, plan)
 
 
 def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
-    """Yield what is wrong with a strain, wherever it is pressed: itself, the force it is expected to take."""
+    """Yield violations of a strain at any place: itself, and its expected force."""
     if not 0 < strain <= plan.safety.strain:
         yield Violation(
             "strain", f"{100 * strain:.4g} % strain; the station allows up to {100 * plan.safety.strain:g} %"
@@ -104,7 +104,7 @@ def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
 
 
 def dwell_violations(dwell_s: float, plan: Plan) -> Iterator[Violation]:
-    """Yield what is wrong with a head that has been down, and still or eased, for this long."""
+    """Yield violations of the time the head has been down without lifting."""
     if not dwell_s <= plan.safety.dwell_s + _ROUNDING_S:
         allowed_s = plan.safety.dwell_s
         yield Violation("dwell", f"the head is down for {dwell_s:.4g} s; the station allows {allowed_s:g} s")
@@ -147,7 +147,7 @@ def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
 
 
 class Limits:
-    """What the station allows, and how fresh what is known is.
+    """The station's limits, and the maximum age of measured values.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Limits:
         _refuse(place_violations(x_mm, y_mm, self._plan))
 
     def check_samples(self, block: SampleBlock, who: str) -> None:
-        """Hold measured force and temperature against their limits, and remember how fresh they are.
+        """Check measured force and temperature against their limits, and record their age.
 
         Parameters
         ----------
@@ -188,7 +188,7 @@ class Limits:
             self._temperature_time_s = max(self._temperature_time_s, float(block.time_s[-1]))
 
     def check_frame(self, block: FrameBlock, who: str) -> None:
-        """Refuse frames whose current or voltages were limited: with an open lead they are no measurement."""
+        """Refuse frames with limited current or voltages: with an open lead they are not measurements."""
         limited = (block.flags & _LIMITED) != 0
         counted = limited[:, self._counted]
         share = counted.mean(axis=1)
@@ -253,7 +253,7 @@ class Limits:
             )
 
     def _limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:
-        """Name the drive pairs of which every counted reading was limited: an open lead limits both of its own."""
+        """Name the drive pairs whose counted readings were all limited: an open lead limits both of its pairs."""
         pairs = zip(self._plan.sensor_type.pattern.drive, limited, self._counted, strict=True)
         whole = [pair for pair, row, counted in pairs if counted.any() and row[counted].all()]
         if not whole:

@@ -70,7 +70,7 @@ class LoadLog:
         self.lift_off_s = None
 
     def finish(self, now_s: float) -> LoadRecord | None:
-        """The rest is over: return the record of a press that came to its end, or None where there is none."""
+        """Return the record of a press whose rest has ended, or None."""
         if self.load is None or len(self.times_s) != 4:
             return None
         press_s, hold_s, release_s, up_s = self.times_s
@@ -98,7 +98,7 @@ Ask = Callable[[str], object]
 
 
 class Performer:
-    """Carries out steps; knows the bench, tells the documents, obeys the interlock.
+    """Executes steps on the bench: emits events, obeys the interlock.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class Performer:
         self._loads.mark(self._clock.now())
 
     def _ease(self, strain: float) -> None:
-        """Go to another depth; everything a press is held against holds, and a failure is not tried again either."""
+        """Move to another depth under the same limits as a press; a failure is not retried."""
         load, motion = self._loads.load, self._plan.motion
         assert load is not None  # the dry run refuses to ease a head that is up
         self._limits.check_load(replace(load, strain=strain))
@@ -222,7 +222,7 @@ class Performer:
         self._loads.ease(strain, start_s, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
 
     def _go_down(self, depth_mm: float) -> None:
-        """Press, or ease; where that failed it is not tried again: nobody knows how deep the head is."""
+        """Press, or ease; a failure is not retried, because the head's depth is then unknown."""
         motion = self._plan.motion
         with self.spent.on(Kind.PRESS, self._clock), self._expect("pressing", kinematics.stroke_s(motion, depth_mm)):
             self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
@@ -307,7 +307,7 @@ class Performer:
         return self._watchdog.expect(f"{self._head}: {what}", work_s)
 
     def _expected(self, motion: Callable[[], T], what: str, work_s: float) -> Callable[[], T]:
-        """Return the motion with the watchdog told what it is and how long it takes when all is well."""
+        """Return the motion with the watchdog set to its expected duration."""
 
         def watched() -> T:
             with self._expect(what, work_s):

@@ -98,7 +98,7 @@ class Spent:
 
 
 def describe(step: Step) -> str:
-    """Say what a step does; a step of a type nobody knows is called by its type."""
+    """Describe a step; an unknown type is named by its class."""
     said = f"an unknown step ({type(step).__name__})"
     match step:
         case Home():
@@ -123,7 +123,7 @@ def describe(step: Step) -> str:
 
 
 def describe_load(load: Load) -> str:
-    """Say which load this is."""
+    """Describe a load: label, place, strain and trial."""
     trial = f", trial {load.trial + 1}" if load.trial else ""
     return f"{load.label} at ({load.x_mm:g}, {load.y_mm:g}) mm to {100 * load.strain:g} %{trial}"
 
@@ -296,7 +296,7 @@ def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
 
 
 def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> Iterator[ScheduledStep]:
-    """Yield what is left of a phase whose first loads are done, at least one of them."""
+    """Yield the remaining steps of a phase after its first, completed loads (at least one)."""
     pressed = -1
     released = False
     for scheduled in numbered:

@@ -65,7 +65,7 @@ class RunProgress:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Take the bar away while somebody is asked, and show it again."""
+        """Hide the bar during a question to the operator, and show it again."""
         bar = self._bar
         if bar is not None:
             bar.close()

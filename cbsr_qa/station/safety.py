@@ -94,7 +94,7 @@ class Interlock:
         return self.state in DWELLING
 
     def clear(self, bench: Bench) -> None:
-        """Bring the bench to its safe state before anything else: what was killed left the head where it was.
+        """Bring the bench to its safe state first: a killed process left the head where it was.
 
         Raises
         ------
@@ -133,12 +133,12 @@ class Attempt(Protocol):
     """Asks an instrument, and again where that is harmless."""
 
     def __call__(self, operation: Callable[[], T], what: str) -> T:
-        """Return what it answers."""
+        """Call the action, and return its result."""
         ...
 
 
 class Watch:
-    """Takes over what the samplers have, holds the limits, asks who is there.
+    """Collects samples, checks the limits, and checks that instruments respond.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class Watch:
         self._asked_s = clock.now()
 
     def look(self, phase: int) -> None:
-        """Look at everything that is due; samples are told as those of this phase.
+        """Do everything that is due; samples are stored under this phase.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class Watch:
         return max(min(every_s, self._safety.heartbeat_s - self._silent_s()), _SOON_S) if self._alive else every_s
 
     def _silent_s(self) -> float:
-        """How long nobody has been asked [s]."""
+        """Time since the last liveness check [s]."""
         return self._clock.now() - self._asked_s
 
     def _drain(self, phase: int, number: int, sampler: Sampler) -> None:

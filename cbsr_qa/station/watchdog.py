@@ -28,7 +28,7 @@ class BrokenInto(Interruption):
 
 @dataclass(slots=True)
 class _Call:
-    """What is under way: who is asked for what, since when, and how long that takes when all is well."""
+    """The current call: instrument, start, and expected duration."""
 
     what: str
     since_s: float
@@ -85,7 +85,7 @@ class Watchdog:
         self._thread.join()
 
     def hurry(self) -> None:
-        """Give what is under way, and all that follows, little time from now on; a signal's handler may call it."""
+        """Shorten the time for the current call and all that follow; safe to call from a signal handler."""
         self._answer_s = min(self._answer_s, GRACE_S)
         self._call.since_s = self._clock.now()
 

@@ -23,7 +23,7 @@ SparseArray: TypeAlias = "sparse.csr_array[np.float64, tuple[int, int]]"
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Groups and stations that runs connect, each sorted by name."""
+    """Groups and stations connected by runs, each sorted by name."""
 
     groups: tuple[str, ...]
     stations: tuple[str, ...]
@@ -51,7 +51,7 @@ class Crossing:
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """The connected parts; differences between two of them cannot be told from their stations'."""
+        """The connected parts; a difference between two of them is confounded with their stations."""
         return tuple(
             Part(_of_part(self.groups, self.group_parts, part), _of_part(self.stations, self.station_parts, part))
             for part in range(int(self.group_parts.max()) + 1)

@@ -95,7 +95,7 @@ class Distribution(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """What is asked of limits.
+    """Requirements on the limits.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """One proposed bound and what it rests on.
+    """One proposed bound, and its basis.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class Bound:
 
 @dataclass(frozen=True, slots=True)
 class LotLimits:
-    """Bounds of one measurement from a lot, or why there are none.
+    """Bounds of one measurement from a lot, or the reason for none.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def _nothing_to_go_by(runs: Runs) -> str:
 
 
 def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
-    """Return the widest bound of the distributions that are not refuted, or why there is none."""
+    """Return the widest bound of the distributions that are not refuted, or the reason for none."""
     candidates: list[Bound] = []
     fits: list[tuple[Distribution, Fit]] = []
     for distribution in looked_at:
@@ -265,7 +265,7 @@ def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float
 
 
 def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[tuple[Distribution, Fit]]) -> Bound | str:
-    """Return the order statistic that holds the share whatever the distribution; each sensor with its worst run."""
+    """Return the order statistic that bounds the share for any distribution; the worst run of a sensor counts."""
     worst = sorted(max(sign * x for x in sensor) for sensor in runs)
     outside = spacings_outside(len(worst), ask.coverage, ask.confidence)
     if outside < ask.sides:
@@ -277,7 +277,7 @@ def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[tuple[Distribution, Fit
 
 
 def _why_ordered(fits: list[tuple[Distribution, Fit]]) -> str:
-    """Say what was refuted, each distribution with the better of its tests."""
+    """Describe the refuted distributions, each with the better of its tests."""
     best: dict[Distribution, float] = {}
     for name, fit in fits:
         best[name] = max(fit.p_value, best.get(name, 0.0))
@@ -292,7 +292,7 @@ def _rounded(bound: Bound, runs: Runs) -> Bound:
 
 
 def outward(limit: float, mean: float, sign: int) -> float:
-    """Round a limit away from the mean, to a hundredth of its distance from it: digits nobody has to wonder about."""
+    """Round a limit away from the mean, to a hundredth of its distance from it."""
     distance = abs(limit - mean)
     if not distance:
         return limit

@@ -149,7 +149,7 @@ def spacings_outside(count: int, coverage: float, confidence: float) -> int:
 
 
 def count_needed(coverage: float, confidence: float, sides: int) -> int:
-    """Return how many values make their extremes a tolerance interval whatever the distribution.
+    """Return how many values make their extremes a tolerance interval for any distribution.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ class Prediction:
     high: float
 
     def holds(self, value: float) -> bool:
-        """Whether a value lies in the interval; both ends do."""
+        """Whether a value lies in the interval, ends included."""
         return self.low <= value <= self.high
 
 
@@ -252,7 +252,7 @@ class Referenced:
         return (self.value - null) / self.standard_error
 
     def interval(self, confidence: float = 0.95) -> Interval:
-        """Return value ± half width; never narrower than without what is known.
+        """Return value ± half width; a known uncertainty never narrows it.
 
         Raises
         ------

@@ -60,7 +60,7 @@ Flags = NDArray[np.bool_]
 
 
 class Rule(StrEnum):
-    """The tests, by what they see."""
+    """The eight tests."""
 
     BEYOND = "1: one point beyond 3σ"
     SAME_SIDE = "2: nine points in a row on one side of the centre"

@@ -55,7 +55,7 @@ def power(size: float, first: int, second: int, *, level: float = 0.05) -> float
 
 
 def power_of_equivalence(margin: float, first: int, second: int, *, level: float = 0.05) -> float:
-    """Return the probability of showing two groups alike within ± ``margin`` that do not differ.
+    """Return the probability of showing equivalence within ± ``margin`` for two equal groups.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> 
 
 
 def sensors_to_show_alike(margin: float, *, wanted: float = 0.8, level: float = 0.05) -> int:
-    """Return how many sensors each of two equal groups that do not differ needs to be shown alike within ± margin.
+    """Return the size of each of two equal groups needed to show equivalence within ± margin.
 
     Parameters
     ----------

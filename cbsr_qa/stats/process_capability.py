@@ -214,7 +214,7 @@ def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | N
 
 
 def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence: float) -> Index:
-    """Return the lesser of both sides' indices; both intervals hold at once, and so does the lesser of their ends."""
+    """Return the lesser of both sides' indices; both intervals hold jointly, and so does the lesser of their ends."""
     each = 1 - (1 - confidence) / 2
     values = [below / (3 * low.deviation), above / (3 * high.deviation)]
     ends = [_exact(value, spread, each) for value, spread in zip(values, (low, high), strict=True)]

@@ -219,7 +219,7 @@ def centred(array: Array) -> tuple[float, Array]:
 
 
 def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95, what: str = "values") -> Quantile:
-    """Return a quantile with an interval that holds whatever the distribution.
+    """Return a quantile with a distribution-free interval.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95,
 
 @lru_cache(maxsize=1024)  # many metrics have as many values each
 def _largest_rank(count: int, below: float, tail: float) -> int:
-    """Largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 where there is none."""
+    """Largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 if none."""
     rank = int(stats.binom.ppf(tail, count, below))
     while rank and stats.binom.cdf(rank - 1, count, below) > tail:
         rank -= 1

@@ -83,7 +83,7 @@ def address(url: URL) -> str:
 
 @contextmanager
 def translated(url: URL) -> Iterator[None]:
-    """Turn whatever the database raises inside into a StoreError that names it and says what to do."""
+    """Turn any database exception of the body into a StoreError that names it and gives a remedy."""
     try:
         yield
     except CbsrError:

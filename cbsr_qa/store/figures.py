@@ -17,7 +17,7 @@ _AT_ONCE: Final = 900
 
 @dataclass(frozen=True, slots=True)
 class RunFilter:
-    """Which analysed runs; what is given must all hold.
+    """Selection of analysed runs; all given criteria must hold.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class RunFilter:
 
 
 def run_lines(engine: Engine, wanted: RunFilter) -> tuple[RunLine, ...]:
-    """Return the analysed runs that were asked for, in the order of their names: the oldest first."""
+    """Return the selected analysed runs, ordered by name, the oldest first."""
     with reading(engine) as connection:
         rows = connection.execute(_query(wanted)).all()
     return tuple(RunLine(*row) for row in reversed(rows) if row.analysis is not None)

@@ -107,7 +107,7 @@ def _midnight(day: date) -> datetime:
 def _runs(
     connection: Connection, chosen: list[ColumnElement[bool]]
 ) -> tuple[list[FleetRun], dict[str, int], list[Known | None]]:
-    """Runs in order, the place of each latest analysis among them, and what was read of it where a run is chained.
+    """Runs in order, the place of each latest analysis, and the rows read of chained runs.
 
     States and analyses are put to their runs here: a database that has no statistics of its tables yet may join them
     by counting every analysis again for every run.

@@ -54,7 +54,7 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
 
 @contextmanager
 def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Hold the right to create or change tables; waits for whoever holds it.
+    """Hold the right to create or change tables; wait for the current holder.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> Iterator[b
 
 
 def writer_of(engine: Engine, run: str) -> str:
-    """Return who writes a run at this moment; empty where nobody does."""
+    """Return who is writing a run; empty if nobody is."""
     file = sqlite_file(engine.url)
     if file is not None:
         who = holder(_lock_file(file, run))

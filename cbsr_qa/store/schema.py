@@ -32,7 +32,7 @@ class Age(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SchemaVersion:
-    """What was found.
+    """Schema version of a database.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def downgrade(engine: Engine, target: str) -> None:
 
 
 def check_writable(engine: Engine, version: SchemaVersion) -> None:
-    """Make sure that a user may add rows, or tables where there are none yet, by adding none.
+    """Check that the user may add rows, or create tables, by adding none.
 
     Where a SQLite file is to be made, its lock file is made beside it and removed; so is the folder.
 
@@ -114,7 +114,7 @@ def check_writable(engine: Engine, version: SchemaVersion) -> None:
 
 
 def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
-    """Say why a database cannot be used as it is."""
+    """Return the error for a database that cannot be used as it is."""
     match version.age:
         case Age.OLDER:
             return StoreError(
@@ -168,7 +168,7 @@ def _make_folder(engine: Engine) -> None:
 
 @contextmanager
 def _folder_for_now(engine: Engine, folder: Path) -> Iterator[None]:
-    """Make the folder of a database, and remove again what was made of it; StoreError if it cannot be made."""
+    """Create the folder of a database, and remove it again afterwards; StoreError if it cannot be created."""
     made = [above for above in (folder, *folder.parents) if not above.exists()]
     try:
         _make_folder(engine)

@@ -37,7 +37,7 @@ class Clock(Protocol):
         ...
 
     def wall(self) -> datetime:
-        """Date and time of day with zone, for people; may be set back by anybody."""
+        """Date and time of day with zone, for people; may be set back."""
         ...
 
     def sleep(self, duration_s: float) -> None:
@@ -66,7 +66,7 @@ class RealClock:
 
 
 class VirtualClock:
-    """Time that passes only when somebody sleeps: hours of station time cost no waiting.
+    """Time that advances only by sleeping: hours of station time cost no waiting.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class VirtualClock:
         return self._start + timedelta(seconds=self._now)
 
     def sleep(self, duration_s: float) -> None:
-        """Advance at once by the nearest number of ticks, at least one [s]; a negative duration is ignored."""
+        """Advance by the nearest number of ticks, at least one [s]; a negative duration is ignored."""
         self._now += in_ticks(max(duration_s, 0.0))
 
 

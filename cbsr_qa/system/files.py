@@ -103,7 +103,7 @@ class FileLock:
 
 
 def holder(path: Path) -> bytes | None:
-    """Return what the holder's file says; None where nobody holds the lock.
+    """Return the text in the holder's file; None if nobody holds the lock.
 
     The file of a process that was killed is removed, if this user may remove it. Nothing is written, so a full disk
     does not matter.

@@ -40,7 +40,7 @@ class Redelivery:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Raise what is still due, unless another error is under way."""
+        """Raise pending signals, unless another error propagates."""
         if self._before is not None:
             sys.unraisablehook, self._before = self._before, None
         due, self._due = self._due, None

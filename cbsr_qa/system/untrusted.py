@@ -147,7 +147,7 @@ def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[Refu
 
 
 def shortened(reason: str) -> str:
-    """Return what is said of a file, what it repeats of the file cut: a name or unit may be a megabyte."""
+    """Return a message with quotes from the file cut: a name or unit may be a megabyte long."""
     cut = re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason)
     return cut if len(cut) <= _LONGEST_REASON else f"{cut[:_LONGEST_REASON]}… ({len(cut)} characters)"
 
@@ -207,7 +207,7 @@ def _confined(outgoing: int, limits: Limits) -> int:
 
 
 def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
-    """Say what came of reading: a pickled head, and the arrays' bytes."""
+    """Encode the result of reading: a pickled head, and the arrays' bytes."""
     arrays: list[pickle.PickleBuffer] = []
     try:
         told: tuple[Any, ...] = ("read", read())

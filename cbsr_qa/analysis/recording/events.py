@@ -96,7 +96,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoLoads:
-    """What changes look like that are no loads.
+    """Explanations of changes that are not loads.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ class _Search:
             self.found.presses.append(Press(start, peak, end, before, held, places, pulse.score))
 
     def _loads(self, frame: int, before: slice, held: slice) -> tuple[Place, ...]:
-        """Return the loads behind a change; none, and why, where it is no load's."""
+        """Return the loads that explain a change, or none and the reason."""
         change = difference(self.white, before, held)
         places, explained = find_places(change, self.match)
         noise = noise_energy(self.white, before, held) / self.white.shape[1]

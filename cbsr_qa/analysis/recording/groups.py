@@ -179,7 +179,7 @@ def find_pulses(scores: Array) -> tuple[Change, ...]:
 
 
 def without_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:
-    """Bridge the frames of pulses by straight lines: (n, m), for what is looked for besides."""
+    """Interpolate linearly over the frames of pulses, (n, m), for further detection."""
     bridged = white.copy()
     for pulse in pulses:
         first, last = pulse.frame - 1, pulse.frame + pulse.window

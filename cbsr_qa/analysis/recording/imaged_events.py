@@ -63,7 +63,7 @@ def with_fates(
 
 
 def with_imaged_places(events: Sequence[LoadEvent], radius_mm: float, layout: Electrodes) -> tuple[LoadEvent, ...]:
-    """Say of every event where its own image shows it; nowhere, if no region smaller than half the sheet is there.
+    """Add to every event its place in its own image; none if no region smaller than half the sheet is found.
 
     Regions are found and assigned as for fates; what was pressed at once shares an image.
     """
@@ -176,7 +176,7 @@ def image_events(
     chosen: PluginChoice,
     tell: Tell,
 ) -> Imaged:
-    """Image what was found, event by event.
+    """Image the events one by one.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def _peak_force(samples: tuple[SampleBlock, ...], start_s: float, end_s: float) 
 
 
 def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
-    """Say what a method could not be given."""
+    """Describe what a method could not be given."""
     said = []
     if alone:
         said.append(f"{name} needs consecutive frames; this recording has none, so each event is imaged alone")
@@ -259,7 +259,7 @@ def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
 
 
 def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImages) -> list[str]:
-    """Name events that the method's own image does not show: nobody shall look for them in what is left."""
+    """Name events that the method's own image does not show, so nobody searches the image for them."""
     return [
         f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: there is no region"
         f" near its place ({event.place}), and what is elsewhere is not"

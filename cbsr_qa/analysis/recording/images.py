@@ -186,7 +186,7 @@ def prepare_for_events(
 def _prepared(
     reconstruction: Reconstruction, name: str, problem: ImagingProblem
 ) -> tuple[PreparedReconstruction, tuple[str, ...]]:
-    """Prepare on the recording's own changes; without them, and said so, where they settle no parameter."""
+    """Prepare on the recording's own changes, or without them, with a note, if they settle no parameter."""
     try:
         return reconstruction.prepare(problem), ()
     except NumericsError as refused:
@@ -217,7 +217,7 @@ def _with_measured(
 
 @contextmanager
 def _by_name(where: str) -> Iterator[None]:
-    """Refuse by name; whatever a stranger's method raises becomes one clear refusal."""
+    """Turn any exception of a plugin's method into one clear refusal."""
     try:
         yield
     except CbsrError as error:

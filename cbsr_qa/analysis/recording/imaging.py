@@ -54,7 +54,7 @@ class Sheet:
 
     @property
     def radius_mm(self) -> float:
-        """Radius of the sheet; of the nominal disc where nobody named a sensor type."""
+        """Radius of the sheet; of the nominal disc if no sensor type was given."""
         return self.problem.sensor_type.radius_mm
 
     @property
@@ -64,7 +64,7 @@ class Sheet:
 
 
 def nominal_disc(layout: Electrodes | None, electrode_count: int) -> SensorType:
-    """Disc with arc electrodes on its edge, for recordings whose sensor nobody named.
+    """Disc with arc electrodes on its edge, for recordings without a sensor type.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ def _head(path: Path) -> bytes:
 
 
 def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
-    """Run a format's code on a file in a limited child process; whatever it raises becomes one clear refusal."""
+    """Run a format's code on a file in a limited child process; any exception becomes one clear refusal."""
     return read_untrusted(path, lambda: _refusing(path, name, work), refusal=RecordingError)
 
 

@@ -80,7 +80,7 @@ def _running_median(readings: Array) -> Array:
 
 
 def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
-    """Whether what is reciprocal to a reading did not go along with it."""
+    """Whether the reciprocal of a reading did not change with it."""
     square = usable.shape[0] == usable.shape[1]
     partner = usable & usable.T if square else np.zeros_like(usable)
     few = (far.sum(axis=(1, 2)) <= _FEW * usable.sum())[:, None, None]
@@ -96,7 +96,7 @@ _MOST_LISTED = 6  #: channels named in a remark
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadyReadings:
-    """What is left of a recording once its instrument's faults are known.
+    """Usable readings of a recording, with its instrument faults removed.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class ReadyReadings:
     spiky_frames: int = 0
 
     def remarks(self) -> list[str]:
-        """What was done to readings, and which channels went wrong on the way, in words."""
+        """Describe corrections of readings, and channels that failed during the recording."""
         said = []
         if self.spikes:
             said.append(
@@ -157,7 +157,7 @@ def _usable(recording: Recording, pattern: DrivePattern | None) -> Mask:
 
 
 def has_offset(recording: Recording) -> bool:
-    """Whether readings carry an offset nobody states: counts do, volts and magnitudes do not."""
+    """Whether readings may have an unknown offset: counts do, volts and magnitudes do not."""
     return recording.frames.unit is VoltageUnit.COUNT and not recording.magnitudes_only
 
 
@@ -209,7 +209,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
 
 
 def channel_report(ready: ReadyReadings) -> ChannelReport:
-    """Put what is known about the channels into the result's words."""
+    """Report the state of the channels."""
     memory = ready.memory
     return ChannelReport(
         saturated=_pairs(ready.faults.saturated),

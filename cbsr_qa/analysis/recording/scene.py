@@ -122,7 +122,7 @@ class RecordedScene:
         return match.whiten(changes), match
 
     def _still(self, changes: Array, sigma: float) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
-        """Search a still image; in a tank that is no sheet with the patterns of balls as large as what is found."""
+        """Search a still image; in a tank, with the patterns of balls as large as those found."""
         white, match = self._matched(self.sheet, changes, sigma)
         found, why = find_still(white[0], match)
         tank = None
@@ -185,7 +185,7 @@ class RecordedScene:
         )
 
     def _search(self, rate_hz: float | None) -> tuple[Searched, list[tuple[float, Suspect]]]:
-        """Search once: what was found, and which contacts changed when."""
+        """Search once: events found, and contacts that changed."""
         times, readings = self._slowed(rate_hz)
         changes = self.model.changes(readings)
         sigma = channel_noise(readings, counts=self.ready.offset) * np.abs(self.model.gain)
@@ -278,7 +278,7 @@ def _gains(found: Found, times: Array) -> list[str]:
 
 
 def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) -> list[str]:
-    """Say what the signs of the loads leave open."""
+    """Describe ambiguities in the signs of the loads."""
     said = []
     if len({one.sign for one in sightings}) > 1:
         listed = ", ".join(f"{one.start_s:.1f} s {'more' if one.sign > 0 else 'less'}" for one in sightings)

@@ -32,7 +32,7 @@ _BRIDGED_FRAMES = 2  #: frames in which an object was not seen that do not end i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Object:
-    """An object, as long as it is there.
+    """An object, and when it is present.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Object:
 
 
 def reciprocal_noise(changes: Array, used: Mask) -> float:
-    """Noise of one reading from what is not reciprocal in changes of a passive tank.
+    """Noise of one reading, from the reciprocity error of changes in a passive tank.
 
     Parameters
     ----------

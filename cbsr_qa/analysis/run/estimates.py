@@ -107,7 +107,7 @@ def _key(load: LoadObservation) -> Key:
 def _estimates(
     run: RunObservation, loads: list[LoadObservation], model: RoundLoadModel, noise: Array, reference: str
 ) -> dict[Key, EstimatedLoad]:
-    """Estimate loads in groups of alike noise: as many frames averaged, under the hold and for the reference."""
+    """Estimate loads in groups of equal noise: equal numbers of frames under the hold and for the reference."""
     groups: dict[tuple[int, int], list[tuple[LoadObservation, LoadWindow]]] = defaultdict(list)
     for load in loads:
         window = load_window(run.record.phase(load.phase), load.record, run.settings)

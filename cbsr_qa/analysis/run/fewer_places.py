@@ -151,7 +151,7 @@ class _Loads:
         )
 
     def _left_out(self, kept: Chosen) -> tuple[float, float]:
-        """Mean square of the error at the other places, without noise, and of what is stated there."""
+        """Mean square error at the left-out places, noise removed, and the stated one."""
         mean, variance = self._learned(kept[self._which]).predict(self._at[~kept])
         weight = 1 / (self._variance + self._scatter**2)
         total = np.bincount(self._which, weight)
@@ -166,7 +166,7 @@ class _Loads:
 
 
 def _by_the_line(run: RunObservation, found: RunForce, used: list[LoadObservation]) -> Array:
-    """What the sensor's own line says of each load, over the material's: ln, to be taken from what was seen."""
+    """Logarithm of the sensor's own line over the material's, for each load."""
     assert found.learned is not None
     stress = np.array([load.force_N or 0.0 for load in used]) * 1e3 / run.record.indenter.area_mm2
     given, own = run.record.material.against_stress, found.learned.line

@@ -151,7 +151,7 @@ def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[T
 
 @lru_cache(maxsize=1)
 def _loads_of(run: RunObservation) -> "_RunForce":
-    """One run's loads, kept for whoever asks next."""
+    """One run's loads, cached."""
     return _RunForce(run)
 
 

@@ -254,7 +254,7 @@ def _predicted_rows(
     kernel: RelaxationKernel,
     at_s: float,
 ) -> tuple[Array, float]:
-    """Steady rows scaled by what is still to come, and as many frames as would be as sure of their strength."""
+    """Steady rows scaled by the predicted rise, and the equivalent number of frames."""
     time_s, strength, noise = traces.held(load)
     if not len(time_s):
         raise NumericsError(f"load {load.record.load.label} of phase {load.phase!r} was held without taking a frame")

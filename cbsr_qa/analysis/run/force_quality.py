@@ -211,7 +211,7 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
 def gauge_factor(
     run: RunObservation, found: RunForce, *, traces: Sequence[TimedValues] | None = None
 ) -> tuple[Estimate, Estimate]:
-    """Return the gauge factor of the sheet, and where holds end over what was seen of them.
+    """Return the gauge factor of the sheet, and the ratio of steady to observed values.
 
     Parameters
     ----------
@@ -260,7 +260,7 @@ def _blob_traces(run: RunObservation) -> list[TimedValues]:
 def _steady_share(
     run: RunObservation, loads: Sequence[LoadObservation], traces: Sequence[TimedValues], predicted_s: float
 ) -> Estimate:
-    """Of the frames that were averaged, alike for all loads as far as their holds are; or of what was predicted."""
+    """Steady share of the averaged frames, equal for all loads whose holds are, or of predicted values."""
     times = [
         load_window(run.record.phase(load.phase), load.record, run.settings).steady.time_s - load.record.hold_start_s
         for load in loads

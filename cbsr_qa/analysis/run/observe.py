@@ -30,7 +30,7 @@ from cbsr_qa.plugin import Reconstruction
 
 
 def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
-    """Metrics over time of the phases that press a grid of places; of the last of several loads held at once."""
+    """Metrics over time of the phases that press a grid of places; of the last of several simultaneous loads."""
     return tuple(
         _timeline(setting, phase)
         for phase in record.phases
@@ -127,7 +127,7 @@ def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: 
 
 
 def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tuple[str, ...]:
-    """What is to be said of loads; of how settled they are only where a multiple of the settling time is given."""
+    """Warnings about loads; about how settled they are only if a multiple of the settling time is given."""
     words = []
     residual = [load for load in loads if load.alternate is not None]
     if residual:

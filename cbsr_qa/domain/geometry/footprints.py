@@ -61,7 +61,7 @@ class Footprint(Protocol):
         ...
 
     def drawn_mm(self) -> Points:
-        """Corners (q, 2) of the outline as it is drawn."""
+        """Corners (q, 2) of the drawn outline."""
         ...
 
 

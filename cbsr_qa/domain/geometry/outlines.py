@@ -125,7 +125,7 @@ SheetOutline = Disc | Polygon
 
 
 def polygon_problems(corners_mm: Sequence[Sequence[float]]) -> Iterator[tuple[int | None, str]]:
-    """Yield what is wrong with an outline: at which corner (from 0; None for the whole), and what.
+    """Yield problems of an outline: the corner (from 0; None for the whole) and a description.
 
     What presupposes that something is right is not looked at where that is wrong.
     """

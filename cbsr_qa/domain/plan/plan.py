@@ -11,7 +11,7 @@ from cbsr_qa.domain.run import Indenter
 
 @dataclass(frozen=True, slots=True)
 class PluginChoice:
-    """A plugin by name, with the options its factory is given."""
+    """A plugin by name, with options for its factory."""
 
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class SafetyLimits:
-    """What the station allows, whatever a recipe asks for.
+    """Limits of the station, which no recipe can exceed.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class AnalysisSettings:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What is done to a sensor and how it is judged.
+    """What to measure on a sensor, and how to judge it.
 
     Parameters
     ----------

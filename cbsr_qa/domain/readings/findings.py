@@ -22,7 +22,7 @@ def place_in_words(electrode: float, r_over_R: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NoiseStep:
-    """The noise or the level of a recording changed at once.
+    """A sudden change of a recording's noise or level.
 
     Parameters
     ----------

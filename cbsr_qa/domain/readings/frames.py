@@ -24,14 +24,14 @@ SMALLEST_CURRENT_A: Final = 1e-15
 
 
 class VoltageUnit(StrEnum):
-    """Unit of the readings. Counts stay counts: a scale nobody states is not guessed."""
+    """Unit of the readings. Counts stay counts: an unknown scale is not guessed."""
 
     VOLT = "V"
     COUNT = "count"
 
 
 class ReadingFlag(IntFlag):
-    """What is known against a single reading."""
+    """Known faults of a single reading."""
 
     NONE = 0
     SATURATED = 1  #: at the end of the converter's range
@@ -100,7 +100,7 @@ class FrameBlock:
         return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
 
     def between(self, start_s: float, end_s: float) -> Self:
-        """Return the frames whose time lies in [start_s, end_s)."""
+        """Return the frames with start_s ≤ time < end_s."""
         return self.select((self.time_s >= start_s) & (self.time_s < end_s))
 
 
@@ -141,7 +141,7 @@ class SampleBlock:
         return int(self.time_s.shape[0])
 
     def between(self, start_s: float, end_s: float) -> Self:
-        """Return the samples whose time lies in [start_s, end_s)."""
+        """Return the samples with start_s ≤ time < end_s."""
         which = (self.time_s >= start_s) & (self.time_s < end_s)
         return type(self)(self.channel, self.unit, self.time_s[which], self.values[which])
 

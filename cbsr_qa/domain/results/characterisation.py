@@ -118,7 +118,7 @@ class StrainLevel:
 
 @dataclass(frozen=True, slots=True)
 class FittedLine:
-    """Relative conductance change against stress or strain, or why there is none.
+    """Line of relative conductance change against stress or strain, or the reason for none.
 
     Parameters
     ----------

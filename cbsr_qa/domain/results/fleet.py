@@ -16,7 +16,7 @@ from cbsr_qa.domain.results.measurement import Outcome
 
 @dataclass(frozen=True, slots=True, order=True)
 class MetricKey:
-    """What tells one metric of a run from another.
+    """Identity of a metric within a run.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class RunFigure:
 
     @property
     def why(self) -> str:
-        """Say why there is no value; empty where there is one."""
+        """Reason for a missing value; empty if there is a value."""
         if self.units:
             return f"its values are in several units within the run, {' and '.join(self.units)}"
         if self.missing:
@@ -95,7 +95,7 @@ class RunFigure:
 
 
 class State(IntFlag):
-    """What is known of one value besides its number."""
+    """State of one value besides its number."""
 
     PLAIN = 0
     LOWER_BOUND = 1  #: the quantity is at least the value

@@ -224,7 +224,7 @@ class PreparedReconstruction(Protocol):
 
     @property
     def problem(self) -> ImagingProblem:
-        """What it was prepared for."""
+        """The problem it was prepared for."""
         ...
 
     @property

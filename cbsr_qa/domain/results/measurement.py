@@ -40,12 +40,12 @@ SEVERITY: tuple[Outcome, ...] = (
 
 
 def worst(outcomes: Iterable[Outcome]) -> Outcome:
-    """Return the worst of some outcomes; NOT_JUDGED where there are none."""
+    """Return the worst of some outcomes, NOT_JUDGED of none."""
     return min(outcomes, key=SEVERITY.index, default=Outcome.NOT_JUDGED)
 
 
 class EndReason(StrEnum):
-    """How a run ended, whatever its outcome."""
+    """How a run ended, independent of its outcome."""
 
     RUNNING = "running"  #: begun and not ended: found again after a power cut, it is incomplete
     FINISHED = "finished"
@@ -62,7 +62,7 @@ class Bound(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Bounds of one measurement, both inclusive; None is no bound on that side.
+    """Bounds of one measurement, both inclusive; None leaves a side unbounded.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Limit:
             raise RefusedError(f"limit of {self.measurement}: lower {self.lower} is above upper {self.upper}")
 
     def judge(self, value: float | None, bound: Bound = Bound.EXACT) -> Outcome:
-        """Judge a value; a value nobody could determine is NOT_MEASURED.
+        """Judge a value; an undetermined value is NOT_MEASURED.
 
         A lower bound can fail an upper limit, but never meet it: the quantity itself may lie anywhere above.
         """
@@ -232,7 +232,7 @@ def explained(verdict: Verdict, measurements: tuple[Measurement, ...]) -> str:
 
 
 def relative_margin(measurement: Measurement) -> float:
-    """Distance from the nearer bound over the limit's size: what is closest to failing comes first."""
+    """Distance from the nearer bound over the limit's size: the smallest is closest to failing."""
     limit = measurement.limit
     if limit is None or measurement.value is None:
         return -float("inf")

@@ -301,6 +301,6 @@ class RunObservation:
 
     @property
     def weight_ratio(self) -> float:
-        """Largest over smallest weight of a reading, 1 where all count alike."""
+        """Largest over smallest weight of a reading; 1 for equal weights."""
         variance = self.reconstruction.problem.noise_variance
         return 1.0 if variance is None else float(variance.max() / variance.min())

@@ -101,7 +101,7 @@ class RelaxationKernel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteadyPrediction:
-    """Where holds (or releases) end, as predicted from what was seen of them.
+    """Predicted end values of holds (or releases), from their observed part.
 
     Parameters
     ----------

@@ -119,7 +119,7 @@ class SensorHistory:
 
     @property
     def changed(self) -> tuple[str, ...]:
-        """Say which earlier runs are not what was stored."""
+        """Describe earlier runs whose stored rows were changed."""
         return tuple(
             f"an earlier run was changed since it was stored: {one.changed}" for one in self.earlier if one.changed
         )
@@ -237,7 +237,7 @@ class ConfigurationChange:
     why: str
 
     def words(self, most: int = 3) -> str:
-        """Say what changed, with so many differences at most."""
+        """Describe the changes, with at most this many differences."""
         shown = "; ".join(one.words for one in self.differences[:most])
         more = len(self.differences) - most
         return f"{shown}; and {more} more" if more > 0 else shown
@@ -264,7 +264,7 @@ class ChangeHistory:
 
 @dataclass(frozen=True, slots=True)
 class VerdictOverride:
-    """Somebody's decision against a verdict, beside it.
+    """An operator's decision that overrides a verdict, stored beside it.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def _leaves(at: str, content: Any) -> Iterator[tuple[str, str]]:
 
 
 def _labels(tables: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Name each table of a list: by what it is of, and by its number where two are of the same."""
+    """Name each table of a list by its key, and by its number if two share it."""
     found: list[str] = []
     for number, table in enumerate(tables, start=1):
         named = ", ".join(str(table[key]) for key in _NAMED_BY if table.get(key)) or str(number)

@@ -72,7 +72,7 @@ class Indenter:
         return type(self)(factor * self.diameter_mm, tuple((factor * x, factor * y) for x, y in self.outline_mm))
 
     def words(self) -> str:
-        """Say what it is, e.g. ``"13 mm diameter"``."""
+        """Describe the head, e.g. ``"13 mm diameter"``."""
         if not self.outline_mm:
             return f"{self.diameter_mm:g} mm diameter"
         return f"outline of {len(self.outline_mm)} corners, {2 * self.reach_mm:.3g} mm across"
@@ -115,7 +115,7 @@ class EasedStrain:
 
 @dataclass(frozen=True, slots=True)
 class HeldStrain:
-    """One strain of a press, from when the head is there to when it moves on [s]."""
+    """One strain of a press, from the head's arrival to its next move [s]."""
 
     strain: float
     start_s: float

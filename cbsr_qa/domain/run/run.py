@@ -216,7 +216,7 @@ class RunStarted:
 
 @dataclass(frozen=True, slots=True)
 class PhaseStarted:
-    """A sequence begins. ``role`` is what it says it is for."""
+    """A sequence begins. ``role`` is its stated purpose."""
 
     index: int
     name: str
@@ -227,7 +227,7 @@ class PhaseStarted:
 
 @dataclass(frozen=True, slots=True)
 class StepStarted:
-    """A step begins. ``remaining_s`` is the dry run's estimate of what is left, this step included."""
+    """A step begins. ``remaining_s`` is the dry run's estimate of the remaining time, this step included."""
 
     phase: int
     number: int
@@ -238,7 +238,7 @@ class StepStarted:
 
 @dataclass(frozen=True, slots=True)
 class FramesTaken:
-    """Frames arrived; the journal commits them before anybody else sees them."""
+    """Frames arrived; the journal commits them before any other listener sees them."""
 
     phase: int
     frames: FrameBlock

@@ -84,7 +84,7 @@ class StationCheck:
 
     @property
     def outcome(self) -> CheckOutcome:
-        """The worst of its lines; NOT_DONE where there is none."""
+        """The worst outcome of its lines, NOT_DONE of none."""
         return worst_check(self.results)
 
     def lines(self, outcome: CheckOutcome) -> tuple[CheckResult, ...]:
@@ -107,12 +107,12 @@ class RingReadings:
 
 
 def worst_check(results: Sequence[CheckResult]) -> CheckOutcome:
-    """Return the worst outcome of some lines; NOT_DONE where there is none."""
+    """Return the worst outcome of some lines, NOT_DONE of none."""
     return min((line.outcome for line in results), key=_SEVERITY.index, default=CheckOutcome.NOT_DONE)
 
 
 class ChartKind(StrEnum):
-    """What is charted of a metric's values."""
+    """Kind of control chart."""
 
     INDIVIDUALS = "i-mr"  #: single values and their moving range
     MEANS = "xbar-r"  #: means and ranges of so many runs after each other
@@ -203,7 +203,7 @@ class StandingSignal:
     began: datetime | None = None
 
     def words(self) -> str:
-        """Say which chart signals since when, and by which rule."""
+        """Describe which chart signals, since when, and by which rule."""
         when = f"{'at least ' if self.at_least else ''}{self.runs} run{'' if self.runs == 1 else 's'}"
         return (
             f"{self.reference.label}, signals since run {self.since_run} of {self.since:%Y-%m-%d} ({when}): "

@@ -179,7 +179,7 @@ def placement_problems(electrodes: Electrodes, outline: SheetOutline) -> Iterato
 
 
 def width_problem(electrodes: Electrodes, radius_mm: float) -> str | None:
-    """What is wrong with electrodes' width on a sheet of this radius, or with the room it leaves on a ring."""
+    """Problem of the electrodes' width on a sheet of this radius, or of the gaps it leaves on a ring."""
     width = electrodes.width_mm
     if width < LEAST_WIDTH * radius_mm:
         return (

@@ -67,7 +67,7 @@ FEWEST_INDEPENDENT: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class DrivePattern:
-    """Drive and measure pairs. A frame is stored as (drive, measure), whatever order the rig scanned in.
+    """Drive and measure pairs. Frames are stored as (drive, measure), independent of the scan order.
 
     A pair may also be there reversed: rigs turn the current round to tell offsets from signal, and each of the two
     readings has noise of its own. It adds no independent reading.
@@ -195,7 +195,7 @@ class DrivePattern:
 
 
 def adjacent_pattern(electrode_count: int) -> DrivePattern:
-    """Pair k joins electrodes k and k+1, for driving and for measuring alike (the rig's pattern)."""
+    """Pair k joins electrodes k and k+1, for driving and measuring (the rig's pattern)."""
     return DrivePattern(electrode_count, *(2 * [named_pairs("adjacent", electrode_count)]))
 
 
@@ -240,7 +240,7 @@ def is_rule(name: str) -> bool:
 
 
 def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Iterator[tuple[int | None, str]]:
-    """Yield what is wrong with drive or measure pairs: which one (from 0; None for all), and what."""
+    """Yield problems of drive or measure pairs: the pair (from 0; None for all) and a description."""
     if not len(pairs):
         yield None, "has no pairs"
     seen: dict[tuple[int, ...], int] = {}

@@ -190,7 +190,7 @@ class _Run:
         self.active[which[self.damping[which] > _LARGEST_DAMPING]] = False
 
     def result(self) -> Fits:
-        """What was reached, with covariances of everything that could have been fitted."""
+        """Fitted parameters, with covariances of everything that could have been fitted."""
         held = self.square & ~self.free[:, 3]
         covariance = _inverted(self.information, square=self.square)
         excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
@@ -201,7 +201,7 @@ class _Run:
 
 
 def _normal(information: Array, free: Mask) -> tuple[Array, Array]:
-    """Information (n, 4, 4) scaled to unit diagonal, with ones for what is fixed, and the scale (n, 4)."""
+    """Information (n, 4, 4) scaled to unit diagonal, with ones for fixed parameters, and the scale (n, 4)."""
     diagonal = np.diagonal(information, axis1=1, axis2=2)
     scale = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1))
     both = free[:, :, None] & free[:, None]

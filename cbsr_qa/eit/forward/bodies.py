@@ -32,7 +32,7 @@ _CHANGES: Final = np.expm1(np.linspace(-np.log(20.0), np.log(20.0), 41))  # of c
 
 
 def check_strip(sensor_type: SensorType) -> None:
-    """Refuse a sensor type that is no strip.
+    """Refuse a sensor type that is not a strip.
 
     Raises
     ------
@@ -164,7 +164,7 @@ class DeepTank:
         return readings
 
     def changes(self, places: Array, radius: float, *, conducts: bool) -> Array:
-        """Changes of the readings for balls in the electrodes' plane, as far as it is linear in their volume.
+        """Changes of the readings for balls in the electrodes' plane, linear in their volume.
 
         A ball scatters the gradient at its centre and, with (radius)², the second derivatives there; of higher orders
         none is counted.

@@ -103,7 +103,7 @@ class Cover:
 
 
 def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
-    """Find what a load of any outline covers of each element; areas are exact, whatever the mesh.
+    """Area of each element covered by a load of any outline; exact for any mesh.
 
     Parameters
     ----------

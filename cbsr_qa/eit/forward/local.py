@@ -61,7 +61,7 @@ class LocalUpdate:
 
     @property
     def nbytes(self) -> int:
-        """Memory of what is kept between calls."""
+        """Memory kept between calls [bytes]."""
         return self._inverse.nbytes + self._kept_now()
 
     def voltages(self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None) -> Array:
@@ -119,7 +119,7 @@ class LocalUpdate:
         return patches.correction(change, contact_change), own
 
     def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
-        """Change of 1/z [S/mm], None where there is none, and of what each electrode adds to its own potential.
+        """Change of 1/z [S/mm], or None if unchanged, and change of each electrode's own potential.
 
         Raises
         ------

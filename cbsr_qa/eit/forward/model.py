@@ -135,7 +135,7 @@ class ForwardModel:
 
     @cached_property
     def electrode_fields(self) -> Array:
-        """Potentials for a unit current into each electrode and out of all alike.
+        """Potentials for a unit current into each electrode, returned evenly through all.
 
         Returns
         -------
@@ -277,7 +277,7 @@ class ForwardModel:
 
     @property
     def _ordered_rest(self) -> Array | None:
-        """What rounding took of them; None where nobody knows."""
+        """Rounding error of the potentials; None if unknown."""
         return self._ordered_parts[1]
 
     @cached_property

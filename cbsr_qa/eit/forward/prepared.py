@@ -173,7 +173,7 @@ class PreparedSheet:
 
     @cached_property
     def ordered_drives(self) -> Array:
-        """Unit currents into each electrode but the first and out of all alike, in the order of elimination."""
+        """Unit currents into each electrode but the first, returned evenly by all, in the order of elimination."""
         means = self.contacts.means[np.argsort(self.place)]
         return np.asfortranarray((means - means.mean(axis=1, keepdims=True))[:, 1:])
 

@@ -205,7 +205,7 @@ def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, 
 
 
 def nearest_blob(blobs: Sequence[AnyRegion], x_mm: float, y_mm: float) -> AnyRegion | None:
-    """Return the region whose centre of mass is nearest to a place; None where there is none.
+    """Return the region whose centre of mass is nearest to a place, or None if there is no region.
 
     Of regions equally near, the first is taken: the heaviest comes first.
     """

@@ -41,7 +41,7 @@ class Registration:
 
     @property
     def errors_mm(self) -> Array:
-        """What is left of each place's error, (n,)."""
+        """Residual error of each place, (n,) [mm]."""
         errors: Array = np.hypot(self.residuals_mm[:, 0], self.residuals_mm[:, 1])
         return errors
 

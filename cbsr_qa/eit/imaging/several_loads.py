@@ -126,11 +126,11 @@ class Assignment:
 
     @property
     def apart(self) -> bool:
-        """Whether every load has a region of its own that no other shares."""
+        """Whether every load has its own region, shared with no other load."""
         return not self.merged and not self.missed
 
     def fate(self, load: int) -> str:
-        """Say what became of a load: ``"apart"``, ``"merged"`` (the one that owns the region too) or ``"missed"``."""
+        """Fate of a load: ``"apart"``, ``"merged"`` (also for the load that owns the region) or ``"missed"``."""
         if load in self.missed:
             return "missed"
         return "merged" if load in self.merged or load in self.merged_with else "apart"

@@ -80,7 +80,7 @@ def _too_small(hyperparameter: float) -> NumericsError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DualSpectrum:
-    """The dual form of every hyperparameter at once.
+    """Spectral decomposition of the dual form, which solves it for any hyperparameter.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class DualSpectrum:
     analysis: Array
 
     def gains(self, hyperparameter: float) -> Array:
-        """Factor of each eigenvector, (k + f,): 1/(Λ + λ²), and 1 for what is not regularised."""
+        """Factor of each eigenvector, (k + f,): 1/(Λ + λ²), and 1 for unregularised ones."""
         gains: Array = np.ones(self.basis.shape[1])
         gains[: len(self.values)] /= self.values + hyperparameter**2
         return gains

@@ -49,7 +49,7 @@ def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
 
 
 def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[str, ...]:
-    """What is to be said against the scale of a reference frame, a sentence or none.
+    """Warnings about the scale of a reference frame; empty if there are none.
 
     A frame that lies on an offset, or has its electrodes in another order, has a scale all the same, and images over
     it are of any size. Simulated sensors with every imperfection there is agree with the model to 0.97, one with an

@@ -56,7 +56,7 @@ class Truncation:
 
     @property
     def shown(self) -> Array:
-        """The same: there are no others."""
+        """The same, as no further values exist."""
         return self.grid
 
     @property

@@ -183,7 +183,7 @@ class Patch:
 
     @property
     def nbytes(self) -> int:
-        """Memory it takes beside its loads: most of it for what is tabulated."""
+        """Memory beside its loads, mostly tables [bytes]."""
         tables = [self._own, *vars(self).get("_weak", ()), *([self.series.coefficients] if self.series else [])]
         parts = self._stack.nbytes + self._matrices.nbytes + self._stacked.nbytes
         return parts + sum(int(table.nbytes) for table in tables)

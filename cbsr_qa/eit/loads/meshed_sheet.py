@@ -204,7 +204,7 @@ def _spread(place: Indices, values: Array, lengths: Array) -> sparse.csr_matrix:
 
 
 def _owners(model: ForwardModel, edges: Indices) -> Indices:
-    """Electrode of each edge (b, 2), −1 where there is none."""
+    """Electrode of each edge (b, 2); −1 without one."""
     count = len(model.mesh.nodes_mm)
     keys = np.sort(edges, axis=1) @ np.array([count, 1])
     owner = np.full(len(edges), -1, dtype=np.int64)

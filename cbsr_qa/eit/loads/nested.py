@@ -77,7 +77,7 @@ class NestedCover:
 def nested_cover(
     elements: FiniteElements, largest: Footprint, centre_mm: tuple[float, float], sizes: Array, weights: Array
 ) -> NestedCover:
-    """Find what nested outlines of one shape cover of each element; areas are exact, whatever the mesh.
+    """Area of each element covered by nested outlines of one shape; exact for any mesh.
 
     Parameters
     ----------

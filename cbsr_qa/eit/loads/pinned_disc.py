@@ -98,7 +98,7 @@ class PinnedDisc:
         return Expansion(orders, fields, response)
 
     def _about(self, place_mm: Array, reach_mm: Array, orders: int) -> tuple[Array, Array, Array]:
-        """Fields of currents and of the pins' poles about places, and what they are scaled by."""
+        """Fields of currents and of the pins' poles about places, and their scales."""
         centre, reach = self._centres(place_mm), np.asarray(reach_mm) / self.radius_mm
         scale = np.concatenate([_powers(reach, orders)] * 2, axis=-1)[..., None]
         near = _powers(_inverse(self._pins - centre[:, None]), orders + self._poles)

@@ -60,7 +60,7 @@ def between_rims(
 
 
 def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
-    """K₀⁻¹ between the nodes of one rim, without its means: the same whatever loads came before."""
+    """K₀⁻¹ between the nodes of one rim, without its means; independent of earlier loads."""
     own = inverse.alone(rim)
     own -= own.mean(axis=0)
     own -= own.mean(axis=1)[:, None]

@@ -135,7 +135,7 @@ class RoundLoadModel:
         return readings
 
     def readings(self, loads: RoundLoads) -> LoadReadings:
-        """Changes of the readings, and their slopes, for each of n loads in a sheet of its own.
+        """Changes of the readings, and their slopes, for each of n loads pressed alone.
 
         Raises
         ------

@@ -52,7 +52,7 @@ def plain_lengths(size: float, radius: float) -> Grade:
 
 
 def graded_smoothly(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
-    """Edge lengths for elements of second order, which all err alike under a singularity in ``distance`` 0.
+    """Edge lengths for second-order elements that equalise the error of a singularity at ``distance`` 0.
 
     Where a field goes as r log r an element of second order errs by (h/r)⁴ r² in energy, and there are r dr/h² of
     them: both together are least for h ∝ r^(2/3). The power was then measured on discs with arcs. Readings converge

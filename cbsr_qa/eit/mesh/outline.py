@@ -153,7 +153,7 @@ class _Pins:
 
     @classmethod
     def of(cls, curve: ClosedCurve, centres: Points, radius: float, size: float, order: int) -> Self:
-        """Edges so short that enough go round a pin, and that they fit between it and what is next to it."""
+        """Edge lengths so short that enough edges surround a pin and fit between it and its neighbours."""
         room = curve.nearest(centres)[1] - radius
         if len(centres) > 1:
             next_pin = np.asarray(cKDTree(centres).query(centres, k=[2])[0])[:, 0]
@@ -252,7 +252,7 @@ def _followed(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tupl
 
 
 def _cut_edges(rings: list[Points]) -> NDArray[np.bool_]:
-    """Which edges of closed lines are no edges of the Delaunay triangles of all their nodes, one for each node."""
+    """Edges of closed lines that the Delaunay triangulation of all nodes lacks, one for each node."""
     points = np.vstack(rings)
     triangles = Delaunay(points).simplices
     joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)

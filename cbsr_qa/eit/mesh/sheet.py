@@ -298,7 +298,7 @@ def _size_at(mesh: Mesh, points: Array) -> Array:
 
 
 def _ring_fitted_mesh(mesh: Mesh, centre: Array, radius: float) -> Array:
-    """Nodes round the circle, as dense as the mesh is there."""
+    """Nodes round the circle, as dense as the surrounding mesh."""
     turn = 2 * np.pi * np.arange(_DENSE + 1) / _DENSE
     circle = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
     density = 1 / _size_at(mesh, circle)

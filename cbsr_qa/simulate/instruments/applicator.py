@@ -20,7 +20,7 @@ LONGEST_LINE: Final = 96
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line: its number, its command, and what is wrong with it in the firmware's words, if anything."""
+    """One line: number, command, and the firmware's error message if it is wrong."""
 
     number: int | None
     command: str

@@ -14,7 +14,7 @@ from cbsr_qa.system import VirtualClock
 
 
 class WatchedClock(VirtualClock):
-    """A virtual clock that several threads sleep on, and that tells whoever acts while time passes.
+    """A virtual clock for several threads, which notifies its watchers as time passes.
 
     The runner sleeps in its own thread, emulated instruments in theirs; a free-running instrument (a load cell that
     sends eight samples a second) watches, and sends what fell due before the sleep returns.
@@ -35,12 +35,12 @@ class WatchedClock(VirtualClock):
         self._watchers.append(watcher)
 
     def now(self) -> float:
-        """Seconds slept so far, by anybody [s]."""
+        """Total time slept by all threads [s]."""
         with self.lock:
             return super().now()
 
     def sleep(self, duration_s: float) -> None:
-        """Advance at once by this much [s], and tell the watchers."""
+        """Advance by this much [s], and notify the watchers."""
         with self.lock:
             super().sleep(duration_s)
             now_s = super().now()

@@ -72,7 +72,7 @@ class EmulatedErtBoard:
         return b""
 
     def misbehave(self, fault: Fault) -> None:
-        """Start again (RESET); other faults are none of an instrument without commands."""
+        """Start again (RESET); no other fault applies to an instrument without commands."""
         if fault is Fault.RESET:
             self._send(_BOOT)
             self._origin_s = self._rig.clock.now() + _BOOT_S
@@ -111,7 +111,7 @@ class EmulatedErtBoard:
         return None
 
     def _said(self, row: int) -> bytes:
-        """What is sent for a row; the mark of text goes out as soon as the frame before it is over."""
+        """Bytes sent for a row; the text marker is sent as soon as the frame before it ends."""
         frame, pair = divmod(row, _PAIRS)
         counts = self._counts(frame).ravel()[_PAIRS * pair : _PAIRS * (pair + 1)].tolist()
         if self._text:

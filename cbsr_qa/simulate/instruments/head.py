@@ -65,7 +65,7 @@ class EmulatedHead:
         clock.watch(self._follow)
 
     def mounted(self, centre_mm: tuple[float, float], hover_z_mm: float, *, up: bool = True) -> None:
-        """Say where the sheet lies in the machine.
+        """Set the sheet's position in machine coordinates.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class EmulatedHead:
         return self._ways[-1].goal if self._ways else self._rests
 
     def go(self, goal: Position, speed_mm_s: float) -> None:
-        """Queue a straight motion; a goal where it ends anyway is none."""
+        """Queue a straight motion; a goal equal to its start is skipped."""
         origin, start_s = self.target_mm, self.free_at_s
         length_mm = math.dist(origin, goal)
         if length_mm <= _NEAR_MM:
@@ -140,14 +140,14 @@ class EmulatedHead:
             self._begin(self._ways[0])
 
     def stop(self) -> None:
-        """Stand still at once, and forget every motion that waits."""
+        """Stop at once, and discard queued motions."""
         if self._ways:
             self._rests = self.position_mm
             self._written.halt(self._clock.now())
             self._ways.clear()
 
     def _writer(self) -> PressWriter:
-        """Begin to write from where the head stands; a resumed session has position errors of its own."""
+        """Start a stroke from the head's position; a resumed session has its own position errors."""
         first = math.ceil(1e3 * self._world.setting.began_s) << _MOVEMENTS_BITS
         return PressWriter(self._world, self._sheet_position(self._rests), first_index=first)
 

@@ -63,7 +63,7 @@ class EmulatedMultiplexer:
         return held + said
 
     def misbehave(self, fault: Fault) -> None:
-        """Restart: the counter is at its beginning, and whatever was waiting is lost."""
+        """Restart: the counter is reset and pending output is lost."""
         if fault is Fault.RESET:
             with self._rig.lock:
                 self._boot()

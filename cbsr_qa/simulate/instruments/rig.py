@@ -26,7 +26,7 @@ _LATEST_ROUNDS: Final = 3.0
 
 @dataclass(slots=True)
 class Wiring:
-    """What is connected to the sheet at the moment.
+    """Current connections to the sheet.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True)
 class Electrical:
-    """What is between source, sheet and meter at the moment.
+    """Current electrical circuit of source, sheet and meter.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class EmulatedRig:
         self._taken: tuple[int, float, SimulatedFrame] | None = None
 
     def electrical(self) -> Electrical:
-        """Ohm's law: what the source is told to give flows, or what its voltage limit drives through the sheet."""
+        """Apply Ohm's law: the commanded current flows, or what the voltage limit drives through the sheet."""
         wiring = self.wiring
         if wiring.current_A is None:
             return Electrical(0.0, 0.0, limited=False)

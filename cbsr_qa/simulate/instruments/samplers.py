@@ -112,7 +112,7 @@ class LineSender:
         return said
 
     def _in_time(self, said: bytes, due_s: float) -> bytes:
-        """Return what is sent now: a line, nothing, or all that was held back before it."""
+        """Return the bytes to send now: a line, nothing, or all lines held back."""
         self._last = said
         self._late += said
         if self._late_until_s is not None and due_s < self._late_until_s:

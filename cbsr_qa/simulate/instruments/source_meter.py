@@ -191,7 +191,7 @@ class EmulatedSourceMeter:
         self._reset()
 
     def _readable(self) -> dict[str, Callable[[], Any]]:
-        """What names stand for that are no attributes."""
+        """Values of names that are not attributes."""
         fixed = {**_CONSTANTS, "localnode.linefreq": _LINE_HZ}
         for channel in self._buffers:
             fixed.update({f"{channel}.{name}": value for name, value in _CHANNEL_CONSTANTS.items()})

@@ -45,7 +45,7 @@ class FreeRunning(Served, Protocol):
 
 
 class Port(ABC):
-    """Serves one emulated instrument in a thread of its own until it is closed.
+    """Serves one emulated instrument in its own thread until it is closed.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ class Port(ABC):
 
     @abstractmethod
     def send(self, data: bytes) -> None:
-        """Send what nobody asked for; bytes for which there is no room are lost, as on a real line."""
+        """Send unsolicited bytes; bytes that do not fit are lost, as on a real line."""
 
     def unread(self) -> int:
-        """How many bytes were sent that no driver has read yet; 0 where nobody can tell."""
+        """Number of bytes sent that no driver has read yet; 0 if unknown."""
         return 0
 
     @abstractmethod
@@ -133,7 +133,7 @@ class PtyPort(Port):
         self._wakes, self._wake = os.pipe()
 
     def send(self, data: bytes) -> None:
-        """Send what nobody asked for; what finds no room is lost."""
+        """Send unsolicited bytes; bytes that do not fit are lost."""
         with self._writing, suppress(BlockingIOError, OSError):
             os.write(self._master, data)
 
@@ -205,7 +205,7 @@ class TcpPort(Port):
         self.address = f"TCPIP::127.0.0.1::{self.number}::SOCKET"
 
     def send(self, data: bytes) -> None:
-        """Send what nobody asked for, if somebody is connected."""
+        """Send unsolicited bytes, if a client is connected."""
         if (talking := self._talking) is not None:
             with suppress(OSError):
                 talking.sendall(data)

@@ -41,7 +41,7 @@ class Machine(Protocol):
         ...
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
-        """Call a built-in function; TspError if it is none."""
+        """Call a built-in function; TspError if it does not exist."""
         ...
 
 

@@ -102,7 +102,7 @@ class Components:
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """Components of a study, and what they allow.
+    """Variance components of a study, and indices derived from them.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def usual_trials(counts: Iterable[int]) -> int:
 
 
 def on(appraiser: str) -> str:
-    """Return the word between what was measured and who did: on a station, by an operator."""
+    """Return the preposition of the appraiser: on a station, by an operator."""
     return "on" if appraiser == "station" else "by"
 
 
@@ -224,7 +224,7 @@ def clipped(estimate: float, interval: Interval | None = None) -> Variance:
 
 
 def check_tolerance(tolerance: float | None) -> None:
-    """Refuse a tolerance that is no width.
+    """Refuse a tolerance that is not a positive width.
 
     Raises
     ------
@@ -237,7 +237,7 @@ def check_tolerance(tolerance: float | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class GaugeRange(Variation):
-    """A study by averages and ranges: the components, and what was averaged, in the values' unit."""
+    """A study by averages and ranges: the components, and the averages they rest on, in the values' unit."""
 
     mean_range: float
     appraiser_range: float

@@ -158,7 +158,7 @@ class Stability:
 
 
 def bias(readings: Iterable[float], reference: float, what: str = "bias", *, uncertainty: float = 0.0) -> Referenced:
-    """Return mean reading − reference, with s/√n of the readings and what is known of the reference.
+    """Return mean reading − reference, with s/√n of the readings and the uncertainty of the reference.
 
     Parameters
     ----------

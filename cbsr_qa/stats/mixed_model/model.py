@@ -24,7 +24,7 @@ from cbsr_qa.stats.variance_components import FEWEST_REPEATS
 
 
 class Model(StrEnum):
-    """What was fitted."""
+    """The fitted model."""
 
     MIXED = "mixed: group and station fixed, sensor random"
     FIXED = "fixed: group and station, one run a sensor"

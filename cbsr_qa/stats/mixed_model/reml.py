@@ -102,7 +102,7 @@ class SensorSums:
         return int(np.linalg.matrix_rank(inner, tol=1e-9 * largest, hermitian=True)) if len(inner) else 0
 
     def within_rest(self) -> float:
-        """Return the sum of squares that runs of one sensor leave, whatever the effects between them."""
+        """Return the residual sum of squares within sensors, for any effects between them."""
         inner, right = self._within_sensors()
         fitted = float(right @ np.linalg.pinv(inner, hermitian=True) @ right) if len(inner) else 0.0
         return float(self.within[-1, -1]) - fitted
@@ -188,7 +188,7 @@ class Likelihood:
         return logs
 
     def _blocks(self, count: int) -> int:
-        """In how many parts so many θ are tried: hundreds of groups would fill the memory at once."""
+        """Number of blocks in which θ are tried; hundreds of groups at once would fill the memory."""
         return max(1, min(count, count * self.sums.within.size // _MOST_ELEMENTS))
 
     def slope(self, ratio: float) -> float:

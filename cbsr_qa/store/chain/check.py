@@ -118,7 +118,7 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
 
 
 def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield kind, key and content digest of what is stored of a run."""
+    """Yield kind, key and content digest of the stored documents of a run."""
     for table in (one for one in tables() if one.name in kinds):
         # Every number but 0 is read as true: what stands there is wanted.
         columns = (
@@ -144,7 +144,7 @@ def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]
 
 
 def _of_run(table: Table, run: str) -> Any:
-    """Say which rows of a table are a run's: by their run, their analysis or their calibration."""
+    """Condition that selects a run's rows of a table: by run, analysis or calibration."""
     if "run" in table.columns:
         return table.c.run == run
     (name,) = KEYS[table.name]

@@ -29,7 +29,7 @@ Known = tuple[str, str, str]
 
 
 class Figures:
-    """Measurements as columns: which analysis (−1: none of those asked for), what is said of it, value.
+    """Measurements as columns: analysis (−1: not requested), attributes, value.
 
     What is said is counted where it is first met: an index into ``sayings``.
     """
@@ -65,7 +65,7 @@ def check_figures(
     known: Sequence[Known | None],
     figures: Figures,
 ) -> None:
-    """Check what was read of runs against their chains.
+    """Check rows read from runs against their chains.
 
     Parameters
     ----------

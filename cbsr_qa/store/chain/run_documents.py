@@ -99,7 +99,7 @@ def _real(value: Any) -> bool:
 
 
 def _foreign(value: Any) -> Any:
-    """Stand for a value that is none of its column's kind, which a reader would round or parse: like no other."""
+    """Stand for a value of a foreign type, which a reader would round or parse: it equals nothing else."""
     return [type(value).__name__, repr(value)]
 
 
@@ -193,13 +193,13 @@ Saying = tuple[str, float | None, float | None]
 
 
 def words() -> ColumnElement[str]:
-    """Join what is said of a value in the database: each column takes its time."""
+    """Join texts in the database: each column takes its time."""
     first, *others = (getattr(MeasurementRow, name) for name in JOINED)
     return reduce(lambda joined, one: joined.concat(BETWEEN).concat(one), others, first)
 
 
 def facts(run: Row[*tuple[Any, ...]], analysis: str, outcome: str, software: Sequence[Sequence[str]]) -> str:
-    """Return what is compared by as text, from a row with :data:`RUN_COLUMNS` and the run's analysis."""
+    """Return the identifying facts as text, from a row with :data:`RUN_COLUMNS` and the run's analysis."""
     of_run = run.run, run.serial, run.batch, run.material, run.station, run.recipe, run.operator
     when = run.started_at.astimezone(UTC).isoformat()
     return canonical([*of_run, when, run.simulated, analysis, outcome, software])
@@ -239,7 +239,7 @@ def contents(
 
 
 def stored_figures(connection: Connection, analysis: str) -> str:
-    """Return the digest of one analysis as it is stored."""
+    """Return the stored digest of one analysis."""
     a, m = AnalysisRow, MeasurementRow
     query = select(*RUN_COLUMNS, a.outcome, a.software).join(a, a.run == RunRow.run).where(a.analysis == analysis)
     run = connection.execute(query).one()

@@ -169,7 +169,7 @@ def _fit(row: RelaxationRow) -> RelaxationFit:
 
 
 def _two(values: tuple[float, ...]) -> tuple[float | None, float | None]:
-    """At most two numbers, with None where there is none."""
+    """At most two numbers, padded with None."""
     first, second = (*values, None, None)[:2]
     return first, second
 

@@ -18,7 +18,7 @@ from cbsr_qa.store.types import made_at
 
 
 def latest_outcome(url: str, run: str) -> Outcome | None:
-    """Return the outcome of a run's latest analysis; None where there is none.
+    """Return the outcome of a run's latest analysis, or None.
 
     Raises
     ------
@@ -116,7 +116,7 @@ _COMPARED: Final = 2_000_000_000
 
 
 def look_afresh(engine: Engine) -> None:
-    """Close what is open: the log goes into the file, and what is read next comes from there, not from memory.
+    """Close connections: the log is merged into the file, and the next read is from disk.
 
     A connection keeps the pages it wrote, and goes on with them whatever becomes of the log on the disk.
     """
@@ -155,7 +155,7 @@ def whole_run(engine: Engine, run: str) -> RunRecord:
 
 
 def _problem(engine: Engine) -> str:
-    """Say which file has a problem, and the first one found; empty where there is none, and for other databases."""
+    """Name the damaged file and its first problem; empty if intact, and for other databases."""
     file = sqlite_file(engine.url)
     if file is None:
         return ""

@@ -100,7 +100,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
 
 
 def identity(engine: Engine, run: str) -> RunIdentity:
-    """Return what traces a run, without its frames. StoreError if it is not there, or not what was stored."""
+    """Return the identity of a run, without frames. StoreError if it does not exist or was changed."""
     with reading(engine) as connection:
         check_run(connection, run, IDENTITY)
         return identity_of(connection, _known(connection, run))

@@ -35,7 +35,7 @@ class ConfigurationChangeRow(Base):
 
 
 class VerdictOverrideRow(Base):
-    """Somebody's decision against the verdict of an analysis; the latest of an analysis holds."""
+    """An operator's decision that overrides an analysis's verdict; the latest one counts."""
 
     __tablename__ = "verdict_overrides"
     __table_args__ = (Index(None, "run"),)

@@ -124,7 +124,7 @@ class CalibrationRow(Base):
 
 
 class ForceRow(Base):
-    """How readings become newtons: what was learned of the sensor, on the lattice of the head's templates.
+    """Force model of a sensor, on the lattice of the head's templates.
 
     The templates themselves follow from sensor type, head, reference and merging.
     """

@@ -87,7 +87,7 @@ class RunStateRow(Base):
 
 
 class InstrumentRow(Base):
-    """What was on the bench."""
+    """An instrument on the bench."""
 
     __tablename__ = "instruments"
 

@@ -28,7 +28,7 @@ _STAND_IN: Final = SceneLoad(0.0, 0.0, 0.2, 0.0, 30.0)  # for scenes that are ma
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """What was measured.
+    """Measured costs of a scene's effects.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Costs:
 
 
 class Watched:
-    """An effect factory that keeps what it makes, and counts the time within it."""
+    """An effect factory that records the effects it makes, and the time spent in them."""
 
     def __init__(self, effect_factory: EffectFactory) -> None:
         self._factory = effect_factory

@@ -292,7 +292,7 @@ def run_scene(
 
 
 def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, ...]) -> None:
-    """Write unloaded frames in every format: what cannot be written is refused before anybody has waited.
+    """Write unloaded frames in every format, so a format that fails is refused before the simulation.
 
     One frame, or those up to the first in which a board pauses.
     """
@@ -311,7 +311,7 @@ def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, .
 def _labelled(
     recorded: RecordedScene, world: SimulatedWorld, setup: SceneSetup, plugins: Plugins, notes: tuple[str, ...]
 ) -> RecordedScene:
-    """Say in the recording what was simulated, and with which software."""
+    """Describe the simulation and the software in the recording."""
     on = set(world.chain.names)
     theirs = {(r.distribution, r.version) for r in plugins.registrations(Kind.EFFECT) if r.name in on}
     others = sorted(theirs - {("cbsr-qa", cbsr_qa.__version__)})

@@ -117,7 +117,7 @@ def made_world(
 
 
 def effects_of(plugins: Plugins) -> EffectFactory:
-    """Return what finds an effect's factory by name; only what is asked for is imported."""
+    """Return a function that finds an effect's factory by name; only requested effects are imported."""
     return lambda name: plugins.factory(Kind.EFFECT, name)
 
 

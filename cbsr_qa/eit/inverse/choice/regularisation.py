@@ -55,7 +55,7 @@ class ParameterSearch(Protocol):
         ...
 
     def for_noise_figure(self, target: float) -> float:
-        """Value with this noise figure; NumericsError with the range where there is none."""
+        """Value with this noise figure; NumericsError with the reachable range otherwise."""
         ...
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:

@@ -128,7 +128,7 @@ class GreitRows:
         return matrix
 
     def noise_figure(self, matrix: Array) -> float:
-        """Noise figure (Adler et al. 2009, equal noise on all readings, whatever they are weighted with)."""
+        """Noise figure (Adler et al. 2009, equal noise on all readings, independent of their weights)."""
         return noise_figure(matrix, self._signal, self.problem.mesh.areas_mm2)
 
 

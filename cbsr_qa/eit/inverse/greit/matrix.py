@@ -187,7 +187,7 @@ _MATRICES: Final = 2  # of each, 3.4 MB on the usual mesh
 
 @dataclass(frozen=True, eq=False)
 class GreitMatrix:
-    """What comes of one λ.
+    """GREIT's matrix for one λ.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: 
 
 @dataclass(frozen=True, eq=False)
 class GreitChoice:
-    """The λ of a noise figure, and what was looked at on the way: the same whatever was searched before.
+    """The λ for a noise figure, with the search steps; independent of earlier searches.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ _PROBLEMS: Final[OrderedDict[tuple[bytes, TargetDesign], _Kept]] = OrderedDict()
 
 
 def _kept(problem: ImagingProblem, design: TargetDesign) -> _Kept:
-    """What is kept of problems with the same numbers."""
+    """Cached results for problems with the same numbers."""
     variance = problem.noise_variance
     digest = blake2b(problem.used.tobytes())
     for values in (problem.mesh.nodes_mm, problem.jacobian, problem.reference):
@@ -313,7 +313,7 @@ class _Search:
         return self._seen[hyperparameter]
 
     def _ends(self, target: float) -> tuple[float, float] | None:
-        """Two λ between whose noise figures the target lies; None where there are none."""
+        """Two λ whose noise figures bracket the target, or None."""
         low, high = _TYPICAL
         while self._figure(low) < target:
             if low == _LOWEST:

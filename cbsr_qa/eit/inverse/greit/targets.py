@@ -50,7 +50,7 @@ class TargetDesign:
     def of(
         cls, problem: ImagingProblem, head_diameter_mm: float | None, diameters_mm: tuple[float, ...] | None
     ) -> Self:
-        """Fill in what was left open: a head of 0.13 of the sheet's diameter; targets from 8/13 to 20/13 of it.
+        """Fill in defaults: a head of 0.13 of the sheet's diameter; targets from 8/13 to 20/13 of it.
 
         Raises
         ------

@@ -38,7 +38,7 @@ _LEAST_FALL: Final = 1e-4  # of the predicted one (Armijo)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SheetPrior:
-    """What is expected of a state: the covariance C of its logarithms.
+    """Prior of a state: the covariance C of its logarithms.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ _RANGES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What is expected of a sensor before it is measured.
+    """Prior expectations of a sensor.
 
     Parameters
     ----------

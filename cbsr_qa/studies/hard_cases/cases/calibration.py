@@ -128,7 +128,7 @@ def kernel(unit: float, sizes: tuple[float, ...], *, releases: bool = False) -> 
 
 
 def seat(seen_mm: Array, shift_mm: float) -> Answer:
-    """How far a sheet is said to lie off its place."""
+    """Fitted displacement of a sheet."""
     nothing = np.zeros(len(seen_mm))
     covariance = np.tile(np.diag([1e-4, 1e-2, 1e-2]), (len(seen_mm), 1, 1))
     found = seat_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)

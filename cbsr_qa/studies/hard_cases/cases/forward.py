@@ -84,7 +84,7 @@ def _in_other_units(length: float, conductance: float) -> Answer:
 
 
 def _reciprocal() -> Answer:
-    """V_kl = V_lk with everything that is hard at once."""
+    """V_kl = V_lk with all difficulties combined."""
     lengths = small_model().prepared.contacts.lengths_mm
     contacts = lengths * np.geomspace(1e-4, 1e4, ELECTRODES)
     model = small_model().changed(conductance=scattered(5.0), contact_impedance=contacts)

@@ -31,7 +31,7 @@ def _under(x_mm: float, y_mm: float, radius_mm: float) -> NDArray[np.int64]:
 
 
 def loaded(before: Callable[[], Array], factor: float) -> Answer:
-    """A load that changes what is under it by a factor, by local update, against fifty digits.
+    """A load that changes conductance by a factor, by local update, against fifty digits.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def _poor_ground() -> Array:
 
 
 def _coincident() -> Answer:
-    """Two loads a nanometre apart at once: nearly the same columns twice in what links them."""
+    """Two simultaneous loads a nanometre apart: nearly equal columns in their coupling matrix."""
     model = small_model()
     loads = [disc_coverage(model.mesh, x, -3.0, 9.0) for x in (8.0, 8.0 + 1e-6)]
     elements = np.concatenate([covered for covered, _ in loads])

@@ -112,7 +112,7 @@ def empty_image(value: float) -> Answer:
 
 
 def nan_image() -> Answer:
-    """Mask of an image that is no number anywhere."""
+    """Mask of an image of NaN."""
     return Answer(float(percentage_mask(np.full(_SIDE**2, np.nan), 0.85).sum()), 0.0, unit="elements")
 
 
@@ -138,7 +138,7 @@ def far_centre() -> Answer:
 
 
 def constant_floor() -> Answer:
-    """What is left above a floor of the images it was taken from, where all their values are the same."""
+    """Elements above the noise floor of equal images."""
     images = np.full((8, _SIDE**2), 0.1 + 0.2)
     left = floored(images[0], noise_floor(images))
     return Answer(float(np.abs(left).max()), 0.0, unit="relative conductance change")

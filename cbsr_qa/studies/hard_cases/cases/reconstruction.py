@@ -79,7 +79,7 @@ def _apart(found: Array, exact: Array) -> float:
 
 
 def _adjoint() -> Answer:
-    """λ → ∞: λ² x → R⁻¹Jᵀy, and what is left over is σ₁²/λ²."""
+    """λ → ∞: λ² x → R⁻¹Jᵀy, with a remainder of σ₁²/λ²."""
     problem = usual_problem()
     weights = noser(problem.jacobian, 0.5)
     readings = _changes(problem)

@@ -37,7 +37,7 @@ def variances() -> Answer:
 
 
 def one_sided(coverage: float, confidence: float, count: int) -> Answer:
-    """Confidence that mean + k s of so many values holds the share, by integration over s, against what was asked."""
+    """Confidence that mean + k s of so many values covers the share, by integration over s, less the nominal one."""
     factor = one_sided_factor(coverage, confidence, count, count - 1)
     with mpmath.workdps(20):
         z = mpmath.sqrt(2) * mpmath.erfinv(2 * mpmath.mpf(coverage) - 1)
@@ -57,7 +57,7 @@ def one_sided(coverage: float, confidence: float, count: int) -> Answer:
 
 
 def two_sided(coverage: float, confidence: float, count: int) -> Answer:
-    """Confidence that mean ± k s holds the share, by integration over the mean, against the one asked for."""
+    """Confidence that mean ± k s covers the share, by integration over the mean, less the nominal one."""
     factor, freedom = two_sided_factor(coverage, confidence, count, count - 1), count - 1
     with mpmath.workdps(20):
         usual = mpmath.sqrt(2) * mpmath.erfinv(mpmath.mpf(coverage))
