@@ -26,7 +26,7 @@ _LARGEST: Final = 2**31 - 1
 
 
 def answered(answer: Iterable[Measurement]) -> list[Measurement]:
-    """Return what a metric answered as plain measurements.
+    """Validate a metric's answer as plain measurements.
 
     Numpy's numbers, and whole ones, become floats; fields that were set after construction are looked at too.
 
@@ -120,7 +120,7 @@ _FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {
 def measure_run(
     observation: RunObservation, metrics: Mapping[str, LoadMetric | RunMetric]
 ) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
-    """Ask every metric.
+    """Call every metric.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
 
 def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
-    """Ask one metric about every load and the whole run; errors as of :func:`answered` and the metric's own."""
+    """Call one metric for every load and the whole run; errors as of :func:`answered` and the metric's own."""
     taken: list[Measurement] = []
     if isinstance(metric, LoadMetric):
         for load in observation.loads:
@@ -177,7 +177,7 @@ def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Mea
 
 
 def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
-    """Measure a load against the reference the recipe did not choose; never judged, only reported beside."""
+    """Measure a load against the reference that the recipe did not choose; reported, never judged."""
     other = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [
         replace(m, qualifier=f"{m.qualifier}, reference {other}".removeprefix(", "))

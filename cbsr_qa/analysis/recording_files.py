@@ -57,7 +57,7 @@ _LOAD_COLUMNS: Final = (
 
 
 def write_recording(path: Path, recording: Recording) -> None:
-    """Write a recording whole or not at all.
+    """Write a recording atomically.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def recording_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def _image(recording: Recording) -> bytes:
-    """What the file holds. Made in memory: HDF5 prints tracebacks when a disk is full, and cannot close its file."""
+    """Content of the file. Built in memory: HDF5 prints tracebacks when a disk is full, and cannot close its file."""
     with h5py.File("recording.h5", "w", driver="core", backing_store=False) as file:
         _write(file, recording)
         file.attrs["sha256"] = _digest(file)

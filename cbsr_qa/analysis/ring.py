@@ -25,7 +25,7 @@ _BAD: Final = int(ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.M
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingFit:
-    """What frames of a ring come to.
+    """Fit of a ring's frames.
 
     A mean reading is (1 + gain error) × closed form × current + offset + what the leads add + its residual; fitted by
     least squares over all readings without a flag, each relative to its size.
@@ -97,7 +97,7 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
 
 
 def exchanged(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tuple[int, int] | None:
-    """Return two electrodes that explain all readings if they are taken as exchanged; None where no two do.
+    """Return two electrodes whose exchange explains all readings, or None.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def exchanged(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tu
 
 
 def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) -> tuple[Array, bool, bool]:
-    """Fit gain, offset and leads; leads, then the offset, are left at zero where the pattern cannot tell them.
+    """Fit gain, offset and leads; leads, then the offset, stay zero where the pattern cannot determine them.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) ->
 
 
 def _sizes(expected: Array) -> Array:
-    """What deviations are relative to: the reading's own size, or a little where it ought to be none."""
+    """Scale of relative deviations: the reading's own size, or a small one where zero is expected."""
     magnitude = np.abs(expected)
     sizes: Array = np.maximum(magnitude, _SMALLEST * magnitude.max())
     return sizes
@@ -166,7 +166,7 @@ _UNKNOWN: Final = "the frames are not in volts, or their current is not known"
 
 
 def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> tuple[CheckResult, ...]:
-    """Judge frames of a ring: flags, gain, offset, leads, the worst reading and noise, a line for each.
+    """Judge frames of a ring: flags, gain, offset, leads, worst reading and noise, one line each.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: Ref
 
 
 def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float) -> str:
-    """What explains readings that are off: two electrodes exchanged, or one pair that nothing driven across fits."""
+    """Likely cause of deviating readings: two exchanged electrodes, or one bad resistor."""
     swapped = exchanged(ring, pattern, within=limit)
     if swapped is not None:
         first, second = swapped

@@ -31,7 +31,7 @@ _FLAT: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldStress:
-    """Stress through one hold: (n,) times from its start, and stress; empty where ``why`` says why not."""
+    """Stress through one hold: (n,) times from its start, and stress; empty if ``why`` is given."""
 
     time_s: Array
     stress_kPa: Array
@@ -90,7 +90,7 @@ def strip_force(phase: PhaseRecord, area_mm2: float) -> StripForce:
 
 
 def _limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None:
-    """Highest force, where many samples in a row read exactly that while the others are not as still.
+    """Highest force, if many samples in a row equal it while the others vary.
 
     Without noise a held force is flat too: it is then a limit only if holds of several strains end there.
     """
@@ -207,7 +207,7 @@ def _place_mm(phases: list[PhaseRecord]) -> tuple[float, float]:
 
 
 def _pins(frames: FrameBlock | None) -> _Pins:
-    """Resistances between the pins that can be used."""
+    """Usable resistances between the pins."""
     if frames is None:
         return _Pins(np.zeros(0), np.zeros(0))
     if frames.unit is not VoltageUnit.VOLT or not frames.current_A:
@@ -217,7 +217,7 @@ def _pins(frames: FrameBlock | None) -> _Pins:
 
 
 def _check_contact(phases: list[PhaseRecord]) -> None:
-    """Refuse pins that do not carry the current, and readings that never move."""
+    """Refuse pins that carry no current, and readings that never change."""
     taken = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not taken:
         raise NumericsError("no frames were taken in the press cycles", remedy="take frames through holds and rests")

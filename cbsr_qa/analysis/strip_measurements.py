@@ -37,7 +37,7 @@ _UNDER_HEAD: Final = "under the head, by the forward model of the strip"
 
 
 def measure_characterisation(found: Characterisation) -> tuple[Measurement, ...]:
-    """Return the measurements of a characterisation; what could not be told has no value, and says why."""
+    """Return the measurements of a characterisation; undetermined ones have no value and give the reason."""
     return (
         *_lines(found),
         *_strip(found),

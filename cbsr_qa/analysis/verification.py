@@ -23,7 +23,7 @@ _NO_RELAXATION: Final = (FitStatus.REJECTED, FitStatus.DRIFTING)
 
 @dataclass(frozen=True, slots=True)
 class RecheckedLoad:
-    """One load as the calibration reads it, beside the load cell.
+    """Force of one load by the calibration, beside the load cell's.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class RecheckedLoad:
 
 @dataclass(frozen=True, slots=True)
 class Recheck:
-    """What became of a sensor since it was calibrated.
+    """Change of a sensor since its calibration.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _check(run: RunObservation, calibration: Calibration) -> None:
 
 
 class _Reader:
-    """Reads the loads of a run with a calibration."""
+    """Evaluates the loads of a run with a calibration."""
 
     def __init__(self, run: RunObservation, calibration: Calibration) -> None:
         self._run, self._calibration = run, calibration
@@ -109,7 +109,7 @@ class _Reader:
         self.seat = self._seat()
 
     def _seat(self) -> Seat:
-        """How the sheet lies this time."""
+        """Current registration of the sheet."""
         rows, noise, places = [], [], []
         for load in self._run.loads:
             phase = self._run.record.phase(load.phase)
@@ -138,7 +138,7 @@ class _Reader:
         return float(np.sqrt((left**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
 
     def load(self, load: LoadObservation) -> RecheckedLoad | None:
-        """One load; None where it was not alone, has no force, or is out of reach."""
+        """Evaluate one load; None if it was not alone, has no force, or is out of reach."""
         record, model = load.record, self._calibration.model
         phase = self._run.record.phase(load.phase)
         cell = phase.channel("force")

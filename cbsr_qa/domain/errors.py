@@ -10,7 +10,7 @@ LONGEST_PROBLEM: Final = 300
 
 @dataclass(frozen=True, slots=True)
 class RowProblem:
-    """A row that was not used, or used with care.
+    """A row that was excluded, or used with reservations.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class RowProblem:
 
 
 class CbsrError(Exception):
-    """Base of every error this package raises on purpose.
+    """Base class of all errors that this package raises deliberately.
 
     Parameters
     ----------
@@ -46,16 +46,16 @@ class CbsrError(Exception):
         self.remedy = remedy
 
     def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it."""
+        """Return the document that ``--json`` prints."""
         return {"refused": {"reason": self.reason, "remedy": self.remedy}}
 
 
 class RefusedError(CbsrError):
-    """Input that cannot be used: the program did nothing with it and wrote nothing (exit code 2)."""
+    """Unusable input: nothing was done or written (exit code 2)."""
 
 
 class ConfigError(RefusedError):
-    """A configuration file is missing, malformed or says something that is not allowed."""
+    """A configuration file is missing, malformed or has a value that is not allowed."""
 
 
 class PluginError(RefusedError):
@@ -63,7 +63,7 @@ class PluginError(RefusedError):
 
 
 class RecordingError(RefusedError):
-    """A recording holds nothing that can be analysed, or not what its format promises.
+    """A recording has no usable data, or violates its format.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class InstrumentError(CbsrError):
 
 
 class SafetyError(CbsrError):
-    """A safety rule was broken; the bench has been brought to its safe state (exit code 3)."""
+    """A safety rule was violated; the bench is in its safe state (exit code 3)."""
 
     exit_code = 3
 
@@ -126,19 +126,19 @@ class BrokenRunError(CbsrError):
         self.run = run
 
     def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it: a run's document as far as there is one."""
+        """Return the document that ``--json`` prints: the run's, as far as it exists."""
         ending = {"run": self.run, "end": "broken", "outcome": "not measured", "reason": self.reason}
         nothing: dict[str, Any] = {"report": None, "calibration": None, "measurements": []}
         return {**ending, "remedy": self.remedy, **nothing}
 
 
 class NotReproducedError(CbsrError):
-    """A simulated sensor of a reproduction gave no figures: its run stopped, or has no analysis (exit code 3)."""
+    """A simulated sensor of a reproduction gave no values: its run stopped, or has no analysis (exit code 3)."""
 
     exit_code = 3
 
     def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it."""
+        """Return the document that ``--json`` prints."""
         return {"broken": {"reason": self.reason, "remedy": self.remedy}}
 
 
@@ -161,7 +161,7 @@ class UnconcludedError(CbsrError):
         self.run = run
 
     def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it."""
+        """Return the document that ``--json`` prints."""
         return {"aborted": {"run": self.run, "reason": self.reason, "remedy": self.remedy}}
 
 

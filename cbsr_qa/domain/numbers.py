@@ -14,7 +14,7 @@ Mask = NDArray[np.bool_]  #: which entries of another array
 
 
 def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[np.float64]:
-    """Return real numbers as float64; those that are are not copied.
+    """Return real numbers as float64; an array of float64 is not copied.
 
     Complex numbers, text and truth values are refused instead of cast: a cast drops imaginary parts, and reads text.
 
@@ -75,12 +75,12 @@ def array_of(values: ArrayLike, what: str) -> NDArray[Any]:
 
 
 def is_whole(value: object) -> bool:
-    """Whether a value counts something: an integer, which truth values are not."""
+    """Whether a value is an integer; booleans are not."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def check_encodable(what: str, *texts: str) -> None:
-    """Refuse text that no file, database or page can hold: halves of characters (lone surrogates).
+    """Refuse text that no file, database or page can hold: lone surrogates.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def check_encodable(what: str, *texts: str) -> None:
 
 
 def with_type(found: object) -> str:
-    """Return a value of a wrong type as a message shows it: ``5 (int)``, ``an array``; its ``repr`` may raise."""
+    """Describe a value of a wrong type for a message: ``5 (int)``, ``an array``; its ``repr`` may raise."""
     kind = type(found).__name__.removeprefix("nd")
     text = repr(found) if isinstance(found, str | int | float | complex | None) else ""
     if text:
@@ -106,7 +106,7 @@ def with_type(found: object) -> str:
 
 
 def of_kind(kind: str, name: str) -> str:
-    """Return ``station bench-a``; a name that says its kind itself is not told twice: ``station-B``.
+    """Return ``station bench-a``; a name that contains its kind is not prefixed: ``station-B``.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ class _Call(threading.Thread):
 def stop_all(
     actions: Sequence[Action], *, patience_s: float = PATIENCE_S, deadline_s: float = DEADLINE_S
 ) -> tuple[str, ...]:
-    """Call every action; a slow one delays the next by no more than the patience.
+    """Call every action in its own thread; a slow one delays the next by at most the patience.
 
     Quick ones are called one after the other, in order, so that a simulated bench does the same each time.
     The waiting is in real time also on a virtual clock: a thread that hangs does so in real time.
@@ -105,19 +105,19 @@ _FIRST_SAFE: Final = (FORCE_APPLICATOR, SOURCE_METER, FRAME_SOURCE)
 
 @dataclass(frozen=True, slots=True)
 class Mounted:
-    """One opened instrument and the station file's table for it."""
+    """One opened instrument with its table of the station file."""
 
     spec: InstrumentSpec
     instrument: Instrument
 
     @property
     def name(self) -> str:
-        """Role and driver, as messages name it."""
+        """Role and driver, for messages."""
         return f"{self.spec.role} ({self.spec.driver})"
 
 
 class Bench:
-    """Opened instruments, each known to do what the station file says it does, and linked with those it needs.
+    """Opened instruments, checked against the station file and linked to each other.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class Bench:
         return tuple(identity_of(one, emulated=emulates and _works_through_others(one)) for one in self.mounted)
 
     def name_of(self, instrument: object) -> str:
-        """Return role and driver of an instrument, as messages name it."""
+        """Return role and driver of an instrument, for messages."""
         return next((one.name for one in self.mounted if one.instrument is instrument), "an unknown instrument")
 
     def alive(self) -> tuple[Alive, ...]:
@@ -195,7 +195,7 @@ def open_bench(
     *,
     after: Sequence[Action] = (),
 ) -> Bench:
-    """Open the instruments of a station; if one cannot be opened, those that were are closed again.
+    """Open the instruments of a station; if one fails to open, those already open are closed again.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ def _works_through_others(one: Mounted) -> bool:
 
 
 def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
-    """Ask one instrument who it is; see :meth:`Bench.identities`.
+    """Return the identity of one instrument; see :meth:`Bench.identities`.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
 
 
 def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
-    """Refuse another instrument than the station file asks for: limits and calibration dates are not its own."""
+    """Refuse an instrument other than the expected one: limits and calibration dates would not apply."""
     for what, expected, found in (("model", spec.model, said.model), ("serial", spec.serial, said.serial)):
         if expected and not _names(expected, found):
             raise InstrumentError(
@@ -266,13 +266,13 @@ def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
 
 
 def _names(expected: str, found: str) -> bool:
-    """Whether all words of the one follow each other in the other: "2634B" names a "Model 2634B"."""
+    """Whether all words of one follow each other in the other: "2634B" names a "Model 2634B"."""
     wanted, said = (re.findall(r"[^\s,;]+", words.casefold()) for words in (expected, found))
     return bool(wanted) and any(said[first : first + len(wanted)] == wanted for first in range(len(said)))
 
 
 def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
-    """Where the station file says an instrument is, as a note to its identity."""
+    """Address in the station file, as a note to the identity."""
     address = spec.options.get("address")
     return () if address is None else (("address", str(address)),)
 

@@ -44,7 +44,7 @@ from cbsr_qa.station.plan import (
 
 @dataclass(frozen=True, slots=True)
 class DryPhase:
-    """What one phase will take.
+    """Expected time and content of one phase.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class DryPhase:
 
     @property
     def duration_s(self) -> float:
-        """Time of the whole phase [s]."""
+        """Duration of the phase [s]."""
         return sum(self.durations_s)
 
 
@@ -86,11 +86,11 @@ class DryRun:
 
     @property
     def duration_s(self) -> float:
-        """Station time of the whole plan [s]."""
+        """Station time of the plan [s]."""
         return sum(seconds for _, seconds in self.spent)
 
     def refuse(self) -> None:
-        """Refuse a plan that breaks rules.
+        """Refuse a plan that violates limits.
 
         Raises
         ------
@@ -153,7 +153,7 @@ def dry_run(
     ended: frozenset[int] = frozenset(),
     answered: bool = True,
 ) -> DryRun:
-    """Walk a plan's steps with nothing but arithmetic.
+    """Walk a plan's steps by arithmetic alone.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ class _Walk:
         return DryPhase(scheduled, tuple(durations_s), self.frames)
 
     def finish(self) -> None:
-        """Judge the whole."""
+        """Check the duration of the whole plan."""
         total_s, allowed_s = self.spent.total_s(), self.plan.safety.duration_s
         if not total_s <= allowed_s:
             self.violations.append(f"the run takes {duration(total_s)}; the station allows {duration(allowed_s)}")
@@ -264,7 +264,7 @@ class _Walk:
                 yield Violation("order", f"this runner does not know steps of type {type(step).__name__}")
 
     def _dwell(self) -> Iterator[Violation]:
-        """Say once of a press that it is held for too long."""
+        """Yield a violation of the hold time, once per press."""
         if self.depth_mm is not None and not self.dwelt:
             for violation in dwell_violations(self.spent.total_s() - self.down_s, self.plan):
                 self.dwelt = True

@@ -30,7 +30,7 @@ _log: Final = logging.getLogger(__name__)
 
 
 def ending(error: BaseException, where: str, *, at_once: bool = False, before: Ending | None = None) -> Ending:
-    """Say how an error ended a run.
+    """Return how an error ended a run.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def execute(
 
 
 class _Walk:
-    """Goes through the scheduled steps and remembers where it is."""
+    """Executes the scheduled steps, and keeps track of the current one."""
 
     def __init__(
         self,
@@ -223,7 +223,7 @@ class _Walk:
             self._phase(phase)
 
     def where(self) -> str:
-        """Say while which step it was, and what the bench was doing."""
+        """Describe the current step and the bench's state."""
         if self._at is None:
             return "before the first step"
         phase, step = self._at

@@ -58,7 +58,7 @@ SECOND: Final = "{}: making the bench safe at once. Further signals are ignored 
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asked the run to stop; not an ``Exception``, so that no driver's ``except`` swallows it."""
+    """A signal asked the run to stop; not an ``Exception``, so no driver's ``except`` swallows it."""
 
     def __init__(self, by: str) -> None:
         super().__init__(f"stopped by {by}")
@@ -66,7 +66,7 @@ class Stopped(KeyboardInterrupt):
 
 
 def on_stderr(line: str) -> None:
-    """Write a line past Python's buffers, which a signal may have found half written."""
+    """Write a line past Python's buffers, which a signal may have interrupted."""
     with suppress(OSError, AttributeError, ValueError):  # no terminal, or one that has gone
         os.write((sys.__stderr__ or sys.stderr).fileno(), f"{line}\n".encode())
 
@@ -76,7 +76,7 @@ def _nobody(line: str) -> None:
 
 
 class Interrupts:
-    """While entered, signals end the run at a moment when nothing can be torn.
+    """While entered, signals end the run at a safe moment.
 
     The first signal is only remembered: :meth:`poll` raises it where the run may end, which is after every
     document and within :meth:`idle`. The second raises wherever the run is, also in a delivery or a driver that
@@ -126,7 +126,7 @@ class Interrupts:
             signal.signal(signal.SIGALRM, self._alarm_before)
 
     def mask(self) -> None:
-        """Take no notice of signals from here on."""
+        """Ignore signals from here on."""
         self._masked = True
 
     @contextmanager
@@ -156,7 +156,7 @@ class Interrupts:
         self.poll()
 
     def poll(self) -> None:
-        """Raise the first signal, if there was one: here the run may end.
+        """Raise the first signal, if there was one: a point where the run may end.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class Interrupts:
             self._raise()
 
     def break_in(self, error: BaseException) -> None:
-        """Raise an error in the main thread, wherever it hangs; called by another thread.
+        """Raise an error in the main thread, wherever it hangs; called from another thread.
 
         It does nothing where no signal was installed. A call that waits in C is woken where the system can do that.
         """

@@ -26,7 +26,7 @@ _ROUNDING_S: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A rule a step would break.
+    """A limit that a step would violate.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def _off_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
 
 
 def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
-    """Whether a head with corners stands on the sheet with all of its outline, its edge included.
+    """Whether the full outline of a polygonal head is on the sheet, edge included.
 
     A head may be as wide as a strip, and be turned as the strip is. The outline is looked at every 0.25 mm.
     """
@@ -111,7 +111,7 @@ def dwell_violations(dwell_s: float, plan: Plan) -> Iterator[Violation]:
 
 
 def expected_force_N(strain: float, plan: Plan) -> float:
-    """Return the highest force a press is expected to take [N].
+    """Return the highest expected force of a press [N].
 
     E ε A is the relaxed force (E of the material file is the relaxed modulus); at the end of a fast ramp the
     relaxing terms stand on top of it: F = E ε A (1 + Σ max(w, 0)), an upper bound for any mixture of signs.
@@ -130,7 +130,7 @@ _LIMITED: Final = int(ReadingFlag.COMPLIANCE | ReadingFlag.SATURATED)
 
 
 def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
-    """Refuse a station that limits a temperature which nothing measures.
+    """Refuse a station that limits a temperature which no instrument measures.
 
     Raises
     ------
@@ -166,11 +166,11 @@ class Limits:
         self._counted = usable if usable.any() else np.ones_like(usable)
 
     def check_load(self, load: Load) -> None:
-        """Check strain, expected force and place of a press before it."""
+        """Check strain, expected force and place before a press."""
         _refuse(load_violations(load, self._plan))
 
     def check_place(self, x_mm: float, y_mm: float) -> None:
-        """Check a place before the head goes there."""
+        """Check a place before the head moves there."""
         _refuse(place_violations(x_mm, y_mm, self._plan))
 
     def check_samples(self, block: SampleBlock, who: str) -> None:
@@ -204,7 +204,7 @@ class Limits:
             )
 
     def check_time(self, now_s: float, *, touching: bool, down: bool) -> None:
-        """Check the run's duration, how long the head has been down, and the age of what must be fresh.
+        """Check the run's duration, how long the head has been down, and the age of samples.
 
         Parameters
         ----------

@@ -46,17 +46,17 @@ WORTHWHILE: Final = 0.1
 
 
 def another_frame(left_s: float, frame_period_s: float) -> bool:
-    """Whether to begin one more frame with this much of the hold left."""
+    """Whether to begin another frame with this much of the hold left."""
     return left_s > WORTHWHILE * frame_period_s
 
 
 def frames_in_hold(hold_s: float, frame_period_s: float) -> int:
-    """Return how many frames a hold takes: one after the other until it is over, at least one."""
+    """Return how many frames a hold takes: one after the other to its end, at least one."""
     return max(1, math.ceil(hold_s / frame_period_s - WORTHWHILE))
 
 
 class Kind(StrEnum):
-    """Kinds of activity, in the order a report lists them."""
+    """Kinds of activity, in report order."""
 
     HOME = "home"
     SURFACE = "surface finding"
@@ -76,12 +76,12 @@ class Spent:
         self._seconds = dict.fromkeys(Kind, 0.0)
 
     def add(self, kind: Kind, seconds: float) -> None:
-        """Add to one kind."""
+        """Add seconds to one kind."""
         self._seconds[kind] += seconds
 
     @contextmanager
     def on(self, kind: Kind, clock: Clock) -> Iterator[None]:
-        """Charge what the clock passes inside to one kind, also where it ends in an error."""
+        """Charge the clock time of the body to one kind, also after an error."""
         start_s = clock.now()
         try:
             yield
@@ -129,7 +129,7 @@ def describe_load(load: Load) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Say a duration as a person would: ``"40 s"``, ``"18 min"``, ``"5.4 h"``."""
+    """Format a duration for people: ``"40 s"``, ``"18 min"``, ``"5.4 h"``."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     if seconds < 5400:
@@ -139,7 +139,7 @@ def duration(seconds: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPhase:
-    """One phase with the sequence that makes its steps.
+    """One phase with its sequence.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class PlannedPhase:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything the runner and the dry run need to know; nothing in it can move.
+    """Everything that runner and dry run need; it cannot move anything.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class Plan:
 
     @property
     def context(self) -> SequenceContext:
-        """What the sequences may know."""
+        """Context given to the sequences."""
         return SequenceContext(self.sensor_type, self.indenter, self.seed)
 
 
@@ -318,5 +318,5 @@ def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> I
 
 
 def ends_rest(step: Step) -> bool:
-    """Whether the rest after a load is over when this step begins."""
+    """Whether this step ends the rest after a load."""
     return not isinstance(step, Ease | Hold | AcquireFrames | Release | MarkUnloaded)

@@ -20,7 +20,7 @@ from cbsr_qa.system import Clock
 
 
 class State(StrEnum):
-    """States of the bench as the runner knows it."""
+    """States of the bench."""
 
     IDLE = "idle"  #: nothing was touched yet
     CLEARING = "clearing"  #: every instrument is being told to reach its safe state, whatever it was left in
@@ -59,13 +59,13 @@ DWELLING: Final = frozenset({State.PRESSED, State.EASING})
 
 
 class Interlock:
-    """Holds the state and allows transitions."""
+    """Holds the state of the bench and checks transitions."""
 
     def __init__(self) -> None:
         self.state = State.IDLE
 
     def to(self, state: State) -> None:
-        """Go to a state.
+        """Change to a state.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Interlock:
 
     @contextmanager
     def passing(self, through: State, into: State) -> Iterator[None]:
-        """Be in one state while something happens and in the next after it; an error leaves the first."""
+        """Be in one state during the body and in the next after it; after an error stay in the first."""
         self.to(through)
         yield
         self.to(into)
@@ -90,7 +90,7 @@ class Interlock:
 
     @property
     def dwelling(self) -> bool:
-        """Whether the head is in the sheet and stays there, still or eased."""
+        """Whether the head stays in the sheet, still or eased."""
         return self.state in DWELLING
 
     def clear(self, bench: Bench) -> None:
@@ -114,7 +114,7 @@ class Interlock:
         self.to(State.ARMED)
 
     def stop(self, bench: Bench) -> tuple[str, ...]:
-        """Bring the whole bench to its safe state; returns who did not get there, in words."""
+        """Bring the bench to its safe state; return descriptions of instruments that failed."""
         self.state = State.STOPPING  # from anywhere: stopping is never refused
         failed = bench.safe_state()
         self.to(State.UNSAFE if failed else State.SAFE)
@@ -130,7 +130,7 @@ _SOON_S: Final = 1e-3
 
 
 class Attempt(Protocol):
-    """Asks an instrument, and again where that is harmless."""
+    """Calls an instrument, and retries where that is harmless."""
 
     def __call__(self, operation: Callable[[], T], what: str) -> T:
         """Call the action, and return its result."""
@@ -182,7 +182,7 @@ class Watch:
             self._ask_all()
 
     def next_look_s(self) -> float:
-        """How long may be waited until the next look [s]."""
+        """Longest wait until the next check [s]."""
         every_s = min(WATCH_S, self._safety.stale_s / 2) if self._interlock.touching else WATCH_S
         return max(min(every_s, self._safety.heartbeat_s - self._silent_s()), _SOON_S) if self._alive else every_s
 

@@ -19,7 +19,7 @@ LOOK_S: Final = 0.1
 
 
 class BrokenInto(Interruption):
-    """Raised in the run's thread, in the middle of the call that hangs."""
+    """Raised in the run's thread, inside the call that hangs."""
 
     def __init__(self, error: SafetyError) -> None:
         super().__init__(error.reason)
@@ -36,7 +36,7 @@ class _Call:
 
 
 class Watchdog:
-    """A thread that ends what takes too long. Its time is real on every clock: what hangs does so in real time.
+    """A thread that ends calls that take too long. It uses real time on every clock, as real calls hang.
 
     It watches from when it is entered to :meth:`end`: calls to instruments one by one, and between them whatever else
     the run does, a journal that waits for its disk or a listener for a terminal that has been stopped.
@@ -80,7 +80,7 @@ class Watchdog:
         self.end()
 
     def end(self) -> None:
-        """Watch no longer: nothing is broken into from here on."""
+        """Stop watching: no further call is interrupted."""
         self._ended.set()
         self._thread.join()
 

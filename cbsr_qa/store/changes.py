@@ -30,7 +30,7 @@ _ACCEPTED: Final = (str(Outcome.PASS), str(Outcome.MARGINAL))
 
 
 def note_changes(connection: Connection, identity: RunIdentity, configuration: str, material: str, why: str) -> None:
-    """Note what a run that begins uses otherwise than the latest run with files of the same names.
+    """Note where a new run's files differ from those of the latest run with the same names.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def note_changes(connection: Connection, identity: RunIdentity, configuration: s
 
 
 def all_changes(engine: Engine) -> tuple[ConfigurationChange, ...]:
-    """Return every change that was noted, oldest first."""
+    """Return all noted changes, oldest first."""
     with reading(engine) as connection:
         return _changes(connection)
 
@@ -124,7 +124,7 @@ def _names(identity: RunIdentity, material: str) -> Iterator[tuple[FileKind, str
 
 
 def _content(configuration: Mapping[str, Any], kind: FileKind) -> dict[str, Any]:
-    """Return what a run's configuration says of one file; of the station, with the scenes it stands for."""
+    """Return a run's configuration of one file; for a station, with its scenes."""
     content = dict(configuration.get(kind.value.replace(" ", "_"), {}))
     if kind is FileKind.STATION:
         content |= {key: configuration[key] for key in ("scenes", "emulated_scene") if configuration.get(key)}

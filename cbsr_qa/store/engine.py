@@ -47,7 +47,7 @@ _Word = TypeVar("_Word", bound=StrEnum)
 
 
 def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
-    """Return a stored text as one of the words that a column may hold.
+    """Return a stored text as a member of its column's enumeration.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def shown(url: URL) -> str:
 
 
 def address(url: URL) -> str:
-    """Write what ``--database`` takes, as a shell reads it: a file's path, or the URL with its password hidden."""
+    """Return the argument for ``--database``, shell-quoted: a file's path, or the URL with its password hidden."""
     sqlite = url.get_backend_name() == "sqlite"
     return shlex.quote(str(url.database) if sqlite else url.render_as_string(hide_password=True))
 
@@ -159,7 +159,7 @@ def sqlite_file(url: URL) -> Path | None:
 
 
 def open_engine(url: URL, *, durable: bool = True) -> Engine:
-    """Make the engine; nothing is opened yet.
+    """Create the engine; nothing is opened yet.
 
     Parameters
     ----------
@@ -189,14 +189,14 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
 
 @contextmanager
 def reading(engine: Engine) -> Iterator[Connection]:
-    """One transaction that reads; what the database raises becomes a StoreError."""
+    """One read transaction; database errors become StoreError."""
     with translated(engine.url), engine.begin() as connection:
         yield connection
 
 
 @contextmanager
 def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Iterator[Connection]:
-    """One transaction that writes: committed at the end, undone on any error.
+    """One write transaction: committed at the end, rolled back on any error.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Ite
 
 
 def _begun(writer: Connection, tell: Callable[[str], None] | None) -> RootTransaction:
-    """Begin a transaction; a SQLite file that another program writes is waited for, at first in silence."""
+    """Begin a transaction; wait for a SQLite file that another program writes, silently at first."""
     if tell is None or writer.dialect.name != "sqlite":
         return writer.begin()
     _wait_at_most(writer, _PATIENCE_MS)
@@ -232,7 +232,7 @@ def _wait_at_most(connection: Connection, timeout_ms: int) -> None:
 
 
 def use_write_ahead_log(engine: Engine) -> None:
-    """Make a SQLite file journal ahead, for good: readers and one writer do not wait for each other."""
+    """Switch a SQLite file to write-ahead logging: readers and one writer do not block each other."""
     if sqlite_file(engine.url) is None:
         return
     with translated(engine.url):
@@ -259,7 +259,7 @@ def _remember_file(url: URL, _: object, record: Any) -> None:
 
 
 def _which_file(url: URL) -> tuple[int, int] | None:
-    """Device and number of the file that has the database's name; None where none has."""
+    """Device and inode of the database file; None without one."""
     path = sqlite_file(url)
     assert path is not None
     try:
@@ -270,7 +270,7 @@ def _which_file(url: URL) -> tuple[int, int] | None:
 
 
 def _refuse_lost_file(connection: Connection) -> None:
-    """Refuse to go on with a file that was deleted or replaced: SQLite would write into it until the program ends."""
+    """Refuse to continue with a deleted or replaced file: SQLite would write into the old one."""
     url, was = connection.engine.url, connection.info[_FILE]
     found = _which_file(url)
     if was in (None, found):

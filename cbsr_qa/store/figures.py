@@ -71,7 +71,7 @@ def run_figures(
 
 
 def software_of(engine: Engine, lines: Sequence[RunLine]) -> dict[str, str]:
-    """Return run → the version of this program that its latest analysis was made with; empty where none is noted."""
+    """Return run → program version of its latest analysis; empty if none is noted."""
     runs = {line.analysis: line.run for line in lines}
     found: dict[str, str] = {}
     with reading(engine) as connection:

@@ -39,7 +39,7 @@ _STATES: Final = {
 
 
 def metric_names(engine: Engine) -> tuple[str, ...]:
-    """Return the names of everything that was ever measured, sorted."""
+    """Return all measurement names in the database, sorted."""
     with reading(engine) as connection:
         names = connection.scalars(select(MeasurementRow.name).distinct().order_by(MeasurementRow.name))
         return tuple(names)
@@ -171,7 +171,7 @@ def _run(
 
 
 def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Select[*tuple[Any, ...]]:
-    """A fleet has a million values, and each column takes its time."""
+    """Query measurements with their texts joined: a fleet has a million values, and each column takes time."""
     m, query = MeasurementRow, figures_query()
     if chosen:
         analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
@@ -188,7 +188,7 @@ def _values(
     places: dict[str, int],
     known: list[Known | None],
 ) -> tuple[tuple[Kind, ...], tuple[Any, ...]]:
-    """Kinds, and the columns of :class:`FleetTable`; checked where runs are chained."""
+    """Kinds, and the columns of :class:`FleetTable`; chained runs are verified."""
     # A digest is over all measurements of an analysis.
     chained = any(known)
     figures = Figures(connection, _measured(chosen, () if chained else names), places)
@@ -205,7 +205,7 @@ def _values(
 def _meant(
     connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, int], names: Sequence[str]
 ) -> tuple[int, int]:
-    """Kind and state that joined words and limits stand for; a kind that was not met before is added.
+    """Kind and state for joined words and limits; new kinds are added.
 
     The kind is −1 where its metric was not asked for, and it is within its limits.
     """
@@ -230,7 +230,7 @@ def _meant(
 
 
 def _first(connection: Connection, said: str) -> str:
-    """Name the first row of such words."""
+    """Name the first row with these words."""
     m = MeasurementRow
     query = select(m.analysis, m.number).where(words() == said).order_by(m.analysis, m.number).limit(1)
     row = connection.execute(query).one()
@@ -238,7 +238,7 @@ def _first(connection: Connection, said: str) -> str:
 
 
 def _places(connection: Connection, runs: Sequence[FleetRun]) -> dict[str, tuple[float, float]]:
-    """Where loads of a label are pressed: of the first and the last run of each recipe, which press them all."""
+    """Place of each load label, from the first and the last run of each recipe."""
     last = {run.recipe: run.run for run in runs if run.finished}
     first = {run.recipe: run.run for run in reversed(runs) if run.finished}
     asked = {*first.values(), *last.values()}

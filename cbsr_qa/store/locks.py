@@ -24,13 +24,13 @@ PATIENCE_S: Final = 1.0
 
 
 def this_process(operator: str) -> str:
-    """Say who writes a run: operator, computer and process."""
+    """Name the writer of a run: operator, computer and process."""
     return f"{operator or 'somebody'} on {platform.node() or 'this computer'}, process {os.getpid()}"
 
 
 @contextmanager
 def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
-    """Hold the right to write a run; it falls back when the process ends, also by a kill.
+    """Hold the right to write a run; it is released when the process ends, also by a kill.
 
     On SQLite a locked file beside the database, on PostgreSQL an advisory lock of a connection of its own. A database
     in memory has one process anyway.
@@ -110,7 +110,7 @@ def writer_of(engine: Engine, run: str) -> str:
 
 
 def _acquired(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
-    """Return what gives the lock back, or who holds it."""
+    """Return a function that releases the lock, or the current holder."""
     if engine.url.get_backend_name() == "postgresql":
         return _advisory(engine, name, who)
     file = sqlite_file(engine.url)

@@ -19,7 +19,7 @@ TICK_S: Final = 2.0**-20
 
 
 def in_ticks(duration_s: float) -> float:
-    """Return the multiple of a tick nearest to a duration, at least one tick if it is above zero [s]."""
+    """Return the multiple of a tick nearest to a duration, at least one tick if it is positive [s]."""
     ticks = round(duration_s / TICK_S)
     return TICK_S * (1 if ticks == 0 and duration_s > 0 else ticks)
 
@@ -41,7 +41,7 @@ class Clock(Protocol):
         ...
 
     def sleep(self, duration_s: float) -> None:
-        """Let this much of the station's time pass, at least a tick if it is above zero [s]."""
+        """Sleep this much station time, at least a tick if it is positive [s]."""
         ...
 
 
@@ -95,7 +95,7 @@ Listener = Callable[[str], None]
 
 
 class Stages:
-    """Names and times what the computer is busy with.
+    """Names and times the stages of a computation.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class Stages:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the time inside towards a stage."""
+        """Add the time of the body to a stage."""
         self._listener(name)
         before = time.perf_counter()
         try:
@@ -121,5 +121,5 @@ class Stages:
         return tuple(self._spent.items())
 
     def total_s(self) -> float:
-        """Seconds of all stages [s]."""
+        """Total of all stages [s]."""
         return sum(self._spent.values())

@@ -41,7 +41,7 @@ _TRIES: Final = 1000  # to lock a file that others remove; some file systems ans
 
 
 class HeldError(Exception):
-    """Another process, or this one, holds the lock; ``who`` is what its file says, empty in its first moments."""
+    """The lock is held by this or another process; ``who`` is the text in its file, at first empty."""
 
     def __init__(self, who: bytes) -> None:
         super().__init__(who)
@@ -49,7 +49,7 @@ class HeldError(Exception):
 
 
 class FileLock:
-    """Holds a file's lock until it is released or the process ends, however it ends.
+    """Holds a file's lock until it is released or the process ends.
 
     The kernel keeps the lock, so the file of a process that was killed keeps nobody out: the next holder takes it
     over and removes it. A file that belongs to another user may stay where only its owner may remove it.
@@ -86,7 +86,7 @@ class FileLock:
             raise
 
     def release(self) -> None:
-        """Remove the file and let others have the lock; may be called more than once."""
+        """Remove the file and release the lock; may be called more than once."""
         file, self._file = self._file, None
         if file is None:
             return
@@ -130,7 +130,7 @@ _SAFE: Final = getattr(os, "O_NOFOLLOW", 0)
 
 
 def _locked(path: Path, *, shared: bool) -> int | None:
-    """Open and lock the file; None where its holder removed it between the two."""
+    """Open and lock the file; None if its holder removed it in between."""
     try:
         file = _opened(path, shared=shared)
     except FileNotFoundError:

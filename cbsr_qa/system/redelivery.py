@@ -28,7 +28,7 @@ class Redelivery:
         self._before: Any = None
 
     def was_dropped(self) -> bool:
-        """Say, once for every loss, whether what a handler raised was dropped."""
+        """Whether an exception raised by a handler was dropped; true once for every loss."""
         dropped, self._dropped = self._dropped, False
         return dropped
 

@@ -74,7 +74,7 @@ _LENGTH: Final = struct.Struct("<Q")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the reading of one file may take.
+    """Limits of reading one file.
 
     Parameters
     ----------
@@ -87,19 +87,19 @@ class Limits:
 
     @property
     def clock_s(self) -> float:
-        """On the clock."""
+        """Limit of wall time [s]."""
         return _CLOCK * self.seconds
 
     @classmethod
     def of(cls, size_bytes: int) -> "Limits":
-        """Limits of a file of a size; large files may take more of both."""
+        """Limits for a file size; larger files may take more of both."""
         half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
         memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half)
         return cls(_SECONDS + _SECONDS_PER_MB * size_bytes / _MEGABYTE, memory_bytes)
 
 
 def largest_content(size_bytes: int) -> int:
-    """Bytes a file of a size may hold unpacked, eight for each number: measured ones hardly pack, made-up ones do."""
+    """Bytes a file of this size may unpack to, eight per number: measured numbers hardly compress, fakes do."""
     return max(_CONTENT, _CONTENT_PER_BYTE * size_bytes)
 
 
@@ -177,7 +177,7 @@ def _forked(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:
 
 
 def _confined(outgoing: int, limits: Limits) -> int:
-    """Give up in the child what reading does not need; returns the pipe's new number."""
+    """Release in the child what reading does not need; return the pipe's new descriptor."""
     import resource
 
     gc.disable()  # finalisers of what the parent holds are the parent's
@@ -237,7 +237,7 @@ def _failed(error: Exception) -> tuple[Any, ...]:
 
 
 def _told(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
-    """All parts a child sends before it ends; None where it is late, or stops amid one."""
+    """All parts a child sends before it ends; None on timeout, or if it stops within a part."""
     parts: list[bytearray] = []
     left = limits.memory_bytes
     while length := _received(pipe, _LENGTH.size, deadline):
@@ -253,7 +253,7 @@ def _told(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] |
 
 
 def _received(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
-    """So many bytes; none where the other side has ended, None where it is late or ends amid them."""
+    """Read so many bytes; empty at the end of the stream, None on timeout or if it ends within them."""
     data = bytearray(count)
     view, got = memoryview(data), 0
     while got < count:
@@ -309,7 +309,7 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
 
 
 def _refused(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:
-    """The error a child raised; one of a plugin's own kind becomes the kind all are of."""
+    """The error a child raised; a plugin's own type becomes its base in this package."""
     named, reason = getattr(errors, kind, RefusedError), shortened(reason)
     if named is errors.RecordingError:
         return errors.RecordingError(reason, remedy=remedy, problems=problems)
@@ -317,7 +317,7 @@ def _refused(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> 
 
 
 class _Plain(pickle.Unpickler):
-    """Reads plain data alone: a child that a file has taken over cannot make its parent call anything else."""
+    """Unpickles plain data only: a child taken over by a file cannot make its parent call anything else."""
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in _NUMPY:

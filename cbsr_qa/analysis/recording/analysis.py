@@ -37,7 +37,7 @@ DEFAULT_RECONSTRUCTION: Final = "gauss-newton-noser"
 
 @dataclass(frozen=True, slots=True)
 class AnalysisChoices:
-    """What a user may decide about the analysis of a recording.
+    """User options for the analysis of a recording.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ Together = Callable[[Sequence[int]], Array]
 def with_fates(
     events: Sequence[LoadEvent], radius_mm: float, *, together: Together | None = None
 ) -> tuple[LoadEvent, ...]:
-    """Say of every event beside others whether it is apart from them in the image, merged with one, or missed.
+    """Report of simultaneous events whether their images are separate, merged or missing.
 
     The image is that of the changes of the events that last at this one's peak, each once; a region is one of its
     25 % mask, parted at valleys. It belongs to an event whose place it covers, or whose centre is a head's diameter
@@ -102,7 +102,7 @@ def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: 
 
 
 def _assigned(image: Image, events: Sequence[LoadEvent], radius_mm: float) -> tuple[tuple[Blob, ...], Assignment]:
-    """Regions of an image of what conducts as the first event does, and which belongs to which event."""
+    """Regions of an image with the first event's sign, and their assignment to events."""
     regions = split_blobs(masked_blobs(image, (_MASK,))[0], _VALLEY)
     head_mm = _HEAD * radius_mm
     places = [RoundFootprint(one.x_over_R * radius_mm, one.y_over_R * radius_mm, head_mm) for one in events]
@@ -116,7 +116,7 @@ _SMOOTHED: Final = 8  #: a track is smoothed over this share of its frames, or t
 
 
 def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes) -> Motion | None:
-    """Say how an object moves.
+    """Describe how an object moves.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes)
 
 
 def _running_median(places: Array) -> Array:
-    """Median of each place (n, 2) with those around it; shorter by what has no neighbours."""
+    """Running median of places (n, 2), with shorter windows at the ends."""
     window = max(3, len(places) // _SMOOTHED)
     median: Array = np.median(sliding_window_view(places, window, axis=0), axis=-1)
     return median
@@ -212,7 +212,7 @@ def image_events(
 
 
 def _name(scene: RecordedScene, number: int, peak_s: float) -> str:
-    """Name an event as the report does, with its time where there is one."""
+    """Name an event as in the report, with its time if known."""
     untimed = scene.recording.still or scene.recording.clock == "none"
     return f"E{number}" if untimed else f"E{number} (at {peak_s:.1f} s)"
 

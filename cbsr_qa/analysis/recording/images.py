@@ -31,7 +31,7 @@ _MOST_FRAMES: Final = 256  #: of a hold, and of what is before it, that a method
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """An event that was found, before it is imaged.
+    """A detected event, before imaging.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Sighting:
 
 
 def frames_around(changes: Array, before: slice, held: slice) -> tuple[Array, slice]:
-    """Cut the frames around a press, against those before it.
+    """Cut the frames around a press, relative to those before it.
 
     Parameters
     ----------
@@ -81,14 +81,14 @@ def frames_around(changes: Array, before: slice, held: slice) -> tuple[Array, sl
 
 
 def nearest_frames(changes: Array, frame: int) -> tuple[Array, int]:
-    """Frames around one of (n, m): at most 513, and the number of that one among them."""
+    """Frames around one of (n, m): at most 513, and the index of that one among them."""
     begin = max(frame - _MOST_FRAMES, 0)
     return changes[begin : frame + _MOST_FRAMES + 1], frame - begin
 
 
 @dataclass(slots=True, eq=False)
 class EventImages:
-    """A reconstruction prepared for the events of a recording.
+    """A reconstruction prepared for a recording's events.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class EventImages:
         return image
 
     def together(self, sightings: Sequence[Sighting]) -> Array:
-        """Image (e,) of the changes of several events, each change once."""
+        """Image (e,) of the changes of several events, each counted once."""
         changes = {one.change.tobytes(): one for one in sightings}.values()
         if self.superposes:
             total: Array = np.sum([self.of(one) for one in changes], axis=0)
@@ -136,7 +136,7 @@ class EventImages:
 
     @property
     def superposes(self) -> bool:
-        """Whether the image of a sum is the sum of the images, as the method says."""
+        """Whether the method is linear."""
         return isinstance(self.prepared, LinearReconstruction) or bool(getattr(self.prepared, "linear", False))
 
     def _images(self, where: str, changes: Array) -> Array:
@@ -157,7 +157,7 @@ def prepare_for_events(
     *,
     offset: bool,
 ) -> EventImages:
-    """Prepare a reconstruction for events that were found.
+    """Prepare a reconstruction for detected events.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def _prepared(
 def _with_measured(
     name: str, problem: ImagingProblem, model: UnitModel, sightings: Sequence[Sighting]
 ) -> tuple[ImagingProblem, Array]:
-    """Add the readings before the first event, and the gain that takes changes to their scale."""
+    """Add the readings before the first event, and the gain to their scale."""
     unloaded = min(sightings, key=lambda one: one.start_s).unloaded
     plain = plain_model(unloaded, problem)
     if plain is None:

@@ -39,7 +39,7 @@ _CLOSE_COSINE = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet:
-    """What a recording is imaged on.
+    """Model that a recording is imaged on.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
 
 
 def _thinned(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Keep places no closer to each other than half a bump: more of them tell nothing more."""
+    """Thin out places to half a bump's distance: closer ones add nothing."""
     kept: list[int] = []
     for candidate in candidates[np.argsort(np.hypot(*places[candidates].T), kind="stable")]:
         apart = np.hypot(*(places[kept] - places[candidate]).T)
@@ -124,7 +124,7 @@ def _thinned(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnitModel:
-    """How a recording's readings become changes of the unit model.
+    """Conversion of a recording's readings to changes of the unit model.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def plain_model(reference: Array, problem: ImagingProblem) -> UnitModel | None:
 
 
 def usable_volts(reference: Array, used: Mask, noise: Array | None) -> Mask:
-    """Used readings whose reference value is clear of its noise, so that a relative change means something.
+    """Used readings whose reference value is clear of its noise, so a relative change is meaningful.
 
     Parameters
     ----------

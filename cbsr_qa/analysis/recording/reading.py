@@ -16,7 +16,7 @@ _Read = TypeVar("_Read")
 
 
 def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, dataset: str | None) -> Recording:
-    """Read one recording in any format that is known here.
+    """Read one recording in any known format.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, da
 
 
 def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
-    """Find the plugin that reads a file.
+    """Find the plugin that can read a file.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mas
 
 
 def _running_median(readings: Array) -> Array:
-    """Median of each channel over the frames around each frame; mirrored at the ends, which do not repeat then."""
+    """Running median of each channel, mirrored at the ends."""
     padded = np.pad(readings, ((_HALF_WINDOW, _HALF_WINDOW), (0, 0)), mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _HALF_WINDOW + 1, axis=0)
     level: Array = np.median(windows, axis=-1)
@@ -142,7 +142,7 @@ class ReadyReadings:
         return said
 
     def noise_use(self) -> Mask:
-        """Readings to judge noise by: the used ones; all that are not bad where none is used."""
+        """Readings for the noise estimate: the used ones, or all that are not bad if none is used."""
         use = self.used if self.used.any() else ~self.faults.bad
         return use if use.any() else np.ones_like(use)
 
@@ -162,7 +162,7 @@ def has_offset(recording: Recording) -> bool:
 
 
 def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern | None = None) -> ReadyReadings:
-    """Find the faults of a recording, and take the reading memory out.
+    """Detect the faults of a recording, and remove its carry-over.
 
     Parameters
     ----------

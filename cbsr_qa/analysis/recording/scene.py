@@ -33,7 +33,7 @@ _LEAST_LEFT = 0.5  #: and only as long as this share of the readings is left
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """What a search for loads came to.
+    """Result of a search for loads.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Searched:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedScene:
-    """A recording on its sheet, ready to be searched."""
+    """A recording with its model, ready to be searched."""
 
     recording: Recording
     ready: ReadyReadings
@@ -70,7 +70,7 @@ class RecordedScene:
         *,
         named: bool,
     ) -> Self:
-        """Put a recording on its sheet.
+        """Prepare the model of a recording.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class RecordedScene:
         return cls(recording, ready, sheet, model, block.voltages[:, used], named)
 
     def without(self, readings: NDArray[np.bool_]) -> Self:
-        """Leave readings out: (m,) bool."""
+        """Return the scene without some readings, (m,) bool."""
         keep = ~readings
         used = self.sheet.problem.used.copy()
         used[used] = keep
@@ -103,7 +103,7 @@ class RecordedScene:
         return replace(self, sheet=sheet, model=model, readings=self.readings[:, keep])
 
     def objects(self, rate_hz: float | None) -> Searched:
-        """Search against the reference."""
+        """Search relative to the reference."""
         changes = self.model.changes(self.readings)
         sigma = reciprocal_noise(changes, self.sheet.problem.used)
         if sigma == 0:
@@ -154,7 +154,7 @@ class RecordedScene:
         return tuple(replace(one, place=place, track=((0, place),)) for one, place in zip(found, places, strict=True))
 
     def presses(self, rate_hz: float | None) -> Searched:
-        """Search for presses, each against the frames before it.
+        """Search for presses, each relative to the frames before it.
 
         Where readings that share one contact changed together they are left out, and all the others searched again.
         """
@@ -269,7 +269,7 @@ def _rejected(found: Found, times: Array) -> str:
 
 
 def _gains(found: Found, times: Array) -> list[str]:
-    """Say where all readings changed in proportion."""
+    """Report moments at which all readings changed in proportion."""
     return [
         f"all readings changed in proportion, by {share:+.1%}, at {times[frame]:.1f} s: a gain or the drive current,"
         " not a load"

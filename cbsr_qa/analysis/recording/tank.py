@@ -70,7 +70,7 @@ def reciprocal_noise(changes: Array, used: Mask) -> float:
 
 
 def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
-    """Find the objects of one still image.
+    """Find the objects in one still image.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
 
 
 def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
-    """Follow one object through frames.
+    """Track one object through frames.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class Tank:
     field: DeepTank
 
     def sheet(self, sheet: Sheet, *, ball: float, conducts: bool) -> Sheet:
-        """Put the patterns of balls of a radius (in units of the tank's) in the place of a sheet's.
+        """Replace a sheet's patterns by those of balls of a radius (in units of the tank's).
 
         Signs stay as they are on a sheet: positive for what conducts more.
         """
@@ -178,7 +178,7 @@ class Tank:
 
 
 def fitted_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
-    """Fit the depth of a tank to its reference frame: one number, from how readings fall off with distance.
+    """Fit the depth of a tank to the decay of its reference frame with distance.
 
     Parameters
     ----------

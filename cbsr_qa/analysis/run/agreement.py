@@ -51,7 +51,7 @@ class DirectedAgreement:
 
 @lru_cache(maxsize=2)
 def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
-    """Compare the mean of the whole image with the blobs, over all loads that show both.
+    """Compare the relaxation of the whole image with the blobs', over all loads that show both.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
 
 @lru_cache(maxsize=2)
 def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
-    """Compare how strongly the sheet's loads show over time with how a strip of its material relaxed.
+    """Compare the relaxation of the sheet's response with a strip of its material.
 
     The sheet's are the kernels of a unit step that all loads of its calibration share: strength at the place of the
     head, by the force model. The strip's are those its material file carries; after releases, as they show on a sheet
@@ -106,7 +106,7 @@ def _against(
 
 
 def _expected(strip: StripRelaxation, loading: bool, hold_s: float) -> KernelCurve | None:
-    """What the sheet should show; after releases that takes both of the strip's kernels."""
+    """Expected relaxation of the sheet; after releases it needs both of the strip's kernels."""
     if strip.loading is None:
         return None
     if loading:
@@ -150,7 +150,7 @@ def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> M
 
 
 def _of(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservation | None:
-    """The relaxation of a signal, None where it is too short."""
+    """The relaxation of a signal, None if it is too short."""
     found = (seen for seen in load.relaxations if seen.signal == signal and seen.loading is loading)
     return next((seen for seen in found if len(seen.trace.values) >= _FEWEST), None)
 

@@ -27,7 +27,7 @@ _QUIETEST: Final = 1e-2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatedLoad:
-    """What the readings say of one press.
+    """Estimate of one press from its readings.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class EstimatedLoad:
 
 @lru_cache(maxsize=2)
 def estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
-    """Estimate every load of a run; the last two answers are kept, since metrics and report both ask.
+    """Estimate every load of a run; the last two results are cached, since metrics and report both ask.
 
     Parameters
     ----------

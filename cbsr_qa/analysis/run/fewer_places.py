@@ -29,7 +29,7 @@ _WAYS: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class MapCost:
-    """A map from some loads.
+    """A map learned from some loads.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class MapCost:
 
 
 def map_costs(run: RunObservation, found: RunForce) -> tuple[MapCost, ...]:
-    """Return maps of fewer and fewer places, and of one load a place, the whole run's last.
+    """Return maps of ever fewer places, and of one load per place; the whole run's map comes last.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def map_costs(run: RunObservation, found: RunForce) -> tuple[MapCost, ...]:
 
 
 def farthest_first(places_mm: Array, count: int, *, first: int | None = None) -> list[int]:
-    """Choose places one by one, each the farthest from those before it.
+    """Choose places one by one, each the farthest from those chosen.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
 
 
 class _Loads:
-    """Loads that a run's map was learned from."""
+    """The loads that a run's map was learned from."""
 
     def __init__(self, run: RunObservation, found: RunForce) -> None:
         learned = found.learned
@@ -126,17 +126,17 @@ class _Loads:
         return first
 
     def cost(self, chosen: Chosen) -> MapCost:
-        """What some loads say of the sheet."""
+        """Predictions of a map from some loads."""
         _, variance = self._learned(chosen).predict(self._area)
         count = len(np.unique(self._which[chosen]))
         return MapCost(count, int(chosen.sum()), float(self._seconds[chosen].sum()), _rms(variance))
 
     def whole(self) -> MapCost:
-        """What all of them say, as the calibration states it."""
+        """Prediction of all loads, as the calibration states it."""
         return MapCost(self.count, len(self._which), float(self._seconds.sum()), self._stated)
 
     def of_places(self, count: int) -> MapCost:
-        """What all loads at some of the places say, of the sheet and of the places left out: mean of several ways."""
+        """Predictions from all loads at some places, for the sheet and the left-out places, over several choices."""
         ways = np.unique(np.linspace(0, self.count - 1, _WAYS).astype(np.intp)).tolist()
         kept = [np.isin(np.arange(self.count), farthest_first(self._at, count, first=way)) for way in ways]
         costs = [self.cost(places[self._which]) for places in kept]

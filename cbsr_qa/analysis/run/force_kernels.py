@@ -62,7 +62,7 @@ def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: f
 
 
 def key_of(load: LoadObservation) -> LoadKey:
-    """What a load is known by in its run."""
+    """Identity of a load in its run."""
     return load.phase, load.record.index
 
 
@@ -129,7 +129,7 @@ class StrengthTraces:
 
     @staticmethod
     def fading(time_s: Array) -> Array:
-        """Share of what earlier loads left that is still there so long after the press."""
+        """Share of earlier loads' residue that remains this long after the press."""
         share: Array = RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
         return share
 
@@ -176,7 +176,7 @@ _BIN_S: Final = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compensated:
-    """Loads of which short holds were predicted.
+    """Loads whose short holds were predicted.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class Compensated:
 def compensated(
     run: RunObservation, loads: Sequence[LoadObservation], data: CalibrationLoads, traces: StrengthTraces
 ) -> Compensated:
-    """Bring loads that were held for a shorter time to where the longest holds were looked at.
+    """Extrapolate loads of shorter holds to the time at which the longest holds were evaluated.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def _predicted_rows(
 
 
 def _within(predicted: float, seen: float) -> float:
-    """What readings are scaled by: no load rises or falls by more than noise can make it seem to."""
+    """Scale of readings: no load may seem to rise or fall by more than its noise."""
     return float(np.clip(predicted / seen, 1 / LARGEST_FACTOR, LARGEST_FACTOR)) if seen else 1.0
 
 

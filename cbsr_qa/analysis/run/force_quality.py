@@ -32,7 +32,7 @@ _OF_RESIDUES: Final = 0.12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceErrors:
-    """Errors of the loads of one test, one way.
+    """Errors of the loads of one test.
 
     Parameters
     ----------
@@ -80,11 +80,11 @@ class ForceErrors:
         return Estimate(float(self.error_N.mean()), spread / count**0.5 or None, count - 1)
 
     def inside(self, reach: float) -> int:
-        """Return how many loads err by no more than so many of their stated standard errors."""
+        """Return how many loads err by at most this many stated standard errors."""
         return int((np.abs(self.error_N) <= reach * self.stderr_N).sum())
 
     def coverage(self, reach: float, nominal: float) -> Estimate:
-        """Return the share of loads within so many stated standard errors; ± what chance gives a nominal share.
+        """Return the share of loads within this many stated standard errors, ± chance scatter of a nominal share.
 
         Raises
         ------
@@ -133,14 +133,14 @@ def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
 
 
 def calibrated_radius_mm(found: RunForce) -> float:
-    """Return how far from the centre the farthest load lies that the map was learned from [mm]."""
+    """Return the distance of the farthest calibration load from the centre [mm]."""
     assert found.learned is not None
     places = places_mm([load for load, why in zip(found.used, found.learned.refused, strict=True) if not why])
     return float(np.hypot(*places.T).max())
 
 
 def places_mm(loads: Sequence[LoadObservation]) -> Array:
-    """Return where loads were pressed, (n, 2)."""
+    """Return the places of loads, (n, 2)."""
     return np.array([(load.record.load.x_mm, load.record.load.y_mm) for load in loads]).reshape(-1, 2)
 
 
@@ -165,7 +165,7 @@ class MapQuality:
 
 
 def map_quality(learned: LearnedForce, radius_mm: float) -> MapQuality:
-    """Look at the map within a radius; at the place nearest to the centre where no other is."""
+    """Restrict the map to a radius; to the place nearest to the centre if no other is inside."""
     places = sheet_places(learned.model, stride=1)
     away = np.hypot(*places.T)
     places = places[away <= max(radius_mm, float(away.min())) + 1e-9]
@@ -180,7 +180,7 @@ def map_quality(learned: LearnedForce, radius_mm: float) -> MapQuality:
 
 @dataclass(frozen=True, slots=True)
 class Detectable:
-    """Least force that counts as a load in one frame, where, and the error of that force [N]."""
+    """Detection limit in one frame, its place, and the error of that force [N]."""
 
     force_N: float
     stderr_N: float
@@ -188,7 +188,7 @@ class Detectable:
 
 
 def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -> tuple[Detectable, ...]:
-    """Return what the threshold of detection is worth at places (n, 2): there half of all loads are found.
+    """Return the force of the detection threshold at places (n, 2): half of such loads are detected.
 
     Raises
     ------

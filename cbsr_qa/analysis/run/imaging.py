@@ -17,7 +17,7 @@ from cbsr_qa.eit.inverse import changes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imager:
-    """A reconstruction with the reference it images against.
+    """A reconstruction with its reference frame.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def sensed_regions(
 def _sensed(
     regions: Sequence[AnyRegion], pressed: Footprint, others: Sequence[Footprint]
 ) -> tuple[AnyRegion | None, str]:
-    """Return the region of a load, and what became of it: ``"apart"``, ``"merged"`` or ``"missed"``.
+    """Return the region of a load, and its fate: ``"apart"``, ``"merged"`` or ``"missed"``.
 
     A load alone has the nearest region, however far. Several held at once have those assigned to them, a head's
     diameter (that of its area) away at most.

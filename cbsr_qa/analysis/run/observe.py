@@ -65,7 +65,7 @@ def _metrics(
 def observe_run(
     record: RunRecord, reconstruction: Reconstruction, settings: AnalysisSettings, *, over_time: bool = True
 ) -> RunObservation:
-    """Work out everything about a run that metrics need.
+    """Compute everything about a run that metrics need.
 
     Parameters
     ----------

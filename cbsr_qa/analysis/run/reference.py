@@ -46,7 +46,7 @@ def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
 def reciprocity_errors(
     frame: Array, pattern: DrivePattern, usable: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return what exchanging drive and measure pair changes, for every pair of readings that should be the same.
+    """Return the reciprocity error of every pair of readings that should be equal.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsableData:
-    """What of a run can be imaged.
+    """Usable frames and readings of a run.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class UsableData:
 
 
 def usable_data(record: RunRecord) -> UsableData:
-    """Leave out readings that cannot be imaged, or the few frames in which they could not.
+    """Exclude unusable readings, or the few frames in which they are unusable.
 
     A frame most of which is flagged is lost: one bad frame must not cost a run, nor its readings in all others. Of
     what is flagged then, channels go first, the worst before others, until at most 1 % of the frames are still
@@ -211,7 +211,7 @@ def named_readings(readings: NDArray[np.bool_], most: int = 6) -> str:
 
 
 def check_weighing(reconstruction: Reconstruction, method: str, settings: AnalysisSettings) -> None:
-    """Make sure that a method weighs readings by their noise where the recipe asks for it.
+    """Check that a method weights readings by their noise if the recipe asks for it.
 
     Parameters
     ----------

@@ -52,7 +52,7 @@ class SizeResponse:
 
     @property
     def flat(self) -> bool:
-        """Whether the region says nothing about the size of what presses."""
+        """Whether the region does not reflect the size of the load."""
         return self.slope is None or self.slope < FLAT
 
 

@@ -27,7 +27,7 @@ _SIDES = 72
 
 
 class Footprint(Protocol):
-    """A closed outline on the sheet, of an indenter where it presses."""
+    """A closed outline on the sheet, such as an indenter's."""
 
     @property
     def centre_mm(self) -> tuple[float, float]:
@@ -67,7 +67,7 @@ class Footprint(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RoundFootprint:
-    """Of a round head.
+    """Footprint of a round head.
 
     Raises
     ------
@@ -113,14 +113,14 @@ class RoundFootprint:
         return inside
 
     def drawn_mm(self) -> Points:
-        """A circle that is round in print."""
+        """A circle drawn as a polygon."""
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         return np.array(self.centre_mm) + self.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 @dataclass(frozen=True, eq=False)
 class PolygonFootprint:
-    """Of any other head: a polygon, convex or not, without holes.
+    """Footprint of any other head: a polygon, convex or not, without holes.
 
     Parameters
     ----------

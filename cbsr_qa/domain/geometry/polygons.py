@@ -251,7 +251,7 @@ def distance_to_outline(points: Points, corners: Points) -> Values:
 
 
 def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points) -> Values:
-    """Distance of points (…, 2) from sides (…,) of a polygon, each from its own."""
+    """Distance of points (…, 2) from sides (…,) of a polygon, one side each."""
     start = corners[side]
     along = corners[(side + 1) % len(corners)] - start
     away = points - start

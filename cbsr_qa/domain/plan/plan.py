@@ -50,18 +50,18 @@ class InstrumentSpec:
 
     @property
     def emulated(self) -> bool:
-        """Whether its address is the word for an instrument that the station emulates."""
+        """Whether its address asks for an emulator."""
         return self.options.get("address") == EMULATED
 
     @property
     def address(self) -> str:
-        """Where the station file says it is, for messages."""
+        """Address in the station file, for messages."""
         return str(self.options.get("address", "an address of the driver's choice"))
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the head moves.
+    """Speeds and reach of the head.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class SafetyLimits:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceRing:
-    """A ring of resistors that is connected in place of a sensor, and what a station's readings of it may be.
+    """A ring of resistors connected in place of a sensor, with the allowed deviations of its readings.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class Station:
 
 @dataclass(frozen=True, slots=True)
 class PhaseSpec:
-    """One phase of a recipe: a name, the sequence plugin that makes its steps, its options."""
+    """One phase of a recipe: name, sequence plugin, options."""
 
     name: str
     sequence: str
@@ -187,7 +187,7 @@ class PhaseSpec:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisSettings:
-    """How images become numbers; every choice the paper leaves open, named.
+    """Settings of the image analysis: every choice the paper leaves open.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What the simulated world contains.
+    """The simulated world: effects, drive current, mesh and reference ring.
 
     Parameters
     ----------

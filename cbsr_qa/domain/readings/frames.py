@@ -95,7 +95,7 @@ class FrameBlock:
         return int(self.time_s.shape[0])
 
     def select(self, which: NDArray[np.bool_] | slice) -> Self:
-        """Return the frames chosen by a mask or a slice, as a block of their own."""
+        """Return the frames chosen by a mask or a slice, as a new block."""
         own = None if self.reading_time_s is None else self.reading_time_s[which]
         return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
 
@@ -106,7 +106,7 @@ class FrameBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBlock:
-    """Samples of one channel that is not a frame: force, position, temperature.
+    """Samples of one scalar channel: force, position, temperature.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class SampleBlock:
 
 
 def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
-    """Put blocks behind each other; they must agree in unit and current.
+    """Concatenate blocks of equal unit and current.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
 
 
 def join_samples(blocks: list[SampleBlock]) -> SampleBlock:
-    """Put sample blocks of one channel behind each other.
+    """Concatenate sample blocks of one channel.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def join_samples(blocks: list[SampleBlock]) -> SampleBlock:
 
 
 class ScanKind(StrEnum):
-    """What one frame of a recording covers."""
+    """Scan type of a recording: what one frame covers."""
 
     FULL = "full"  #: every drive pair against every measure pair
     DRIVEN_PAIRS = "driven_pairs"  #: one row: the voltage across each pair while that pair is driven
@@ -238,13 +238,13 @@ class Recording:
 
     @property
     def rows_rejected(self) -> int:
-        """Number of rows whose numbers were left out."""
+        """Number of rows that were excluded."""
         return sum(problem.rejected for problem in self.problems)
 
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """What a user may say about a recording.
+    """What a user may state about a recording.
 
     Parameters
     ----------

@@ -31,14 +31,14 @@ class MetricKey:
 
     @property
     def label(self) -> str:
-        """Name with phase, qualifier and location, as a reader would say it."""
+        """Name with phase, qualifier and location, for people."""
         detail = ", ".join(part for part in (self.phase, self.qualifier, self.location) if part)
         return f"{self.name} ({detail})" if detail else self.name
 
 
 @dataclass(frozen=True, slots=True)
 class RunLine:
-    """A run as a point of a study.
+    """A run as a data point of a study.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class RunLine:
 
     @property
     def day(self) -> date:
-        """The day it began on, UTC, by the same clock."""
+        """Start day, UTC, by the same clock."""
         return self.started_at.astimezone(UTC).date()
 
 
@@ -105,7 +105,7 @@ class State(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class FleetRun:
-    """One run as a comparison sees it.
+    """One run in a comparison.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class FleetRun:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What values of one kind have in common.
+    """Common attributes of values of one kind.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetTable:
-    """Values of runs.
+    """Values of many runs.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ class Image:
 
 
 class Region(Protocol):
-    """A sensed region, of whole elements or bounded by a contour: what the figures of merit look at."""
+    """A sensed region, of whole elements or bounded by a contour: the input of spatial metrics."""
 
     @property
     def area_mm2(self) -> float:
@@ -59,7 +59,7 @@ class Region(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Blob:
-    """Connected elements that survived the masks.
+    """Connected elements above the mask's threshold.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class ImagingProblem:
 
 @dataclass(frozen=True, slots=True)
 class ParameterAnswer:
-    """What one criterion says about a regularisation parameter.
+    """Choice of one criterion for the regularisation parameter.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class ParameterAnswer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterCurve:
-    """What there was to choose from.
+    """The candidates for the regularisation parameter, and their criteria.
 
     Parameters
     ----------
@@ -183,14 +183,14 @@ class ParameterCurve:
     discrete: bool = False
 
     def noise_figure_at(self, value: float) -> float | None:
-        """Noise figure of a value that is among ``values``; None of any other."""
+        """Noise figure of a candidate value; None of others."""
         where = np.flatnonzero(self.values == value)
         return float(self.noise_figures[where[0]]) if where.size else None
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterChoice:
-    """A regularisation parameter and why it has this value.
+    """A regularisation parameter and the reason for its value.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class ParameterChoice:
 
 
 class PreparedReconstruction(Protocol):
-    """What every prepared method offers; those that are one matrix are a :class:`LinearReconstruction`.
+    """Interface of every prepared method; single-matrix methods are a :class:`LinearReconstruction`.
 
     Runs, whose calibration holds the matrix, take linear methods only; ``analyse`` takes all.
     """
@@ -229,7 +229,7 @@ class PreparedReconstruction(Protocol):
 
     @property
     def choice(self) -> ParameterChoice:
-        """The regularisation parameter and why it has this value."""
+        """The regularisation parameter and the reason for its value."""
         ...
 
     def images(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -277,7 +277,7 @@ class LinearReconstruction:
         return images
 
     def in_single_precision(self) -> Self:
-        """Return it with matrix and Jacobian rounded to single precision, as a calibration keeps them.
+        """Return a copy with matrix and Jacobian rounded to single precision, as calibrations store them.
 
         No value changes by more than 6e-8 of itself, a thousandth of what noise makes of an image.
         """
@@ -311,7 +311,7 @@ def checked_readings(changes: NDArray[np.float64], problem: ImagingProblem) -> N
 
 
 def linear(prepared: PreparedReconstruction) -> LinearReconstruction:
-    """Narrow to a method that is one matrix.
+    """Narrow to a single-matrix method.
 
     Raises
     ------

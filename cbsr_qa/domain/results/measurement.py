@@ -54,7 +54,7 @@ class EndReason(StrEnum):
 
 
 class Bound(StrEnum):
-    """What a value says about the quantity it stands for."""
+    """Relation of a value to the quantity it stands for."""
 
     EXACT = "exact"
     LOWER = "lower"  #: the quantity is at least this: a settling time later than the window
@@ -124,7 +124,7 @@ _TEXTS: Final = ("name", "unit", "phase", "location", "qualifier", "how")
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """A named number with its unit, or a named refusal.
+    """A named number with its unit, or the reason for a missing one.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ class Measurement:
 
     @property
     def label(self) -> str:
-        """Name with location, repetition and qualifier, as a reader would say it."""
+        """Name with location, repetition and qualifier, for people."""
         parts = [self.location, f"trial {self.trial + 1}" if self.trial else "", self.qualifier]
         detail = ", ".join(part for part in parts if part)
         name = self.name.replace("_", " ").replace("snr", "SNR")
@@ -203,7 +203,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome of a run and the one reason that decided it."""
+    """Outcome of a run and the reason that decided it."""
 
     outcome: Outcome
     reason: str
@@ -257,7 +257,7 @@ def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
 
 
 def _number(value: float) -> str:
-    """Four digits as people write them; powers of ten only where zeros would have to be counted."""
+    """Format to four digits; powers of ten only instead of many zeros."""
     return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
@@ -267,7 +267,7 @@ def _shown(unit: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LimitsVersion:
-    """A named version of limits.
+    """A named version of a recipe's limits.
 
     Parameters
     ----------

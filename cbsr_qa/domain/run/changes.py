@@ -47,7 +47,7 @@ class EarlierRun:
 
     @property
     def words(self) -> str:
-        """Day and how it ended."""
+        """Day and end of the run."""
         return self._ended if self.chained else f"{self._ended} (no chain)"
 
     @property
@@ -68,7 +68,7 @@ class EarlierRun:
 
 @dataclass(frozen=True, slots=True)
 class SensorHistory:
-    """Runs of a sensor that began before one run of it, with the results the database holds of them.
+    """Runs of a sensor before a given run, with their results in the database.
 
     Parameters
     ----------
@@ -82,12 +82,12 @@ class SensorHistory:
 
     @property
     def tries(self) -> tuple[EarlierRun, ...]:
-        """Earlier runs of the same recipe, without those that checked a station."""
+        """Earlier runs of the same recipe, station checks excluded."""
         return tuple(one for one in self.earlier if one.recipe == self.recipe and not one.of_check)
 
     @property
     def ordinal(self) -> str:
-        """Number of this try, as a word up to the tenth."""
+        """Ordinal of this try, as a word up to the tenth."""
         number = len(self.tries) + 1
         if number <= len(_ORDINALS):
             return _ORDINALS[number - 1]
@@ -96,7 +96,7 @@ class SensorHistory:
 
     @property
     def words(self) -> str:
-        """Number of this try and what came before; empty where nothing did."""
+        """Ordinal of this try and earlier runs; empty if there are none."""
         checks = [one for one in self.earlier if one.of_check]
         others = [one for one in self.earlier if one.recipe != self.recipe and not one.of_check]
         told = []
@@ -114,7 +114,7 @@ class SensorHistory:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a run of this sensor is to warn of."""
+        """Warnings for a run of this sensor."""
         return (*self.differences, *self.changed)
 
     @property
@@ -126,7 +126,7 @@ class SensorHistory:
 
     @property
     def differences(self) -> tuple[str, ...]:
-        """Say where earlier runs state another batch or type; a batch that was not stated differs from none."""
+        """Report earlier runs with another batch or type; an unknown batch differs from none."""
         return tuple(
             f"sensor {self.sensor.serial}: {what} {now!r} now; {', '.join(others)}:"
             " one is wrong, or two sensors have this serial number"
@@ -144,7 +144,7 @@ class SensorHistory:
         )
 
     def document(self) -> dict[str, Any]:
-        """Return the same as a JSON object."""
+        """Return the history as a JSON object."""
         return {"try": len(self.tries) + 1, "earlier_runs": [_row(one) for one in self.earlier]}
 
 
@@ -178,7 +178,7 @@ _NAMED_BY: Final = ("measurement", "name", "phase", "qualifier", "sequence")
 
 
 class FileKind(StrEnum):
-    """Files a run is configured by; the scenes of a station belong to it."""
+    """Kinds of configuration files of a run; the scenes of a station belong to it."""
 
     RECIPE = "recipe"
     STATION = "station"
@@ -188,7 +188,7 @@ class FileKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One key whose value changed.
+    """One changed key.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ class Difference:
 
     @property
     def words(self) -> str:
-        """The same for people."""
+        """Describe the change."""
         if self.before is None:
             return f"{self.key} = {self.after} added"
         return (
@@ -214,7 +214,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationChange:
-    """A run used a file of a known name with another content than the latest run before it.
+    """A run used a file of a known name with different content than the latest run before it.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ class ConfigurationChange:
 
 @dataclass(frozen=True, slots=True)
 class ChangeHistory:
-    """Changes of the files of one run, since its sensor type last passed its recipe.
+    """Changes of one run's files since its sensor type last passed its recipe.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ class ChangeHistory:
     changes: tuple[ConfigurationChange, ...] = ()
 
     def of(self, run: str) -> tuple[ConfigurationChange, ...]:
-        """Return the changes that one run brought."""
+        """Return the changes that came with one run."""
         return tuple(change for change in self.changes if change.run == run)
 
 
@@ -284,14 +284,14 @@ class VerdictOverride:
 
     @property
     def words(self) -> str:
-        """The same for people."""
+        """Describe the override."""
         return (
             f"{self.verdict.value} overridden to {self.outcome.value} by {self.operator}"
             f" on {self.noted_at:%Y-%m-%d %H:%M} UTC: {self.why}"
         )
 
     def document(self) -> dict[str, Any]:
-        """Return the same as a JSON object."""
+        """Return the override as a JSON object."""
         return {
             "override": self.override,
             "run": self.run,
@@ -305,7 +305,7 @@ class VerdictOverride:
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[Difference, ...]:
-    """Compare two contents of a file key by key, limits first, then in the order of the keys.
+    """Compare two versions of a file key by key, limits first, then in file order.
 
     Parameters
     ----------

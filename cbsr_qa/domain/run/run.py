@@ -21,7 +21,7 @@ _NONE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class ChainState:
-    """State of a run's chain after every link of it was checked; a broken chain is refused instead.
+    """State of a run's chain after verification; a broken chain is refused instead.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class ChainState:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the run is to warn of: rows that nothing vouches for."""
+        """Warnings for the run: rows without verification."""
         return () if self.links else (f"rows of this run: {self.words}",)
 
     def document(self) -> dict[str, Any]:
@@ -59,7 +59,7 @@ class ChainState:
 
 @dataclass(frozen=True, slots=True)
 class InstrumentIdentity:
-    """What an instrument says it is.
+    """Identity reported by an instrument.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class InstrumentIdentity:
 
 @dataclass(frozen=True, slots=True)
 class RunIdentity:
-    """Everything that traces a run.
+    """Identity of a run: everything needed to trace it.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class RunIdentity:
 
 @dataclass(frozen=True, slots=True)
 class PhaseRecord:
-    """One sequence of a run, as it happened.
+    """One sequence of a run, as executed.
 
     Parameters
     ----------
@@ -138,13 +138,13 @@ class PhaseRecord:
     loops: tuple[LoadRecord, ...] = ()
 
     def channel(self, name: str) -> SampleBlock | None:
-        """Return the samples of a channel, or None where it was not recorded."""
+        """Return the samples of a channel, or None if it was not recorded."""
         return next((block for block in self.samples if block.channel == name), None)
 
 
 @dataclass(frozen=True, slots=True)
 class RunSession:
-    """One go at a run: from where it was begun or resumed to where it ended or was cut off.
+    """One session of a run, from start or resumption to its end or interruption.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class RunSession:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """A whole run, the sole input of its analysis.
+    """A whole run, the only input of its analysis.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class RunRecord:
     chain: ChainState = field(default_factory=ChainState)
 
     def phase(self, name: str) -> PhaseRecord:
-        """Return a phase by the recipe's name for it.
+        """Return a phase by its name in the recipe.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class RunRecord:
 
 @dataclass(frozen=True, slots=True)
 class RunStarted:
-    """First document of a run."""
+    """First event of a run."""
 
     identity: RunIdentity
 
@@ -262,7 +262,7 @@ class Unloaded:
 
 @dataclass(frozen=True, slots=True)
 class LoadFinished:
-    """A press was held to its end and released, and its rest is over."""
+    """A press was held to its end and released, and its rest has ended."""
 
     phase: int
     record: LoadRecord
@@ -270,7 +270,7 @@ class LoadFinished:
 
 @dataclass(frozen=True, slots=True)
 class StepRetried:
-    """A step failed in a way that may be tried again."""
+    """A step failed in a way that may be retried."""
 
     phase: int
     number: int
@@ -280,7 +280,7 @@ class StepRetried:
 
 @dataclass(frozen=True, slots=True)
 class PhaseFinished:
-    """A sequence has run to its end."""
+    """A sequence ended normally."""
 
     index: int
     time_s: float
@@ -288,7 +288,7 @@ class PhaseFinished:
 
 @dataclass(frozen=True, slots=True)
 class RunEnded:
-    """Last document of a run; the bench is in its safe state."""
+    """Last event of a run; the bench is in its safe state."""
 
     end: EndReason
     detail: str

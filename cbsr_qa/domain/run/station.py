@@ -94,7 +94,7 @@ class StationCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingReadings:
-    """Frames of a ring of resistors that was connected in place of a sensor.
+    """Frames of a resistor ring connected in place of a sensor.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class ChartKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ChartSettings:
-    """How a chart is made.
+    """Settings of a chart.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class ChartSettings:
 
 @dataclass(frozen=True, slots=True)
 class ChartReference:
-    """What a chart's limits rest on: stored once, and followed by another where it is changed.
+    """Reference of a chart's limits: stored once, superseded by a new one.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class ChartReference:
 
     @property
     def label(self) -> str:
-        """Metric and chart as a reader would say them, with the golden sensor where it is of one."""
+        """Metric and chart for people, with the golden sensor if there is one."""
         of = f" of golden sensor {self.golden}" if self.golden else ""
         return f"{self.key.label}{of}, chart {self.settings.kind}"
 
@@ -218,7 +218,7 @@ class StandingSignal:
 
 @dataclass(frozen=True, slots=True)
 class StationCharts:
-    """How a station's charts stood when a run ended.
+    """State of a station's charts at the end of a run.
 
     Parameters
     ----------
@@ -233,6 +233,6 @@ class StationCharts:
     notes: tuple[str, ...] = ()
 
     def warnings(self) -> tuple[str, ...]:
-        """Return one warning a chart that signals."""
+        """Return one warning per signalling chart."""
         here = of_kind("station", self.station)
         return tuple(f"{here} is out of control: {signal.words()}" for signal in self.signals)

@@ -16,7 +16,7 @@ from cbsr_qa.domain.geometry import Disc, SheetOutline
 
 
 class ElectrodeKind(StrEnum):
-    """How an electrode touches the sheet."""
+    """Kind of electrode contact."""
 
     PIN = "pin"  #: a metal pin through the sheet, contact impedance on its rim
     ARC = "arc"  #: a strip along the sheet's edge, straight where the edge is, round a corner where it is on one
@@ -92,7 +92,7 @@ class ElectrodeLayout:
 
 @dataclass(frozen=True, slots=True)
 class PlacedElectrodes:
-    """Electrodes one by one, wherever they are. Two make a strip for characterising a material, not for images.
+    """Electrodes at individual positions. Two make a strip for characterising a material, not for images.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ LEAST_WIDTH: Final = 1e-3
 
 
 def placement_problems(electrodes: Electrodes, outline: SheetOutline) -> Iterator[tuple[int | None, str]]:
-    """Yield what keeps electrodes from fitting a sheet: which one (None for all of a ring), and what.
+    """Yield problems of electrodes on a sheet: the electrode (None for a whole ring) and a description.
 
     Equally spaced arcs belong to a disc; every other combination of electrodes and outline is looked at one by one.
     """

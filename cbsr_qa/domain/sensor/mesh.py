@@ -22,7 +22,7 @@ _OFF_CIRCLE = 1e-6  # how far a node may be off its circle, of the radius
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CircleArcs:
-    """Edges of a mesh that stand for arcs of one circle: the sheet's round edge, or a pin's rim.
+    """Edges of a mesh that approximate arcs of one circle: the sheet's round edge, or a pin's rim.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class CircleArcs:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles that cover the sheet, with the electrodes' rims where the mesh carries them.
+    """Triangle mesh of the sheet, with the electrodes' edges if it has any.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ class Mesh:
 
 
 def check_places(nodes_mm: NDArray[np.float64]) -> None:
-    """Refuse nodes (n, 2) at places that are not finite numbers, or farther away than any sheet reaches.
+    """Refuse nodes (n, 2) that are not finite, or farther away than any sheet reaches.
 
     Raises
     ------
@@ -222,7 +222,7 @@ def edge_lists(arrays: Mapping[str, Any], what: str) -> tuple[NDArray[np.int64],
 
 
 def mesh_digest(mesh: Mesh) -> str:
-    """SHA-256 of all that a mesh is made of, hexadecimal."""
+    """SHA-256 of a mesh's content, hexadecimal."""
     sha = hashlib.sha256()
     for name, array in sorted(mesh_arrays(mesh).items()):
         kind = "<i8" if name in INTEGERS else "<f8"

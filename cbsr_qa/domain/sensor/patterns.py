@@ -112,7 +112,7 @@ class DrivePattern:
         return _incidence(self.electrode_count, self.drive)
 
     def measure_matrix(self) -> NDArray[np.float64]:
-        """Matrix that turns electrode potentials into readings: readings = potentials.T @ this.
+        """Matrix from electrode potentials to readings: readings = potentials.T @ this.
 
         Returns
         -------
@@ -133,7 +133,7 @@ class DrivePattern:
         return usable
 
     def reading_groups(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Which readings are equal, up to their sign, on every sheet that obeys Ohm's law.
+        """Groups of readings that are equal, up to sign, on every sheet that obeys Ohm's law.
 
         By reciprocity exchanging the driven and the measured pair changes nothing; reversing one of them changes
         the sign.
@@ -150,7 +150,7 @@ class DrivePattern:
         return group.reshape(self.shape), sign.reshape(self.shape)
 
     def reciprocal_pairs(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Readings that say the same, as pairs: of every group the first, and each of the others.
+        """Reciprocal readings as pairs: the first of every group with each of the others.
 
         Returns
         -------
@@ -166,7 +166,7 @@ class DrivePattern:
         return np.column_stack([of_first[other], other]).astype(np.int64), equal
 
     def independent_readings(self, used: NDArray[np.bool_] | None = None) -> int:
-        """Count the readings that the others do not determine: 104 of the 208 of adjacent/adjacent on 16.
+        """Count the independent readings: 104 of the 208 of adjacent/adjacent on 16.
 
         A reading is a linear function of the sheet's symmetric transfer impedance; counted is the rank of these.
         No pattern on n electrodes has more than n(n − 1)/2. Up to 64 electrodes it takes less than a second; pairs
@@ -179,7 +179,7 @@ class DrivePattern:
         return rank_of(_functionals(self, self.usable() if used is None else used))
 
     def too_few_readings(self, used: NDArray[np.bool_]) -> int | None:
-        """Number of independent readings where they are fewer than an image needs; None where there are enough.
+        """Number of independent readings if too few for an image, else None.
 
         Enough are :data:`FEWEST_INDEPENDENT`. They are not counted beyond, which takes long with many electrodes.
 
@@ -200,7 +200,7 @@ def adjacent_pattern(electrode_count: int) -> DrivePattern:
 
 
 def named_pairs(name: str, electrode_count: int) -> Pairs:
-    """Pairs by the name of their rule.
+    """Pairs of a named rule.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def named_pairs(name: str, electrode_count: int) -> Pairs:
 
 
 def is_rule(name: str) -> bool:
-    """Whether pairs have a rule of this name; it may still not suit a number of electrodes."""
+    """Whether a pair rule of this name exists; it may still not suit a number of electrodes."""
     return re.fullmatch(r"adjacent|opposite|skip-\d{1,3}", name) is not None
 
 
@@ -262,7 +262,7 @@ def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Itera
 
 
 def imaging_problems(pattern: DrivePattern) -> Iterator[str]:
-    """Yield why nothing can be imaged with a pattern whose pairs are right by themselves."""
+    """Yield why a pattern of valid pairs cannot be imaged."""
     named = {electrode for pair in (*pattern.drive, *pattern.measure) for electrode in pair}
     idle = sorted(set(range(pattern.electrode_count)) - named)
     if idle:
@@ -281,13 +281,13 @@ def _sign(pair: Pair) -> int:
 
 
 def _key(drive: Pair, measure: Pair) -> tuple[Pair, Pair]:
-    """Name of what a reading says, whichever pair is driven and whichever way round."""
+    """Canonical name of a reading, equal for its reciprocal and for reversed pairs."""
     first, second = sorted(((min(drive), max(drive)), (min(measure), max(measure))))
     return first, second
 
 
 def _functionals(pattern: DrivePattern, used: NDArray[np.bool_]) -> list[Functional]:
-    """What each of some readings says, what says the same once."""
+    """Functionals of the used readings; reciprocal ones share one."""
     kept = {_key(pattern.drive[d], pattern.measure[m]) for d, m in np.argwhere(used)}
     return [_functional(*key) for key in sorted(kept)]
 

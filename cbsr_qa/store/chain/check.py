@@ -87,7 +87,7 @@ def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence
 
 
 def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: SigningKey | None) -> None:
-    """Raise StoreError where a link was moved or changed, or is not signed as the run says."""
+    """Raise StoreError if a link was moved or changed, or its signature does not match the run's state."""
     what = f"link {link.number} in run_links, of {shown(link.kind, link.document)}"
     if link.number and link.before is None:
         raise _broken(run, f"link {link.number - 1} in run_links is missing")
@@ -100,7 +100,7 @@ def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: Signing
 
 
 def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked: dict[tuple[str, str], str]) -> None:
-    """Raise StoreError where rows were changed, added or removed."""
+    """Raise StoreError if rows were changed, added or removed."""
     figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
     try:
         of_figures = _figures(connection, run) if FIGURES in kinds else iter(())

@@ -54,7 +54,7 @@ class Figures:
 
 
 def figures_query() -> Select[*tuple[Any, ...]]:
-    """Ask for analysis, value, joined words, lower and upper limit of measurements."""
+    """Query analysis, value, joined words, lower and upper limit of measurements."""
     m = MeasurementRow
     return select(m.analysis, m.value, words(), m.lower_limit, m.upper_limit)
 
@@ -99,7 +99,7 @@ def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, t
 
 
 def _in_order(connection: Connection, analyses: Sequence[str]) -> Figures:
-    """Measurements of some analyses, each one's in the order of their numbers."""
+    """Measurements of some analyses, each in the order of their numbers."""
     m = MeasurementRow
     query = figures_query().where(m.analysis.in_(analyses)).order_by(m.analysis, m.number)
     return Figures(connection, query, {analysis: place for place, analysis in enumerate(analyses)})
@@ -119,7 +119,7 @@ def check_analyses(connection: Connection, analyses: Sequence[str]) -> None:
 
 
 def _linked(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -> dict[str, tuple[str, str]]:
-    """Return analysis → run and content digest of every link that follows from the one before and is well signed."""
+    """Return analysis → run and content digest of every link that follows from its predecessor and is well signed."""
     link, before, a = LinkRow, aliased(LinkRow), AnalysisRow
     query = (
         select(a.analysis, RunRow.run, RunRow.chain, link.content_sha256, link.sha256, link.mac, before.sha256)

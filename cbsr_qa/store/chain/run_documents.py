@@ -116,7 +116,7 @@ _CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
 
 
 def tables() -> Iterator[Table]:
-    """Yield the tables under the chain."""
+    """Yield the tables covered by the chain."""
     return (Base.metadata.tables[name] for name in KEYS)
 
 
@@ -164,7 +164,7 @@ def phase_end(phase: int, ended_s: float | None) -> tuple[str, str, str]:
 
 
 def shown(kind: str, key: str) -> str:
-    """Name a document for people: its table and the columns that find it."""
+    """Name a document for messages: its table and key columns."""
     if kind == PHASE_END:
         return f"phases.ended_s (phase {key})"
     names = ("analysis",) if kind == FIGURES else KEYS.get(kind, ("document",))

@@ -16,7 +16,7 @@ from cbsr_qa.studies.scenes.setting import SceneSetup, effects_of, naming, set_u
 
 @dataclass(frozen=True, slots=True)
 class ExplainedEffect:
-    """An effect, on or off.
+    """An effect, enabled or disabled.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class ExplainedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """What a scene contains.
+    """Content of a scene.
 
     Parameters
     ----------
