@@ -59,7 +59,7 @@ _CHANGED: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 class Chain:
-    """The effects that are on, by stage, each stage in the scene's order."""
+    """The enabled effects by stage, each stage in the scene's order."""
 
     def __init__(self, effects: Iterable[tuple[str, AnyEffect]]) -> None:
         named = tuple(effects)
@@ -78,19 +78,19 @@ class Chain:
         return max((getattr(effect, "memory_s", math.inf) for _, effect in self._stages["response"]), default=0.0)
 
     def design(self, design: SheetDesign) -> None:
-        """Let the effects of the stage ``sheet`` change a sheet before it is made."""
+        """Apply the effects of the stage ``sheet`` to a sheet's design."""
         for name, effect in self._sheet:
             with _blaming(name):
                 effect.design(design)
 
     def record(self, transcript: Transcript) -> None:
-        """Let the effects of the stage ``recording`` change how frames are written down."""
+        """Apply the effects of the stage ``recording`` to the transcript."""
         for name, effect in self._recording:
             with _blaming(name):
                 effect.record(transcript)
 
     def apply(self, stage: str, moment: Moment) -> None:
-        """Let the effects of a stage change a moment, one after the other.
+        """Apply the effects of a stage to a moment, in order.
 
         Raises
         ------
@@ -126,7 +126,7 @@ def _applied(named: Iterable[tuple[str, AnyEffect]], stage: str) -> Iterator[tup
 
 
 def _finite(stage: str, moment: Moment) -> bool:
-    """Whether what a stage may change is finite, or flagged as missing."""
+    """Whether the values of a stage are finite, or flagged as missing."""
     for attribute in _CHANGED[stage]:
         value = getattr(moment, attribute)
         if attribute == "voltages" and value is not None and moment.flags is not None:
@@ -161,7 +161,7 @@ def _failed(name: str, error: BaseException, when: str = "") -> PluginError:
 
 
 def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFactory) -> Chain:
-    """Make the effects a scene asks for, in its order.
+    """Create a scene's effects, in its order.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ class SimulatedRing:
         return readings
 
     def pressed_mm2(self, place: Place) -> float:
-        """Nothing lies under a head."""
+        """Return no change: nothing is pressed."""
         return 0.0
 
 
@@ -78,7 +78,7 @@ _SHORTEST_S: Final = 1e-6  # between two ends of ramps that are told apart
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFrame:
-    """Readings of one frame.
+    """Readings of one frame, with their times.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class SimulatedFrame:
 
 
 class FrameMaker:
-    """Takes frames of a sheet through the effects of a scene.
+    """Computes frames of a sheet with the effects of a scene.
 
     Readings that are taken one after the other see the sheet at different times. It is solved where ramps begin and
     end within the frame, and once between, and readings are read off the parabola through each three: the change of a
@@ -117,7 +117,7 @@ class FrameMaker:
     def frame(
         self, moment_at: Callable[[float], Moment], time_s: float, pauses_s: Array | None = None
     ) -> SimulatedFrame:
-        """Take a frame about a time.
+        """Compute the frame around a time.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ def _between(pairs: Array, impedance_ohm: Array) -> Array:
 
 
 def _by_place(moment: Moment) -> dict[Place, float]:
-    """Sum the changes of presses at one place; what has faded away is left out."""
+    """Sum the changes of presses at one place; faded ones are left out."""
     total: dict[Place, float] = {}
     for press, change in zip(moment.presses, moment.response, strict=True):
         place = (press.x_mm, press.y_mm)
@@ -211,7 +211,7 @@ def _by_place(moment: Moment) -> dict[Place, float]:
 
 
 def _knots(presses: Sequence[SimulatedPress], switches: Sequence[float], first_s: float, last_s: float) -> Array:
-    """Times between which nothing has a corner: the ends of a frame, of ramps and steps within it, (k,) rising."""
+    """Times between which everything is smooth: the ends of a frame, of ramps and steps within it, (k,) rising."""
     # A step is a piece of its own, too short for a reading: those before it do not see what comes after.
     steps = {end for at_s in switches for end in (at_s - 2 * _SHORTEST_S, at_s) if first_s < end < last_s}
     knots = sorted({first_s, last_s} | steps)

@@ -22,7 +22,7 @@ CONTACT_STRAIN: Final = 0.0125
 
 
 def done(ramp: StrainStep, time_s: float) -> float:
-    """Return how much of a ramp is over at a time, 0 to 1."""
+    """Return the completed share of a ramp at a time, 0 to 1."""
     since = time_s - ramp.start_s
     if since >= ramp.ramp_s:
         return 1.0
@@ -30,7 +30,7 @@ def done(ramp: StrainStep, time_s: float) -> float:
 
 
 def transient(ramp: StrainStep, relaxation: Relaxation, time_s: float) -> float:
-    """Return what has not yet relaxed of a unit ramp: Σ wᵢ/T ∫ e^(−(t − s)/τᵢ) ds over the ramp up to t.
+    """Return the transient of a unit ramp: Σ wᵢ/T ∫ e^(−(t − s)/τᵢ) ds over the ramp up to t.
 
     Together with :func:`done` it is the hereditary integral of 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂) over the ramp.
     """
@@ -72,7 +72,7 @@ def quasi_static(line: QuasiStatic, strain: float) -> float:
 
 
 class Transients:
-    """What has not yet relaxed of presses.
+    """Transients of presses.
 
     While a press moves its ramps are added up one by one; once it is over they are one exponential for each time
     constant, and what that begins with is kept: a run's presses are over most of the time.
@@ -101,7 +101,7 @@ class Transients:
         return max(lasts, default=0.0)
 
     def of(self, press: SimulatedPress, time_s: float) -> float:
-        """Return what has not yet relaxed of a press at a time."""
+        """Return the transient of a press at a time."""
         if not press.steps or time_s <= press.steps[0].start_s:
             return 0.0
         over = self._known.get(press.index)
@@ -137,7 +137,7 @@ class _Over:
 
 
 def _share(length: float) -> float:
-    """Return (1 − e^(−x))/x, which keeps a ramp of no length a step."""
+    """Return (1 − e^(−x))/x, which makes a ramp of zero length a step."""
     return -math.expm1(-length) / length if length > 0 else 1.0
 
 

@@ -28,7 +28,7 @@ _INDICES: Final = 1 << 64
 
 
 class RandomStream:
-    """The numbers of one user of random numbers within one seed.
+    """Random numbers of one consumer within one seed.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ _STEPS: Final = 1 << 17
 
 
 class StepAddresses:
-    """Counts frames and force samples within the step under way, and within what the head was last told in it.
+    """Counts frames and force samples within the current step and act of the head.
 
     Samples come at a fixed rate, counted from the beginning of their step or from the last order to the head in it:
     they stand at the same times from a press whenever it is made.

@@ -29,7 +29,7 @@ SUM = "CUSUM"
 
 
 class Phase(StrEnum):
-    """Whether a point made the limits or is judged by them."""
+    """Whether a point belongs to the reference period or is judged by it."""
 
     REFERENCE = "reference (phase I)"
     MONITORED = "monitored (phase II)"
@@ -37,7 +37,7 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Standard:
-    """Known mean and deviation of single values, instead of a reference period."""
+    """Known mean and deviation of single values, in place of a reference period."""
 
     mean: float
     deviation: float
@@ -49,7 +49,7 @@ Reference = int | Standard | None
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """Which rule spoke, at which point, counted from 0."""
+    """A signal: the rule and the point, counted from 0."""
 
     rule: str
     index: int
@@ -80,11 +80,11 @@ class Chart:
 
     @property
     def in_control(self) -> bool:
-        """Whether no point of phase II gives a signal (of all points, where all are reference)."""
+        """Whether no point of phase II gives a signal (of all points, if all are reference)."""
         return not (self.of_phase(Phase.MONITORED) if self.reference < len(self.points) else self.signals)
 
     def of_phase(self, phase: Phase) -> tuple[Signal, ...]:
-        """Return the signals of one phase; those of phase I say that the limits themselves are doubtful."""
+        """Return the signals of one phase; those of phase I cast doubt on the limits themselves."""
         return tuple(signal for signal in self.signals if signal.phase is phase)
 
 
@@ -165,7 +165,7 @@ def ewma(
     steady: bool = False,
     what: str = "EWMA",
 ) -> Chart:
-    """Return the exponentially weighted moving average, which finds small lasting shifts.
+    """Return the exponentially weighted moving average, which detects small lasting shifts.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def _ranges(name: str, ranges: Array, size: int, deviation: float, count: int) -
 
 
 def _bounded(name: str, points: Array, standard: Standard, lower: Array, upper: Array, count: int) -> Chart:
-    """Chart on which a point beyond a limit is the only signal."""
+    """Chart with points beyond the limits as its only signal."""
     outside = np.flatnonzero((points < lower) | (points > upper))
     signals = tuple(Signal(OUTSIDE, int(index), _phase(int(index), count)) for index in outside)
     return Chart(name, points, standard.mean, lower, upper, standard.deviation, count, signals)

@@ -58,7 +58,7 @@ class Crossing:
         )
 
     def only(self, runs: NDArray[np.bool_] | IntArray) -> "Crossing":
-        """Return the design of some of the runs, as where a metric is missing in the others."""
+        """Return the design of a subset of the runs, e.g. of those with a metric."""
         names = self.groups, self.stations, self.sensors
         codes = (column[runs] for column in (self.group, self.station, self.sensor))
         return _crossing([_used(name, code) for name, code in zip(names, codes, strict=True)])
@@ -69,7 +69,7 @@ class Crossing:
         return first
 
     def columns(self) -> SparseArray:
-        """Return the (N, p) model matrix: one column a group, one a station but the first of each part.
+        """Return the (N, p) model matrix: one column per group, and per station but the first of each part.
 
         Its rank is p: the groups' and stations' columns of one connected part have one dependence, their sums.
         """
@@ -80,7 +80,7 @@ class Crossing:
         return matrix.tocsc()[:, np.flatnonzero(self.kept())].tocsr()
 
     def kept(self) -> NDArray[np.bool_]:
-        """Return which of the groups' and stations' columns are in the model matrix."""
+        """Return which columns of groups and stations the model matrix has."""
         firsts = np.unique(self.station_parts, return_index=True)[1]
         kept = np.ones(len(self.groups) + len(self.stations), dtype=bool)
         kept[len(self.groups) + firsts] = False

@@ -82,7 +82,7 @@ class Contrast:
         return Interval(self.value - half, self.value + half, confidence)
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
-        """Return what documents have of it."""
+        """Return the fields for documents."""
         inside = self.interval(confidence)
         return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
 
@@ -106,7 +106,7 @@ class Contrast:
 
 
 def checked(value: float, standard_error: float, freedom: float, what: str) -> Contrast:
-    """Return a contrast; refuse one whose numbers say nothing.
+    """Return a contrast; refuse one without a usable standard error.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class EffectSize:
 
 
 def welch(first: Iterable[float], second: Iterable[float], names: tuple[str, str] = ("first", "second")) -> Contrast:
-    """Return the difference first − second where deviations may differ.
+    """Return the difference first − second with unequal deviations (Welch).
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def welch(first: Iterable[float], second: Iterable[float], names: tuple[str, str
 
 
 def pooled(first: Iterable[float], second: Iterable[float], names: tuple[str, str] = ("first", "second")) -> Contrast:
-    """Return the difference first − second where both groups have the same deviation; see :func:`welch`.
+    """Return the difference first − second with equal deviations; see :func:`welch`.
 
     Raises
     ------

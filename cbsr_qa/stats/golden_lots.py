@@ -29,7 +29,7 @@ _MOST_TESTED = 2500  #: the test's p-value is trustworthy up to 5000 values
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Whether values may come from a distribution.
+    """Goodness of fit of a distribution.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ Runs = Sequence[Sequence[float]]
 
 
 class Distribution(StrEnum):
-    """What single values are taken for."""
+    """Distribution assumed for single values."""
 
     NORMAL = "normal"
     LOG_NORMAL = "log-normal"
@@ -112,13 +112,13 @@ class Ask:
 
     @property
     def sides(self) -> int:
-        """How many bounds."""
+        """Number of bounds."""
         return self.lower + self.upper
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How values are laid out so that a bound is an upper one of something normal: y = ± x or ± log x."""
+    """Transformation that makes a bound an upper one of a normal quantity: y = ± x or ± log x."""
 
     sign: int
     logarithmic: bool
@@ -213,7 +213,7 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
 
 
 def _nothing_to_go_by(runs: Runs) -> str:
-    """Say why values have no spread that means anything; empty where they have."""
+    """Say why the values' spread is unusable; empty otherwise."""
     largest = max(abs(x) for sensor in runs for x in sensor)
     if largest > _LARGEST:
         return f"values beyond {_LARGEST:g} are too large to be squared"

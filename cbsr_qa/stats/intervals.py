@@ -81,7 +81,7 @@ def integrated(t: float, freedom: float, delta: float) -> float:
 
 @lru_cache(maxsize=1)
 def _legendre() -> tuple[Array, Array]:
-    """Nodes and weights of Gauss and Legendre between −1 and 1, found once."""
+    """Nodes and weights of Gauss–Legendre quadrature between −1 and 1, cached."""
     nodes, weights = special.roots_legendre(_NODES)
     return nodes, weights
 
@@ -174,7 +174,7 @@ FEWEST_VALUES = 3
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Where one further value lies.
+    """Prediction interval of one further value.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ class Prediction:
 
 
 def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
-    """Predict one further value of the population that some values are from.
+    """Predict one further value of the population of a sample.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ _LEAST_TAIL = 1e-300
 
 @dataclass(frozen=True, slots=True)
 class Referenced:
-    """An estimate with an error that was estimated, and one that is known.
+    """An estimate with one estimated and one known standard error.
 
     Parameters
     ----------
@@ -244,11 +244,11 @@ class Referenced:
 
     @property
     def standard_error(self) -> float:
-        """Return the standard error of both together."""
+        """Return the combined standard error."""
         return hypot(self.scatter, self.known)
 
     def statistic(self, null: float = 0.0) -> float:
-        """Return how many standard errors the estimate is above ``null``."""
+        """Return the distance of the estimate above ``null`` in standard errors."""
         return (self.value - null) / self.standard_error
 
     def interval(self, confidence: float = 0.95) -> Interval:
@@ -264,7 +264,7 @@ class Referenced:
         return Interval(self.value - half, self.value + half, confidence)
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
-        """Return what documents have of it."""
+        """Return the fields for documents."""
         inside = self.interval(confidence)
         return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
 

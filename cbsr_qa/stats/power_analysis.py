@@ -31,7 +31,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(128)
 
 
 def power(size: float, first: int, second: int, *, level: float = 0.05) -> float:
-    """Return the probability of finding a difference.
+    """Return the probability of detecting a difference.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def power_of_equivalence(margin: float, first: int, second: int, *, level: float
 
 
 def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> int:
-    """Return how many sensors each of two equal groups needs to find a difference.
+    """Return the size of each of two equal groups needed to detect a difference.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _check_wanted(wanted: float, level: float) -> None:
 
 
 def _fewest(enough: Callable[[int], bool], size: float) -> int:
-    """Return the smallest number of sensors a group, from two on, that is enough; more are enough too."""
+    """Return the smallest sufficient number of sensors per group, at least two."""
     fewer, count = 1, 2
     while not enough(count):
         fewer, count = count, 2 * count

@@ -122,7 +122,7 @@ def capability_of_extremes(
     confidence: float = 0.95,
     what: str = "values",
 ) -> Capability:
-    """Return the indices of runs of several values each, all of which two limits judge.
+    """Return the indices of runs of several values each, judged by two limits.
 
     Parameters
     ----------
@@ -246,7 +246,7 @@ def _exact(value: float, spread: _Spread, confidence: float) -> tuple[float, flo
 
 @dataclass(frozen=True, slots=True)
 class Yield:
-    """A share, between 0 and 1, of a number of sensors."""
+    """A proportion of sensors, between 0 and 1."""
 
     passed: int
     count: int

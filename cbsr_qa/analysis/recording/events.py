@@ -261,7 +261,7 @@ class _Search:
         return [*limits, len(self.white)]
 
     def _end(self, group: Group, before: slice, held: slice, window: int, limits: list[int]) -> tuple[float, Array]:
-        """Find the end of a press: before the next step elsewhere or beyond it, that one's pattern fitted along."""
+        """Find the end of a press: before the next step elsewhere, or beyond it with that pattern fitted too."""
         along = smooth(trace(self.white, before, held), window)
         end = end_of(along, group.frame, limits[0])
         for before_it, limit in pairwise(limits):

@@ -31,7 +31,7 @@ class WatchedClock(VirtualClock):
         self._watchers: list[Callable[[float], None]] = []
 
     def watch(self, watcher: Callable[[float], None]) -> None:
-        """Call this with the time whenever it has passed; it must not sleep, and must not block."""
+        """Add a watcher, called with the time after each advance; it must not sleep or block."""
         self._watchers.append(watcher)
 
     def now(self) -> float:
@@ -49,7 +49,7 @@ class WatchedClock(VirtualClock):
 
 
 class Fault(StrEnum):
-    """One misbehaviour, at the next command after it was armed."""
+    """One fault, triggered by the next command after it was armed."""
 
     DROP = "drop"  #: the link hangs up and stays down
     SILENCE = "silence"  #: commands are taken, and nothing is ever answered again
@@ -68,24 +68,24 @@ OF_THE_LINK: Final = frozenset({Fault.DROP, Fault.SILENCE, Fault.GARBLE, Fault.D
 
 
 class ArmedFaults:
-    """Faults waiting for the next command; armed in one thread, met in another."""
+    """Armed faults; armed in one thread, triggered in another."""
 
     def __init__(self) -> None:
         self._waiting: deque[Fault] = deque()
         self._lock = threading.Lock()
 
     def arm(self, fault: Fault) -> None:
-        """Let the next command meet a fault; several are met by one command each."""
+        """Arm a fault for the next command; several faults hit one command each."""
         with self._lock:
             self._waiting.append(fault)
 
     @property
     def waiting(self) -> int:
-        """How many were armed and not met yet."""
+        """Number of faults armed and not yet triggered."""
         with self._lock:
             return len(self._waiting)
 
     def met(self) -> Fault | None:
-        """Take the fault the present command meets."""
+        """Take the fault that hits the current command."""
         with self._lock:
             return self._waiting.popleft() if self._waiting else None

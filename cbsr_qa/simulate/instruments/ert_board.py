@@ -30,7 +30,7 @@ _NOW_S: Final = 1e-9
 
 
 class EmulatedErtBoard:
-    """Sends a row of counts whenever one falls due on the clock.
+    """Sends a row of counts whenever one is due on the clock.
 
     Counts are ``zero_counts`` plus the reading times a scale that its range is well used by; what lies beyond its
     range is cut there. Every frame is of the moment in its middle, which is still to come when its first row is sent:
@@ -62,12 +62,12 @@ class EmulatedErtBoard:
         self._scale = self._counts_per_volt()
 
     def attached(self, line: Port) -> None:
-        """Begin to send."""
+        """Start to send."""
         self._line = line
         self._rig.clock.watch(self._time_passed)
 
     def received(self, data: bytes) -> bytes:
-        """Ignore what comes: the board is sent no commands."""
+        """Ignore received bytes: the board takes no commands."""
         del data
         return b""
 
@@ -81,7 +81,7 @@ class EmulatedErtBoard:
             self._frame = None
 
     def _time_passed(self, now_s: float) -> None:
-        """Send the rows that fell due."""
+        """Send the rows that are due."""
         self._next_row = max(self._next_row, self._due(now_s) - _KEPT_FRAMES * _PAIRS)
         while self._next_row < self._due(now_s) and self._line is not None and not self._silent:
             row, self._next_row = self._next_row, self._next_row + 1
@@ -89,7 +89,7 @@ class EmulatedErtBoard:
                 self._send_row(self._line, row)
 
     def _due(self, now_s: float) -> int:
-        """How many rows fell due since it began its scans."""
+        """Number of rows due since scanning began."""
         return int((now_s - self._origin_s + _NOW_S) / self._row_s)
 
     def _send_row(self, line: Port, row: int) -> None:

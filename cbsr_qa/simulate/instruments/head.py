@@ -39,7 +39,7 @@ class _Way:
 
 
 class EmulatedHead:
-    """A head on three axes; motions are queued by a command and happen later, as time passes on the clock.
+    """A head on three axes; commands queue motions, which happen as time passes on the clock.
 
     Speeds are constant: what acceleration costs at 200 mm/s² is left out, as in :mod:`cbsr_qa.domain.plan.steps`.
 
@@ -78,13 +78,13 @@ class EmulatedHead:
 
     @property
     def position_mm(self) -> Position:
-        """Where it is at this moment, in the machine's coordinates."""
+        """Current position in machine coordinates."""
         now_s = self._clock.now()
         return next((way.at(now_s) for way in self._ways if way.start_s <= now_s < way.end_s), self._rests)
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """Where it is from the sheet's centre."""
+        """Current position from the sheet's centre."""
         x, y, _ = self._sheet_position(self.position_mm)
         return x, y
 
@@ -95,38 +95,38 @@ class EmulatedHead:
 
     @property
     def touching(self) -> bool:
-        """Whether it is below the sheet's surface at this moment."""
+        """Whether it is below the sheet's surface."""
         x, y, depth_mm = self._sheet_position(self.position_mm)
         return self._above_sheet(x, y) and depth_mm > self._world.surface_mm(x, y, self._clock.now()) + _NEAR_MM
 
     @property
     def up(self) -> bool:
-        """Whether it is at the hover height or above it."""
+        """Whether it is at or above the hover height."""
         return self.height_mm >= self._hover_mm - 1e-3
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is under way or waits."""
+        """Whether a motion is active or queued."""
         return bool(self._ways)
 
     @property
     def queued(self) -> int:
-        """How many motions wait or are under way."""
+        """Number of active and queued motions."""
         return len(self._ways)
 
     @property
     def free_at_s(self) -> float:
-        """When the last motion ends; not before now."""
+        """End of the last motion; at least now."""
         return self._ways[-1].end_s if self._ways else self._clock.now()
 
     @property
     def next_end_s(self) -> float:
-        """When the motion under way ends; not before now."""
+        """End of the active motion; at least now."""
         return self._ways[0].end_s if self._ways else self._clock.now()
 
     @property
     def target_mm(self) -> Position:
-        """Where it will be when every motion has ended."""
+        """Position after all motions."""
         return self._ways[-1].goal if self._ways else self._rests
 
     def go(self, goal: Position, speed_mm_s: float) -> None:
@@ -152,7 +152,7 @@ class EmulatedHead:
         return PressWriter(self._world, self._sheet_position(self._rests), first_index=first)
 
     def _follow(self, now_s: float) -> None:
-        """Begin the motions whose time has come; called whenever time has passed."""
+        """Start the motions that are due; called after each advance of the clock."""
         while self._ways and self._ways[0].end_s <= now_s:
             self._rests = self._ways.popleft().goal
             if self._ways:

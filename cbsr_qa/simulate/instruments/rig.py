@@ -62,7 +62,7 @@ class Electrical:
 
 
 class EmulatedRig:
-    """A simulated world that emulated instruments share.
+    """The simulated world shared by emulated instruments.
 
     The world moves on by commands, never by the computer's time: an instrument that takes time for a command sleeps
     on the clock, and whoever waits on it moves everything on. Every access holds :attr:`lock`.
@@ -98,7 +98,7 @@ class EmulatedRig:
         return Electrical(per_ampere * flowing_A, flowing_A, limited)
 
     def frame(self) -> SimulatedFrame:
-        """Readings of the multiplexer's present round, all of the moment in its middle [V at the scene's current].
+        """Readings of the multiplexer's current round, at its middle [V at the scene's current].
 
         The sheet is solved once a round, when its first reading is taken; and again for what is left of a round that
         was broken off and is gone on with much later.
@@ -124,7 +124,7 @@ EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
 
 
 class Emulation:
-    """Running emulators of one station; a context manager, or closed by hand.
+    """Running emulators of one station; close it, or use it as a context manager.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class Emulation:
             raise
 
     def addressed(self, spec: InstrumentSpec) -> InstrumentSpec:
-        """Return an instrument's table with the address its emulator is at; others as they are.
+        """Return an instrument's table with its emulator's address; unchanged if it is not emulated.
 
         The table says no more that it is emulated: ask the one it came from.
         """
@@ -159,11 +159,11 @@ class Emulation:
         return replace(spec, options={**spec.options, "address": self.ports[spec.role].address})
 
     def arm(self, role: str, fault: Fault) -> None:
-        """Let the next command to an instrument meet a fault."""
+        """Inject a fault at the next command to an instrument."""
         self.ports[role].faults.arm(fault)
 
     def close(self) -> None:
-        """End every emulator."""
+        """Stop every emulator."""
         for port in self.ports.values():
             port.close()
 

@@ -91,7 +91,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Components:
-    """Where the variation of a study comes from."""
+    """Source of variation in a study."""
 
     repeatability: Component
     reproducibility: Component
@@ -180,7 +180,7 @@ def study(
 
 
 def usual_trials(counts: Iterable[int]) -> int:
-    """Return how many runs most cells have (of equally common counts the larger): others have too few or too many.
+    """Return the most common number of runs per cell (of equally common numbers the larger).
 
     Cells without runs do not count: none is what they have too few of, however many they are.
     """

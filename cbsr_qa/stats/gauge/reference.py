@@ -91,7 +91,7 @@ def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") ->
 
 @dataclass(frozen=True, slots=True)
 class Linearity:
-    """How the bias depends on the value measured.
+    """Bias as a function of the measured value.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Linearity:
         return self._widened(line.at(reference), 1 / line.count, (reference - line.centre) / line.squares)
 
     def _widened(self, found: Contrast, level: float, slope: float) -> Referenced:
-        """Add what errors of the references bring, whose readings weigh level + slope (x − x̄) each.
+        """Add the uncertainty of references whose readings have weights level + slope (x − x̄).
 
         A reference that is u too high reads (1 + b) u too low, b the slope: the truth is further to the left too.
         """
@@ -128,7 +128,7 @@ class Linearity:
         return Referenced(found.value, found.standard_error, found.freedom, hypot(*parts))
 
     def acceptable(self, confidence: float = 0.95) -> bool:
-        """Say whether a bias of zero lies within the confidence band at every reference value."""
+        """Whether a bias of zero lies within the confidence band at every reference value."""
         return all(self.at(reference).interval(confidence).holds(0.0) for reference in self.references)
 
 
@@ -138,7 +138,7 @@ FEWEST_CHARTED: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """What one reference did over time.
+    """Stability of one reference over time.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Stability:
 
     @property
     def in_control(self) -> bool | None:
-        """Whether the chart gives no signal; None of too few readings for it to say anything."""
+        """Whether the chart gives no signal; None with too few readings."""
         return None if len(self.chart.points) < FEWEST_CHARTED else self.chart.in_control
 
 
@@ -184,7 +184,7 @@ def linearity(
     *,
     known: Sequence[tuple[int, float, float]] = (),
 ) -> Linearity:
-    """Return how the bias goes with the reference value.
+    """Return the bias as a function of the reference value.
 
     Parameters
     ----------

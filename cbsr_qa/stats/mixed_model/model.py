@@ -62,7 +62,7 @@ class Fit:
     freedom: float
 
     def group_difference(self, first: str, second: str) -> Contrast:
-        """Return first − second with the stations' differences taken out.
+        """Return first − second, adjusted for stations.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class Fit:
         return self._contrast(weights, f"{first} − {second}")
 
     def station_difference(self, first: str, second: str) -> Contrast:
-        """Return what station ``first`` reads above ``second``, with the groups' differences taken out.
+        """Return station ``first`` minus ``second``, adjusted for groups.
 
         Raises
         ------
@@ -135,7 +135,7 @@ def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reduced:
-    """Response as origin + scale (X start + r), and the sums of X and r; the start changes nothing but rounding."""
+    """Response as origin + scale (X start + r), and the sums of X and r; the start affects only rounding."""
 
     sums: SensorSums
     origin: float
@@ -143,7 +143,7 @@ class _Reduced:
     start: Array
 
     def effects(self, design: Crossing, inner: Array) -> Array:
-        """Return the effects in the response's unit, zeros for the stations that are left out."""
+        """Return the effects in the response's unit, zeros for left-out stations."""
         every = np.zeros(len(design.groups) + len(design.stations))
         every[design.kept()] = self.scale * (self.start + inner)
         every[: len(design.groups)] += self.origin
@@ -174,7 +174,7 @@ def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
 
 
 def _inseparable(sums: SensorSums) -> str:
-    """Say why sensor and run cannot be told apart; empty where they can."""
+    """Say why sensor and run variance cannot be separated; empty otherwise."""
     if sums.runs == sums.total_sensors:
         return "no sensor has more than one run, so variances of sensors and runs cannot be separated"
     if _repeats(sums) < 1:
@@ -234,7 +234,7 @@ def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
 
 
 def _repeats(sums: SensorSums) -> int:
-    """Degrees of freedom that runs of one sensor have, the stations' differences taken off."""
+    """Degrees of freedom of repeated runs, stations' differences subtracted."""
     return sums.runs - sums.total_sensors - sums.within_rank()
 
 
@@ -248,7 +248,7 @@ def _notes(ratio: Ratio, repeats: int) -> tuple[str, ...]:
 
 
 def _weaknesses(design: Crossing) -> tuple[str, ...]:
-    """Name what rests on the model more than on the design."""
+    """Name comparisons that depend more on the model than on the design."""
     notes = []
     for part in design.parts if len(design.parts) > 1 else ():
         notes.append(

@@ -96,7 +96,7 @@ class SensorSums:
         return int(self.sensors.sum())
 
     def within_rank(self) -> int:
-        """Return how many of the effects in X differ between runs of one sensor."""
+        """Return how many effects in X vary between runs of one sensor."""
         inner, _ = self._within_sensors()
         largest = float(np.diagonal(inner).max(initial=0.0))
         return int(np.linalg.matrix_rank(inner, tol=1e-9 * largest, hermitian=True)) if len(inner) else 0
@@ -209,7 +209,7 @@ class Likelihood:
 
 
 def variance_ratio(sums: SensorSums, *, restricted: bool = True, confidence: float = 0.95) -> Ratio:
-    """Return θ of least criterion, 0 where the likelihood falls from there on.
+    """Return the θ that minimises the criterion; 0 if the likelihood decreases from there on.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def _interval(likelihood: Likelihood, value: float, least: float, confidence: fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmallSample:
-    """Covariances over σ² of p fixed effects, and what their degrees of freedom are worked out from.
+    """Covariances of p fixed effects over σ², and the terms of their degrees of freedom.
 
     Parameters
     ----------
