@@ -223,7 +223,7 @@ _BEYOND: Final = 8.0
 
 
 def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, square: bool) -> Array:
-    """Average the covariance over the places it allows; that of loads held by an electrode is large enough.
+    """Average the covariance over the places it allows; for loads near an electrode it is already large enough.
 
     Parameters
     ----------

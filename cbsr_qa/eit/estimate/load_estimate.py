@@ -47,7 +47,7 @@ _GRID: Final = 0.08  # of the sheet's radius, between places the matched filter 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadFits:
-    """Fits of n frames with what follows from them, as arrays.
+    """Fits of n frames with derived quantities, as arrays.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ class LoadEstimator:
         return self._judged(fits)
 
     def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
-        """Begin at the better of the given place and the best of the grid, (n, 4); what that explains, (n,)."""
+        """Start from the better of the given place and the best of the grid, (n, 4); its explained share, (n,)."""
         match = data @ self._patterns.T
         best, every = np.abs(match).argmax(axis=1), np.arange(len(data))
         found = match[every, best]
@@ -149,7 +149,7 @@ class LoadEstimator:
         return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), found**2
 
     def _sized(self, data: Array, fits: Fits) -> Fits:
-        """Fit the size as well, where a load was seen."""
+        """Fit the size as well, if a load was detected."""
         seen = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
         if not seen.size:
             return fits
@@ -181,7 +181,7 @@ class LoadEstimator:
         return _replaced(fits.covariance, unsure, spread)
 
     def _radius_stderr(self, fits: Fits, located: NDArray[np.bool_]) -> Array:
-        """Standard error of the radius if it were the expected one, (n,) [mm]; infinite where none is wanted."""
+        """Standard error of the radius at its expected value, (n,) [mm]; infinite if none is expected."""
         stderr = np.full(len(located), np.inf)
         which = np.flatnonzero(located)
         if self.known or not which.size:
@@ -243,7 +243,7 @@ class LoadEstimator:
 
 @lru_cache(maxsize=16)
 def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
-    """Places (p, 2) all over the sheet, and what a weak load of unit strength changes there (p, drives, measures)."""
+    """Places (p, 2) all over the sheet, and the response to a weak load of unit strength (p, drives, measures)."""
     step = _GRID * model.surroundings.radius_mm
     left, right, bottom, top = model.surroundings.extent_mm
     axes = (
@@ -255,7 +255,7 @@ def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
 
 
 def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> Array:
-    """What weak loads of unit strength change, smaller near an electrode: good enough to begin with, and cheap."""
+    """Response to weak loads, smaller near an electrode: a cheap starting point."""
     clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
     radius = np.minimum(radius_mm, _SMALL * clear)
     changes = np.empty((len(places_mm), *model.pattern.shape))

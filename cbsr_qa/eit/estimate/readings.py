@@ -46,7 +46,7 @@ FEWEST_ROWS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergedReadings:
-    """Reciprocal readings are one number measured twice: their weighted mean says all they say about the sheet.
+    """Reciprocal readings are one quantity measured twice: their weighted mean is a sufficient statistic.
 
     Parameters
     ----------

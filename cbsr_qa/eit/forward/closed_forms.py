@@ -264,7 +264,7 @@ def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePatter
 
 
 def lead_readings(pattern: DrivePattern) -> NDArray[np.float64]:
-    """What resistance in each electrode's lead adds to a reading: (drives, measures, electrodes) of −1, 0 and +1.
+    """Contribution of each electrode's lead resistance to a reading: (drives, measures, electrodes) of −1, 0, +1.
 
     A pair that is measured through a lead which carries current reads the drop over it as well: +1 where the source
     and the plus terminal, or the sink and the minus terminal, share the electrode.

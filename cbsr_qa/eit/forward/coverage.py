@@ -40,7 +40,7 @@ def disc_coverage(mesh: Mesh, x_mm: float, y_mm: float, radius_mm: float) -> tup
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cover:
-    """What a load covers, as its elements' integration points see it.
+    """Coverage of elements by a load, at their integration points.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """What an element needs to know of its shape functions, at points where it integrates.
+    """Shape functions at an element's integration points.
 
     Parameters
     ----------

@@ -108,7 +108,7 @@ class LocalUpdate:
     def _changed(
         self, elements: Indices, change: Array, contact_impedance: Array | None
     ) -> ForwardModel | tuple[Array, Array]:
-        """What the transfer impedance loses, and what contacts add to it; or the sheet factorised again."""
+        """Change of the transfer impedance by the sheet and by contacts; or the sheet factorised again."""
         elements, change = self._checked(elements, change)
         contact_change, own = self.contact_change(contact_impedance)
         if not elements.size and contact_change is None:
@@ -149,7 +149,7 @@ class LocalUpdate:
         return unique.astype(np.int64), total
 
     def _patches(self, elements: Indices, contacts: bool) -> Patches | None:
-        """Patches of some elements, or None where factorising the whole sheet again is the shorter way."""
+        """Patches of some elements, or None if factorising the whole sheet again is cheaper."""
         key = elements.tobytes() + b"contacts" * contacts
         if key not in self._kept:
             short = dense_work(self.model, elements) < _MOST_WORK

@@ -69,7 +69,7 @@ class ForwardModel:
         self._factors = prepared.factorise(self.conductance, self.contact_impedance)
 
     def changed(self, *, conductance: Array | None = None, contact_impedance: Array | None = None) -> "ForwardModel":
-        """Return the same sheet with other values; what depends on the mesh alone is not computed again."""
+        """Return the same sheet with other values; mesh-dependent parts are reused."""
         return ForwardModel(
             self.mesh,
             self.pattern,
@@ -242,7 +242,7 @@ class ForwardModel:
 
     @property
     def _own_impedance(self) -> Array:
-        """What each electrode's contact adds to its own potential, (electrodes,) [Ω]."""
+        """Contribution of each electrode's contact to its own potential, (electrodes,) [Ω]."""
         impedance: Array = self.contact_impedance / self.prepared.contacts.lengths_mm
         return impedance
 

@@ -39,7 +39,7 @@ _LOST: Final = 1e-2  # of the largest potential: corrections that end above were
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conductors:
-    """A symmetric matrix whose rows sum to zero, as what joins its nodes.
+    """A symmetric matrix whose rows sum to zero, stored as conductances between its nodes.
 
     Parameters
     ----------
@@ -109,14 +109,14 @@ def _share(correction: Array, potentials: Array) -> float:
 
 
 def _sum(one: Array, other: Array) -> tuple[Array, Array]:
-    """Rounded sum, and what rounding lost of it (Knuth)."""
+    """Rounded sum, and its rounding error (Knuth)."""
     total = one + other
     part = total - one
     return total, (one - (total - part)) + (other - part)
 
 
 def _difference(one: Array, other: Array) -> tuple[Array, Array]:
-    """Rounded difference, and what rounding lost of it."""
+    """Rounded difference, and its rounding error."""
     return _sum(one, -other)
 
 
@@ -241,7 +241,7 @@ class Factors:
         return potentials
 
     def refined_ordered(self, load: Array) -> tuple[Array, Array]:
-        """The same to rounding, however far conductances and contacts are apart, and what rounding took of it.
+        """The same to rounding for any spread of conductances and contacts, and the rounding error.
 
         What columns do not sum to zero by leaves at the node that is held.
 

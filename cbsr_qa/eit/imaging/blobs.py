@@ -45,7 +45,7 @@ def percentage_mask(values: NDArray[np.float64], fraction: float) -> NDArray[np.
 
 
 def threshold(values: NDArray[np.float64], fraction: float) -> float:
-    """Return what a value must reach to survive: the fraction of the maximum, less rounding; 0 if none is positive.
+    """Return the threshold of a mask: the fraction of the maximum, less rounding; 0 if no value is positive.
 
     Raises
     ------

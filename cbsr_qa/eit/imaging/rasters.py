@@ -91,7 +91,7 @@ def find_regions(raster: Raster, fraction: float) -> tuple[PixelRegion, ...]:
 
 
 def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tuple[PixelRegion, ...]:
-    """Find regions, and part those that hold several peaks along the valleys between them (watershed).
+    """Find regions, and split those with several peaks along the valleys between them (watershed).
 
     Parameters
     ----------

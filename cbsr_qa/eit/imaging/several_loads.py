@@ -22,7 +22,7 @@ from cbsr_qa.eit.imaging.contours import contour_regions
 
 
 def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
-    """Part blobs that hold several peaks (watershed by flooding, Vincent & Soille 1991, on the mesh's elements).
+    """Split blobs with several peaks (watershed by flooding, Vincent & Soille 1991, on the mesh's elements).
 
     A peak counts where one has to go down by more than the prominence before one can climb to a higher one: so noise
     on a plateau parts nothing.
@@ -222,7 +222,7 @@ def two_touch_resolution(
     furthest_mm: float | None = None,
     step_mm: float = 0.5,
 ) -> TwoTouch:
-    """Move two equal loads apart along a line through the sheet's centre until they are seen as two for good.
+    """Move two equal loads apart along a line through the sheet's centre until they stay resolved.
 
     They are two where :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is nearer to
     it than to the other. The readings are those of the linearised model, without noise: the figure says what the

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SpatialFigures:
-    """What one region scores against one indenter.
+    """Spatial metrics of one region against one indenter.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ def dual_spectrum(jacobian: Array, prior: Prior | Array, variance: Array | None 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _System:
-    """The dual system before λ: images of the readings' coefficients, and how much of them is seen again.
+    """The dual system before λ: images of the readings' coefficients, and their forward projection.
 
     Parameters
     ----------

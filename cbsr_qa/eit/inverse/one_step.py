@@ -110,7 +110,7 @@ class RidgeSearch:
         return hyperparameter_for(target, self._spectrum, self._signal, self._areas, self._variance)
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
-        """λ by what readings say."""
+        """λ chosen from readings."""
         regularised = self._spectrum.analysis[: len(self._spectrum.values)]
         curves = RidgeCurves(self._spectrum.values, evidence.changes @ regularised.T)
         if criterion is Criterion.GCV:

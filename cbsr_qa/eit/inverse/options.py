@@ -28,7 +28,7 @@ def number(method: str, name: str, value: object) -> float:
 
 
 def whole(method: str, name: str, value: object) -> int:
-    """Return an option that is a whole number; ConfigError if it is anything else, None included."""
+    """Return an option that is a whole number; ConfigError otherwise, None included."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise ConfigError(f"{method}: {name} is {shown(value)}", remedy="allowed: a whole number")
     if abs(value) > _LARGEST_WHOLE:
@@ -37,12 +37,12 @@ def whole(method: str, name: str, value: object) -> int:
 
 
 def optional_number(method: str, name: str, value: object) -> float | None:
-    """Return an option as :func:`number` does, or None where it was not given."""
+    """Return an option as :func:`number` does, or None if not given."""
     return None if value is None else number(method, name, value)
 
 
 def optional_whole(method: str, name: str, value: object) -> int | None:
-    """Return an option as :func:`whole` does, or None where it was not given."""
+    """Return an option as :func:`whole` does, or None if not given."""
     return None if value is None else whole(method, name, value)
 
 

@@ -137,7 +137,7 @@ def imaging_problem(
 
 
 def masked_electrodes(pattern: DrivePattern, used: NDArray[np.bool_]) -> tuple[int, ...]:
-    """Electrodes of whose usable readings, (drives, measures) bool, none is used."""
+    """Electrodes with usable readings, (drives, measures) bool, none of which is used."""
     usable, left = (_touched(pattern, readings) for readings in (pattern.usable(), used))
     return tuple(int(electrode) for electrode in np.flatnonzero(usable & ~left))
 
@@ -219,7 +219,7 @@ def _check_used(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
 
 
 def _check_number(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
-    """Refuse too few readings, by what makes them few: the pattern, or a mask."""
+    """Refuse too few readings; the message names the cause, the pattern or a mask."""
     independent = pattern.too_few_readings(used)
     if independent is None:
         return

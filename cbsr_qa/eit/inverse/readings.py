@@ -60,7 +60,7 @@ class ReadingFold:
 
     @classmethod
     def of(cls, problem: ImagingProblem) -> Self:
-        """Fold a problem's readings; none where its own reference contradicts reciprocity."""
+        """Fold a problem's readings; no folding if its own reference contradicts reciprocity."""
         group, first, sign = _groups(problem.sensor_type.pattern, problem.used)
         reference = problem.reference
         apart = np.abs(reference - sign * reference[first][group])
@@ -89,7 +89,7 @@ class ReadingFold:
         return whole
 
     def noise(self, readings: Array) -> tuple[float, int]:
-        """Mean variance of readings (n, m) for unit relative variance, from what reciprocal ones differ by.
+        """Mean variance of readings (n, m) for unit relative variance, from the differences of reciprocal ones.
 
         Returns
         -------
@@ -131,7 +131,7 @@ _ROUNDS: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadingNoise:
-    """What the noise of readings is.
+    """Noise of each reading.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def _scatter(readings: Array, time_s: Array, step: float) -> Array:
 
 
 def _moderated(own: Array, freedom: int) -> tuple[Array, float, float]:
-    """Return s̃², s₀² and ν₀ of variances with so many degrees of freedom each; Smyth 2004, section 6.2."""
+    """Return s̃², s₀² and ν₀ of variances with this many degrees of freedom each; Smyth 2004, section 6.2."""
     level = np.log(own) - digamma(freedom / 2) + np.log(freedom / 2)
     beyond_chance = float(level.var(ddof=1) - polygamma(1, freedom / 2)) if len(own) > 1 else 0.0
     mean = float(level.mean())

@@ -65,7 +65,7 @@ def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[st
 
 
 def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: float) -> Array:
-    """Scaled changes of the used readings, what :meth:`LinearReconstruction.images` takes.
+    """Scaled changes of the used readings, the input of :meth:`LinearReconstruction.images`.
 
     Parameters
     ----------

@@ -132,7 +132,7 @@ class Truncation:
         return float(self.grid[within[-1]])
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
-        """Number of components by what readings say; NumericsError where that is nothing."""
+        """Number of components chosen from readings; NumericsError if they determine none."""
         energy = ((self._fold.fold(evidence.changes) @ self._spectrum.analysis.T) ** 2).sum(axis=0)
         if not energy.any():
             raise NumericsError(

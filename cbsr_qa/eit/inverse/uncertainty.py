@@ -49,7 +49,7 @@ def image_variance(matrix: Array, covariance: Array | None = None) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class MaskingEffect:
-    """How much less the readings that are left say about places.
+    """Loss of accuracy of places when readings are left out.
 
     Parameters
     ----------

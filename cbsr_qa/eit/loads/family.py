@@ -156,7 +156,7 @@ class LoadFamily:
 
 
 class Patch:
-    """The elements of one load, or of several that overlap, seen from their rim.
+    """The elements of one load, or of several that overlap, as seen from their rim.
 
     Parameters
     ----------

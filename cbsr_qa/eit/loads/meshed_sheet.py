@@ -190,7 +190,7 @@ def _parts(place_mm: Array, reach_mm: Array) -> Iterator[tuple[Complex, Array]]:
 
 
 def _spread(place: Indices, values: Array, lengths: Array) -> sparse.csr_matrix:
-    """What turns a density at the points along the edge into loads of its nodes: (nodes, g).
+    """Matrix from a density at the points along the edge to loads of its nodes: (nodes, g).
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ _MARGIN: Final = 0.5  # how far a spread may leave [0, 1], as the best line thro
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NestedCover:
-    """What nested outlines cover, as their elements' integration points see it.
+    """Coverage of elements by nested outlines, at their integration points.
 
     Between one outline and the next smaller one lies a layer, in which the load is as strong as the weights of all
     outlines around it together.

@@ -194,7 +194,7 @@ def _stacked(values: Complex) -> Array:
 
 
 def _image_poles(images: Complex, count: int) -> Complex:
-    """What conj(d_n) of a pole at a pin becomes at its image: (pins, j, n) coefficients of (z − image)⁻ʲ.
+    """Image of a pole's conj(d_n) at a pin: (pins, j, n) coefficients of (z − image)⁻ʲ.
 
     The image of (z − p)⁻ⁿ is (z/(1 − p̄z))ⁿ = (−p*)ⁿ Σ_j C(n, j) p*ʲ (z − p*)⁻ʲ; the constant j = 0 drives nothing.
     """
@@ -206,7 +206,7 @@ def _image_poles(images: Complex, count: int) -> Complex:
 
 
 def _mirrored(centre: Complex, orders: int) -> Array:
-    """What the edge sends back to poles at a place: its part of an expansion's response, (n, 2·orders, 2·orders).
+    """Reflection of the edge at a place: its part of an expansion's response, (n, 2·orders, 2·orders).
 
     The image of (z − c)⁻ⁿ is (z/(1 − c̄z))ⁿ; with w = z − c and β = 1 − |c|² it is (c/β + β⁻² w/(1 − w c̄/β))ⁿ.
     """

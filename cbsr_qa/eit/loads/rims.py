@@ -68,7 +68,7 @@ def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
 
 
 def met_bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
-    """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes, but for the least of it."""
+    """Orthonormal bases (b, r) of the fields that reach each rim from other rims and electrodes, truncated."""
     found = []
     for span, negligible in zip(spans, least, strict=True):
         # The factor R of the transpose has the same left vectors, and is square.

@@ -203,7 +203,7 @@ class RoundLoadModel:
 
 
 def _solved(system: Array, fields: Array) -> Array:
-    """Fields with the load; a strength no disc has can resonate, and is then as bad as a very large field says."""
+    """Fields with the load; an unphysical strength may resonate, and then counts as a very large field."""
     try:
         return np.asarray(np.linalg.solve(system, fields), dtype=np.float64)
     except np.linalg.LinAlgError:

@@ -310,7 +310,7 @@ def _spread(density: Lengths, places: Lengths, at_least: int) -> Lengths:
 
 
 def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
-    """The piece that a stretch lies on, −1 where it goes on from one to the next."""
+    """The piece that a stretch lies on; −1 if it crosses from one to the next."""
     along = (begin + end) / 2 % curve.perimeter
     piece = int(np.searchsorted(curve.begins, along, side="right")) - 1
     whole = end - begin <= 2 * min(along - curve.begins[piece], curve.begins[piece + 1] - along) * (1 + 1e-9)
@@ -318,7 +318,7 @@ def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
 
 
 def _owner(curve: ClosedCurve, along: float, strips: Lengths, width: float) -> int:
-    """Strip that covers a place on the edge, −1 for none."""
+    """Strip that covers a place on the edge; −1 if none."""
     away = np.abs(strips - along)
     covered = np.flatnonzero(np.minimum(away, curve.perimeter - away) < width / 2)
     return int(covered[0]) if covered.size else -1

@@ -194,7 +194,7 @@ def mesh_sensor(
 
 
 def outer_ring(mesh: Mesh) -> Indices:
-    """Nodes of the outer boundary, counterclockwise: of the boundary's closed lines the one that goes round most."""
+    """Nodes of the outer boundary, counterclockwise: the closed line of the largest area."""
     return max(_rings(mesh), key=lambda ring: signed_area(mesh.nodes_mm[ring]))
 
 

@@ -24,7 +24,7 @@ _FLAT: Final = 1e-9  # area over the longest edge squared: thinner elements have
 
 
 def plane_points(nodes_mm: ArrayLike) -> Points:
-    """Return nodes as (n, 2) finite numbers; a third coordinate that is the same for all is left out.
+    """Return nodes as (n, 2) finite numbers; a constant third coordinate is dropped.
 
     Raises
     ------

@@ -304,5 +304,5 @@ def _lattice(curve: ClosedCurve, size: float) -> Points:
 
 
 def _ring(count: int) -> Indices:
-    """Edges of a closed line of so many nodes."""
+    """Edges of a closed line of n nodes."""
     return np.column_stack([np.arange(count), (np.arange(count) + 1) % count]).astype(np.int64)

@@ -177,7 +177,7 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
 
 
 def _ring(count: int) -> NDArray[np.int64]:
-    """Edges of a closed line of so many nodes."""
+    """Edges of a closed line of n nodes."""
     return np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
 
 

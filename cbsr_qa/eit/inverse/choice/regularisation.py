@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Criterion(StrEnum):
-    """What a parameter is chosen by, without knowing the truth."""
+    """Criterion for a parameter, without knowing the truth."""
 
     NOISE_FIGURE = "noise-figure"  #: Adler et al. 2009 form; looks at the model alone
     GCV = "gcv"  #: generalised cross-validation, Golub, Heath & Wahba 1979
@@ -42,12 +42,12 @@ class ParameterSearch(Protocol):
 
     @property
     def shown(self) -> Array:
-        """Values close enough together to draw what lies between them, over the same range."""
+        """Values dense enough to draw a curve, over the same range."""
         ...
 
     @property
     def discrete(self) -> bool:
-        """Whether the parameter is a count, and ``grid`` holds all there are."""
+        """Whether the parameter is a count, and ``grid`` has all its values."""
         ...
 
     def noise_figures(self, values: Array) -> Array:
@@ -65,7 +65,7 @@ class ParameterSearch(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Regularisation:
-    """What the options of a plugin say about its parameter.
+    """Options of a plugin for its parameter.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Regularisation:
 
     @property
     def decided_by(self) -> str:
-        """Name of what decides: a criterion, or ``"given"``."""
+        """Name of the deciding rule: a criterion, or ``"given"``."""
         return "given" if self.criterion is None else self.criterion.value
 
     def choose(

@@ -174,5 +174,5 @@ class _Fit:
 
 
 def _weight(distance: Array) -> Array:
-    """What an error of the image counts, by the distance from the target: 1 on top, 0 from 1 on, smooth."""
+    """Weight of an image error by distance from the target: 1 on top, 0 from 1 on, smooth."""
     return np.asarray((1 - np.minimum(distance, 1) ** 4) ** 2, dtype=np.float64)

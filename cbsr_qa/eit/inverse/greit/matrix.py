@@ -36,7 +36,7 @@ _SMOOTH: Final = 0.6  # radii of the head over which widths are averaged
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What shaping has come to, per node of the image.
+    """State of the shaping, per node of the image.
 
     Parameters
     ----------

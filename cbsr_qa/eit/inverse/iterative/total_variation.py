@@ -121,7 +121,7 @@ class TotalVariation:
         )
 
     def _left(self, gap: float, apart: float) -> str:
-        """What an image lacks to be taken for the minimiser; a gap means nothing out of balance."""
+        """Why an image is not accepted as the minimiser; a duality gap is meaningless if out of balance."""
         if not (np.isfinite(gap) and np.isfinite(apart)):
             return "the image has non-finite values"
         if apart > _BALANCED:
@@ -269,7 +269,7 @@ def _direction(
 
 @dataclass(frozen=True, slots=True)
 class _Laplacian:
-    """DᵀWD factorised, with one element held by a large entry, for it leaves constants free.
+    """DᵀWD factorised, with one element pinned by a large entry, since it leaves constants free.
 
     For a right side that sums to zero the solution is the one that is zero there.
     """
@@ -330,7 +330,7 @@ class _Newton:
         self._core = linalg.lu_factor(core)
 
     def solve(self, right: Array) -> Array:
-        """Solve, and once more for what rounding has left."""
+        """Solve, with one step of iterative refinement."""
         first = self._once(right)
         left = right - self._rows.T @ (self._rows @ first)
         left -= self.jumps.T @ (self.weights * (self.jumps @ first))
