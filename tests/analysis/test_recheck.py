@@ -81,7 +81,7 @@ class TestRefused:
         run = checked[1.0]
         identity = replace(run.record.identity, sensor=SensorIdentity("T", "", "disc-100mm"))
         other = replace(run, record=replace(run.record, identity=identity))
-        with pytest.raises(CalibrationError, match="is of sensor S, the run of T"):
+        with pytest.raises(CalibrationError, match="is for sensor S, the run for T"):
             recheck(other, calibration)
 
     def test_a_reading_that_is_gone(self, calibration, checked):

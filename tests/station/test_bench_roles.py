@@ -189,10 +189,10 @@ def test_an_instrument_that_is_who_the_station_file_says_is_accepted(expected):
 @pytest.mark.parametrize(
     ("expected", "said"),
     [
-        ({"model": "2636B"}, "it says its model is 'Keithley Model 2634B'; the station file expects '2636B'"),
+        ({"model": "2636B"}, "its model is 'Keithley Model 2634B'; the station file expects '2636B'"),
         ({"model": "2634"}, "the station file expects '2634'"),
         ({"model": "2634B Keithley"}, "the station file expects '2634B Keithley'"),
-        ({"model": "2634B", "serial": "403"}, "it says its serial is '4031823'; the station file expects '403'"),
+        ({"model": "2634B", "serial": "403"}, "its serial is '4031823'; the station file expects '403'"),
     ],
 )
 def test_another_instrument_at_the_address_is_refused_with_role_address_found_and_expected(expected, said):

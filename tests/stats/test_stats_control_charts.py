@@ -238,10 +238,10 @@ def test_signals_know_no_unit_or_origin(values, scale, origin):
     ("make", "reason"),
     [
         (lambda: individuals([]), "0 values"),
-        (lambda: individuals([1.0]), "reference period of 1 points; allowed are 2 to 1"),
+        (lambda: individuals([1.0]), "reference period is 1 points; allowed are 2 to 1"),
         (lambda: individuals([1.0, 1.0, 2.0], reference=2), "all 2 values of the reference period are 1"),
         (lambda: individuals([1.0, float("nan")]), "missing"),
-        (lambda: individuals([1.0, 2.0], reference=3), "reference period of 3 points; allowed are 2 to 2"),
+        (lambda: individuals([1.0, 2.0], reference=3), "reference period is 3 points; allowed are 2 to 2"),
         (lambda: individuals([1.0, 2.0], reference=Standard(0.0, 0.0)), "deviation is 0; limits need"),
         (lambda: means_and_ranges([[1.0, 2.0], [1.0]]), "sizes 1, 2"),
         (lambda: means_and_ranges([[1.0], [2.0]]), "one value have no range"),

@@ -77,7 +77,7 @@ def test_an_unknown_recipe_is_refused_with_the_nearest_name(copied):
     with open_store(copied[1]) as store:
         with pytest.raises(RefusedError, match="no stored run uses recipe 'shrot'") as raised:
             store.fleet(recipe="shrot")
-        assert raised.value.remedy == "did you mean 'short'? there are: short"
+        assert raised.value.remedy == "did you mean 'short'? recipes: short"
         assert len(store.fleet(recipe="short").runs) == 4
 
 

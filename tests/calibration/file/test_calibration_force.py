@@ -234,7 +234,7 @@ def test_a_force_model_comes_back_from_the_database_as_it_was_issued(stored, tmp
 @pytest.mark.rest
 def test_a_force_model_without_its_templates_is_not_loaded(stored):
     repository, made = stored
-    with pytest.raises(StoreError, match="whose templates nobody prepares"):
+    with pytest.raises(StoreError, match="for the templates of its force model"):
         repository.load_calibration(made.calibration, made.reconstruction)
     prepare, _ = _prepares(replace(made, force=replace(made.force, templates=made.force.templates[:50])))
     with pytest.raises(StoreError, match="a map of 52 places; this version prepares templates for 50"):

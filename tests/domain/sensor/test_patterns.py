@@ -103,9 +103,9 @@ def test_rules_name_the_pairs_they_promise():
     [
         ("opposite", 9, "no two of", "use 'skip-3'"),
         ("skip-7", 16, "half of 16 electrodes or more", "use 'skip-6' or less, or 'opposite'"),
-        ("skip-4", 9, "half way round 9", "use 'skip-3' or less"),
-        ("opposit", 16, "no pattern 'opposit'", "'skip-1', 'skip-2'"),
-        ("skip--1", 16, "no pattern", "'adjacent'"),
+        ("skip-4", 9, "half of 9", "use 'skip-3' or less"),
+        ("opposit", 16, "unknown pattern 'opposit'", "'skip-1', 'skip-2'"),
+        ("skip--1", 16, "unknown pattern", "'adjacent'"),
     ],
 )
 def test_a_rule_that_does_not_suit_is_refused_with_one_that_does(rule, count, reason, remedy):

@@ -219,7 +219,7 @@ def test_readings_that_are_no_numbers_are_refused_by_place(problem):
 
 def test_images_refuse_readings_that_do_not_fit(problem):
     prepared = GaussNewtonNoser().prepare(problem)
-    with pytest.raises(RefusedError, match="do not match"):
+    with pytest.raises(RefusedError, match="do not fit"):
         prepared.images(np.zeros((2, 207)))
     assert not prepared.images(np.zeros((2, 208))).any()
 

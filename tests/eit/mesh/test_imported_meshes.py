@@ -133,7 +133,7 @@ def spoilt(change):
 
 MISTAKES = {
     "counted from one": (lambda n, t: (n, t + 1), "names nodes", "say first=1"),
-    "not a number": (lambda n, t: (np.where(n == n[3], np.nan, n), t), "is at a place that is not a finite", ""),
+    "not a number": (lambda n, t: (np.where(n == n[3], np.nan, n), t), "has a non-finite position", ""),
     "in space": (lambda n, t: (np.column_stack([n, n[:, 0]]), t), "not at least three places (x, y) in a plane", ""),
     "squares": (lambda n, t: (n, np.hstack([t, t[:, :1]])), "rows of three nodes are needed", ""),
     "fractions": (lambda n, t: (n, t + 0.5), "rows of three nodes are needed, by number", ""),
@@ -227,7 +227,7 @@ def test_a_file_is_never_executed_and_must_hold_the_arrays(tmp_path):
     with pytest.raises(NumericsError, match=r"not an \.npz file of numbers"):
         read_mesh(tmp_path / "objects.npz")
     np.savez(tmp_path / "other.npz", points=np.zeros((3, 2)))
-    with pytest.raises(NumericsError, match="holds no nodes_mm") as caught:
+    with pytest.raises(NumericsError, match="has no array nodes_mm") as caught:
         read_mesh(tmp_path / "other.npz")
     assert "write_mesh" in caught.value.remedy
     with pytest.raises(NumericsError, match="there is no mesh file") as caught:

@@ -160,12 +160,12 @@ CASES: Final[tuple[HardCase, ...]] = (
     ),
     _case(
         "loads-a-nanometre-apart",
-        "Two loads at the same place but for a nanometre, both pressed at once.",
+        "Two simultaneous loads a nanometre apart.",
         _coincident,
     ),
     _case(
         "contacts-become-1e7-poorer",
-        "All contacts fail at once, between two frames: a change ten million times what was there.",
+        "All contacts fail between two frames: their impedance rises ten million times.",
         _contacts_change,
     ),
     _case(
@@ -183,7 +183,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "load-that-leaves-nothing",
         _AREA,
-        "A load that takes all of the conductance away.",
+        "A load that removes all conductance.",
         "the refusal, by the element",
         _vanished,
         refuses=NumericsError,

@@ -201,7 +201,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "blob-on-the-rim",
         _AREA,
-        "A contour that runs into the sheet's edge has to be closed along it.",
+        "A contour that meets the sheet's edge must be closed along it.",
         "area by Green's theorem along the outline = sum of the triangles",
         rim_blob,
     ),
@@ -212,7 +212,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         "two loads, mirror images of each other",
         touching_blobs,
     ),
-    HardCase("all-zero-image", _AREA, "An image in which nothing happened.", "no region", partial(empty_image, 0.0)),
+    HardCase("all-zero-image", _AREA, "An image of zeros.", "no region", partial(empty_image, 0.0)),
     HardCase(
         "all-negative-image",
         _AREA,
@@ -223,7 +223,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "nan-image",
         _AREA,
-        "Every comparison with a value that is no number is false: such an image looks empty.",
+        "Every comparison with NaN is false: such an image looks empty.",
         "refusal",
         nan_image,
         NumericsError,
@@ -238,7 +238,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "centre-of-mass-far-from-the-origin",
         _AREA,
-        "A sheet whose places are counted from a kilometre away.",
+        "A sheet with an origin a kilometre away.",
         "the same image at the origin",
         far_centre,
     ),
@@ -246,7 +246,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         "noise-floor-of-identical-images",
         _AREA,
         "Unloaded images without any noise: a floor that equals every value.",
-        "nothing is left above it",
+        "no element above it",
         constant_floor,
     ),
 )

@@ -167,7 +167,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "tolerance-factor-of-three-sensors",
         _AREA,
-        "Three sensors, a millionth outside, a doubt of a thousandth: a factor of 151.",
+        "Three sensors, a share of 1e-6 outside, a doubt of 1e-3: a factor of 151.",
         "the stated confidence, by integration in twenty digits",
         partial(one_sided, 0.999999, 0.999, 3),
     ),
@@ -181,7 +181,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "sensors-for-rare-failures",
         _AREA,
-        "All but 1e-12 of sensors: billions are needed, and one minus the share has four digits.",
+        "All but 1e-12 of sensors: billions are needed, and one minus the share has four digits left.",
         "the binomial law in fifty digits",
         rare_failures,
     ),
