@@ -261,9 +261,9 @@ def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
 def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImages) -> list[str]:
     """Name events that the method's own image does not show, so nobody searches the image for them."""
     return [
-        f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: there is no region"
-        f" near its place ({event.place}), and what is elsewhere is not"
-        " this event; choose other options or another reconstruction"
+        f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: no region lies"
+        f" near its place ({event.place}), and regions elsewhere are not"
+        " this event; use other options or another reconstruction"
         for number, event in enumerate(events, start=1)
         if event.imaged is None
     ]

@@ -1,4 +1,4 @@
-"""A crossed gauge study, its components, and both by averages and ranges (AIAG MSA, 4th edition 2010, chapter III).
+"""Crossed gauge R&R: variance components, by averages and ranges (AIAG MSA, 4th edition 2010, chapter III).
 
 Every sensor (AIAG: part) is measured on every station (appraiser) equally often (trials). Variances add up:
 
