@@ -123,12 +123,12 @@ def _runs(
     known: list[Known | None] = []
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
     for row in connection.execute(query.execution_options(yield_per=AT_ONCE)):
-        analysis, told = analyses.get(row.run), None
+        analysis, linked = analyses.get(row.run), None
         if analysis is not None:
             name = analysis.analysis
-            told = (row.run, name, facts(row, name, analysis.outcome, analysis.software))
+            linked = (row.run, name, facts(row, name, analysis.outcome, analysis.software))
             places[name] = len(runs)
-        known.append(told if row.chain is not None else None)
+        known.append(linked if row.chain is not None else None)
         runs.append(_run(row, ends.get(row.run), analysis, shared, of_check=row.run in of_checks))
     return runs, places, known
 
@@ -210,14 +210,14 @@ def _meant(
     The kind is −1 where its metric was not asked for, and it is within its limits.
     """
     said, lower, upper = saying
-    told = said.split(BETWEEN)
-    if len(told) != len(JOINED):
+    parts = said.split(BETWEEN)
+    if len(parts) != len(JOINED):
         raise StoreError(
             f"the database is damaged: {_first(connection, said)} has {said[:64]!r} with the control character"
             " U+001F in it",
             remedy="restore the database from a copy; the row is left unchanged",
         )
-    name, phase, qualifier, unit, location, outcome, bound = told
+    name, phase, qualifier, unit, location, outcome, bound = parts
     if (outcome, bound) not in _STATES:
         row = _first(connection, said)
         stored(Outcome, outcome, "measurements.outcome", row)
@@ -241,8 +241,8 @@ def _places(connection: Connection, runs: Sequence[FleetRun]) -> dict[str, tuple
     """Place of each load label, from the first and the last run of each recipe."""
     last = {run.recipe: run.run for run in runs if run.finished}
     first = {run.recipe: run.run for run in reversed(runs) if run.finished}
-    asked = {*first.values(), *last.values()}
-    query = select(LoadRow.label, LoadRow.x_mm, LoadRow.y_mm).where(LoadRow.run.in_(asked)).distinct()
+    ends = {*first.values(), *last.values()}
+    query = select(LoadRow.label, LoadRow.x_mm, LoadRow.y_mm).where(LoadRow.run.in_(ends)).distinct()
     found: dict[str, set[tuple[float, float]]] = {}
     for label, x_mm, y_mm in connection.execute(query):
         found.setdefault(label, set()).add((x_mm, y_mm))

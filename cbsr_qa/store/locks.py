@@ -65,16 +65,16 @@ def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -
     StoreError
         If another process still holds it after :data:`SCHEMA_WAIT_S`; the message says who.
     """
-    begun_s, told = time.monotonic(), tell is None
+    begun_s, announced = time.monotonic(), tell is None
     while isinstance(release := _acquired(engine, "schema", this_process("")), str):
         waited_s, busy = time.monotonic() - begun_s, f"{shown(engine.url)} is being created or upgraded by {release}"
         if waited_s >= SCHEMA_WAIT_S:
             raise StoreError(
                 f"{busy}; waited {SCHEMA_WAIT_S:g} s for it", remedy="try again when it is done, or end that process"
             )
-        if not told and waited_s >= PATIENCE_S and tell is not None:
+        if not announced and waited_s >= PATIENCE_S and tell is not None:
             tell(f"{busy}; waiting {SCHEMA_WAIT_S:g} s at most")
-            told = True
+            announced = True
         time.sleep(0.05)
     try:
         yield

@@ -135,15 +135,15 @@ def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[Refu
         child = _forked(read, outgoing, limits)
         os.close(outgoing)
         try:
-            told = _told(pipe, deadline, limits)
+            received = _parts_of(pipe, deadline, limits)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)  # it has said all, or says nothing any more
             _, status = os.waitpid(child, 0)
-    if told is None:
+    if received is None:
         late = time.monotonic() >= deadline
         raise refusal(_why(path, limits, status, late=late), remedy=_BUSY if late else _COPY)
-    return cast(Result, _result(path, told, limits, refusal))
+    return cast(Result, _result(path, received, limits, refusal))
 
 
 def shortened(reason: str) -> str:
@@ -236,7 +236,7 @@ def _failed(error: Exception) -> tuple[Any, ...]:
     return "broken", f"{type(error).__name__}: {error}"
 
 
-def _told(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
+def _parts_of(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
     """All parts a child sends before it ends; None on timeout, or if it stops within a part."""
     parts: list[bytearray] = []
     left = limits.memory_bytes
@@ -281,13 +281,13 @@ def _why(path: Path, limits: Limits, status: int, *, late: bool) -> str:
 
 def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[RefusedError]) -> Any:
     try:
-        kind, *told = _Plain(io.BytesIO(parts[0]), buffers=parts[1:]).load()
+        kind, *content = _Plain(io.BytesIO(parts[0]), buffers=parts[1:]).load()
     except pickle.UnpicklingError as error:
-        kind, told = "strange", [str(error)]
+        kind, content = "strange", [str(error)]
     if kind == "read":
-        return told[0]
+        return content[0]
     if kind == "refused":
-        raise _refused(*told)
+        raise _refused(*content)
     if kind == "memory":
         raise refusal(
             f"reading {path.name} needs more than {limits.memory_bytes / 2**30:.1f} GiB of memory, the limit for a"
@@ -295,17 +295,17 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
             remedy=_COPY,
         )
     if kind == "second":
-        other = "another file" if told[0] is None else f"the file {shortened(told[0])}"
+        other = "another file" if content[0] is None else f"the file {shortened(content[0])}"
         raise refusal(
             f"reading {path.name} opens {other} beside it, which no recording or calibration needs",
             remedy="the file is damaged or links to other files; a plugin must import its modules beforehand",
         )
     if kind == "strange":
         raise refusal(
-            f"{path.name}: its format plugin did not return a recording: {told[0]}",
+            f"{path.name}: its format plugin did not return a recording: {content[0]}",
             remedy="plugins return dataclasses of cbsr_qa.domain, numpy arrays, numbers and strings",
         )
-    raise RuntimeError(f"reading {path.name}: {told[0]}")
+    raise RuntimeError(f"reading {path.name}: {content[0]}")
 
 
 def _refused(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:

@@ -99,11 +99,11 @@ class _Loads:
     def __init__(self, run: RunObservation, found: RunForce) -> None:
         learned = found.learned
         assert learned is not None
-        told = np.isfinite(learned.ratio)
-        used = [load for load, yes in zip(found.used, told, strict=True) if yes]
+        responds = np.isfinite(learned.ratio)
+        used = [load for load, yes in zip(found.used, responds, strict=True) if yes]
         self._places = found.seat.places_mm(places_mm(used))
-        self._log = np.log(learned.ratio[told]) + _by_the_line(run, found, used)
-        self._variance = (learned.ratio_stderr[told] / learned.ratio[told]) ** 2
+        self._log = np.log(learned.ratio[responds]) + _by_the_line(run, found, used)
+        self._variance = (learned.ratio_stderr[responds] / learned.ratio[responds]) ** 2
         self._scatter = learned.model.scatter
         self._seconds = np.array(list(_seconds(run, used)))
         self._radius_mm = run.record.sensor_type.radius_mm

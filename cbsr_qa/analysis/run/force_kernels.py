@@ -297,14 +297,14 @@ def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Arr
 def _stress_kernel(
     loads: Sequence[LoadObservation], forces: Sequence[tuple[Array, Array, float]]
 ) -> RelaxationKernel | None:
-    told = [k for k, (times, _, _) in enumerate(forces) if len(times)]
-    if not told:
+    recorded = [k for k, (times, _, _) in enumerate(forces) if len(times)]
+    if not recorded:
         return None
     return learn_kernel(
-        [forces[k][:2] for k in told],
-        ramp_s=[ramp_s(loads[k]) for k in told],
+        [forces[k][:2] for k in recorded],
+        ramp_s=[ramp_s(loads[k]) for k in recorded],
         frame_s=_BIN_S,
-        noise=[forces[k][2] for k in told],
+        noise=[forces[k][2] for k in recorded],
     )
 
 

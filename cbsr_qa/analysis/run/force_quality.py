@@ -224,17 +224,17 @@ def gauge_factor(
     """
     learned = found.learned
     assert learned is not None
-    told = [k for k, load in enumerate(found.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
-    loads = [found.used[k] for k in told]
+    usable = [k for k, load in enumerate(found.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
+    loads = [found.used[k] for k in usable]
     if not loads:
         raise NumericsError("no load of the calibration has a nominal strain")
     line = run.record.material.against_stress
     stress = np.array([load.stress_kPa or 0.0 for load in loads])
-    contrast = learned.ratio[told] * (line.slope.value * stress + line.intercept.value)
+    contrast = learned.ratio[usable] * (line.slope.value * stress + line.intercept.value)
     seen = sheet_gauge_factor(
         places_mm(loads),
         contrast,
-        (learned.ratio_stderr[told] / learned.ratio[told]) ** 2,
+        (learned.ratio_stderr[usable] / learned.ratio[usable]) ** 2,
         np.array([load.record.load.strain for load in loads]),
         run.record.material.against_strain,
         radius_mm=run.record.sensor_type.radius_mm,

@@ -99,18 +99,18 @@ class SensorHistory:
         """Ordinal of this try and earlier runs; empty if there are none."""
         checks = [one for one in self.earlier if one.of_check]
         others = [one for one in self.earlier if one.recipe != self.recipe and not one.of_check]
-        told = []
+        parts = []
         if self.tries or others:
-            told.append(f"{self.ordinal} try of this recipe")
+            parts.append(f"{self.ordinal} try of this recipe")
         if self.tries:
             before = len(self.tries) - _TOLD
             more = f", and {before} before" if before > 0 else ""
-            told.append(f"earlier: {', '.join(one.words for one in self.tries[-_TOLD:])}{more}")
+            parts.append(f"earlier: {', '.join(one.words for one in self.tries[-_TOLD:])}{more}")
         if others:
-            told.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
+            parts.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
         if checks:
-            told.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
-        return "; ".join(told)
+            parts.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
+        return "; ".join(parts)
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -213,7 +213,7 @@ class EmulatedApplicator:
         if speed is not None and speed > 0:
             self._speed_mm_s = speed / 60
         origin = self._target_mm()
-        wanted = [self._told_to_go(axis, parameters) for axis in range(3)]
+        wanted = [self._goal_of(axis, parameters) for axis in range(3)]
         x, y, z = (min(max(to, 0.0), most) for to, most in zip(wanted, REACH_MM, strict=True))
         ways = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
         length = sum(way**2 for way in ways) ** 0.5
@@ -290,11 +290,11 @@ class EmulatedApplicator:
         x, y, z = (told + offset for told, offset in zip(position, self._offset, strict=True))
         return x, y, z
 
-    def _told_to_go(self, axis: int, parameters: Parameters) -> float:
-        now_mm, told = self._target_mm()[axis], parameters.get(_AXES[axis])
-        if told is None:
+    def _goal_of(self, axis: int, parameters: Parameters) -> float:
+        now_mm, goal = self._target_mm()[axis], parameters.get(_AXES[axis])
+        if goal is None:
             return now_mm
-        return told if self._absolute else now_mm + told
+        return goal if self._absolute else now_mm + goal
 
     def _wait_until(self, time_s: float) -> str:
         """Wait, with a busy message every two seconds."""
