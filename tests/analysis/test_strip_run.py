@@ -203,5 +203,5 @@ def test_loads_of_another_purpose_are_no_cycles(run):
     moved = replace(phase, loads=(elsewhere, *phase.loads[1:]))
     with pytest.raises(NumericsError, match="pressed at 2 places"):
         characterise_run(replace(run, phases=(moved,)), SETTINGS)
-    with pytest.raises(NumericsError, match="'disc-100mm' is no strip"):
+    with pytest.raises(NumericsError, match="'disc-100mm' is not a strip"):
         characterise_run(replace(run, sensor_type=load_sensor_type("disc-100mm").value), SETTINGS)

@@ -42,8 +42,8 @@ def check_strip(sensor_type: SensorType) -> None:
     pattern = sensor_type.pattern
     if sensor_type.electrodes.count != 2 or pattern.drive[0] != pattern.measure[0]:
         raise NumericsError(
-            f"sensor type {sensor_type.name!r} is not a strip: a material is measured between two pins that carry"
-            " the current and are also measured",
+            f"sensor type {sensor_type.name!r} is not a strip: a material needs two pins, which carry"
+            " the current and are measured themselves",
             remedy="use a sensor type of two electrodes, such as strip-40x20mm",
         )
 

@@ -336,7 +336,7 @@ def test_a_sensor_type_file_takes_its_mesh_in_by_content(tmp_path):
     [
         ("radius_mm = 50.0", "sensor_type.radius_mm does not apply where mesh is given"),
         ('[electrodes]\nkind = "pin"', "electrodes does not apply where mesh is given: the mesh carries them"),
-        ("[pattern]\ndrive = [[0, 10]]", "pattern.drive[1] names electrode 10; there are 0 to 9"),
+        ("[pattern]\ndrive = [[0, 10]]", "pattern.drive[1] names electrode 10; allowed: 0 to 9"),
     ],
 )
 def test_what_contradicts_the_mesh_is_refused(tmp_path, more, said):
