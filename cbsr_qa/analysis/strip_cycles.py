@@ -151,7 +151,7 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
     Raises
     ------
     NumericsError
-        If the sensor type is no strip, there are no cycles or no readings of the rested strip, or the pins do not
+        If the sensor type is not a strip, there are no cycles or no readings of the rested strip, or the pins do not
         carry the current.
     """
     phases = [phase for phase in record.phases if phase.role is Role.CHARACTERISATION and phase.loads]

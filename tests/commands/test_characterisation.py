@@ -66,6 +66,6 @@ def test_a_recipe_for_strips_is_refused_on_a_sensor_before_anything_moves(folder
     run = ("run", "--station", "simulated", "--recipe", "characterisation", "--serial", "S-3")
     done = cbsr_qa(folder, *run, check=False)
     assert done.returncode == 2
-    assert "sensor type 'disc-100mm' is no strip" in done.stderr
+    assert "sensor type 'disc-100mm' is not a strip" in done.stderr
     run = ("run", "--station", "simulated-strip", "--recipe", "nine-locations", "--serial", "S-3")
     assert "0 independent readings" in cbsr_qa(folder, *run, check=False).stderr

@@ -38,7 +38,7 @@ def test_a_factory_that_fails_is_named(error):
     def factory(setting):
         raise error("their slip")
 
-    with pytest.raises(ConfigError, match=f"effect 'theirs' cannot be made: {error.__name__}: .*their slip"):
+    with pytest.raises(ConfigError, match=f"effect 'theirs' cannot be created: {error.__name__}: .*their slip"):
         build_chain(scene("theirs"), SETTING, lambda name: factory)
 
 

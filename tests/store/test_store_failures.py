@@ -140,7 +140,7 @@ def test_a_read_only_database_can_be_read_and_refuses_to_be_written(filled):
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "a file").touch()
-    assert "its folder cannot be made" in refused(tmp_path / "a file" / "runs.db")
+    assert "its folder cannot be created" in refused(tmp_path / "a file" / "runs.db")
 
 
 def test_a_locked_database_says_so_after_waiting(filled, monkeypatch):

@@ -61,7 +61,7 @@ class StripModel:
     Raises
     ------
     NumericsError
-        If the sensor type is no strip, or the head does not touch it.
+        If the sensor type is not a strip, or the head does not touch it.
     """
 
     def __init__(

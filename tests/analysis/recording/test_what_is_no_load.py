@@ -173,7 +173,7 @@ def test_loads_of_both_signs_at_once_are_two_events():
 def test_a_load_held_from_the_beginning():
     held = press(0.0, 0.5, -30, -9, 60)
     alone = analysed(counts(held))
-    assert any("held from the beginning" in w for w in alone.warnings)
+    assert any("held from the start" in w for w in alone.warnings)
     first, second = analysed(counts(held, press(0.1, -0.5, -30, 100, 130))).events
     assert (first.start_s, first.sign, second.sign) == (0.0, -1, -1)
     assert first.end_s == pytest.approx(15.0, abs=0.8)
