@@ -72,7 +72,9 @@ class FrameBlock:
         if self.flags.shape != self.voltages.shape:
             raise RefusedError(f"flags {self.flags.shape} do not match voltages {self.voltages.shape}")
         if not np.isfinite(self.voltages).all():
-            raise RefusedError("a frame holds a non-finite voltage", remedy="flag it as missing instead")
+            raise RefusedError(
+                "a frame holds a voltage that is not a finite number", remedy="flag it as missing instead"
+            )
         self._check_sizes()
 
     def _check_sizes(self) -> None:

@@ -32,7 +32,7 @@ class Image:
         if self.values.shape != (len(self.mesh.elements),):
             raise RefusedError(f"an image of {self.values.shape} does not fit {len(self.mesh.elements)} elements")
         if not np.isfinite(self.values).all():
-            raise RefusedError("an image holds non-finite values")
+            raise RefusedError("an image holds values that are not finite numbers")
 
 
 class Region(Protocol):

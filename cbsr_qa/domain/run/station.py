@@ -51,7 +51,7 @@ class CheckResult:
 
     def __post_init__(self) -> None:
         if self.value is not None and not abs(self.value) < float("inf"):
-            raise RefusedError(f"check {self.name}: value is {self.value}; it must be finite")
+            raise RefusedError(f"check {self.name}: {self.value} is not a finite number")
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,7 +111,7 @@ class PlacedElectrodes:
         if not 0 < self.width_mm < float("inf"):
             raise RefusedError(f"electrode width is {self.width_mm} mm; it must be positive and finite")
         if not np.isfinite(self.places_mm).all():
-            raise RefusedError("an electrode position is not finite")
+            raise RefusedError("an electrode position is not a finite number")
 
     @property
     def count(self) -> int:

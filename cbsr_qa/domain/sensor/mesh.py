@@ -252,5 +252,5 @@ def _array(arrays: Mapping[str, Any], name: str, columns: int) -> NDArray[Any]:
         raise RefusedError(f"{name} of the mesh has shape {array.shape} instead of (n, {columns or ''})")
     array = array.astype(np.int64 if whole else np.float64)
     if not np.isfinite(array).all():
-        raise RefusedError(f"{name} of the mesh holds a non-finite number")
+        raise RefusedError(f"{name} of the mesh holds a number that is not finite")
     return array

@@ -304,5 +304,5 @@ def _readings(what: str, values: Array, used: NDArray[np.bool_], axes: int) -> A
             remedy=f"give {'frames' if axes > 1 else 'one frame'} of {count} readings, or of {used.shape}",
         )
     if not np.isfinite(values).all():
-        raise NumericsError(f"a {what} holds a non-finite reading", remedy="leave its channel out")
+        raise NumericsError(f"a {what} holds a reading that is not a finite number", remedy="leave its channel out")
     return values

@@ -139,9 +139,9 @@ def test_measured_frames_come_whole_or_as_used_readings(sensor):
         ({"sample": np.ones((2, 207))}, "sample of shape"),
         ({"sample": np.ones(208)}, "sample of shape"),
         ({"sample": np.ones((0, 208))}, "sample of shape"),
-        ({"sample": np.full((1, 208), np.inf)}, "sample holds a non-finite reading"),
+        ({"sample": np.full((1, 208), np.inf)}, "sample holds a reading that is not a finite number"),
         ({"measured": np.ones((1, 208))}, "measured frame of shape"),
-        ({"measured": np.full(208, np.nan)}, "measured frame holds a non-finite reading"),
+        ({"measured": np.full(208, np.nan)}, "measured frame holds a reading that is not a finite"),
     ],
 )
 def test_measured_frames_that_are_none_are_refused(sensor, options, reason):
