@@ -1,4 +1,4 @@
-"""Stored frames to measurements and a verdict: pure functions, given the plugins."""
+"""Analysis of stored frames: measurements and a verdict, as pure functions of data and plugins."""
 
 from cbsr_qa import door
 

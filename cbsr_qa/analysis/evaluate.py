@@ -1,4 +1,4 @@
-"""A stored run to its conclusions: observations, judged measurements, verdict, and the calibration it earns."""
+"""Evaluation of a stored run: observations, judged measurements, verdict, calibration."""
 
 from dataclasses import dataclass, replace
 
@@ -29,7 +29,7 @@ from cbsr_qa.system import Stages
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conclusion:
-    """What a run's analysis came to.
+    """Results of a run's analysis.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
 def _characterised(
     record: RunRecord, settings: CharacterisationSettings, limits: tuple[Limit, ...], stages: Stages
 ) -> Conclusion:
-    """Conclude a run on a strip: from press cycles to its material, without an image."""
+    """Evaluate a run on a strip: from press cycles to its material, without an image."""
     try:
         with stages.stage("characterising the material"):
             found = characterise_run(record, settings)
@@ -101,7 +101,7 @@ def _characterised(
 def calibrated(
     conclusion: Conclusion, recipe: Recipe, *, calibration: str, issued_at: str
 ) -> tuple[Calibration | None, str]:
-    """Issue the calibration a run earned.
+    """Create the calibration of a run that passed.
 
     Parameters
     ----------
@@ -112,11 +112,11 @@ def calibrated(
     The calibration and an empty reason, or None and why there is none.
     """
     if recipe.characterisation is not None:
-        return None, "a strip of the material gets no calibration"
+        return None, "a material strip gets no calibration"
     if conclusion.observation is None:
         return None, conclusion.verdict.reason
     if not recipe.calibrate_phases:
-        return None, f"the recipe {recipe.name!r} names no phase to calibrate from"
+        return None, f"the recipe {recipe.name!r} has no phase to calibrate from"
     force = run_force(conclusion.observation)
     try:
         issued = issue_calibration(
@@ -138,7 +138,7 @@ def calibrated(
 
 
 def _as_stored(learned: LearnedForce | None, run: RunObservation) -> LearnedForce | None:
-    """A force model with the templates that the database will give it again."""
+    """A force model with the templates that the database will recompute."""
     if learned is None:
         return None
     kind, head = run.record.sensor_type, run.record.indenter
@@ -147,7 +147,7 @@ def _as_stored(learned: LearnedForce | None, run: RunObservation) -> LearnedForc
 
 
 def _overlap_threshold(recipe: Recipe) -> float:
-    """Lowest area overlap the recipe accepts where it calibrates, with the mask that decides.
+    """Lowest area overlap that the recipe accepts where it calibrates, with its mask.
 
     A recipe without such a limit accepts what its bands do not call their worst; with one band, anything.
     """

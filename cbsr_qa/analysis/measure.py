@@ -1,4 +1,4 @@
-"""Observations to judged measurements: asks every metric, then holds the answers against the recipe's limits.
+"""Measurements from observations: calls every metric and judges by the recipe's limits.
 
 What a metric answers is looked at where it is asked: nothing else can be stored, judged and shown.
 """
@@ -26,7 +26,7 @@ _LARGEST: Final = 2**31 - 1
 
 
 def answered(answer: Iterable[Measurement]) -> list[Measurement]:
-    """Return what a metric answered as plain measurements.
+    """Validate a metric's answer as plain measurements.
 
     Numpy's numbers, and whole ones, become floats; fields that were set after construction are looked at too.
 
@@ -36,7 +36,7 @@ def answered(answer: Iterable[Measurement]) -> list[Measurement]:
         Naming measurement, field, what was found and what is allowed. What the metric's own code raises passes.
     """
     if isinstance(answer, Measurement) or not isinstance(answer, Iterable):
-        raise PluginError(f"it returned {with_type(answer)}; allowed is a tuple of Measurement")
+        raise PluginError(f"it returned {with_type(answer)}; it must return a tuple of Measurement")
     taken = list(islice(answer, MOST_ANSWERS + 1))
     if len(taken) > MOST_ANSWERS:
         raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
@@ -45,14 +45,14 @@ def answered(answer: Iterable[Measurement]) -> list[Measurement]:
 
 def _checked(number: int, one: object) -> Measurement:
     if type(one) is not Measurement:
-        raise PluginError(f"measurement {number} is {with_type(one)}; allowed is a Measurement")
+        raise PluginError(f"measurement {number} is {with_type(one)}; it must be a Measurement")
     plain: dict[str, Any] = {}
     for name in (field.name for field in fields(Measurement)):
         said = getattr(one, name, None)
         check, allowed = _FIELDS[name]
         plain[name] = check(said)
         if plain[name] is _WRONG:
-            raise PluginError(f"measurement {number}: {name} is {with_type(said)}; allowed is {allowed}")
+            raise PluginError(f"measurement {number}: {name} is {with_type(said)}; it must be {allowed}")
     return replace(one, **plain)
 
 
@@ -120,7 +120,7 @@ _FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {
 def measure_run(
     observation: RunObservation, metrics: Mapping[str, LoadMetric | RunMetric]
 ) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
-    """Ask every metric.
+    """Call every metric.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def measure_run(
 
 
 def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
-    """Hold measurements against limits; the strictest outcome counts where several limits fit one measurement.
+    """Judge measurements by limits; if several limits match one measurement, the strictest outcome counts.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
         for number in same_unit:
             judged[number] = _stricter(judged[number], judged[number].judged(limit))
         if not fitting:
-            judged.append(_unmeasured(limit, "no metric of this recipe measured it: enable one, or remove the limit"))
+            judged.append(_unmeasured(limit, "no metric of this recipe measures it: enable one, or remove the limit"))
         elif not same_unit:
             found = judged[fitting[0]].unit
             judged.append(_unmeasured(limit, f"the limit is in {limit.unit}, the measurement in {found}"))
@@ -164,7 +164,7 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
 
 def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
-    """Ask one metric about every load and the whole run; errors as of :func:`answered` and the metric's own."""
+    """Call one metric for every load and the whole run; errors as of :func:`answered` and the metric's own."""
     taken: list[Measurement] = []
     if isinstance(metric, LoadMetric):
         for load in observation.loads:
@@ -177,7 +177,7 @@ def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Mea
 
 
 def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
-    """Measure a load against the reference the recipe did not choose; never judged, only reported beside."""
+    """Measure a load against the reference that the recipe did not choose; reported, never judged."""
     other = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [
         replace(m, qualifier=f"{m.qualifier}, reference {other}".removeprefix(", "))

@@ -1,4 +1,4 @@
-"""One entry of a recording file, checked where it is read: that it is there, and its kind, type, shape and length.
+"""Validated entries of a recording file: presence, kind, type, shape, length.
 
 Whoever wrote the file may have put anything under any name. Refusals name the entry, what was found and what is
 expected; whoever opened the file puts its name before them.
@@ -26,7 +26,7 @@ _MOST_ELECTRODES: Final = 4096
 
 
 def group_of(parent: h5py.Group, name: str) -> h5py.Group:
-    """Return a group. RefusedError where it is missing, or a dataset."""
+    """Return a group. RefusedError if it is missing, or a dataset."""
     found = _member(parent, name)
     if not isinstance(found, h5py.Group):
         raise RefusedError(f"{found.name} is a dataset; a group is expected")
@@ -60,20 +60,20 @@ def numbers(
 
 
 def unit_of(parent: h5py.Group, name: str) -> str:
-    """Return the unit that a dataset states."""
+    """Return the unit of a dataset."""
     return text_of(_dataset(parent, name), "unit")
 
 
 def text_of(item: h5py.Group | h5py.Dataset, name: str, longest: int = _LONGEST_TEXT) -> str:
-    """Return an attribute that is one text. RefusedError where it is missing, something else or too long."""
+    """Return a string attribute. RefusedError if it is missing, of another type or too long."""
     value = attribute(item, name)
     if not isinstance(value, str):
-        raise RefusedError(f"attribute {name} of {item.name} is missing or not one text of UTF-8")
+        raise RefusedError(f"attribute {name} of {item.name} is missing or is not a single UTF-8 string")
     return _text(f"attribute {name} of {item.name}", value, longest)
 
 
 def real_of(item: h5py.Group, name: str, what: str) -> float | None:
-    """Return an attribute that is one finite real number; None where it is missing.
+    """Return an attribute that is one finite real number; None if it is missing.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def real_of(item: h5py.Group, name: str, what: str) -> float | None:
 
 
 def json_of(item: h5py.Group, name: str) -> Any:
-    """Return what an attribute says in JSON. RefusedError where it is not JSON, or holds NaN or lone surrogates."""
+    """Return the JSON value of an attribute. RefusedError if invalid, or with NaN or lone surrogates."""
     text = text_of(item, name, _LONGEST_JSON)
     try:
         said = json.loads(text, parse_constant=_no_constant)
@@ -109,7 +109,7 @@ def _no_constant(name: str) -> NoReturn:
 
 
 class Described:
-    """An object of a file's JSON; every value is checked when it is taken out.
+    """An object of a file's JSON; every value is validated when read.
 
     Parameters
     ----------
@@ -126,19 +126,19 @@ class Described:
         return key in self._said
 
     def text(self, key: str) -> str:
-        """One text."""
+        """A string."""
         return _text(f"{self._where}.{key}", self._take(key, str, "a text"))
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """A list of texts."""
-        return texts(f"{self._where}.{key}", self._take(key, list, "a list of texts"))
+        """A list of strings."""
+        return texts(f"{self._where}.{key}", self._take(key, list, "a list of strings"))
 
     def flag(self, key: str) -> bool:
-        """True or false."""
+        """A boolean."""
         return bool(self._take(key, bool, "true or false"))
 
     def whole(self, key: str, most: int) -> int:
-        """A whole number from 0 on."""
+        """A whole number of at least 0."""
         value = self._take(key, int, "a whole number")
         if not 0 <= value <= most:
             raise RefusedError(f"{self._where}.{key} is {_kind(value)}; 0 to {most} are allowed")
@@ -149,15 +149,15 @@ class Described:
         return _real(f"{self._where}.{key}", self._take(key, (int, float), "a number"))
 
     def absent(self, key: str) -> bool:
-        """Whether a value that need not be known is null."""
+        """Whether an optional value is null."""
         return self._take(key, object, "a value") is None
 
     def within(self, key: str) -> "Described":
-        """An object in it."""
+        """A nested object."""
         return Described(self._take(key, dict, "an object"), f"{self._where}.{key}")
 
     def layout(self) -> Electrodes:
-        """Itself as a layout of electrodes."""
+        """The object as a layout of electrodes."""
         kind = self.text("kind")
         if kind not in set(ElectrodeKind):
             raise RefusedError(f"{self._where}.kind is {echo(kind)}; allowed: {', '.join(ElectrodeKind)}")
@@ -165,7 +165,7 @@ class Described:
             return PlacedElectrodes(ElectrodeKind(kind), self._places("places_mm"), self.real("width_mm"))
         known = {field.name for field in fields(ElectrodeLayout)}
         if unknown := sorted(set(self._said) - known):
-            raise RefusedError(f"{self._where}.{echo(unknown[0])} is not known; allowed: {', '.join(sorted(known))}")
+            raise RefusedError(f"{self._where}.{echo(unknown[0])} is unknown; allowed: {', '.join(sorted(known))}")
         return ElectrodeLayout(
             self.whole("count", _MOST_ELECTRODES),
             ElectrodeKind(kind),
@@ -193,15 +193,15 @@ class Described:
 
 
 def texts(where: str, said: Any) -> tuple[str, ...]:
-    """Check that something is a list of texts, and return it."""
+    """Validate a list of strings, and return it."""
     if not isinstance(said, list) or not all(isinstance(one, str) for one in said):
-        raise RefusedError(f"{where} is not a list of texts")
+        raise RefusedError(f"{where} is not a list of strings")
     return tuple(_text(where, one, _LONGEST_NOTE) for one in said)
 
 
 def _text(where: str, value: str, longest: int = _LONGEST_TEXT) -> str:
     if len(value) > longest:
-        raise RefusedError(f"{where} is a text of {len(value)} characters; at most {longest} are allowed")
+        raise RefusedError(f"{where} has {len(value)} characters; at most {longest} are allowed")
     return value
 
 
@@ -213,7 +213,7 @@ def _real(where: str, value: Any) -> float:
 
 
 def _kind(value: Any) -> str:
-    """How a message names what was found."""
+    """Describe a value for a message."""
     if isinstance(value, str):
         return echo(value)
     if isinstance(value, dict | list):

@@ -1,4 +1,4 @@
-"""Our own recording file: HDF5 with a schema version, units on every dataset, and a digest.
+"""The recording file: HDF5 with a schema version, units on every dataset, and a digest.
 
 Frames, reading flags, times, samples of other channels, and the presses that are documented. Nothing in it can
 execute; datasets are plain numbers and UTF-8 text, readable from MATLAB, LabVIEW, C and Python.
@@ -57,7 +57,7 @@ _LOAD_COLUMNS: Final = (
 
 
 def write_recording(path: Path, recording: Recording) -> None:
-    """Write a recording whole or not at all.
+    """Write a recording atomically.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def write_recording(path: Path, recording: Recording) -> None:
 
 @contextmanager
 def recording_file(path: Path) -> Iterator[BinaryIO]:
-    """Write a recording's file, whatever its format, whole or not at all.
+    """Write a recording file of any format, atomically.
 
     Raises
     ------
@@ -89,12 +89,12 @@ def recording_file(path: Path) -> Iterator[BinaryIO]:
     except OSError as error:
         raise RecordingError(
             f"the recording cannot be written to {path}: {error.strerror or error}",
-            remedy="choose a folder that can be written to",
+            remedy="choose a writable folder",
         ) from error
 
 
 def _image(recording: Recording) -> bytes:
-    """What the file holds. Made in memory: HDF5 prints tracebacks when a disk is full, and cannot close its file."""
+    """Content of the file. Built in memory: HDF5 prints tracebacks when a disk is full, and cannot close its file."""
     with h5py.File("recording.h5", "w", driver="core", backing_store=False) as file:
         _write(file, recording)
         file.attrs["sha256"] = _digest(file)
@@ -129,11 +129,11 @@ def _check(path: Path, file: h5py.File) -> None:
     if attribute(file, "format") != FORMAT:
         raise RecordingError(
             f"{path.name} is an HDF5 file but not a recording of this program",
-            remedy="a calibration file is looked at with cbsr-qa calibration show",
+            remedy="use cbsr-qa calibration show for a calibration file",
         )
     version = attribute(file, "schema_version")
     if not isinstance(version, np.integer):
-        raise RecordingError(f"{path.name} states no schema version, or one that is not a whole number")
+        raise RecordingError(f"{path.name} has no schema version, or not a whole number")
     if not 1 <= version <= SCHEMA_VERSION:
         raise RecordingError(
             f"{path.name} has schema version {version}; this program reads up to {SCHEMA_VERSION}",
@@ -141,7 +141,7 @@ def _check(path: Path, file: h5py.File) -> None:
         )
     if attribute(file, "sha256") != _digest(file, path.stat().st_size):
         raise RecordingError(
-            f"{path.name} was changed after it was written (its digest does not fit)", remedy="export the run again"
+            f"{path.name} was changed after it was written (its digest does not match)", remedy="export the run again"
         )
 
 
@@ -229,7 +229,7 @@ def _read(path: Path, file: h5py.File) -> Recording:
 
 
 def _told(said: Described) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the notes and what was simulated, which files of earlier versions hold as notes."""
+    """Return notes and the simulation's description, which earlier versions stored as notes."""
     notes = said.texts("notes")
     if "simulated" in said:
         return notes, said.texts("simulated")
@@ -245,13 +245,13 @@ def _read_frames(group: h5py.Group) -> FrameBlock:
     own = numbers(group, "reading_time_s") if "reading_time_s" in group else None
     times_s = numbers(group, "time_s")
     if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
-        raise RefusedError("the times of its frames are not finite numbers that never fall")
+        raise RefusedError("frame times must be finite and must not decrease")
     if own is not None and not np.isfinite(own).all():
         raise RefusedError("the time of a reading is not a finite number")
     voltages, unit = numbers(group, "voltages"), unit_of(group, "voltages")
     if unit not in set(VoltageUnit):
         allowed = ", ".join(VoltageUnit)
-        raise RefusedError(f"{group.name}/voltages states the unit {echo(unit)}; allowed: {allowed}")
+        raise RefusedError(f"{group.name}/voltages has unit {echo(unit)}; allowed: {allowed}")
     flags = numbers(group, "flags", "iu").astype(np.uint8)
     return FrameBlock(times_s, voltages, flags, VoltageUnit(unit), current_A, own)
 

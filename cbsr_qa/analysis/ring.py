@@ -1,7 +1,4 @@
-"""What the frames of a reference ring say of a station, line by line.
-
-Frames of a ring of resistors against its closed form: gain, offset, leads, and what is left of each reading.
-"""
+"""Frames of a reference ring against its closed form: gain, offset, leads and residuals, reported line by line."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +25,7 @@ _BAD: Final = int(ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.M
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingFit:
-    """What frames of a ring come to.
+    """Fit of a ring's frames.
 
     A mean reading is (1 + gain error) × closed form × current + offset + what the leads add + its residual; fitted by
     least squares over all readings without a flag, each relative to its size.
@@ -63,7 +60,7 @@ class RingFit:
 
 
 def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
-    """Hold frames of a ring against its closed form.
+    """Fit gain, offset and leads of a ring's frames to its closed form.
 
     Raises
     ------
@@ -73,9 +70,9 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     """
     frames = ring.frames
     if len(frames) < 2:
-        raise NumericsError("one frame of a ring says nothing of noise", remedy="take two or more")
+        raise NumericsError("one frame of a ring does not show noise", remedy="take two or more")
     if frames.current_A == 0:
-        raise NumericsError("the frames were taken without a current", remedy="see that the source is on")
+        raise NumericsError("the frames were taken without a current", remedy="check that the source is on")
     flags = np.bitwise_or.reduce(frames.flags, axis=0)
     used = (flags & _BAD) == 0
     closed = ring_readings(ring.resistances_ohm, pattern)
@@ -100,7 +97,7 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
 
 
 def exchanged(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tuple[int, int] | None:
-    """Return two electrodes that explain all readings if they are taken as exchanged; None where no two do.
+    """Return two electrodes whose exchange explains all readings, or None.
 
     Parameters
     ----------
@@ -126,7 +123,7 @@ def exchanged(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tu
 
 
 def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) -> tuple[Array, bool, bool]:
-    """Fit gain, offset and leads; leads, then the offset, are left at zero where the pattern cannot tell them.
+    """Fit gain, offset and leads; leads, then the offset, stay zero where the pattern cannot determine them.
 
     Returns
     -------
@@ -144,12 +141,12 @@ def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) ->
             return found, count > 2, count > 1
     raise NumericsError(
         f"{int(used.sum())} of {used.size} readings of the ring are without a flag, too few to fit a gain",
-        remedy="see that the ring is connected, and lower the drive current where it is at compliance",
+        remedy="check that the ring is connected, and lower the drive current where it is at compliance",
     )
 
 
 def _sizes(expected: Array) -> Array:
-    """What deviations are relative to: the reading's own size, or a little where it ought to be none."""
+    """Scale of relative deviations: the reading's own size, or a small one where zero is expected."""
     magnitude = np.abs(expected)
     sizes: Array = np.maximum(magnitude, _SMALLEST * magnitude.max())
     return sizes
@@ -169,7 +166,7 @@ _UNKNOWN: Final = "the frames are not in volts, or their current is not known"
 
 
 def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> tuple[CheckResult, ...]:
-    """Judge frames of a ring: flags, gain, offset, leads, the worst reading and noise, a line for each.
+    """Judge frames of a ring: flags, gain, offset, leads, worst reading and noise, one line each.
 
     Parameters
     ----------
@@ -209,7 +206,7 @@ def _flagged(fit: RingFit, pattern: DrivePattern) -> CheckResult:
         unit="1",
         allowed="0",
         said=said,
-        remedy="see that the ring is connected; lower the drive current or the ring's resistance" if count else "",
+        remedy="check that the ring is connected; lower the drive current or the ring's resistance" if count else "",
         subject=RING,
     )
 
@@ -232,7 +229,7 @@ def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
 
 def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
     if fit.offset is None:
-        why = "the pattern cannot tell an offset from the gain"
+        why = "the pattern cannot separate offset and gain"
         return CheckResult("offset", CheckOutcome.NOT_DONE, said=why, subject=RING)
     if fit.gain_error is None:
         return CheckResult("offset", CheckOutcome.OK, value=fit.offset, unit=unit, said=_UNKNOWN, subject=RING)
@@ -251,7 +248,7 @@ def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
 
 def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     if fit.lead_ohm is None:
-        why = _UNKNOWN if fit.gain_error is None else "the pattern cannot tell leads from the ring"
+        why = _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring"
         return CheckResult("lead resistance", CheckOutcome.NOT_DONE, said=why, subject=RING)
     worst = int(np.argmax(np.abs(fit.lead_ohm)))
     ok = abs(fit.lead_ohm[worst]) <= allowed.lead_ohm
@@ -280,24 +277,24 @@ def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: Ref
         value=100 * residual,
         unit="%",
         allowed=_within(100 * limit, "%"),
-        said=f"{said}; gain, offset and leads are taken out",
+        said=f"{said}; gain, offset and leads are removed",
         remedy="" if ok else _cause(fit, ring, pattern, limit),
         subject=RING,
     )
 
 
 def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float) -> str:
-    """What explains readings that are off: two electrodes exchanged, or one pair that nothing driven across fits."""
+    """Likely cause of deviating readings: two exchanged electrodes, or one bad resistor."""
     swapped = exchanged(ring, pattern, within=limit)
     if swapped is not None:
         first, second = swapped
-        return f"electrodes {first} and {second} are exchanged: all readings fit then; put their leads right"
+        return f"electrodes {first} and {second} are exchanged: swapping them fits all readings; correct their leads"
     # Half of what is driven across a bad resistor is off by far more than what is driven elsewhere.
     off = np.abs(np.median(fit.residual, axis=1))
     worst = int(np.argmax(off))
     if off[worst] > max(limit, _STANDS_OUT * float(np.median(off))):
         source, sink = pattern.drive[worst]
-        return f"what is driven across electrodes {source} and {sink} is off: check the resistor between them"
+        return f"readings driven across electrodes {source} and {sink} are off: check the resistor between them"
     return "check the resistors and the wiring of these electrodes"
 
 
@@ -322,10 +319,10 @@ def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> Check
 
 
 def _less_noise(rms: float, allowed: ReferenceRing) -> str:
-    """What to do about noise: also small readings make it large, where it is the same in volts whatever is read."""
+    """Advice on noise: small readings make relative noise large if it is constant in volts."""
     enough_ohm = float(f"{1.05 * float(np.mean(allowed.resistance_ohm)) * rms / allowed.noise:.1e}")
     return (
-        "look for loose plugs and mains hum; average longer; in the larger readings of a ring of"
+        "look for loose plugs and mains hum; average longer; with a ring of"
         f" {enough_ohm:g} Ω and more the same noise would be allowed"
     )
 

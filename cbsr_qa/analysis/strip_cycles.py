@@ -1,4 +1,4 @@
-"""A stored run on a strip to press cycles: resistance between the pins, stress, and what cannot be used of them.
+"""Press cycles of a strip run: resistance between the pins, stress, and excluded data.
 
 Stress of press cycles, as far as the load cell could follow.
 """
@@ -31,7 +31,7 @@ _FLAT: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldStress:
-    """Stress through one hold: (n,) times from its start, and stress; empty where ``why`` says why not."""
+    """Stress through one hold: (n,) times from its start, and stress; empty if ``why`` is given."""
 
     time_s: Array
     stress_kPa: Array
@@ -55,8 +55,8 @@ class StripForce:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is wrong with the force as a whole."""
-        return () if self.samples is not None else ("no force was recorded: nothing is known of the stress",)
+        """Problems of the force as a whole."""
+        return () if self.samples is not None else ("no force was recorded: the stress is unknown",)
 
     def stress(self, load: LoadRecord) -> HeldStress:
         """Stress through the hold of one press.
@@ -69,12 +69,12 @@ class StripForce:
             return HeldStress(nothing, nothing)
         taken = self.samples.between(load.hold_start_s, load.release_start_s)
         if len(taken) < _FEWEST:
-            return HeldStress(nothing, nothing, "holds without force samples tell nothing of the stress")
+            return HeldStress(nothing, nothing, "holds without force samples give no stress")
         good = np.ones(len(taken), dtype=np.bool_) if self.limit_N is None else taken.values < self.limit_N
         if good.sum() < max(_FEWEST, len(taken) // 2) or not good[len(taken) // 2 :].all():
             why = (
                 f"the load cell is flat at its limit of {self.limit_N:.4g} N: the stress at"
-                f" {100 * load.load.strain:g} % strain is not known"
+                f" {100 * load.load.strain:g} % strain is unknown"
             )
             return HeldStress(nothing, nothing, why)
         groups = np.array_split(np.flatnonzero(good), min(_POINTS, int(good.sum())))
@@ -90,7 +90,7 @@ def strip_force(phase: PhaseRecord, area_mm2: float) -> StripForce:
 
 
 def _limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None:
-    """Highest force, where many samples in a row read exactly that while the others are not as still.
+    """Highest force, if many samples in a row equal it while the others vary.
 
     Without noise a held force is flat too: it is then a limit only if holds of several strains end there.
     """
@@ -122,7 +122,7 @@ _DEAD_SHARE: Final = 0.5  # of all readings; a pin without contact shows in most
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pins:
-    """What was read between the pins, without what cannot be used: times and resistances, (n,)."""
+    """Usable readings between the pins: times and resistances, (n,)."""
 
     time_s: Array
     ohm: Array
@@ -151,14 +151,14 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
     Raises
     ------
     NumericsError
-        If the sensor type is no strip, there are no cycles or no readings of the rested strip, or the pins do not
+        If the sensor type is not a strip, there are no cycles or no readings of the rested strip, or the pins do not
         carry the current.
     """
     phases = [phase for phase in record.phases if phase.role is Role.CHARACTERISATION and phase.loads]
     if not phases:
         raise NumericsError(
             "the run has no press cycles to characterise from",
-            remedy="give the recipe a phase whose sequence is characterisation",
+            remedy="add a phase with sequence characterisation to the recipe",
         )
     contact_mm, error_mm = settings.contact_length_mm, settings.contact_length_stderr_mm
     strip, other = (
@@ -169,7 +169,7 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
     _check_contact(phases)
     if not len(rested.ohm):
         raise NumericsError(
-            "no reading of the rested strip can be used", remedy="take more unloaded frames before the first press"
+            "no usable reading of the rested strip", remedy="take more unloaded frames before the first press"
         )
     resistance_ohm = float(rested.ohm.mean())
     forces = [strip_force(phase, strip.pressed_mm2) for phase in phases]
@@ -200,33 +200,33 @@ def _place_mm(phases: list[PhaseRecord]) -> tuple[float, float]:
     places = {(load.load.x_mm, load.load.y_mm) for phase in phases for load in phase.loads}
     if len(places) > 1:
         raise NumericsError(
-            f"the strip was pressed at {len(places)} places; cycles add up at one place only",
+            f"the strip was pressed at {len(places)} places; cycles can be combined at one place only",
             remedy="press one place in a run",
         )
     return places.pop()
 
 
 def _pins(frames: FrameBlock | None) -> _Pins:
-    """Resistances between the pins that can be used."""
+    """Usable resistances between the pins."""
     if frames is None:
         return _Pins(np.zeros(0), np.zeros(0))
     if frames.unit is not VoltageUnit.VOLT or not frames.current_A:
-        raise NumericsError("the readings are not volts at a known current: they make no resistance")
+        raise NumericsError("the readings are not volts at a known current: resistance cannot be computed")
     good = (frames.flags[:, 0, 0] & _UNUSABLE) == 0
     return _Pins(frames.time_s[good], frames.voltages[good, 0, 0] / frames.current_A)
 
 
 def _check_contact(phases: list[PhaseRecord]) -> None:
-    """Refuse pins that do not carry the current, and readings that never move."""
+    """Refuse pins that carry no current, and readings that never change."""
     taken = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not taken:
-        raise NumericsError("nothing was read through the press cycles", remedy="take frames through holds and rests")
+        raise NumericsError("no frames were taken in the press cycles", remedy="take frames through holds and rests")
     flags = np.concatenate([frames.flags[:, 0, 0] for frames in taken])
     flagged = int(((flags & _UNUSABLE) != 0).sum())
     if flagged > _DEAD_SHARE * len(flags):
         raise NumericsError(
-            f"{flagged} of {len(flags)} readings are missing, or the source or the voltmeter was at its limit: a pin"
-            " does not carry the current",
+            f"{flagged} of {len(flags)} readings are missing, or source or voltmeter was at its limit: a pin"
+            " may be open",
             remedy="check both pins and their leads, or lower the current",
         )
     ohm = np.concatenate([_pins(frames).ohm for frames in taken])

@@ -1,4 +1,4 @@
-"""Measurements of a characterisation: everything a limit may judge."""
+"""Measurements of a characterisation, for limits to judge."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -37,7 +37,7 @@ _UNDER_HEAD: Final = "under the head, by the forward model of the strip"
 
 
 def measure_characterisation(found: Characterisation) -> tuple[Measurement, ...]:
-    """Return the measurements of a characterisation; what could not be told has no value, and says why."""
+    """Return the measurements of a characterisation; undetermined ones have no value and give the reason."""
     return (
         *_lines(found),
         *_strip(found),
@@ -76,7 +76,7 @@ def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str 
 
 
 def _relative_error(found: Characterisation) -> Measurement:
-    """Standard error of the slope over the slope, without what is assumed of the contacts: it is alike for all.
+    """Relative standard error of the slope, without the assumed contacts: they affect all slopes equally.
 
     Of a characterisation that cannot stand for its material there is none, so that a limit on it is not met.
     """

@@ -1,4 +1,4 @@
-"""A fielded sensor against its stored calibration: some short loads tell whether it still says the truth."""
+"""Verification of a fielded sensor's calibration with a few short loads."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -23,7 +23,7 @@ _NO_RELAXATION: Final = (FitStatus.REJECTED, FitStatus.DRIFTING)
 
 @dataclass(frozen=True, slots=True)
 class RecheckedLoad:
-    """One load as the calibration reads it, beside the load cell.
+    """Force of one load by the calibration, beside the load cell's.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class RecheckedLoad:
 
 @dataclass(frozen=True, slots=True)
 class Recheck:
-    """What became of a sensor since it was calibrated.
+    """Change of a sensor since its calibration.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Recheck:
 
 
 def recheck(run: RunObservation, calibration: Calibration) -> Recheck:
-    """Hold a run's loads against a calibration of the same sensor.
+    """Compare a run's loads with a calibration of the same sensor.
 
     A sheet that lies otherwise than it should is read where it lies. The run's own unloaded frames are the
     reference: what the unloaded sheet has drifted by since is reported and does not reach the forces. Holds may be
@@ -85,21 +85,21 @@ def recheck(run: RunObservation, calibration: Calibration) -> Recheck:
 def _check(run: RunObservation, calibration: Calibration) -> None:
     issued, serial = calibration.issued, run.record.identity.sensor.serial
     if issued.sensor.serial != serial:
-        raise CalibrationError(f"the calibration is of sensor {issued.sensor.serial}, the run of {serial}")
+        raise CalibrationError(f"the calibration is for sensor {issued.sensor.serial}, the run for {serial}")
     if issued.reference.shape != run.reference.shape:
         raise CalibrationError(
-            f"the calibration is of frames of {issued.reference.shape}, the run of {run.reference.shape}"
+            f"the calibration has frames of shape {issued.reference.shape}, the run {run.reference.shape}"
         )
     gone = issued.reconstruction.problem.used & ~run.usable
     if gone.any():
         raise CalibrationError(
-            f"{int(gone.sum())} readings that the calibration needs cannot be used any more",
-            remedy="see the report's contacts: mend the electrode, or calibrate the sensor again",
+            f"{int(gone.sum())} readings that the calibration needs are no longer usable",
+            remedy="see the report's contacts: repair the electrode, or calibrate the sensor again",
         )
 
 
 class _Reader:
-    """Reads the loads of a run with a calibration."""
+    """Evaluates the loads of a run with a calibration."""
 
     def __init__(self, run: RunObservation, calibration: Calibration) -> None:
         self._run, self._calibration = run, calibration
@@ -109,7 +109,7 @@ class _Reader:
         self.seat = self._seat()
 
     def _seat(self) -> Seat:
-        """How the sheet lies this time."""
+        """Current registration of the sheet."""
         rows, noise, places = [], [], []
         for load in self._run.loads:
             phase = self._run.record.phase(load.phase)
@@ -138,7 +138,7 @@ class _Reader:
         return float(np.sqrt((left**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
 
     def load(self, load: LoadObservation) -> RecheckedLoad | None:
-        """One load; None where it was not alone, has no force, or is out of reach."""
+        """Evaluate one load; None if it was not alone, has no force, or is out of reach."""
         record, model = load.record, self._calibration.model
         phase = self._run.record.phase(load.phase)
         cell = phase.channel("force")

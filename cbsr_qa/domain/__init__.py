@@ -1,4 +1,4 @@
-"""Words of the trade, which every layer and every plugin may use: errors, numbers, and rooms for the rest."""
+"""Vocabulary shared by all layers and plugins: errors, numbers, geometry, plans, runs, results."""
 
 from cbsr_qa import door
 

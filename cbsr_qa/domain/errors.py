@@ -1,4 +1,4 @@
-"""Errors a user may meet. Each carries what went wrong, what to do about it, and the exit code it ends with."""
+"""Errors shown to users. Each has a reason, a remedy and an exit code."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ LONGEST_PROBLEM: Final = 300
 
 @dataclass(frozen=True, slots=True)
 class RowProblem:
-    """A row that was not used, or used with care.
+    """A row that was excluded, or used with reservations.
 
     Parameters
     ----------
@@ -24,13 +24,13 @@ class RowProblem:
     rejected: bool
 
     def __post_init__(self) -> None:
-        """Cut what a file may have made long: a line of megabytes is no message."""
+        """Cut parts that a file may have made long: a line of megabytes is not a message."""
         if len(self.what) > LONGEST_PROBLEM:
             object.__setattr__(self, "what", f"{self.what[:LONGEST_PROBLEM]}… ({len(self.what)} characters)")
 
 
 class CbsrError(Exception):
-    """Base of every error this package raises on purpose.
+    """Base class of all errors that this package raises deliberately.
 
     Parameters
     ----------
@@ -46,24 +46,24 @@ class CbsrError(Exception):
         self.remedy = remedy
 
     def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it."""
+        """Return the document that ``--json`` prints."""
         return {"refused": {"reason": self.reason, "remedy": self.remedy}}
 
 
 class RefusedError(CbsrError):
-    """Input that cannot be used: the program did nothing with it and wrote nothing (exit code 2)."""
+    """Unusable input: nothing was done or written (exit code 2)."""
 
 
 class ConfigError(RefusedError):
-    """A configuration file is missing, malformed or says something that is not allowed."""
+    """A configuration file is missing, malformed or has a value that is not allowed."""
 
 
 class PluginError(RefusedError):
-    """A plugin that was asked for is unknown or cannot be loaded."""
+    """A requested plugin is unknown or cannot be loaded."""
 
 
 class RecordingError(RefusedError):
-    """A recording holds nothing that can be analysed, or not what its format promises.
+    """A recording has no usable data, or violates its format.
 
     Parameters
     ----------
@@ -76,19 +76,19 @@ class RecordingError(RefusedError):
 
 
 class StoreError(RefusedError):
-    """The database is missing, damaged, of another version, or does not hold what was asked for."""
+    """The database is missing, damaged, of another version, or lacks the requested data."""
 
 
 class CalibrationError(RefusedError):
-    """A calibration file is damaged, edited, of another version, or does not fit what it is used for."""
+    """A calibration file is damaged, edited, of another version, or does not match its use."""
 
 
 class NumericsError(RefusedError):
-    """A computation was refused by name (rank, range, shape) instead of returning an image of noise."""
+    """A computation was refused (rank, range, shape) instead of returning an image of noise."""
 
 
 class InstrumentError(CbsrError):
-    """An instrument did not do what it was told (exit code 3).
+    """An instrument did not execute a command (exit code 3).
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class InstrumentError(CbsrError):
 
 
 class SafetyError(CbsrError):
-    """A safety rule was broken; the bench has been brought to its safe state (exit code 3)."""
+    """A safety rule was violated; the bench is in its safe state (exit code 3)."""
 
     exit_code = 3
 
@@ -117,7 +117,7 @@ class SafetyError(CbsrError):
 
 
 class BrokenRunError(CbsrError):
-    """A run had begun and could not be brought to its conclusion: what was stored of it stays (exit code 3)."""
+    """A run had begun and could not be completed; its stored data stay (exit code 3)."""
 
     exit_code = 3
 
@@ -126,24 +126,24 @@ class BrokenRunError(CbsrError):
         self.run = run
 
     def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it: a run's document as far as there is one."""
+        """Return the document that ``--json`` prints: the run's, as far as it exists."""
         ending = {"run": self.run, "end": "broken", "outcome": "not measured", "reason": self.reason}
         nothing: dict[str, Any] = {"report": None, "calibration": None, "measurements": []}
         return {**ending, "remedy": self.remedy, **nothing}
 
 
 class NotReproducedError(CbsrError):
-    """A simulated sensor of a reproduction gave no figures: its run stopped, or has no analysis (exit code 3)."""
+    """A simulated sensor of a reproduction gave no values: its run stopped, or has no analysis (exit code 3)."""
 
     exit_code = 3
 
     def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it."""
+        """Return the document that ``--json`` prints."""
         return {"broken": {"reason": self.reason, "remedy": self.remedy}}
 
 
 class UnconcludedError(CbsrError):
-    """The bench had done its part, and somebody stopped the program before the result was written (exit code 3).
+    """Measuring was complete, and the program was stopped before the result was written (exit code 3).
 
     Parameters
     ----------
@@ -155,18 +155,18 @@ class UnconcludedError(CbsrError):
 
     def __init__(self, run: str, again: str, by: str) -> None:
         super().__init__(
-            f"run {run}: stopped by {by} while its result was worked out; all that was measured is stored",
-            remedy=f"this goes on: {again}",
+            f"run {run}: stopped by {by} while computing its result; all measured data is stored",
+            remedy=f"to continue: {again}",
         )
         self.run = run
 
     def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it."""
+        """Return the document that ``--json`` prints."""
         return {"aborted": {"run": self.run, "reason": self.reason, "remedy": self.remedy}}
 
 
 class AbortedError(CbsrError):
-    """Somebody stopped the run; the bench has been brought to its safe state (exit code 3)."""
+    """The run was stopped by an operator or a signal; the bench is in its safe state (exit code 3)."""
 
     exit_code = 3
 

@@ -1,7 +1,4 @@
-"""Numbers as callers give them, refused by name where they are of another type.
-
-Names with what they are of, as a reader says them, and which text may name anything.
-"""
+"""Validation of numbers and text from callers."""
 
 from numbers import Integral
 from typing import Any
@@ -17,7 +14,7 @@ Mask = NDArray[np.bool_]  #: which entries of another array
 
 
 def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[np.float64]:
-    """Return real numbers as float64; those that are are not copied.
+    """Return real numbers as float64; an array of float64 is not copied.
 
     Complex numbers, text and truth values are refused instead of cast: a cast drops imaginary parts, and reads text.
 
@@ -55,14 +52,14 @@ def finite_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
         raise NumericsError(
-            f"{what}: number {bad[0]} (from 0) is {array.flat[bad[0]]}, not a finite number",
+            f"{what}: value {bad[0]} (from 0) is {array.flat[bad[0]]}, not a finite number",
             remedy="leave such values out",
         )
     return array
 
 
 def array_of(values: ArrayLike, what: str) -> NDArray[Any]:
-    """Return values as an array of whatever type they are.
+    """Return values as an array of any type.
 
     Raises
     ------
@@ -78,12 +75,12 @@ def array_of(values: ArrayLike, what: str) -> NDArray[Any]:
 
 
 def is_whole(value: object) -> bool:
-    """Whether a value counts something: an integer, which truth values are not."""
+    """Whether a value is an integer; booleans are not."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def check_encodable(what: str, *texts: str) -> None:
-    """Refuse text that no file, database or page can hold: halves of characters (lone surrogates).
+    """Refuse text that no file, database or page can hold: lone surrogates.
 
     Raises
     ------
@@ -95,12 +92,12 @@ def check_encodable(what: str, *texts: str) -> None:
             text.encode()
         except UnicodeEncodeError:
             raise RefusedError(
-                f"{what} holds {text[:60]!r}, which is no text that can be written", remedy="write it in UTF-8"
+                f"{what} is {text[:60]!r}, which cannot be encoded as text", remedy="write it in UTF-8"
             ) from None
 
 
 def with_type(found: object) -> str:
-    """Return a value of a wrong type as a message shows it: ``5 (int)``, ``an array``; its ``repr`` may raise."""
+    """Describe a value of a wrong type for a message: ``5 (int)``, ``an array``; its ``repr`` may raise."""
     kind = type(found).__name__.removeprefix("nd")
     text = repr(found) if isinstance(found, str | int | float | complex | None) else ""
     if text:
@@ -109,7 +106,7 @@ def with_type(found: object) -> str:
 
 
 def of_kind(kind: str, name: str) -> str:
-    """Return ``station bench-a``; a name that says its kind itself is not told twice: ``station-B``.
+    """Return ``station bench-a``; a name that contains its kind is not prefixed: ``station-B``.
 
     Parameters
     ----------

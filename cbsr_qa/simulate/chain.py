@@ -1,4 +1,4 @@
-"""The effects of a scene as an ordered list of callables; one that is off is not there.
+"""The effects of a scene as an ordered list of callables; a disabled effect is absent.
 
 What no effect of the simulated world models.
 """
@@ -59,7 +59,7 @@ _CHANGED: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 class Chain:
-    """The effects that are on, by stage, each stage in the scene's order."""
+    """The enabled effects by stage, each stage in the scene's order."""
 
     def __init__(self, effects: Iterable[tuple[str, AnyEffect]]) -> None:
         named = tuple(effects)
@@ -74,23 +74,23 @@ class Chain:
 
     @property
     def memory_s(self) -> float:
-        """How long after a press the response may still feel it; for ever where an effect does not say."""
+        """How long a press affects the response [s]; infinite if an effect does not limit it."""
         return max((getattr(effect, "memory_s", math.inf) for _, effect in self._stages["response"]), default=0.0)
 
     def design(self, design: SheetDesign) -> None:
-        """Let the effects of the stage ``sheet`` change a sheet before it is made."""
+        """Apply the effects of the stage ``sheet`` to a sheet's design."""
         for name, effect in self._sheet:
             with _blaming(name):
                 effect.design(design)
 
     def record(self, transcript: Transcript) -> None:
-        """Let the effects of the stage ``recording`` change how frames are written down."""
+        """Apply the effects of the stage ``recording`` to the transcript."""
         for name, effect in self._recording:
             with _blaming(name):
                 effect.record(transcript)
 
     def apply(self, stage: str, moment: Moment) -> None:
-        """Let the effects of a stage change a moment, one after the other.
+        """Apply the effects of a stage to a moment, in order.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class Chain:
             except BaseException as error:
                 raise _failed(name, error, f" at {moment.time_s:.6g} s") from error
             if not finite:
-                what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} that is no finite number"
+                what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} with non-finite values"
                 raise PluginError(f"{what} at {moment.time_s:.6g} s", remedy="give it smaller parameters")
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
@@ -126,7 +126,7 @@ def _applied(named: Iterable[tuple[str, AnyEffect]], stage: str) -> Iterator[tup
 
 
 def _finite(stage: str, moment: Moment) -> bool:
-    """Whether what a stage may change is finite, or flagged as missing."""
+    """Whether the values of a stage are finite, or flagged as missing."""
     for attribute in _CHANGED[stage]:
         value = getattr(moment, attribute)
         if attribute == "voltages" and value is not None and moment.flags is not None:
@@ -156,12 +156,12 @@ def _blaming(name: str) -> Iterator[None]:
 def _failed(name: str, error: BaseException, when: str = "") -> PluginError:
     return PluginError(
         f"effect {name!r} failed{when}: {failure(error)}",
-        remedy="tell its author, or take it out of the scene",
+        remedy="report it to its author, or remove it from the scene",
     )
 
 
 def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFactory) -> Chain:
-    """Make the effects a scene asks for, in its order.
+    """Create a scene's effects, in its order.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
     made: dict[str, AnyEffect] = {}
     for choice in scene.effects:
         if choice.name in made:
-            raise ConfigError(f"scene {scene.name!r} has effect {choice.name!r} twice", remedy="keep one of them")
+            raise ConfigError(f"scene {scene.name!r} lists effect {choice.name!r} twice", remedy="remove one of them")
         effect = _make(scene.name, choice, setting, effect_factory(choice.name))
         _check_needs(scene, choice.name, effect, made)
         made[choice.name] = effect
@@ -195,34 +195,34 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
     except BaseException as error:
         what = str(error) if isinstance(error, TypeError | ValueError) else failure(error)
-        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be made: {what}") from error
+        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be created: {what}") from error
     _check_names(choice.name, effect)
     if effect.perturbs not in STAGES:
         raise ConfigError(
             f"effect {choice.name!r} perturbs {effect.perturbs!r}",
-            remedy=f"an effect perturbs one of {', '.join(STAGES)}",
+            remedy=f"allowed: {', '.join(STAGES)}",
         )
     method, protocol = _OWN_METHODS.get(effect.perturbs, ("apply(moment)", Effect))
     if not isinstance(effect, protocol):
         raise ConfigError(
-            f"effect {choice.name!r} perturbs {effect.perturbs!r} and lacks the method for it",
-            remedy=f"an effect that perturbs {effect.perturbs!r} has {method}",
+            f"effect {choice.name!r} perturbs {effect.perturbs!r} but lacks the method for it",
+            remedy=f"add {method}",
         )
     return effect
 
 
 def _check_names(name: str, effect: Any) -> None:
-    """Refuse an effect that does not say in text what it perturbs, needs and acts after."""
+    """Refuse an effect whose `perturbs`, `needs` or `after` are not text."""
     perturbs = getattr(effect, "perturbs", None)
     if not isinstance(perturbs, str):
         raise ConfigError(
             f"effect {name!r} perturbs {shown(perturbs)}",
-            remedy=f"an effect perturbs one of {', '.join(STAGES)}",
+            remedy=f"allowed: {', '.join(STAGES)}",
         )
     for which, names in (("needs", getattr(effect, "needs", None)), ("after", getattr(effect, "after", ()))):
         if not isinstance(names, tuple | list) or not all(isinstance(each, str) for each in names):
             raise ConfigError(
-                f"effect {name!r} has {which} = {shown(names)}", remedy="it is a tuple of effects' names"
+                f"effect {name!r} has {which} = {shown(names)}", remedy="it must be a tuple of effect names"
             )
 
 
@@ -235,7 +235,7 @@ def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., A
         return
     known = {p.name: p for p in parameters}
     where = f"scene {scene!r}, effect {choice.name!r}"
-    allowed = f"its parameters are {', '.join(known)}" if known else "it has no parameters"
+    allowed = f"parameters: {', '.join(known)}" if known else "it takes no parameters"
     for key in choice.options:
         if key not in known:
             near = get_close_matches(key, known, n=1)
@@ -243,7 +243,7 @@ def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., A
             raise ConfigError(f"{where} has no parameter {shown(key)}", remedy=meant + allowed)
     for name, parameter in known.items():
         if parameter.default is parameter.empty and name not in choice.options:
-            raise ConfigError(f"{where} lacks its parameter {name!r}", remedy=allowed)
+            raise ConfigError(f"{where} lacks parameter {name!r}", remedy=allowed)
 
 
 def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[str]) -> None:
@@ -251,18 +251,18 @@ def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[st
     for need in effect.needs:
         if need not in on:
             raise ConfigError(
-                f"scene {scene.name!r} has effect {name!r} without {need!r}",
-                remedy=f'add [[effects]] name = "{need}" before it, or take {name!r} out',
+                f"scene {scene.name!r} uses effect {name!r} without {need!r}",
+                remedy=f'add [[effects]] name = "{need}" before it, or remove {name!r}',
             )
         if need not in before:
             raise ConfigError(
-                f"scene {scene.name!r} has effect {name!r} before {need!r}, which it needs",
+                f"scene {scene.name!r} lists effect {name!r} before {need!r}, which it needs",
                 remedy=f"move {need!r} above {name!r}",
             )
     for earlier in getattr(effect, "after", ()):
         if earlier in on and earlier not in before:
             raise ConfigError(
-                f"scene {scene.name!r} has effect {name!r} before {earlier!r}, which it acts on",
+                f"scene {scene.name!r} lists effect {name!r} before {earlier!r}, which it acts on",
                 remedy=f"move {earlier!r} above {name!r}",
             )
 

@@ -1,4 +1,4 @@
-"""One frame of the simulated world: from what presses to readings, each taken at its own time.
+"""One frame of the simulated world, each reading taken at its own time.
 
 A ring of resistors where the simulated sheet would be: what a station check measures.
 """
@@ -54,7 +54,7 @@ class SimulatedRing:
         self.unloaded: Array = self.readings(self._impedance)
 
     def impedances(self, changes: Sequence[Mapping[Place, float]], contact_mm: Array | None = None) -> Array:
-        """The ring's own at every moment, (moments, electrodes, electrodes) [V/A], whatever is pressed."""
+        """The ring's impedances at every moment, (moments, electrodes, electrodes) [V/A], independent of presses."""
         return np.repeat(self._impedance[None], len(changes), axis=0)
 
     def readings(self, impedance_ohm: Array) -> Array:
@@ -64,7 +64,7 @@ class SimulatedRing:
         return readings
 
     def pressed_mm2(self, place: Place) -> float:
-        """Nothing lies under a head."""
+        """Return no change: nothing is pressed."""
         return 0.0
 
 
@@ -78,7 +78,7 @@ _SHORTEST_S: Final = 1e-6  # between two ends of ramps that are told apart
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFrame:
-    """Readings of one frame.
+    """Readings of one frame, with their times.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class SimulatedFrame:
 
 
 class FrameMaker:
-    """Takes frames of a sheet through the effects of a scene.
+    """Computes frames of a sheet with the effects of a scene.
 
     Readings that are taken one after the other see the sheet at different times. It is solved where ramps begin and
     end within the frame, and once between, and readings are read off the parabola through each three: the change of a
@@ -117,7 +117,7 @@ class FrameMaker:
     def frame(
         self, moment_at: Callable[[float], Moment], time_s: float, pauses_s: Array | None = None
     ) -> SimulatedFrame:
-        """Take a frame about a time.
+        """Compute the frame around a time.
 
         Parameters
         ----------
@@ -172,7 +172,7 @@ class FrameMaker:
         )
 
     def _contacts(self, moment: Moment) -> Array | None:
-        """Contacts in the frame's middle, after the effects on them; None where there are none."""
+        """Contacts in the middle of the frame, after effects on them; None if there are none."""
         if not self._chain.has("contacts"):
             return None
         moment.contact_mm = self._sheet.design.contact_mm.copy()
@@ -202,7 +202,7 @@ def _between(pairs: Array, impedance_ohm: Array) -> Array:
 
 
 def _by_place(moment: Moment) -> dict[Place, float]:
-    """Sum the changes of presses at one place; what has faded away is left out."""
+    """Sum the changes of presses at one place; faded ones are left out."""
     total: dict[Place, float] = {}
     for press, change in zip(moment.presses, moment.response, strict=True):
         place = (press.x_mm, press.y_mm)
@@ -211,7 +211,7 @@ def _by_place(moment: Moment) -> dict[Place, float]:
 
 
 def _knots(presses: Sequence[SimulatedPress], switches: Sequence[float], first_s: float, last_s: float) -> Array:
-    """Times between which nothing has a corner: the ends of a frame, of ramps and steps within it, (k,) rising."""
+    """Times between which everything is smooth: the ends of a frame, of ramps and steps within it, (k,) rising."""
     # A step is a piece of its own, too short for a reading: those before it do not see what comes after.
     steps = {end for at_s in switches for end in (at_s - 2 * _SHORTEST_S, at_s) if first_s < end < last_s}
     knots = sorted({first_s, last_s} | steps)

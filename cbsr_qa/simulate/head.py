@@ -1,4 +1,4 @@
-"""The simulated head: it travels in the station's time and leaves strain ramps under it.
+"""The simulated head: it moves in station time and applies strain ramps.
 
 What a head leaves in the sheet: strain ramps, in a press of its own from touching to lifting.
 """
@@ -26,26 +26,26 @@ from cbsr_qa.system import Clock, in_ticks
 
 
 class Sheet(Protocol):
-    """What a head meets."""
+    """Surface that a head meets."""
 
     presses: list[SimulatedPress]
 
     def surface_mm(self, x_mm: float, y_mm: float, time_s: float) -> float:
-        """How far the true surface lies below nominal."""
+        """Depth of the true surface below nominal [mm]."""
         ...
 
     def thickness_mm(self, x_mm: float, y_mm: float) -> float:
-        """How thick it is."""
+        """Thickness of the sheet [mm]."""
         ...
 
     def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
-        """Where the head gets to from where it was, told to go somewhere; the index counts its movements."""
+        """Place that the head reaches when told to go somewhere; the index counts its movements."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class _Stroke:
-    """The last movement up or down, as it truly is."""
+    """The last vertical movement, as it really is."""
 
     start_s: float
     duration_s: float
@@ -55,7 +55,7 @@ class _Stroke:
 
 
 class PressWriter:
-    """Follows where a head is indeed, and writes what lies below the true surface into the sheet's presses.
+    """Tracks the true position of a head, and records presses below the true surface.
 
     Parameters
     ----------
@@ -75,19 +75,19 @@ class PressWriter:
 
     @property
     def true(self) -> HeadPosition:
-        """Where the last movement gets the head to, or has got it to."""
+        """Place that the last movement leads to."""
         return self._true
 
     def count_from(self, index: int) -> None:
-        """Address the movements that follow from here on."""
+        """Set the address of the movements that follow."""
         self._movements = index
 
     def travel(self, to: HeadPosition, time_s: float) -> None:
-        """Get to a place that the head was told to go to, at a time."""
+        """Move to a commanded place at a time."""
         self._true = self._arrival(to, time_s)
 
     def stroke(self, to: HeadPosition, start_s: float, duration_s: float, speed_mm_s: float) -> None:
-        """Begin to go up or down; the part of it below the true surface is written now."""
+        """Start to move up or down; the part below the true surface is recorded now."""
         x_mm, y_mm, true_mm = self._true
         surface = self._sheet.surface_mm(x_mm, y_mm, start_s)
         self._true = (x_mm, y_mm, self._arrival(to, start_s)[2])
@@ -101,7 +101,7 @@ class PressWriter:
             self._pressing = None
 
     def halt(self, time_s: float) -> None:
-        """Stop where the head is at a time: what was written of its last stroke for later does not happen."""
+        """Stop the head at a given time: the rest of its last stroke is dropped."""
         stroke, self._stroke = self._stroke, None
         if stroke is None or time_s >= stroke.start_s + stroke.duration_s:
             return
@@ -116,7 +116,7 @@ class PressWriter:
         self._true = (x_mm, y_mm, depth_mm)
 
     def _cut(self, time_s: float) -> SimulatedPress:
-        """Replace the last press by one that ends now: whoever remembers the old one sees that it is another."""
+        """Replace the last press by a new object that ends now, so references to the old one stay distinct."""
         old = self._sheet.presses[-1]
         steps = [_until(step, time_s) for step in old.steps if step.start_s < time_s]
         new = SimulatedPress(old.index, old.x_mm, old.y_mm, steps)
@@ -175,23 +175,23 @@ class SimulatedHead:
         self._free_at_s = 0.0
 
     def count_from(self, index: int) -> None:
-        """Address the movements that follow from here on."""
+        """Set the address of the movements that follow."""
         self._written.count_from(index)
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """Where the head was told to go, from the sheet's centre."""
+        """Commanded place, from the sheet's centre."""
         return self._place
 
     def travel(self, x_mm: float, y_mm: float) -> None:
-        """Go to a place at the hover height, lifting first if need be."""
+        """Move to a place at the hover height, lifting first if needed."""
         self.lift()
         self._clock.sleep(math.dist(self._place, (x_mm, y_mm)) / self._motion.travel_speed_mm_s)
         self._place = (x_mm, y_mm)
         self._written.travel((*self._place, self._depth_mm), self._clock.now())
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
-        """Go this far below the surface found here (or else found nearest, or else nominal)."""
+        """Move to a depth below the surface found here (or else found nearest, or else nominal)."""
         surface = self._surface_mm()
         self._speed_mm_s = speed_mm_s
         if self._depth_mm < surface - CLEARANCE_MM:
@@ -199,14 +199,14 @@ class SimulatedHead:
         self._go(surface + depth_mm, speed_mm_s)
 
     def lift(self) -> None:
-        """Go up to the hover height: out of the sheet at the speed it was pressed with, then faster."""
+        """Move to the hover height: out of the sheet at the speed of the press, then faster."""
         clear = self._surface_mm() - CLEARANCE_MM
         if self._depth_mm > clear:
             self._go(clear, self._speed_mm_s)
         self._go(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
 
     def drop_everything(self) -> None:
-        """Start lifting at the travel speed and return at once; the next movement waits until the head is up."""
+        """Start lifting at the travel speed and return; the next movement waits until the head is up."""
         up_s = self._start(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
         self._free_at_s = max(self._free_at_s, up_s)
 
@@ -260,11 +260,11 @@ class SimulatedHead:
             self._role,
             f"({x_mm:g}, {y_mm:g}) mm",
             reason,
-            remedy="look whether a sheet is in place; a simulated one needs the effect 'elastic-stress'",
+            remedy="check whether a sheet is in place; a simulated one needs the effect 'elastic-stress'",
         )
 
     def _surface_mm(self) -> float:
-        """Where the head takes the surface to be: found here, or else found nearest, or else nominal."""
+        """Assumed height of the surface: found here, or else found nearest, or else nominal."""
         if not self._found:
             return 0.0
         return self._found[min(self._found, key=lambda place: math.dist(place, self._place))]
@@ -274,7 +274,7 @@ class SimulatedHead:
         self._clock.sleep(self._start(depth_mm, speed_mm_s) - self._clock.now())
 
     def _start(self, depth_mm: float, speed_mm_s: float) -> float:
-        """Begin a movement now; the part of it below the true surface is written; return when it will be over."""
+        """Start a movement now; the part below the true surface is recorded; return its end."""
         start = self._clock.now()
         if depth_mm == self._depth_mm:
             return start  # told to stay, it does: no new error, no ramp of no length

@@ -1,4 +1,4 @@
-"""What parameters of effects may be, said in one way."""
+"""Validation of effect parameters."""
 
 import sys
 from typing import Any, Final
@@ -28,11 +28,11 @@ def number(name: str, value: Any, *, least: float = 0.0, most: float = _BEYOND, 
     if good and (least < value if above else least <= value) and value <= most:
         return float(value)
     low = f"above {least:g}" if above else f"of at least {least:g}"
-    raise ConfigError(f"{name} is {shown(value)}", remedy=f"it is a finite number {low} and at most {most:g}")
+    raise ConfigError(f"{name} is {shown(value)}", remedy=f"it must be a finite number {low} and at most {most:g}")
 
 
 def shown(value: Any) -> str:
-    """What was given, as short as a message needs it: whole numbers may have thousands of digits."""
+    """A given value as short text: whole numbers may have thousands of digits."""
     if isinstance(value, int) and abs(value) > _LARGEST:
         return "a whole number beyond 1.8e308"
     said = repr(value)
@@ -49,7 +49,7 @@ def whole(name: str, value: Any, *, least: int, most: int) -> int:
     """
     if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
         return value
-    raise ConfigError(f"{name} is {shown(value)}", remedy=f"it is a whole number from {least} to {most}")
+    raise ConfigError(f"{name} is {shown(value)}", remedy=f"it must be a whole number from {least} to {most}")
 
 
 def electrode(name: str, value: Any, count: int) -> int:
@@ -62,4 +62,4 @@ def electrode(name: str, value: Any, count: int) -> int:
     """
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count:
         return value
-    raise ConfigError(f"{name} is {shown(value)}", remedy=f"electrodes are counted from 0 to {count - 1}")
+    raise ConfigError(f"{name} is {shown(value)}", remedy=f"electrodes are numbered from 0 to {count - 1}")

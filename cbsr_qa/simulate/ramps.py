@@ -22,7 +22,7 @@ CONTACT_STRAIN: Final = 0.0125
 
 
 def done(ramp: StrainStep, time_s: float) -> float:
-    """Return how much of a ramp is over at a time, 0 to 1."""
+    """Return the completed share of a ramp at a time, 0 to 1."""
     since = time_s - ramp.start_s
     if since >= ramp.ramp_s:
         return 1.0
@@ -30,7 +30,7 @@ def done(ramp: StrainStep, time_s: float) -> float:
 
 
 def transient(ramp: StrainStep, relaxation: Relaxation, time_s: float) -> float:
-    """Return what has not yet relaxed of a unit ramp: Σ wᵢ/T ∫ e^(−(t − s)/τᵢ) ds over the ramp up to t.
+    """Return the transient of a unit ramp: Σ wᵢ/T ∫ e^(−(t − s)/τᵢ) ds over the ramp up to t.
 
     Together with :func:`done` it is the hereditary integral of 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂) over the ramp.
     """
@@ -72,7 +72,7 @@ def quasi_static(line: QuasiStatic, strain: float) -> float:
 
 
 class Transients:
-    """What has not yet relaxed of presses.
+    """Transients of presses.
 
     While a press moves its ramps are added up one by one; once it is over they are one exponential for each time
     constant, and what that begins with is kept: a run's presses are over most of the time.
@@ -93,7 +93,7 @@ class Transients:
 
     @property
     def memory_s(self) -> float:
-        """How long after a press nothing of it is left, whatever its strain: less than :data:`FORGOTTEN`."""
+        """Time after a press beyond which less than :data:`FORGOTTEN` of it remains, for any strain [s]."""
         largest = 1.0 if self._line is None else abs(self._line.slope.value) + abs(self._line.intercept.value)
         kernels = [kernel for kernel in self._kernels.values() if kernel is not None]
         parts = [part for kernel in kernels for part in zip(kernel.weights, kernel.time_constants_s, strict=True)]
@@ -101,7 +101,7 @@ class Transients:
         return max(lasts, default=0.0)
 
     def of(self, press: SimulatedPress, time_s: float) -> float:
-        """Return what has not yet relaxed of a press at a time."""
+        """Return the transient of a press at a time."""
         if not press.steps or time_s <= press.steps[0].start_s:
             return 0.0
         over = self._known.get(press.index)
@@ -127,7 +127,7 @@ class Transients:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Over:
-    """A press with so many steps: its ramps with their kernels, and what is left of them from its end on."""
+    """A press of many steps: its ramps with their kernels, and their remainder after its end."""
 
     press: SimulatedPress
     steps: int
@@ -137,7 +137,7 @@ class _Over:
 
 
 def _share(length: float) -> float:
-    """Return (1 − e^(−x))/x, which keeps a ramp of no length a step."""
+    """Return (1 − e^(−x))/x, which makes a ramp of zero length a step."""
     return -math.expm1(-length) / length if length > 0 else 1.0
 
 

@@ -1,4 +1,4 @@
-"""A scene's frames and samples, one after the other, as a recording.
+"""Frames and samples of a scene, as a recording.
 
 The heads of a scene that is recorded by itself: they press its loads before the first frame is taken.
 """
@@ -37,7 +37,7 @@ HEAD_BLOCK: Final = 1 << 24
 
 @dataclass(frozen=True, slots=True)
 class PressedLoad:
-    """A load as it was pressed.
+    """A pressed load.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class PressedLoad:
 
 
 def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[PressedLoad, ...]:
-    """Let every head of a scene press its loads, each on a clock of its own.
+    """Let every head of a scene press its loads, each on its own clock.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[P
             raise RefusedError(
                 f"loads[{one.index + 1}] would strain the sheet by {100 * one.true_strain:.0f} %: where it is pressed"
                 " the sheet lies higher or is thinner than nominal",
-                remedy="press it less deep, or take effects on the sheet and the head that leave more",
+                remedy="press less deep, or use effects on sheet and head that leave more thickness",
             )
     return tuple(sorted(pressed, key=lambda one: one.index))
 
@@ -126,7 +126,7 @@ def _record(index: int, load: SceneLoad, times: PressTimes, rest_end_s: float) -
 
 
 def _rested(pressed: list[PressedLoad]) -> list[PressedLoad]:
-    """Let each rest end where the same head's next press begins."""
+    """End each rest where the same head's next press begins."""
     rested = [
         replace(one, record=replace(one.record, rest_end_s=following.record.press_start_s))
         for one, following in pairwise(pressed)
@@ -135,7 +135,7 @@ def _rested(pressed: list[PressedLoad]) -> list[PressedLoad]:
 
 
 def head_path(plan: ScenePlan, thickness_mm: float, time_s: NDArray[np.float64]) -> tuple[SampleBlock, ...]:
-    """Where head 1 was told to be at some times: x, y from the sheet's centre and z over the hover height [mm].
+    """Commanded position of head 1 at some times: x, y from the sheet's centre and z over the hover height [mm].
 
     As in the rig's CSV: z falls from 0, and is −hover at the nominal surface. Between presses the head goes on at
     once and waits over the next place; without a load it stays over the centre.
@@ -163,7 +163,7 @@ SAMPLE_RATE_HZ: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedScene:
-    """A scene that was recorded.
+    """A recorded scene.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class RecordedScene:
 
     @property
     def frames_lost(self) -> int:
-        """Frames of which at least one row is lost."""
+        """Frames with at least one lost row."""
         return int(self.transcript.lost.any(axis=1).sum())
 
 
@@ -189,7 +189,7 @@ def planned_middles_s(plan: ScenePlan) -> Array:
 
 
 def frame_times_s(transcript: Transcript) -> tuple[Array, Array]:
-    """When frames are taken by a board that pauses.
+    """Times of frames from a board that pauses.
 
     A frame's time is its planned middle and what the board had paused up to the row in the frame's middle (of 16 rows
     the ninth, the first that is read after it): a dump before that row makes the frame itself late, one behind it
@@ -272,7 +272,7 @@ def _frames(world: SimulatedWorld, transcript: Transcript, progress: Callable[[i
 
 
 class _LoadCell:
-    """Force on the load cell, which all heads share, from zero to the end."""
+    """Force on the load cell, shared by all heads, from zero to the end."""
 
     def __init__(self, world: SimulatedWorld, end_s: float) -> None:
         self._world = world
@@ -281,13 +281,13 @@ class _LoadCell:
         self._count = 0
 
     def read_up_to(self, share: float) -> None:
-        """Take the samples of a share of the recording that are not taken yet."""
+        """Take the samples up to a share of the recording."""
         end = math.ceil(share * len(self._time_s))
         for number in range(self._count, end):
             self._force_N[number] = self._world.force_N(float(self._time_s[number]), number)
         self._count = end
 
     def samples(self, plan: ScenePlan) -> tuple[SampleBlock, ...]:
-        """All of them, and the way of head 1."""
+        """All force samples, and the path of head 1."""
         cell = SampleBlock("force", "N", self._time_s, self._force_N)
         return (cell, *head_path(plan, self._world.setting.sensor_type.thickness_mm, self._time_s))

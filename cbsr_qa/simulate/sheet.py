@@ -29,12 +29,12 @@ _FINEST: Final = 0.02
 
 
 def finest_mesh_mm(sensor_type: SensorType) -> float:
-    """Smallest element size a scene may ask for; 0 where the sensor type brings its mesh."""
+    """Smallest element size a scene may use; 0 if the sensor type has its own mesh."""
     return _FINEST * sensor_type.radius_mm if sensor_type.mesh is None else 0.0
 
 
 class SimulatedSheet:
-    """A sheet whose mean inter-electrode resistance is the material's.
+    """A sheet scaled to the material's mean inter-electrode resistance.
 
     The model is solved for a mean sheet conductance of 1 S and contact impedances in mm: all voltages of a sheet of
     mean conductance γ₀ whose contacts scale with it are 1/γ₀ of these, exactly.
@@ -68,14 +68,14 @@ class SimulatedSheet:
         self.unloaded: Array = self.readings(self.impedance({}))
 
     def voltages(self, changes: Mapping[Place, float]) -> Array:
-        """Readings per ampere while places under the head have changed: (drives, measures) [V/A].
+        """Readings per ampere for local changes under heads: (drives, measures) [V/A].
 
         Parameters and errors as of :meth:`impedance`.
         """
         return self.readings(self.impedance(changes))
 
     def impedance(self, changes: Mapping[Place, float], contact_mm: Array | None = None) -> Array:
-        """Electrode potentials per electrode current while places under the head have changed.
+        """Electrode potentials per electrode current for local changes under heads.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class SimulatedSheet:
         return impedance
 
     def impedances(self, changes: Sequence[Mapping[Place, float]], contact_mm: Array | None = None) -> Array:
-        """The same at moments within a frame, but for what is of third order in what has changed since the first.
+        """The same at moments within a frame, up to third-order terms in the change since the first.
 
         Parameters and errors as of :meth:`impedance`; a place that has not changed at a moment may be left out there.
 
@@ -118,7 +118,7 @@ class SimulatedSheet:
         return self.unit_model.readings(impedance_ohm)
 
     def pressed_mm2(self, place: Place) -> float:
-        """How much of a head at a place is on the sheet."""
+        """Share of a head that is on the sheet, at a place."""
         if place not in self._pressed_mm2:
             if len(self._pressed_mm2) >= _PLACES:
                 self._pressed_mm2.clear()
@@ -134,7 +134,7 @@ class SimulatedSheet:
 
     @cached_property
     def contact_share(self) -> float:
-        """Share of the resistance of driven pairs that lies in the contacts.
+        """Share of the contacts in the resistance of driven pairs.
 
         A resistance is homogeneous of degree one in (1/γ, z), so the contacts' part is Σ z ∂R/∂z (Euler).
         """
@@ -144,7 +144,7 @@ class SimulatedSheet:
         return float(part[driven].sum() / self.unit_model.voltages()[driven].sum())
 
     def load_at(self, place: Place) -> LoadFamily:
-        """What a head at a place does to the sheet, for any relative change under it.
+        """Response of the sheet to a head at a place, for any relative change under it.
 
         Raises
         ------
@@ -179,7 +179,7 @@ class SimulatedSheet:
 
 
 def _moved(sensor_type: SensorType, shift_mm: Array) -> SensorType:
-    """The sensor type with its electrodes out of place."""
+    """The sensor type with displaced electrodes."""
     if not shift_mm.any():
         return sensor_type
     layout = sensor_type.electrodes

@@ -1,4 +1,4 @@
-"""Random numbers by address: (seed, name of what uses them, index), never by the order of drawing.
+"""Random numbers addressed by (seed, stream name, index), independent of the order of drawing.
 
 A counter-based generator (Philox 4×64; Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") makes
 each address an independent sequence that can be reached at once. So turning an effect on changes no other
@@ -28,7 +28,7 @@ _INDICES: Final = 1 << 64
 
 
 class RandomStream:
-    """The numbers of one user of random numbers within one seed.
+    """Random numbers of one consumer within one seed.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class RandomStream:
         self._state = self._bits.state
 
     def generator(self, index: int) -> np.random.Generator:
-        """Return a generator of its own that starts at an index.
+        """Return a new generator that starts at an index.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class RandomStream:
 def _counter(index: int) -> NDArray[np.uint64]:
     """Counter of an index: its last word, so that each index has 2¹⁹² blocks before the next one's begin."""
     if not 0 <= index < _INDICES:
-        raise RefusedError(f"random numbers are addressed by whole numbers from 0 to 2^64 - 1, not by {index}")
+        raise RefusedError(f"random stream index is {index}; it must be a whole number from 0 to 2^64 - 1")
     return np.array([0, 0, 0, index], dtype=np.uint64)
 
 
@@ -82,7 +82,7 @@ _STEPS: Final = 1 << 17
 
 
 class StepAddresses:
-    """Counts frames and force samples within the step under way, and within what the head was last told in it.
+    """Counts frames and force samples within the current step and act of the head.
 
     Samples come at a fixed rate, counted from the beginning of their step or from the last order to the head in it:
     they stand at the same times from a press whenever it is made.
@@ -102,11 +102,11 @@ class StepAddresses:
         self._first: list[int] = [0]
 
     def begin_step(self, phase: int, number: int) -> int:
-        """A step begins; returns its first address."""
+        """Begin a step; return its first address."""
         return self._begin((phase * _STEPS + number) * _ACTS)
 
     def begin_act(self) -> int:
-        """The head is told something; returns the first address of what it does."""
+        """Begin an act of the head; return its first address."""
         return self._begin(self._act + 1)
 
     def frame(self) -> int:

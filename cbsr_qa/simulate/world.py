@@ -1,4 +1,4 @@
-"""The simulated world: a sheet, the presses on it, and the effects a scene calls for.
+"""The simulated world: a sheet, the presses on it, and the effects of a scene.
 
 A moment of it depends on its time, its index and the presses so far, on nothing else: any moment can be asked for,
 in any order, any number of times.
@@ -34,7 +34,7 @@ _TOUCHING: Final = 1e-9  # strain that is more than rounding
 
 @dataclass(frozen=True, slots=True)
 class PressTruth:
-    """What is true of one press at one time.
+    """True state of one press at one time.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class PressTruth:
 
 
 class SimulatedWorld:
-    """A sheet and what happens to it; or a ring of resistors in its place, where the scene has one.
+    """A sheet with its presses and effects; or a resistor ring in its place, if the scene has one.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class SimulatedWorld:
         if scene.sheet_mesh_size_mm < finest_mm:
             raise ConfigError(
                 f"scene {scene.name!r}: sheet_mesh_size_mm is {scene.sheet_mesh_size_mm:g}",
-                remedy=f"on this sheet it is at least {finest_mm:g}",
+                remedy=f"it must be at least {finest_mm:g} on this sheet",
             )
         design = SheetDesign.plain(self.setting.sensor_type, self.setting.indenter, contact_length_mm)
         self.chain.design(design)
@@ -135,7 +135,7 @@ class SimulatedWorld:
         return self._frames.frame(lambda at_s: self._moment(at_s, index, felt), time_s, pauses_s)
 
     def transcript(self, time_s: Array) -> Transcript:
-        """How frames at these times (frames,) [s] come to be written down: what is lost, where a board pauses."""
+        """How frames at these times (frames,) [s] are recorded: what is lost, where a board pauses."""
         transcript = Transcript.complete(self.setting, time_s)
         self.chain.record(transcript)
         return transcript
@@ -145,7 +145,7 @@ class SimulatedWorld:
         return self.frame(time_s, index).voltages
 
     def force_N(self, time_s: float, index: int) -> float:
-        """What the load cell reads at a time; the index is the address of the sample's random numbers."""
+        """Load cell reading at a time; the index addresses the sample's random numbers."""
         touching = [press for press in self._moving.at(self.presses, time_s) if press.strain_at(time_s) > _TOUCHING]
         moment = self._moment(time_s, index, touching)
         self.chain.apply("stress", moment)
@@ -157,18 +157,18 @@ class SimulatedWorld:
         return moment.force_N
 
     def surface_mm(self, x_mm: float, y_mm: float, time_s: float) -> float:
-        """How far the sheet's surface lies below nominal at a place [mm]; 0 where no effect says otherwise."""
+        """Depth of the sheet's surface below nominal at a place [mm]; 0 without an effect on it."""
         moment = self._moment(time_s, 0, [])
         moment.place_mm = (x_mm, y_mm)
         self.chain.apply("geometry", moment)
         return moment.surface_mm
 
     def thickness_mm(self, x_mm: float, y_mm: float) -> float:
-        """How thick the sheet is at a place [mm]."""
+        """Thickness of the sheet at a place [mm]."""
         return float(self.sheet.design.thickness_mm_at(np.array([[x_mm, y_mm]]))[0])
 
     def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
-        """Where the head gets to from where it was, told to go somewhere; the index counts its movements."""
+        """Place that the head reaches when told to go somewhere; the index counts its movements."""
         moment = self._moment(time_s, index, [])
         moment.place_mm, moment.from_mm = (to[0], to[1]), (before[0], before[1])
         moment.depth_mm, moment.from_depth_mm = to[2], before[2]
@@ -176,7 +176,7 @@ class SimulatedWorld:
         return (*moment.place_mm, moment.depth_mm)
 
     def truth(self, time_s: float) -> tuple[PressTruth, ...]:
-        """Return what is true of every press at a time, before the sheet is measured."""
+        """Return the true state of every press at a time, before the sheet is measured."""
         moment = self._moment(time_s, 0, self.presses)
         self.chain.apply("response", moment)
         self.chain.apply("stress", moment)
@@ -186,7 +186,7 @@ class SimulatedWorld:
         )
 
     def _is_felt(self, press: SimulatedPress, time_s: float, reach_s: float) -> bool:
-        """Whether a frame that reaches so far about a time can feel a press: it has begun, and is not forgotten."""
+        """Whether a frame around a time can be affected by a press: it has begun, and has not faded."""
         if not press.steps or press.steps[0].start_s > time_s + reach_s:
             return False
         lifted = time_s - reach_s - press.end_s
@@ -200,7 +200,7 @@ class SimulatedWorld:
 
 
 class _Moving:
-    """Finds presses that are not over: a run has many samples, and at most of them one press or none."""
+    """Index of current presses: a run has many samples, and most of them see one press or none."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -209,7 +209,7 @@ class _Moving:
         self._to_s: Array = np.zeros(0)
 
     def at(self, presses: list[SimulatedPress], time_s: float) -> list[SimulatedPress]:
-        """Return those that may press at a time."""
+        """Return the presses that may act at a time."""
         last = presses[-1] if presses else None
         if len(presses) != self._count or last is not self._last:
             # One that is not lifted yet may go on; it is looked at again when the next one has come.
@@ -222,7 +222,7 @@ class _Moving:
 
 
 def _mean_reading_ohm(sheet: SimulatedSheet, sensor_type: SensorType) -> float:
-    """Mean magnitude of the used readings per ampere; of all of them on a strip, whose two pins do everything."""
+    """Mean magnitude of the used readings per ampere; of all of them on a strip with two pins."""
     usable = sensor_type.pattern.usable()
     return float(np.abs(sheet.unloaded[usable] if usable.any() else sheet.unloaded).mean())
 

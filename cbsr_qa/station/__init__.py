@@ -1,4 +1,4 @@
-"""A station at work: bench, dry run, steps carried out, safety."""
+"""A station at work: bench, dry run, execution, safety."""
 
 from cbsr_qa import door
 

@@ -36,7 +36,7 @@ Action = tuple[str, Callable[[], object]]
 
 
 class _Call(threading.Thread):
-    """One action in a thread of its own, which is left behind if it never comes back."""
+    """One action in its own thread, which is abandoned if it never returns."""
 
     def __init__(self, name: str, action: Callable[[], object]) -> None:
         super().__init__(name=f"stop {name}", daemon=True)
@@ -46,7 +46,7 @@ class _Call(threading.Thread):
         self._action = action
 
     def run(self) -> None:
-        """Call, and keep what it raised."""
+        """Call the action, and keep its exception."""
         try:
             self._action()
         except BaseException as error:  # noqa: BLE001 - nothing one instrument does may stop the others
@@ -58,7 +58,7 @@ class _Call(threading.Thread):
 def stop_all(
     actions: Sequence[Action], *, patience_s: float = PATIENCE_S, deadline_s: float = DEADLINE_S
 ) -> tuple[str, ...]:
-    """Call every action; a slow one delays the next by no more than the patience.
+    """Call every action in its own thread; a slow one delays the next by at most the patience.
 
     Quick ones are called one after the other, in order, so that a simulated bench does the same each time.
     The waiting is in real time also on a virtual clock: a thread that hangs does so in real time.
@@ -105,19 +105,19 @@ _FIRST_SAFE: Final = (FORCE_APPLICATOR, SOURCE_METER, FRAME_SOURCE)
 
 @dataclass(frozen=True, slots=True)
 class Mounted:
-    """One opened instrument and the station file's table for it."""
+    """One opened instrument with its table of the station file."""
 
     spec: InstrumentSpec
     instrument: Instrument
 
     @property
     def name(self) -> str:
-        """Role and driver, as messages name it."""
+        """Role and driver, for messages."""
         return f"{self.spec.role} ({self.spec.driver})"
 
 
 class Bench:
-    """Opened instruments, each known to do what the station file says it does, and linked with those it needs.
+    """Opened instruments, checked against the station file and linked to each other.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Bench:
         for one in self.mounted:
             for role in one.spec.provides:
                 if role in filled:
-                    raise ConfigError(f"role {role!r} is provided by {filled[role].name} and by {one.name}")
+                    raise ConfigError(f"both {filled[role].name} and {one.name} provide role {role!r}")
                 filled[role] = _checked(one, role)
         self.frame_source: FrameSource = _filled(filled, FRAME_SOURCE)
         self.force_applicator: ForceApplicator = _filled(filled, FORCE_APPLICATOR)
@@ -151,7 +151,7 @@ class Bench:
         _link(self.mounted, filled)
 
     def identities(self) -> tuple[InstrumentIdentity, ...]:
-        """Ask every instrument who it is; one that the station emulates is simulated, whatever it says.
+        """Identify every instrument; an emulated one counts as simulated, whatever it reports.
 
         So is one without an address of its own that is linked with those, such as frames scanned with a meter.
 
@@ -164,15 +164,15 @@ class Bench:
         return tuple(identity_of(one, emulated=emulates and _works_through_others(one)) for one in self.mounted)
 
     def name_of(self, instrument: object) -> str:
-        """Return role and driver of an instrument, as messages name it."""
+        """Return role and driver of an instrument, for messages."""
         return next((one.name for one in self.mounted if one.instrument is instrument), "an unknown instrument")
 
     def alive(self) -> tuple[Alive, ...]:
-        """Return the instruments that can be asked whether they are there."""
+        """Return the instruments with a liveness check."""
         return tuple(one.instrument for one in self.mounted if isinstance(one.instrument, Alive))
 
     def safe_state(self) -> tuple[str, ...]:
-        """Bring every instrument to its safe state, whatever the others do: the head first, then current sources.
+        """Bring every instrument to its safe state even if others fail: the head first, then current sources.
 
         Returns
         -------
@@ -182,7 +182,7 @@ class Bench:
         return self._tell_all([(one.name, one.instrument.safe_state) for one in by_urgency])
 
     def close(self) -> tuple[str, ...]:
-        """Close every instrument, whatever the others do; returns who did not, in words."""
+        """Close every instrument even if others fail; return descriptions of the failures."""
         return self._tell_all([*((one.name, one.instrument.close) for one in self.mounted), *self._after])
 
     def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
@@ -195,7 +195,7 @@ def open_bench(
     *,
     after: Sequence[Action] = (),
 ) -> Bench:
-    """Open the instruments of a station; if one cannot be opened, those that were are closed again.
+    """Open the instruments of a station; if one fails to open, those already open are closed again.
 
     Parameters
     ----------
@@ -229,12 +229,12 @@ def _urgency(one: Mounted) -> int:
 
 
 def _works_through_others(one: Mounted) -> bool:
-    """Whether it has no address of its own: it is then as real as those it is linked with."""
+    """Whether it has no address: it is then as real as the instruments it is linked to."""
     return isinstance(one.instrument, Linked) and "address" not in one.spec.options
 
 
 def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
-    """Ask one instrument who it is; see :meth:`Bench.identities`.
+    """Return the identity of one instrument; see :meth:`Bench.identities`.
 
     Parameters
     ----------
@@ -254,25 +254,25 @@ def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
 
 
 def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
-    """Refuse another instrument than the station file asks for: limits and calibration dates are not its own."""
+    """Refuse an instrument other than the expected one: limits and calibration dates would not apply."""
     for what, expected, found in (("model", spec.model, said.model), ("serial", spec.serial, said.serial)):
         if expected and not _names(expected, found):
             raise InstrumentError(
                 spec.role,
                 spec.address,
-                f"it says its {what} is {found!r}; the station file expects {expected!r}",
-                remedy=f"connect the instrument that is meant, or mend address or {what} in the station file",
+                f"its {what} is {found!r}; the station file expects {expected!r}",
+                remedy=f"connect the expected instrument, or correct address or {what} in the station file",
             )
 
 
 def _names(expected: str, found: str) -> bool:
-    """Whether all words of the one follow each other in the other: "2634B" names a "Model 2634B"."""
+    """Whether all words of one follow each other in the other: "2634B" names a "Model 2634B"."""
     wanted, said = (re.findall(r"[^\s,;]+", words.casefold()) for words in (expected, found))
     return bool(wanted) and any(said[first : first + len(wanted)] == wanted for first in range(len(said)))
 
 
 def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
-    """Where the station file says an instrument is, as a note to its identity."""
+    """Address in the station file, as a note to the identity."""
     address = spec.options.get("address")
     return () if address is None else (("address", str(address)),)
 
@@ -294,7 +294,7 @@ def _checked(one: Mounted, role: str) -> Mounted:
         near = get_close_matches(role, filter(None, (*_PROTOCOLS, channel)), n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise ConfigError(
-            f"instrument {one.name} is said to provide {role!r}, which is neither a role nor what it samples:"
+            f"instrument {one.name} is configured to provide {role!r}, which is neither a role nor what it samples:"
             f" {f'it samples {channel!r}' if channel else 'it samples nothing'}",
             remedy=f"{hint}roles: {', '.join(_PROTOCOLS)}, and what an instrument samples, such as 'force'",
         )
@@ -302,9 +302,9 @@ def _checked(one: Mounted, role: str) -> Mounted:
     if not isinstance(one.instrument, protocol):
         lacking = sorted(name for name in _members(protocol) if not hasattr(one.instrument, name))
         raise ConfigError(
-            f"instrument {one.name} is said to provide {role!r} but is no {protocol.__name__}:"
-            f" it has no {', '.join(lacking)}",
-            remedy="mend 'provides' in the station file, or use another driver",
+            f"instrument {one.name} is configured to provide {role!r} but is not a {protocol.__name__}:"
+            f" it lacks {', '.join(lacking)}",
+            remedy="correct 'provides' in the station file, or use another driver",
         )
     return one
 
@@ -327,6 +327,6 @@ def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
     if all(one.channel != FORCE_CHANNEL for one in samplers):
         raise ConfigError(
             f"no instrument of the station samples {FORCE_CHANNEL!r}",
-            remedy="a head must not press without it: name a load cell's role in 'provides'",
+            remedy="pressing requires a load cell: add its role to 'provides'",
         )
     return samplers

@@ -1,4 +1,4 @@
-"""The stream of documents: the journal has them first, everybody else only what the journal has.
+"""The stream of events: the journal stores each one before listeners see it.
 
 A run that is kept in memory only: for simulations that are priced and forgotten.
 """
@@ -35,7 +35,7 @@ _RULE: Final = "journal"
 
 
 class Documents:
-    """Delivers each document to the journal, then to the listeners.
+    """Delivers each event to the journal, then to the listeners.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Documents:
         self._warn = warn
 
     def emit(self, event: RunEvent) -> None:
-        """Deliver one document.
+        """Deliver one event.
 
         Raises
         ------
@@ -63,7 +63,7 @@ class Documents:
             self._tell(event)
 
     def finish(self, event: RunEnded) -> RunEnded:
-        """Deliver the last document; the bench is safe already, and nothing raises any more.
+        """Deliver the last event; the bench is already safe, and nothing raises any more.
 
         Returns
         -------
@@ -101,11 +101,11 @@ class Documents:
             except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
                 said = failure(error)
                 self._listeners.remove(listener)
-                self._warn(f"{_name(listener)} failed and is not told more: {said}")
+                self._warn(f"{_name(listener)} failed and receives no further events: {said}")
 
 
 def _unstored(event: RunEnded, error: SafetyError) -> str:
-    """Say that the end of a run could not be stored; once, where the same has ended it."""
+    """Report that the end of a run could not be stored; once, if the same error ended it."""
     if event.detail.startswith(f"rule {_RULE!r}"):
         return event.detail
     end = ": ".join(filter(None, [str(event.end), event.detail]))
@@ -120,7 +120,7 @@ E = TypeVar("E", FramesTaken, LoadFinished, SamplesTaken, Unloaded)
 
 
 class MemoryJournal:
-    """Keeps the documents of a run and puts them together as a record.
+    """Collects the events of a run into a record.
 
     Parameters
     ----------
@@ -132,11 +132,11 @@ class MemoryJournal:
         self._events: list[RunEvent] = []
 
     def __call__(self, event: RunEvent) -> None:
-        """Keep one document."""
+        """Keep one event."""
         self._events.append(event)
 
     def record(self, identity: RunIdentity, ended: RunEnded) -> RunRecord:
-        """Return the run as the database would give it back, but for its sessions."""
+        """Return the run as loaded from the database, without its sessions."""
         ends = {event.index: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
         started = [event for event in self._events if isinstance(event, PhaseStarted)]
         phases = tuple(self._phase(event, ends.get(event.index, ended.time_s)) for event in started)

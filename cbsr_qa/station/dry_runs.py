@@ -1,4 +1,4 @@
-"""Walk a plan without moving anything: how long, how far, how hard, and what the station would not allow."""
+"""Dry run: duration, travel, strain and force of a plan, and violations of the station's limits."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -44,7 +44,7 @@ from cbsr_qa.station.plan import (
 
 @dataclass(frozen=True, slots=True)
 class DryPhase:
-    """What one phase will take.
+    """Expected time and content of one phase.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ class DryPhase:
 
     @property
     def duration_s(self) -> float:
-        """Time of the whole phase [s]."""
+        """Duration of the phase [s]."""
         return sum(self.durations_s)
 
 
 @dataclass(frozen=True, slots=True)
 class DryRun:
-    """What a plan will take, and what is wrong with it.
+    """Expected duration and extent of a plan, and its violations.
 
     Parameters
     ----------
@@ -86,11 +86,11 @@ class DryRun:
 
     @property
     def duration_s(self) -> float:
-        """Station time of the whole plan [s]."""
+        """Station time of the plan [s]."""
         return sum(seconds for _, seconds in self.spent)
 
     def refuse(self) -> None:
-        """Refuse a plan that breaks rules.
+        """Refuse a plan that violates limits.
 
         Raises
         ------
@@ -100,7 +100,7 @@ class DryRun:
         if self.violations:
             listed = "\n".join(f"  {violation}" for violation in self.violations)
             raise RefusedError(
-                f"the recipe asks for what this station does not allow:\n{listed}",
+                f"the recipe exceeds what this station allows:\n{listed}",
                 remedy="change the recipe's options, or the station's [safety] limits if the bench can take it",
             )
 
@@ -153,7 +153,7 @@ def dry_run(
     ended: frozenset[int] = frozenset(),
     answered: bool = True,
 ) -> DryRun:
-    """Walk a plan's steps with nothing but arithmetic.
+    """Walk a plan's steps by arithmetic alone.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def dry_run(
 
 @dataclass(slots=True)
 class _Walk:
-    """Where the head would be, and what was added up so far."""
+    """Simulated position of the head, and totals so far."""
 
     plan: Plan
     frame_period_s: float
@@ -217,7 +217,7 @@ class _Walk:
         return DryPhase(scheduled, tuple(durations_s), self.frames)
 
     def finish(self) -> None:
-        """Judge the whole."""
+        """Check the duration of the whole plan."""
         total_s, allowed_s = self.spent.total_s(), self.plan.safety.duration_s
         if not total_s <= allowed_s:
             self.violations.append(f"the run takes {duration(total_s)}; the station allows {duration(allowed_s)}")
@@ -256,15 +256,15 @@ class _Walk:
                 self._take(count, Kind.FRAMES)
             case MarkUnloaded():
                 if self.depth_mm is not None:
-                    yield Violation("order", "the head is down, the sheet is not unloaded")
+                    yield Violation("order", "the head is down, so the sheet is not unloaded")
             case Prompt():
                 if not self.answered:
-                    yield Violation("order", "nobody is there to answer")
+                    yield Violation("order", "no operator is present to answer")
             case _:
                 yield Violation("order", f"this runner does not know steps of type {type(step).__name__}")
 
     def _dwell(self) -> Iterator[Violation]:
-        """Say once of a press that it is held for too long."""
+        """Yield a violation of the hold time, once per press."""
         if self.depth_mm is not None and not self.dwelt:
             for violation in dwell_violations(self.spent.total_s() - self.down_s, self.plan):
                 self.dwelt = True
@@ -299,7 +299,7 @@ class _Walk:
     def _hold(self, step: Hold) -> Iterator[Violation]:
         kind = Kind.REST if self.depth_mm is None else Kind.HOLD
         if not 0 <= step.hold_s < float("inf"):
-            yield Violation("order", f"{step.hold_s} s is not a duration")
+            yield Violation("order", f"hold_s is {step.hold_s}; it must be finite and at least 0")
         elif not step.acquire:
             self.spent.add(kind, step.hold_s)
         else:

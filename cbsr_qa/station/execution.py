@@ -1,4 +1,4 @@
-"""Runs a plan: every step, every document, and one way to end whatever happens.
+"""Execution of a plan: every step, every event, one way to end.
 
 How a run ended, in words: by whom it was stopped, or which rule, instrument or error broke it, and where.
 """
@@ -30,7 +30,7 @@ _log: Final = logging.getLogger(__name__)
 
 
 def ending(error: BaseException, where: str, *, at_once: bool = False, before: Ending | None = None) -> Ending:
-    """Say how an error ended a run.
+    """Return how an error ended a run.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def ending(error: BaseException, where: str, *, at_once: bool = False, before: E
 
 
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
-    """Say that instruments did not reach their safe state: whatever else it was, the run is broken."""
+    """Report instruments that did not reach their safe state; the run is then broken in any case."""
     said = [f"NOT SAFE: {who}; look at the bench before touching it" for who in silent]
     return EndReason.BROKEN, "; ".join([*filter(None, [_told(end)]), *said])
 
@@ -79,7 +79,7 @@ def _what(error: BaseException) -> str:
 
 
 def _remedy(error: BaseException) -> str:
-    """What to do about it, where the error says so."""
+    """The remedy of an error, if it has one."""
     cause = error.error if isinstance(error, BrokenInto) else error
     remedy = cause.remedy if isinstance(cause, CbsrError) else ""
     return f"; {remedy}" if remedy else ""
@@ -88,7 +88,7 @@ def _remedy(error: BaseException) -> str:
 def _during_retreat(error: BaseException) -> str:
     if isinstance(error, AbortedError | KeyboardInterrupt):
         return "a second signal ended it at once"
-    return f"the head was not lifted in order: {_what(error)}"
+    return f"lifting the head failed: {_what(error)}"
 
 
 def execute(
@@ -169,7 +169,7 @@ def execute(
 
 
 class _Walk:
-    """Goes through the scheduled steps and remembers where it is."""
+    """Executes the scheduled steps, and keeps track of the current one."""
 
     def __init__(
         self,
@@ -191,7 +191,7 @@ class _Walk:
         self._end: Ending | None = None
 
     def to_its_end(self, identity: RunIdentity, bench: Bench, interrupts: Interrupts) -> Ending:
-        """Carry out everything, and leave the bench safe whatever comes up; nothing is raised."""
+        """Execute the plan and leave the bench safe in any case; never raises."""
         silent: tuple[str, ...] = ()
         try:
             with interrupts.heard():
@@ -207,7 +207,7 @@ class _Walk:
         return unsafe(self._end, silent) if silent else self._end
 
     def _through_or_back(self, identity: RunIdentity, interrupts: Interrupts) -> None:
-        """Carry out everything; where somebody stops it, lift the head as after any press."""
+        """Execute the plan; if stopped, lift the head as after any press."""
         try:
             self._through(identity)
         except (AbortedError, KeyboardInterrupt) as error:
@@ -223,7 +223,7 @@ class _Walk:
             self._phase(phase)
 
     def where(self) -> str:
-        """Say while which step it was, and what the bench was doing."""
+        """Describe the current step and the bench's state."""
         if self._at is None:
             return "before the first step"
         phase, step = self._at

@@ -1,4 +1,4 @@
-"""Ctrl-C, termination and hang-up during a run: the first ends it in order, the second at once.
+"""Signals during a run: the first one stops it in order, the second at once.
 
 An operator who is being asked is waited for: nothing hangs meanwhile.
 """
@@ -19,7 +19,7 @@ A = TypeVar("A")
 
 
 class Asking(Generic[A]):
-    """Asks the operator, and knows while somebody is being asked.
+    """Asks the operator, and knows while a question is open.
 
     The runner's own prompts and instruments that are worked by hand must ask through the same one.
 
@@ -33,7 +33,7 @@ class Asking(Generic[A]):
         self._waiting = False
 
     def is_waiting(self) -> bool:
-        """Say whether somebody is being asked right now."""
+        """Whether a question to the operator is open."""
         return self._waiting
 
     def __call__(self, text: str) -> A:
@@ -51,14 +51,14 @@ _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT")
 
 #: Said on the first signal and on the second.
 FIRST: Final = (
-    "{}: the run stops in order. What is under way is completed and stored, the head comes up at its press speed,"
-    " the bench is made safe. A second signal makes it safe at once."
+    "{}: the run stops in order: the current step is completed and stored, the head is lifted at its press speed,"
+    " the bench is made safe. A second signal makes the bench safe at once."
 )
-SECOND: Final = "{}: everything is made safe at once. Further signals are ignored until it is."
+SECOND: Final = "{}: making the bench safe at once. Further signals are ignored until it is safe."
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asked the run to stop; not an ``Exception``, so that no driver's ``except`` swallows it."""
+    """A signal asked the run to stop; not an ``Exception``, so no driver's ``except`` swallows it."""
 
     def __init__(self, by: str) -> None:
         super().__init__(f"stopped by {by}")
@@ -66,17 +66,17 @@ class Stopped(KeyboardInterrupt):
 
 
 def on_stderr(line: str) -> None:
-    """Write a line past Python's buffers, which a signal may have found half written."""
+    """Write a line past Python's buffers, which a signal may have interrupted."""
     with suppress(OSError, AttributeError, ValueError):  # no terminal, or one that has gone
         os.write((sys.__stderr__ or sys.stderr).fileno(), f"{line}\n".encode())
 
 
 def _nobody(line: str) -> None:
-    """Tell nobody."""
+    """Discard the notice."""
 
 
 class Interrupts:
-    """While entered, signals end the run at a moment when nothing can be torn.
+    """While entered, signals end the run at a safe moment.
 
     The first signal is only remembered: :meth:`poll` raises it where the run may end, which is after every
     document and within :meth:`idle`. The second raises wherever the run is, also in a delivery or a driver that
@@ -126,12 +126,12 @@ class Interrupts:
             signal.signal(signal.SIGALRM, self._alarm_before)
 
     def mask(self) -> None:
-        """Take no notice of signals from here on."""
+        """Ignore signals from here on."""
         self._masked = True
 
     @contextmanager
     def heard(self) -> Iterator[None]:
-        """Let signals end what is inside; what comes up while this is left is raised to whoever entered it."""
+        """Let signals end the body; a signal during exit is raised to the caller."""
         self._heard_now = True
         try:
             with self._redelivery:
@@ -141,7 +141,7 @@ class Interrupts:
 
     @contextmanager
     def idle(self) -> Iterator[None]:
-        """Let the first signal end at once what is inside: nothing happens but waiting."""
+        """Let the first signal end the body at once: it only waits."""
         self._idle = True
         try:
             self.poll()
@@ -151,12 +151,12 @@ class Interrupts:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Let the first signal end the run once what is inside has been done."""
+        """Let the first signal end the run after the body has finished."""
         yield
         self.poll()
 
     def poll(self) -> None:
-        """Raise the first signal, if there was one: here the run may end.
+        """Raise the first signal, if there was one: a point where the run may end.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class Interrupts:
             self._raise()
 
     def break_in(self, error: BaseException) -> None:
-        """Raise an error in the main thread, wherever it hangs; called by another thread.
+        """Raise an error in the main thread, wherever it hangs; called from another thread.
 
         It does nothing where no signal was installed. A call that waits in C is woken where the system can do that.
         """

@@ -1,4 +1,4 @@
-"""The station's limits, held against what the bench says while steps are executed.
+"""The station's limits, checked before steps and against measured values.
 
 The dry run has checked what was planned; here is checked what happens. Every check raises
 :class:`~cbsr_qa.domain.SafetyError` naming its rule.
@@ -26,7 +26,7 @@ _ROUNDING_S: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A rule a step would break.
+    """A limit that a step would violate.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class Violation:
 
 
 def place_violations(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
-    """Yield what is wrong with a place: out of the head's range, or the head not wholly on the sheet."""
+    """Yield violations of a place: out of the head's range, or the head not entirely on the sheet."""
     radius_mm = math.hypot(x_mm, y_mm)
     if not radius_mm <= plan.safety.travel_radius_mm:
         yield Violation(
@@ -72,7 +72,7 @@ def _off_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
 
 
 def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
-    """Whether a head with corners stands on the sheet with all of its outline, its edge included.
+    """Whether the full outline of a polygonal head is on the sheet, edge included.
 
     A head may be as wide as a strip, and be turned as the strip is. The outline is looked at every 0.25 mm.
     """
@@ -87,13 +87,13 @@ def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
 
 
 def load_violations(load: Load, plan: Plan) -> Iterator[Violation]:
-    """Yield what is wrong with a load: its place, its strain, the force it is expected to take."""
+    """Yield violations of a load: its place, its strain, its expected force."""
     yield from place_violations(load.x_mm, load.y_mm, plan)
     yield from strain_violations(load.strain, plan)
 
 
 def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
-    """Yield what is wrong with a strain, wherever it is pressed: itself, the force it is expected to take."""
+    """Yield violations of a strain at any place: itself, and its expected force."""
     if not 0 < strain <= plan.safety.strain:
         yield Violation(
             "strain", f"{100 * strain:.4g} % strain; the station allows up to {100 * plan.safety.strain:g} %"
@@ -104,14 +104,14 @@ def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
 
 
 def dwell_violations(dwell_s: float, plan: Plan) -> Iterator[Violation]:
-    """Yield what is wrong with a head that has been down, and still or eased, for this long."""
+    """Yield violations of the time the head has been down without lifting."""
     if not dwell_s <= plan.safety.dwell_s + _ROUNDING_S:
         allowed_s = plan.safety.dwell_s
         yield Violation("dwell", f"the head is down for {dwell_s:.4g} s; the station allows {allowed_s:g} s")
 
 
 def expected_force_N(strain: float, plan: Plan) -> float:
-    """Return the highest force a press is expected to take [N].
+    """Return the highest expected force of a press [N].
 
     E ε A is the relaxed force (E of the material file is the relaxed modulus); at the end of a fast ramp the
     relaxing terms stand on top of it: F = E ε A (1 + Σ max(w, 0)), an upper bound for any mixture of signs.
@@ -130,7 +130,7 @@ _LIMITED: Final = int(ReadingFlag.COMPLIANCE | ReadingFlag.SATURATED)
 
 
 def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
-    """Refuse a station that limits a temperature which nothing measures.
+    """Refuse a station that limits a temperature which no instrument measures.
 
     Raises
     ------
@@ -139,16 +139,15 @@ def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
     """
     unit = {one.channel: one.unit for one in samplers}.get(TEMPERATURE_CHANNEL)
     if plan.safety.temperature_C is not None and unit != TEMPERATURE_UNIT:
-        found = "no instrument samples it" if unit is None else f"it is sampled in {unit!r}"
+        found = "no instrument samples it" if unit is None else f"its unit is {unit!r}"
         raise ConfigError(
             f"[safety] temperature_C limits the temperature, but {found}",
-            remedy=f"add a thermometer that samples {TEMPERATURE_CHANNEL!r} in {TEMPERATURE_UNIT!r}, or leave the key"
-            " out",
+            remedy=f"add a thermometer that samples {TEMPERATURE_CHANNEL!r} in {TEMPERATURE_UNIT!r}, or drop the key",
         )
 
 
 class Limits:
-    """What the station allows, and how fresh what is known is.
+    """The station's limits, and the maximum age of measured values.
 
     Parameters
     ----------
@@ -167,15 +166,15 @@ class Limits:
         self._counted = usable if usable.any() else np.ones_like(usable)
 
     def check_load(self, load: Load) -> None:
-        """Check strain, expected force and place of a press before it."""
+        """Check strain, expected force and place before a press."""
         _refuse(load_violations(load, self._plan))
 
     def check_place(self, x_mm: float, y_mm: float) -> None:
-        """Check a place before the head goes there."""
+        """Check a place before the head moves there."""
         _refuse(place_violations(x_mm, y_mm, self._plan))
 
     def check_samples(self, block: SampleBlock, who: str) -> None:
-        """Hold measured force and temperature against their limits, and remember how fresh they are.
+        """Check measured force and temperature against their limits, and record their age.
 
         Parameters
         ----------
@@ -189,7 +188,7 @@ class Limits:
             self._temperature_time_s = max(self._temperature_time_s, float(block.time_s[-1]))
 
     def check_frame(self, block: FrameBlock, who: str) -> None:
-        """Refuse frames whose current or voltages were limited: with an open lead they are no measurement."""
+        """Refuse frames with limited current or voltages: with an open lead they are not measurements."""
         limited = (block.flags & _LIMITED) != 0
         counted = limited[:, self._counted]
         share = counted.mean(axis=1)
@@ -205,7 +204,7 @@ class Limits:
             )
 
     def check_time(self, now_s: float, *, touching: bool, down: bool) -> None:
-        """Check the run's duration, how long the head has been down, and the age of what must be fresh.
+        """Check the run's duration, how long the head has been down, and the age of samples.
 
         Parameters
         ----------
@@ -254,7 +253,7 @@ class Limits:
             )
 
     def _limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:
-        """Name the drive pairs of which every counted reading was limited: an open lead limits both of its own."""
+        """Name the drive pairs whose counted readings were all limited: an open lead limits both of its pairs."""
         pairs = zip(self._plan.sensor_type.pattern.drive, limited, self._counted, strict=True)
         whole = [pair for pair, row, counted in pairs if counted.any() and row[counted].all()]
         if not whole:

@@ -1,4 +1,4 @@
-"""Carries out one step after the other on the bench.
+"""Execution of single steps on the bench.
 
 Times of the press under way, until its rest is over and it becomes a record.
 """
@@ -52,25 +52,25 @@ class LoadLog:
     eased: list[EasedStrain] = field(default_factory=list)
 
     def begin(self, index: int, load: Load, now_s: float, lift_off_s: float) -> None:
-        """The head starts down."""
+        """Record that the head starts down."""
         self.index, self.load, self.times_s, self.lift_off_s = index, load, [now_s], lift_off_s
         self.eased = []
 
     def ease(self, strain: float, start_s: float, now_s: float, lift_off_s: float) -> None:
-        """The head has gone to another strain, from a time up to now."""
+        """Record that the head moved to another strain, from a time until now."""
         self.eased.append(EasedStrain(strain, start_s, now_s))
         self.lift_off_s = lift_off_s
 
     def mark(self, now_s: float) -> None:
-        """The head is down; then it starts up; then it is up."""
+        """Record that the head is down, starts up, or is up."""
         self.times_s.append(now_s)
 
     def lose_track(self) -> None:
-        """The way up was not one movement: when the head left the sheet is not known."""
+        """The way up was not one movement, so the time the head left the sheet is unknown."""
         self.lift_off_s = None
 
     def finish(self, now_s: float) -> LoadRecord | None:
-        """The rest is over: return the record of a press that came to its end, or None where there is none."""
+        """Return the record of a press whose rest has ended, or None."""
         if self.load is None or len(self.times_s) != 4:
             return None
         press_s, hold_s, release_s, up_s = self.times_s
@@ -98,7 +98,7 @@ Ask = Callable[[str], object]
 
 
 class Performer:
-    """Carries out steps; knows the bench, tells the documents, obeys the interlock.
+    """Executes steps on the bench: emits events, obeys the interlock.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class Performer:
         self._addressed = [one.instrument for one in bench.mounted if isinstance(one.instrument, Addressed)]
 
     def perform(self, scheduled: ScheduledStep) -> None:
-        """Carry out one step.
+        """Execute one step.
 
         Raises
         ------
@@ -171,13 +171,13 @@ class Performer:
         self._look()
 
     def retreat(self) -> None:
-        """Lift a head that is down and still as after any press: in order, before the bench is made safe."""
+        """Lift a head that is down and still as after any press, before the bench is made safe."""
         if self._interlock.state is State.PRESSED:
             with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
                 self._lift()
 
     def finish_load(self) -> None:
-        """Tell about the last load, once its rest is over."""
+        """Emit the last load after its rest."""
         record = self._loads.finish(self._clock.now())
         if record is not None:
             self._documents.emit(LoadFinished(self._at.phase, record))
@@ -210,7 +210,7 @@ class Performer:
         self._loads.mark(self._clock.now())
 
     def _ease(self, strain: float) -> None:
-        """Go to another depth; everything a press is held against holds, and a failure is not tried again either."""
+        """Move to another depth under the same limits as a press; a failure is not retried."""
         load, motion = self._loads.load, self._plan.motion
         assert load is not None  # the dry run refuses to ease a head that is up
         self._limits.check_load(replace(load, strain=strain))
@@ -222,7 +222,7 @@ class Performer:
         self._loads.ease(strain, start_s, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
 
     def _go_down(self, depth_mm: float) -> None:
-        """Press, or ease; where that failed it is not tried again: nobody knows how deep the head is."""
+        """Press, or ease; a failure is not retried, because the head's depth is then unknown."""
         motion = self._plan.motion
         with self.spent.on(Kind.PRESS, self._clock), self._expect("pressing", kinematics.stroke_s(motion, depth_mm)):
             self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
@@ -248,12 +248,12 @@ class Performer:
         self._interrupts.poll()  # what comes next goes down
 
     def _move(self, motion: Callable[[], object], what: str, work_s: float) -> None:
-        """Move with the head up; before another attempt the head is lifted, wherever the first one left it."""
+        """Move with the head up; before a retry the head is lifted."""
         with self._interlock.passing(State.MOVING, State.ARMED):
             self._attempt(self._expected(motion, what, work_s), before_another=self._lift)
 
     def _feel(self, search: Callable[[], object]) -> None:
-        """Let the applicator feel for the surface; it touches the sheet, so the force must be known.
+        """Let the applicator search the surface; it touches the sheet, so force samples must be fresh.
 
         The search is one call: while it lasts the driver watches over force and its freshness, and the runner
         checks before and right after it.
@@ -294,10 +294,10 @@ class Performer:
         expected = (1, *self._plan.sensor_type.pattern.shape)
         if block.voltages.shape != expected:
             raise InstrumentError(
-                FRAME_SOURCE, "the bench", f"frames of shape {block.voltages.shape} came; {expected} was asked for"
+                FRAME_SOURCE, "the bench", f"received frames of shape {block.voltages.shape}; requested {expected}"
             )
         if not took_s > 0:  # a hold would never end
-            raise InstrumentError(FRAME_SOURCE, "the bench", "a frame took no time on the station's clock")
+            raise InstrumentError(FRAME_SOURCE, "the bench", "a frame took zero time on the station's clock")
 
     def _look(self) -> None:
         self._watch.look(self._at.phase)
@@ -307,7 +307,7 @@ class Performer:
         return self._watchdog.expect(f"{self._head}: {what}", work_s)
 
     def _expected(self, motion: Callable[[], T], what: str, work_s: float) -> Callable[[], T]:
-        """Return the motion with the watchdog told what it is and how long it takes when all is well."""
+        """Return the motion with the watchdog set to its expected duration."""
 
         def watched() -> T:
             with self._expect(what, work_s):
@@ -316,7 +316,7 @@ class Performer:
         return watched
 
     def _asked(self, operation: Callable[[], T], what: str, work_s: float = 0.0) -> T:
-        """Ask an instrument, and again where that is harmless, under the eyes of the watchdog."""
+        """Call an instrument under the watchdog, and retry where that is harmless."""
 
         def watched() -> T:
             with self._watchdog.expect(what, work_s):

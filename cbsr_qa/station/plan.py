@@ -1,4 +1,4 @@
-"""What a run is going to do, put together from station and recipe.
+"""The plan of a run: phases and numbered steps from station and recipe.
 
 How many frames fit a hold: one rule for the dry run and for the hold itself.
 
@@ -46,17 +46,17 @@ WORTHWHILE: Final = 0.1
 
 
 def another_frame(left_s: float, frame_period_s: float) -> bool:
-    """Whether to begin one more frame with this much of the hold left."""
+    """Whether to begin another frame with this much of the hold left."""
     return left_s > WORTHWHILE * frame_period_s
 
 
 def frames_in_hold(hold_s: float, frame_period_s: float) -> int:
-    """Return how many frames a hold takes: one after the other until it is over, at least one."""
+    """Return how many frames a hold takes: one after the other to its end, at least one."""
     return max(1, math.ceil(hold_s / frame_period_s - WORTHWHILE))
 
 
 class Kind(StrEnum):
-    """Kinds of activity, in the order a report lists them."""
+    """Kinds of activity, in report order."""
 
     HOME = "home"
     SURFACE = "surface finding"
@@ -76,12 +76,12 @@ class Spent:
         self._seconds = dict.fromkeys(Kind, 0.0)
 
     def add(self, kind: Kind, seconds: float) -> None:
-        """Add to one kind."""
+        """Add seconds to one kind."""
         self._seconds[kind] += seconds
 
     @contextmanager
     def on(self, kind: Kind, clock: Clock) -> Iterator[None]:
-        """Charge what the clock passes inside to one kind, also where it ends in an error."""
+        """Charge the clock time of the body to one kind, also after an error."""
         start_s = clock.now()
         try:
             yield
@@ -98,7 +98,7 @@ class Spent:
 
 
 def describe(step: Step) -> str:
-    """Say what a step does; a step of a type nobody knows is called by its type."""
+    """Describe a step; an unknown type is named by its class."""
     said = f"an unknown step ({type(step).__name__})"
     match step:
         case Home():
@@ -116,20 +116,20 @@ def describe(step: Step) -> str:
         case AcquireFrames(count=count):
             said = f"taking {count} frames"
         case MarkUnloaded():
-            said = "calling the sheet rested"
+            said = "marking the sheet as rested"
         case Prompt(text=text):
             said = f"asking: {text}"
     return said
 
 
 def describe_load(load: Load) -> str:
-    """Say which load this is."""
+    """Describe a load: label, place, strain and trial."""
     trial = f", trial {load.trial + 1}" if load.trial else ""
     return f"{load.label} at ({load.x_mm:g}, {load.y_mm:g}) mm to {100 * load.strain:g} %{trial}"
 
 
 def duration(seconds: float) -> str:
-    """Say a duration as a person would: ``"40 s"``, ``"18 min"``, ``"5.4 h"``."""
+    """Format a duration for people: ``"40 s"``, ``"18 min"``, ``"5.4 h"``."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     if seconds < 5400:
@@ -139,7 +139,7 @@ def duration(seconds: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPhase:
-    """One phase with the sequence that makes its steps.
+    """One phase with its sequence.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class PlannedPhase:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything the runner and the dry run need to know; nothing in it can move.
+    """Everything that runner and dry run need; it cannot move anything.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class Plan:
 
     @property
     def context(self) -> SequenceContext:
-        """What the sequences may know."""
+        """Context given to the sequences."""
         return SequenceContext(self.sensor_type, self.indenter, self.seed)
 
 
@@ -251,7 +251,7 @@ def schedule(
         If a sequence's role is none.
     """
     if not plan.phases:
-        raise RefusedError("the recipe has no phase", remedy="give it at least one [[phases]] table")
+        raise RefusedError("the recipe has no phase", remedy="add at least one [[phases]] table")
     return tuple(_scheduled(plan, index, phase, done, index in ended) for index, phase in enumerate(plan.phases))
 
 
@@ -259,7 +259,7 @@ def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[Load
     steps = tuple(islice(phase.steps(plan.context), MOST_STEPS + 1))
     if not 0 < len(steps) <= MOST_STEPS:
         found = "no step" if not steps else f"more than {MOST_STEPS} steps"
-        raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} makes {found}")
+        raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} yields {found}")
     if index == 0 and not isinstance(steps[0], Home):
         steps = tuple(chain([Home()], steps))
     numbered = tuple(_numbered(index, steps))
@@ -278,8 +278,8 @@ def _role(phase: PlannedPhase) -> Role:
     role = getattr(phase.sequence, "role", Role.OTHER)
     if not isinstance(role, Role):
         raise PluginError(
-            f"sequence {phase.sequence_name!r} of phase {phase.name!r} has role {role!r}, which is no Role",
-            remedy=f"a role is one of {', '.join(f'Role.{known.name}' for known in Role)} (cbsr_qa.domain.plan)",
+            f"sequence {phase.sequence_name!r} of phase {phase.name!r} has role {role!r}, which is not a Role",
+            remedy=f"allowed roles: {', '.join(f'Role.{known.name}' for known in Role)} (cbsr_qa.domain.plan)",
         )
     return role
 
@@ -296,7 +296,7 @@ def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
 
 
 def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> Iterator[ScheduledStep]:
-    """Yield what is left of a phase whose first loads are done, at least one of them."""
+    """Yield the remaining steps of a phase after its first, completed loads (at least one)."""
     pressed = -1
     released = False
     for scheduled in numbered:
@@ -318,5 +318,5 @@ def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> I
 
 
 def ends_rest(step: Step) -> bool:
-    """Whether the rest after a load is over when this step begins."""
+    """Whether this step ends the rest after a load."""
     return not isinstance(step, Ease | Hold | AcquireFrames | Release | MarkUnloaded)

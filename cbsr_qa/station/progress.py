@@ -1,4 +1,4 @@
-"""What a person who waits sees of a run: phase, what the head does, how long it will take. Only on stderr."""
+"""Progress display of a run on stderr: phase, current step, remaining time."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class RunProgress:
-    """A subscriber that shows a run; on a terminal as a bar, elsewhere as one line a phase.
+    """A subscriber that displays a run: a bar on a terminal, otherwise one line per phase.
 
     The bar's thread only reads the clock, so that the time left runs down through a rest of four minutes in
     which no document comes. On a virtual clock a time left would mislead, and a percentage is shown.
@@ -43,7 +43,7 @@ class RunProgress:
         self._close()
 
     def __call__(self, event: RunEvent) -> None:
-        """Take one document."""
+        """Handle one event."""
         match event:
             case RunStarted() if self._stream.isatty():
                 self._bar = _Bar(self._clock, self._stream)
@@ -52,7 +52,7 @@ class RunProgress:
             case StepStarted():
                 self._step(event)
             case StepRetried(attempt=attempt, why=why):
-                self._say(f"attempt {attempt} failed, trying again: {why}")
+                self._say(f"attempt {attempt} failed, retrying: {why}")
             case RunEnded():
                 self._close()
 
@@ -65,7 +65,7 @@ class RunProgress:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Take the bar away while somebody is asked, and show it again."""
+        """Hide the bar during a question to the operator, and show it again."""
         bar = self._bar
         if bar is not None:
             bar.close()
@@ -104,7 +104,7 @@ class _Bar:
         self._bar.start()
 
     def show(self, phase: str, doing: str, now_s: float, remaining_s: float) -> None:
-        """Show a step that begins."""
+        """Show the current step."""
         self._total_s = max(self._total_s or 0.0, remaining_s)
         self._ends_s = now_s + remaining_s
         done_s = self._total_s - remaining_s
@@ -115,11 +115,11 @@ class _Bar:
         self._bar.console.print(line, markup=False, highlight=False)
 
     def show_again(self) -> None:
-        """Put the bar back."""
+        """Show the bar again."""
         self._bar.start()
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         self._bar.stop()
 
     def _left(self, percentage: float) -> str:
@@ -135,7 +135,7 @@ def _rich_bar(stream: TextIO, left: Callable[[float], str]) -> "tuple[Progress, 
     from rich.text import Text
 
     class Fields(ProgressColumn):
-        """Phase and what the head does, as plain text: a recipe's names are not markup."""
+        """Phase and activity as plain text: names in a recipe are not markup."""
 
         def render(self, task: Task) -> Text:
             return Text.assemble((task.fields["phase"], "bold"), "  ", task.fields["doing"])

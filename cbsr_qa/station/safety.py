@@ -1,4 +1,4 @@
-"""Safety as a state machine: what the bench may do next, and how it comes to rest whatever happens.
+"""Safety state machine: allowed transitions of the bench, and the way to its safe state.
 
 Looks after the bench while steps are carried out: samples, limits, and whether everybody is still there.
 """
@@ -20,7 +20,7 @@ from cbsr_qa.system import Clock
 
 
 class State(StrEnum):
-    """States of the bench as the runner knows it."""
+    """States of the bench."""
 
     IDLE = "idle"  #: nothing was touched yet
     CLEARING = "clearing"  #: every instrument is being told to reach its safe state, whatever it was left in
@@ -59,13 +59,13 @@ DWELLING: Final = frozenset({State.PRESSED, State.EASING})
 
 
 class Interlock:
-    """Holds the state and allows transitions."""
+    """Holds the state of the bench and checks transitions."""
 
     def __init__(self) -> None:
         self.state = State.IDLE
 
     def to(self, state: State) -> None:
-        """Go to a state.
+        """Change to a state.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Interlock:
 
     @contextmanager
     def passing(self, through: State, into: State) -> Iterator[None]:
-        """Be in one state while something happens and in the next after it; an error leaves the first."""
+        """Be in one state during the body and in the next after it; after an error stay in the first."""
         self.to(through)
         yield
         self.to(into)
@@ -90,11 +90,11 @@ class Interlock:
 
     @property
     def dwelling(self) -> bool:
-        """Whether the head is in the sheet and stays there, still or eased."""
+        """Whether the head stays in the sheet, still or eased."""
         return self.state in DWELLING
 
     def clear(self, bench: Bench) -> None:
-        """Bring the bench to its safe state before anything else: what was killed left the head where it was.
+        """Bring the bench to its safe state first: a killed process left the head where it was.
 
         Raises
         ------
@@ -108,13 +108,13 @@ class Interlock:
             self.to(State.UNSAFE)
             raise SafetyError(
                 "safe start",
-                f"the bench could not be brought to its safe state before the run: {'; '.join(failed)}",
+                f"the bench could not be brought to a safe state before the run: {'; '.join(failed)}",
                 remedy="nothing was moved or stored; look at the bench before touching it",
             )
         self.to(State.ARMED)
 
     def stop(self, bench: Bench) -> tuple[str, ...]:
-        """Bring the whole bench to its safe state; returns who did not get there, in words."""
+        """Bring the bench to its safe state; return descriptions of instruments that failed."""
         self.state = State.STOPPING  # from anywhere: stopping is never refused
         failed = bench.safe_state()
         self.to(State.UNSAFE if failed else State.SAFE)
@@ -130,15 +130,15 @@ _SOON_S: Final = 1e-3
 
 
 class Attempt(Protocol):
-    """Asks an instrument, and again where that is harmless."""
+    """Calls an instrument, and retries where that is harmless."""
 
     def __call__(self, operation: Callable[[], T], what: str) -> T:
-        """Return what it answers."""
+        """Call the action, and return its result."""
         ...
 
 
 class Watch:
-    """Takes over what the samplers have, holds the limits, asks who is there.
+    """Collects samples, checks the limits, and checks that instruments respond.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ class Watch:
         self._asked_s = clock.now()
 
     def look(self, phase: int) -> None:
-        """Look at everything that is due; samples are told as those of this phase.
+        """Do everything that is due; samples are stored under this phase.
 
         Raises
         ------
@@ -182,17 +182,17 @@ class Watch:
             self._ask_all()
 
     def next_look_s(self) -> float:
-        """How long may be waited until the next look [s]."""
+        """Longest wait until the next check [s]."""
         every_s = min(WATCH_S, self._safety.stale_s / 2) if self._interlock.touching else WATCH_S
         return max(min(every_s, self._safety.heartbeat_s - self._silent_s()), _SOON_S) if self._alive else every_s
 
     def _silent_s(self) -> float:
-        """How long nobody has been asked [s]."""
+        """Time since the last liveness check [s]."""
         return self._clock.now() - self._asked_s
 
     def _drain(self, phase: int, number: int, sampler: Sampler) -> None:
         who = self._bench.name_of(sampler)
-        block = self._attempt(partial(sampler.samples_since, self._drained_s[number]), f"{who}: its samples")
+        block = self._attempt(partial(sampler.samples_since, self._drained_s[number]), f"{who}: reading its samples")
         if len(block):
             self._drained_s[number] = float(block.time_s[-1])
             self._documents.emit(SamplesTaken(phase, block))
@@ -201,7 +201,7 @@ class Watch:
     def _ask_all(self) -> None:
         for instrument in self._alive:
             try:
-                self._attempt(instrument.alive, f"{self._bench.name_of(instrument)}: whether it is there")
+                self._attempt(instrument.alive, f"{self._bench.name_of(instrument)}: checking that it responds")
             except InstrumentError as error:
                 raise SafetyError("heartbeat", error.reason, remedy=error.remedy) from error
         self._asked_s = self._clock.now()

@@ -1,4 +1,4 @@
-"""From configuration files to a plan, a clock and a bench."""
+"""Plan, clock and bench from configuration files."""
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -53,7 +53,7 @@ def configure(
 
 
 def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
-    """Put the sequences of a recipe together with the station they run on.
+    """Combine the sequences of a recipe with the station they run on.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
 
 
 def station_clock(configuration: Configuration) -> Clock:
-    """Return the clock the station file asks for; emulated instruments live on one of their own kind."""
+    """Return the station's clock; emulated instruments have their own kind."""
     if configuration.station.emulated_scene is not None:
         return WatchedClock()
     return VirtualClock() if configuration.station.clock == "virtual" else RealClock()
@@ -96,7 +96,7 @@ def open_station(
     ask: Callable[[str], str] | None = None,
     emulated: Callable[[Emulation], None] = lambda emulation: None,
 ) -> Bench:
-    """Open every instrument of the station; those that are emulated are started first, and end with the bench.
+    """Open every instrument of the station; emulators start first and end with the bench.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def opener(
     ask: Callable[[str], str] | None = None,
     emulated: Callable[[Emulation], None] = lambda emulation: None,
 ) -> tuple[Callable[[InstrumentSpec], Instrument], tuple[Action, ...]]:
-    """Start what the station emulates; parameters and errors as of :func:`open_station`.
+    """Start the station's emulators; parameters and errors as of :func:`open_station`.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def opener(
 
 
 def check_clock(configuration: Configuration, instruments: Iterable[InstrumentIdentity]) -> None:
-    """Make sure that no real instrument is put on a virtual clock; ConfigError where one is."""
+    """Refuse real instruments on a virtual clock (ConfigError)."""
     real = [one.role for one in instruments if not one.simulated]
     if real and configuration.station.clock == "virtual":
         raise ConfigError(
@@ -165,7 +165,7 @@ def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, res
     if station.clock != "virtual" or not isinstance(clock, WatchedClock):
         raise ConfigError(
             f"station {station.name!r} emulates instruments on a real clock",
-            remedy='set clock = "virtual": their world moves on by commands, and nobody waits for it',
+            remedy='set clock = "virtual": emulated time advances by commands, without waiting',
         )
     world = SimulatedWorld(
         load_scene(station.emulated_scene).value,

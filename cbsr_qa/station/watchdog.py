@@ -1,4 +1,4 @@
-"""Notices that an instrument hangs: a call that never comes back is not waited for with the head down."""
+"""Watchdog: detects instrument calls that hang, so the head does not stay down."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ LOOK_S: Final = 0.1
 
 
 class BrokenInto(Interruption):
-    """Raised in the run's thread, in the middle of the call that hangs."""
+    """Raised in the run's thread, inside the call that hangs."""
 
     def __init__(self, error: SafetyError) -> None:
         super().__init__(error.reason)
@@ -28,7 +28,7 @@ class BrokenInto(Interruption):
 
 @dataclass(slots=True)
 class _Call:
-    """What is under way: who is asked for what, since when, and how long that takes when all is well."""
+    """The current call: instrument, start, and expected duration."""
 
     what: str
     since_s: float
@@ -36,7 +36,7 @@ class _Call:
 
 
 class Watchdog:
-    """A thread that ends what takes too long. Its time is real on every clock: what hangs does so in real time.
+    """A thread that ends calls that take too long. It uses real time on every clock, as real calls hang.
 
     It watches from when it is entered to :meth:`end`: calls to instruments one by one, and between them whatever else
     the run does, a journal that waits for its disk or a listener for a terminal that has been stopped.
@@ -80,12 +80,12 @@ class Watchdog:
         self.end()
 
     def end(self) -> None:
-        """Watch no longer: nothing is broken into from here on."""
+        """Stop watching: no further call is interrupted."""
         self._ended.set()
         self._thread.join()
 
     def hurry(self) -> None:
-        """Give what is under way, and all that follows, little time from now on; a signal's handler may call it."""
+        """Shorten the time for the current call and all that follow; safe to call from a signal handler."""
         self._answer_s = min(self._answer_s, GRACE_S)
         self._call.since_s = self._clock.now()
 
@@ -117,7 +117,7 @@ class Watchdog:
         self._raise_late()
 
     def _between(self) -> _Call:
-        return _Call("the journal, or whoever listens,", self._clock.now(), 0.0)
+        return _Call("the journal or an event listener", self._clock.now(), 0.0)
 
     def _raise_late(self) -> None:
         if self._late is not None:
@@ -136,8 +136,8 @@ class Watchdog:
         took_s = self._clock.now() - call.since_s
         late = self._late = SafetyError(
             "no answer",
-            f"{call.what} has not come back for {took_s:.3g} s",
-            remedy="look what hangs, and at its cable",
+            f"{call.what} has not returned for {took_s:.3g} s",
+            remedy="check what hangs, and its cable",
         )
         self._break_in(BrokenInto(late))
         if not self._ended.wait(REACTION_S) and self._call is call:

@@ -1,4 +1,4 @@
-"""Statistics of lots and stations: pure functions, held against certified values."""
+"""Statistics of lots and stations: pure functions, checked against certified values."""
 
 from cbsr_qa import door
 

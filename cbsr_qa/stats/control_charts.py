@@ -29,7 +29,7 @@ SUM = "CUSUM"
 
 
 class Phase(StrEnum):
-    """Whether a point made the limits or is judged by them."""
+    """Whether a point belongs to the reference period or is judged by it."""
 
     REFERENCE = "reference (phase I)"
     MONITORED = "monitored (phase II)"
@@ -37,7 +37,7 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Standard:
-    """Known mean and deviation of single values, instead of a reference period."""
+    """Known mean and deviation of single values, in place of a reference period."""
 
     mean: float
     deviation: float
@@ -49,7 +49,7 @@ Reference = int | Standard | None
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """Which rule spoke, at which point, counted from 0."""
+    """A signal: the rule and the point, counted from 0."""
 
     rule: str
     index: int
@@ -80,11 +80,11 @@ class Chart:
 
     @property
     def in_control(self) -> bool:
-        """Whether no point of phase II gives a signal (of all points, where all are reference)."""
+        """Whether no point of phase II gives a signal (of all points, if all are reference)."""
         return not (self.of_phase(Phase.MONITORED) if self.reference < len(self.points) else self.signals)
 
     def of_phase(self, phase: Phase) -> tuple[Signal, ...]:
-        """Return the signals of one phase; those of phase I say that the limits themselves are doubtful."""
+        """Return the signals of one phase; those of phase I cast doubt on the limits themselves."""
         return tuple(signal for signal in self.signals if signal.phase is phase)
 
 
@@ -141,7 +141,7 @@ def means_and_ranges(
     if len(sizes) != 1:
         raise NumericsError(f"{what}: sizes {', '.join(map(str, sizes)) or 'none'}; a chart of ranges needs one size")
     if sizes[0] < 2:
-        raise NumericsError(f"{what}: subgroups of one value have no range", remedy="chart individuals")
+        raise NumericsError(f"{what}: subgroups of one value have no range", remedy="use a chart of individuals")
     table = np.array([sample(group, f"{what}, number {index}") for index, group in enumerate(subgroups)])
     d2, _ = d2_d3(sizes[0])
     means, ranges = table.mean(axis=1), np.ptp(table, axis=1)
@@ -165,7 +165,7 @@ def ewma(
     steady: bool = False,
     what: str = "EWMA",
 ) -> Chart:
-    """Return the exponentially weighted moving average, which finds small lasting shifts.
+    """Return the exponentially weighted moving average, which detects small lasting shifts.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def cusum(
         A slack or threshold that is none, or as :func:`individuals`.
     """
     if not (slack >= 0 and threshold > 0):
-        raise NumericsError(f"{what}: slack {slack:g}, threshold {threshold:g}; allowed are 0 and above, and above 0")
+        raise NumericsError(f"{what}: slack {slack:g}, threshold {threshold:g}; allowed: slack ≥ 0, threshold > 0")
     array = sample(values, what)
     standard, count = _standard(array, reference, what)
     above, below = (_sums(sign * (array - standard.mean), slack * standard.deviation, count) for sign in (1, -1))
@@ -245,20 +245,20 @@ def _standard(array: Array, reference: Reference, what: str) -> tuple[Standard, 
     count = _counted(reference, len(array), 2, what)
     period = array[:count]
     if constant(period):
-        raise NumericsError(f"{what}: all {count} values of the reference period are {period[0]:.6g}: no limits")
+        raise NumericsError(f"{what}: all {count} values of the reference period are {period[0]:.6g}: no spread")
     return Standard(centred(period)[0], float(np.abs(np.diff(period)).mean()) / d2_d3(2)[0]), count
 
 
 def _counted(reference: int | None, count: int, least: int, what: str) -> int:
     period = count if reference is None else reference
     if not least <= period <= count:
-        raise NumericsError(f"{what}: a reference period of {period} points; allowed are {least} to {count}")
+        raise NumericsError(f"{what}: reference period is {period} points; allowed are {least} to {count}")
     return period
 
 
 def _check_deviation(deviation: float, what: str) -> None:
     if not 0 < deviation < float("inf"):
-        raise NumericsError(f"{what}: a deviation of {deviation:g} sets no limits")
+        raise NumericsError(f"{what}: deviation is {deviation:g}; limits need a positive one")
 
 
 def _judged(
@@ -280,7 +280,7 @@ def _ranges(name: str, ranges: Array, size: int, deviation: float, count: int) -
 
 
 def _bounded(name: str, points: Array, standard: Standard, lower: Array, upper: Array, count: int) -> Chart:
-    """Chart on which a point beyond a limit is the only signal."""
+    """Chart with points beyond the limits as its only signal."""
     outside = np.flatnonzero((points < lower) | (points > upper))
     signals = tuple(Signal(OUTSIDE, int(index), _phase(int(index), count)) for index in outside)
     return Chart(name, points, standard.mean, lower, upper, standard.deviation, count, signals)

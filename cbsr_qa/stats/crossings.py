@@ -1,4 +1,4 @@
-"""Which sensors of which group were measured on which station, and what such a design can tell apart.
+"""Designs of groups and stations: which differences the runs can estimate.
 
 Groups (batches, materials, periods) and stations are the two sides of a graph; every run joins its group to its
 station. Differences between groups, with the stations' taken out, exist within a connected part of the graph and
@@ -23,7 +23,7 @@ SparseArray: TypeAlias = "sparse.csr_array[np.float64, tuple[int, int]]"
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Groups and stations that runs connect, each sorted by name."""
+    """Groups and stations connected by runs, each sorted by name."""
 
     groups: tuple[str, ...]
     stations: tuple[str, ...]
@@ -51,14 +51,14 @@ class Crossing:
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """The connected parts; differences between two of them cannot be told from their stations'."""
+        """The connected parts; a difference between two of them is confounded with their stations."""
         return tuple(
             Part(_of_part(self.groups, self.group_parts, part), _of_part(self.stations, self.station_parts, part))
             for part in range(int(self.group_parts.max()) + 1)
         )
 
     def only(self, runs: NDArray[np.bool_] | IntArray) -> "Crossing":
-        """Return the design of some of the runs, as where a metric is missing in the others."""
+        """Return the design of a subset of the runs, e.g. of those with a metric."""
         names = self.groups, self.stations, self.sensors
         codes = (column[runs] for column in (self.group, self.station, self.sensor))
         return _crossing([_used(name, code) for name, code in zip(names, codes, strict=True)])
@@ -69,7 +69,7 @@ class Crossing:
         return first
 
     def columns(self) -> SparseArray:
-        """Return the (N, p) model matrix: one column a group, one a station but the first of each part.
+        """Return the (N, p) model matrix: one column per group, and per station but the first of each part.
 
         Its rank is p: the groups' and stations' columns of one connected part have one dependence, their sums.
         """
@@ -80,7 +80,7 @@ class Crossing:
         return matrix.tocsc()[:, np.flatnonzero(self.kept())].tocsr()
 
     def kept(self) -> NDArray[np.bool_]:
-        """Return which of the groups' and stations' columns are in the model matrix."""
+        """Return which columns of groups and stations the model matrix has."""
         firsts = np.unique(self.station_parts, return_index=True)[1]
         kept = np.ones(len(self.groups) + len(self.stations), dtype=bool)
         kept[len(self.groups) + firsts] = False
@@ -100,7 +100,7 @@ class Crossing:
             raise NumericsError(
                 f"{first} and {second} cannot be compared: {_listed(parts[one].groups)} ran on "
                 f"{_listed(parts[one].stations)} only and {_listed(parts[two].groups)} on "
-                f"{_listed(parts[two].stations)} only, so that their difference may be the stations'",
+                f"{_listed(parts[two].stations)} only, so stations may cause the difference",
                 remedy=f"measure some sensors of both on one station, e.g. of {second} on {parts[one].stations[0]}",
             )
 
@@ -108,7 +108,7 @@ class Crossing:
         """Return the index of a ``"group"`` or ``"station"``; refuse an unknown name."""
         names = self.groups if kind == "group" else self.stations
         if name not in names:
-            raise NumericsError(f"{kind} {name!r} has no runs that were used; those of {_listed(names)} were")
+            raise NumericsError(f"no used run has {kind} {name!r}; used are {_listed(names)}")
         return names.index(name)
 
 
@@ -128,11 +128,11 @@ def crossing(groups: Sequence[str], stations: Sequence[str], sensors: Sequence[s
     lengths = {len(column) for column in columns.values()}
     if len(lengths) > 1 or not groups:
         counts = ", ".join(f"{len(column)} {kind}s" for kind, column in columns.items())
-        raise NumericsError(f"design: {counts}; every run needs one of each, and there must be runs")
+        raise NumericsError(f"design: {counts}; there must be at least one run, and every run needs one of each")
     for kind, column in columns.items():
         if not all(column):
             run = next(index for index, name in enumerate(column) if not name)
-            raise NumericsError(f"design: the run at index {run} has no {kind}", remedy="leave it out, and say so")
+            raise NumericsError(f"design: the run at index {run} has no {kind}", remedy="leave it out, and report it")
     return _crossing([_coded(column) for column in columns.values()])
 
 
@@ -150,7 +150,7 @@ def _used(names: tuple[str, ...], codes: IntArray) -> tuple[tuple[str, ...], Int
 def _crossing(coded: Sequence[tuple[tuple[str, ...], IntArray]]) -> Crossing:
     (groups, group), (stations, station), (sensors, sensor) = coded
     if not len(group):
-        raise NumericsError("design: no runs are left")
+        raise NumericsError("design: no runs remain")
     nodes = len(groups) + len(stations)
     edges = sparse.coo_array((np.ones(len(group)), (group, len(groups) + station)), shape=(nodes, nodes))
     labels = connected_components(edges.tocsr(), directed=False)[1].astype(np.intp)

@@ -1,4 +1,4 @@
-"""Difference of the means of two groups, and its size in deviations.
+"""Difference of two group means, with tests of difference and equivalence.
 
 Welch 1947 (deviations may differ; ν by Welch–Satterthwaite) and Student's pooled test:
 
@@ -82,7 +82,7 @@ class Contrast:
         return Interval(self.value - half, self.value + half, confidence)
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
-        """Return what documents have of it."""
+        """Return the fields for documents."""
         inside = self.interval(confidence)
         return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
 
@@ -95,9 +95,9 @@ class Contrast:
             The margin is not a positive number, or the level is none.
         """
         if not (margin > 0 and isfinite(margin)):
-            raise NumericsError(f"equivalence: a margin of {margin:g} is none; allowed are positive numbers")
+            raise NumericsError(f"equivalence: margin is {margin:g}; it must be positive")
         if not 0 < level < 0.5:
-            raise NumericsError(f"equivalence: level is {level:g}; allowed are numbers between 0 and 0.5")
+            raise NumericsError(f"equivalence: level is {level:g}; it must lie between 0 and 0.5")
         worst = max(
             float(stats.t.sf(self.statistic(-margin), self.freedom)),
             float(stats.t.cdf(self.statistic(margin), self.freedom)),
@@ -106,7 +106,7 @@ class Contrast:
 
 
 def checked(value: float, standard_error: float, freedom: float, what: str) -> Contrast:
-    """Return a contrast; refuse one whose numbers say nothing.
+    """Return a contrast; refuse one without a usable standard error.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class EffectSize:
 
 
 def welch(first: Iterable[float], second: Iterable[float], names: tuple[str, str] = ("first", "second")) -> Contrast:
-    """Return the difference first − second where deviations may differ.
+    """Return the difference first − second with unequal deviations (Welch).
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def welch(first: Iterable[float], second: Iterable[float], names: tuple[str, str
 
 
 def pooled(first: Iterable[float], second: Iterable[float], names: tuple[str, str] = ("first", "second")) -> Contrast:
-    """Return the difference first − second where both groups have the same deviation; see :func:`welch`.
+    """Return the difference first − second with equal deviations; see :func:`welch`.
 
     Raises
     ------
@@ -209,8 +209,8 @@ def _both(first: Iterable[float], second: Iterable[float], names: tuple[str, str
     largest = max(abs(one.mean), abs(two.mean))
     if max(_deviation(one), _deviation(two)) <= LEAST_SPREAD * largest:
         raise NumericsError(
-            f"{_title(names)}: values do not differ within either group, which leaves no variance to judge "
-            f"{one.mean - two.mean:.6g} by"
+            f"{_title(names)}: values do not differ within either group: there is no variance to judge "
+            f"{one.mean - two.mean:.6g} against"
         )
     return one, two
 
@@ -264,7 +264,7 @@ def one_way(groups: Sequence[Iterable[float]], names: Sequence[str] = ()) -> One
     arrays = [sample(values, name) for values, name in zip(groups, labels, strict=True)]
     count = sum(map(len, arrays))
     if count == len(arrays):
-        raise NumericsError("analysis of variance: every group has one value, which leaves no variance within them")
+        raise NumericsError("analysis of variance: every group has one value: no variance within groups")
     grand, _ = centred(np.concatenate(arrays))
     parts = [centred(array - grand) for array in arrays]
     between = fsum(len(rest) * mean**2 for mean, rest in parts)
@@ -272,7 +272,7 @@ def one_way(groups: Sequence[Iterable[float]], names: Sequence[str] = ()) -> One
     # Group by group: a sum of squares against a common threshold calls many small groups' true spread rounding.
     if all(constant(array) for array in arrays) or not within:
         raise NumericsError(
-            "analysis of variance: values within the groups differ by rounding at most, which leaves no variance"
+            "analysis of variance: values within groups differ only by rounding: there is no variance"
         )
     free = len(arrays) - 1, count - len(arrays)
     statistic = (between / free[0]) / (within / free[1])

@@ -1,4 +1,4 @@
-"""Limits from a golden lot: what share of good sensors a bound holds, with what confidence.
+"""Tolerance limits from a golden lot: share of good sensors within a limit, with stated confidence.
 
 Sensors are the unit. A run judges every value of a measurement (nine locations, three trials) against one limit and
 fails by the worst, so each run of a sensor counts with its worst value, and a bound is asked to hold the worst value
@@ -29,7 +29,7 @@ _MOST_TESTED = 2500  #: the test's p-value is trustworthy up to 5000 values
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Whether values may come from a distribution.
+    """Goodness of fit of a distribution.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ Runs = Sequence[Sequence[float]]
 
 
 class Distribution(StrEnum):
-    """What single values are taken for."""
+    """Distribution assumed for single values."""
 
     NORMAL = "normal"
     LOG_NORMAL = "log-normal"
@@ -95,7 +95,7 @@ class Distribution(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """What is asked of limits.
+    """Requirements on the limits.
 
     Parameters
     ----------
@@ -112,13 +112,13 @@ class Ask:
 
     @property
     def sides(self) -> int:
-        """How many bounds."""
+        """Number of bounds."""
         return self.lower + self.upper
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How values are laid out so that a bound is an upper one of something normal: y = ± x or ± log x."""
+    """Transformation that makes a bound an upper one of a normal quantity: y = ± x or ± log x."""
 
     sign: int
     logarithmic: bool
@@ -134,7 +134,7 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """One proposed bound and what it rests on.
+    """One proposed bound, and its basis.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class Bound:
 
 @dataclass(frozen=True, slots=True)
 class LotLimits:
-    """Bounds of one measurement from a lot, or why there are none.
+    """Bounds of one measurement from a lot, or the reason for none.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
 
 
 def _nothing_to_go_by(runs: Runs) -> str:
-    """Say why values have no spread that means anything; empty where they have."""
+    """Say why the values' spread is unusable; empty otherwise."""
     largest = max(abs(x) for sensor in runs for x in sensor)
     if largest > _LARGEST:
         return f"values beyond {_LARGEST:g} are too large to be squared"
@@ -221,12 +221,12 @@ def _nothing_to_go_by(runs: Runs) -> str:
         return f"values below {1 / _LARGEST:g} are too small to be squared"
     parts = components(runs)
     if parts.between**0.5 <= _LEAST_SPREAD * abs(parts.mean):
-        return f"every sensor has {parts.mean:.6g}: without spread there is nothing to go by"
+        return f"every sensor has {parts.mean:.6g}: limits cannot be derived without spread"
     return ""
 
 
 def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
-    """Return the widest bound of the distributions that are not refuted, or why there is none."""
+    """Return the widest bound of the distributions that are not refuted, or the reason for none."""
     candidates: list[Bound] = []
     fits: list[tuple[Distribution, Fit]] = []
     for distribution in looked_at:
@@ -265,19 +265,19 @@ def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float
 
 
 def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[tuple[Distribution, Fit]]) -> Bound | str:
-    """Return the order statistic that holds the share whatever the distribution; each sensor with its worst run."""
+    """Return the order statistic that bounds the share for any distribution; the worst run of a sensor counts."""
     worst = sorted(max(sign * x for x in sensor) for sensor in runs)
     outside = spacings_outside(len(worst), ask.coverage, ask.confidence)
     if outside < ask.sides:
         needed = count_needed(ask.coverage, ask.confidence, ask.sides)
-        return f"{_why_ordered(fits)}limits without a distribution need {needed} sensors instead of {len(worst)}"
+        return f"{_why_ordered(fits)}distribution-free limits need {needed} sensors; there are {len(worst)}"
     scale, limit = Scale(sign, False), sign * worst[-(outside // ask.sides)]
     parts = components([[sign * x for x in sensor] for sensor in runs])
     return _rounded(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, parts, None), runs)
 
 
 def _why_ordered(fits: list[tuple[Distribution, Fit]]) -> str:
-    """Say what was refuted, each distribution with the better of its tests."""
+    """Describe the refuted distributions, each with the better of its tests."""
     best: dict[Distribution, float] = {}
     for name, fit in fits:
         best[name] = max(fit.p_value, best.get(name, 0.0))
@@ -292,7 +292,7 @@ def _rounded(bound: Bound, runs: Runs) -> Bound:
 
 
 def outward(limit: float, mean: float, sign: int) -> float:
-    """Round a limit away from the mean, to a hundredth of its distance from it: digits nobody has to wonder about."""
+    """Round a limit away from the mean, to a hundredth of its distance from it."""
     distance = abs(limit - mean)
     if not distance:
         return limit

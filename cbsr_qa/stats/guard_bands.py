@@ -1,4 +1,4 @@
-"""Guard bands inside a limit, and the risks that remain with them (JCGM 106:2012, clauses 8.3 and 9).
+"""Guard bands inside a limit and the remaining risks (JCGM 106:2012, clauses 8.3 and 9).
 
 Consumer's and producer's risk of a limit judged with an uncertain measurement (JCGM 106:2012, clause 9).
 
@@ -78,7 +78,7 @@ _LEAST_SPREAD = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """How well one run measures.
+    """Measurement uncertainty of one run.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Uncertainty:
 
     @property
     def coverage_factor(self) -> float:
-        """K of the expanded uncertainty U = K u: 2, or Student's t where u comes from few repeats (GUM, G.4)."""
+        """K of the expanded uncertainty U = K u: 2, or Student's t if u comes from few repeats (GUM, G.4)."""
         if self.freedom is None:
             return 2.0
         return float(stats.t.ppf((1 + EXPANDED_SHARE) / 2, self.freedom))
@@ -105,7 +105,7 @@ class Uncertainty:
 
 
 def repeatability(runs: Runs, source: str) -> Uncertainty | None:
-    """Return how well one run measures, from runs of the same sensors; None where there are too few repeats.
+    """Return the uncertainty of one run from repeats of the same sensors; None with too few repeats.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def repeatability(runs: Runs, source: str) -> Uncertainty | None:
 
 
 def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
-    """Return consumer's and producer's risk of one bound; None where the lot cannot tell them.
+    """Return consumer's and producer's risk of one bound; None if the lot cannot determine them.
 
     Parameters
     ----------

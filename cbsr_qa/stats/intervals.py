@@ -1,25 +1,18 @@
-"""An estimate against a reference that is not known exactly: scatter is estimated, the reference's share is known.
+"""Exact intervals: noncentral t, tolerance and prediction limits, and estimates with an uncertain reference.
 
-    half width = √((t(ν) s)² + (z u)²)
+Uncertain reference: half width = √((t(ν) s)² + (z u)²), where s is the standard error of the readings on ν degrees of
+freedom and u the standard uncertainty of the reference. Effective degrees of freedom (Welch and Satterthwaite, GUM
+G.4) would multiply √(s² + u²) by one t of more degrees of freedom. With three readings that shrinks t by more than u
+adds, so a stated uncertainty narrowed intervals and their coverage was too low (92.5 % instead of 95 %). Here each
+part has its own factor, so u always widens the interval. In simulation coverage is at least as stated, and higher for
+few readings with an uncertainty as large as their scatter (95 % intervals of three readings: up to 97.5 %).
 
-s is the standard error of the readings, on ν degrees of freedom, and u what the reference's own standard uncertainty
-adds. Effective degrees of freedom (Welch and Satterthwaite, GUM G.4) would multiply √(s² + u²) by one t of more
-degrees of freedom. Of three readings that shrinks t by more than u adds, so that a stated uncertainty narrowed
-intervals, and they held the truth too seldom (92.5 % instead of 95 %). Here each part has its own factor: what is
-known adds, always. By simulation such intervals hold the truth at least as often as they say, and more often of few
-readings with an uncertainty as large as their scatter (95 % ones of three in up to 97.5 %).
+Tolerance limits: NIST/SEMATECH e-Handbook 7.2.6.3 (normal, one-sided by the noncentral t), Krishnamoorthy & Mathew
+2009, chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. Factors take the number of values behind the
+mean and the degrees of freedom of the standard deviation apart; for a plain sample of n they are n and n − 1.
 
-Noncentrality of Student's t from an observed value: what exact intervals of standardised quantities invert.
-
-Tolerance limits: bounds that hold a stated share of a population with a stated confidence.
-
-Sources: NIST/SEMATECH e-Handbook 7.2.6.3 (normal, one-sided by the noncentral t), Krishnamoorthy & Mathew 2009,
-chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. Factors take the number of values behind the mean
-and the degrees of freedom of the standard deviation apart; of a plain sample of n they are n and n − 1.
-
-Prediction intervals: where one further value of the same population lies, with a stated confidence.
-
-Source: Hahn & Meeker, Statistical Intervals (1991), section 4.7: mean ± t s √(1 + 1/n), exact for normal values.
+Prediction intervals: Hahn & Meeker, Statistical Intervals (1991), section 4.7: mean ± t s √(1 + 1/n), exact for
+normal values.
 """
 
 from collections.abc import Sequence
@@ -88,7 +81,7 @@ def integrated(t: float, freedom: float, delta: float) -> float:
 
 @lru_cache(maxsize=1)
 def _legendre() -> tuple[Array, Array]:
-    """Nodes and weights of Gauss and Legendre between −1 and 1, found once."""
+    """Nodes and weights of Gauss–Legendre quadrature between −1 and 1, cached."""
     nodes, weights = special.roots_legendre(_NODES)
     return nodes, weights
 
@@ -156,7 +149,7 @@ def spacings_outside(count: int, coverage: float, confidence: float) -> int:
 
 
 def count_needed(coverage: float, confidence: float, sides: int) -> int:
-    """Return how many values make their extremes a tolerance interval whatever the distribution.
+    """Return how many values make their extremes a tolerance interval for any distribution.
 
     Parameters
     ----------
@@ -181,7 +174,7 @@ FEWEST_VALUES = 3
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Where one further value lies.
+    """Prediction interval of one further value.
 
     Parameters
     ----------
@@ -196,12 +189,12 @@ class Prediction:
     high: float
 
     def holds(self, value: float) -> bool:
-        """Whether a value lies in the interval; both ends do."""
+        """Whether a value lies in the interval, ends included."""
         return self.low <= value <= self.high
 
 
 def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
-    """Predict one further value of the population that some values are from.
+    """Predict one further value of the population of a sample.
 
     Parameters
     ----------
@@ -216,12 +209,12 @@ def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
     given = np.asarray(values, dtype=np.float64)
     if len(given) < FEWEST_VALUES:
         raise NumericsError(
-            f"{len(given)} values predict nothing", remedy=f"wait until there are {FEWEST_VALUES} or more"
+            f"{len(given)} values are too few to predict the next", remedy=f"at least {FEWEST_VALUES} are needed"
         )
     if not np.isfinite(given).all():
         raise NumericsError("a value is not a finite number")
     if not 0 < confidence < 1:
-        raise NumericsError(f"a confidence of {confidence:g} is none", remedy="it lies between 0 and 1")
+        raise NumericsError(f"confidence is {confidence:g}", remedy="it must lie between 0 and 1")
     count, mean = len(given), float(given.mean())
     deviation = float(given.std(ddof=1))
     reach = float(stats.t.ppf((1 + confidence) / 2, count - 1)) * deviation * float(np.sqrt(1 + 1 / count))
@@ -234,7 +227,7 @@ _LEAST_TAIL = 1e-300
 
 @dataclass(frozen=True, slots=True)
 class Referenced:
-    """An estimate with an error that was estimated, and one that is known.
+    """An estimate with one estimated and one known standard error.
 
     Parameters
     ----------
@@ -251,15 +244,15 @@ class Referenced:
 
     @property
     def standard_error(self) -> float:
-        """Return the standard error of both together."""
+        """Return the combined standard error."""
         return hypot(self.scatter, self.known)
 
     def statistic(self, null: float = 0.0) -> float:
-        """Return how many standard errors the estimate is above ``null``."""
+        """Return the distance of the estimate above ``null`` in standard errors."""
         return (self.value - null) / self.standard_error
 
     def interval(self, confidence: float = 0.95) -> Interval:
-        """Return value ± half width; never narrower than without what is known.
+        """Return value ± half width; a known uncertainty never narrows it.
 
         Raises
         ------
@@ -271,7 +264,7 @@ class Referenced:
         return Interval(self.value - half, self.value + half, confidence)
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
-        """Return what documents have of it."""
+        """Return the fields for documents."""
         inside = self.interval(confidence)
         return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
 

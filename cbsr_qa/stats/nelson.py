@@ -51,7 +51,7 @@ def d2_d3(count: int) -> tuple[float, float]:
 
 
 def d2_star(count: int, ranges: int) -> float:
-    """Return d₂* of a mean of so many ranges, which makes (R̄/d₂*)² unbiased for the variance."""
+    """Return d₂* for the mean of this many ranges, which makes (R̄/d₂*)² unbiased for the variance."""
     mean, deviation = d2_d3(count)
     return sqrt(mean**2 + deviation**2 / ranges)
 
@@ -60,7 +60,7 @@ Flags = NDArray[np.bool_]
 
 
 class Rule(StrEnum):
-    """The tests, by what they see."""
+    """The eight tests."""
 
     BEYOND = "1: one point beyond 3σ"
     SAME_SIDE = "2: nine points in a row on one side of the centre"
@@ -76,7 +76,7 @@ ALL_RULES = tuple(Rule)
 
 
 def nelson(standard: Array, rules: Collection[Rule] = ALL_RULES) -> dict[Rule, Flags]:
-    """Return at which points each rule gives a signal.
+    """Return the points at which each rule signals.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How many sensors are needed: to find a difference, and to show that there is none that matters.
+"""Sample sizes: to detect a difference, and to show equivalence within a margin.
 
 To find it: power of the two-sided two-sample t test, exact by the noncentral t.
 
@@ -31,7 +31,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(128)
 
 
 def power(size: float, first: int, second: int, *, level: float = 0.05) -> float:
-    """Return the probability of finding a difference.
+    """Return the probability of detecting a difference.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def power(size: float, first: int, second: int, *, level: float = 0.05) -> float
 
 
 def power_of_equivalence(margin: float, first: int, second: int, *, level: float = 0.05) -> float:
-    """Return the probability of showing two groups alike within ± ``margin`` that do not differ.
+    """Return the probability of showing equivalence within ± ``margin`` for two equal groups.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def power_of_equivalence(margin: float, first: int, second: int, *, level: float
 
 
 def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> int:
-    """Return how many sensors each of two equal groups needs to find a difference.
+    """Return the size of each of two equal groups needed to detect a difference.
 
     Parameters
     ----------
@@ -96,12 +96,12 @@ def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> 
     """
     _check_wanted(wanted, level)
     if not abs(size) > 0:
-        raise NumericsError(f"power: no number of sensors finds a difference of {size:g} deviations")
+        raise NumericsError(f"power: no number of sensors detects a difference of {size:g} deviations")
     return _fewest(lambda count: power(size, count, count, level=level) >= wanted, size)
 
 
 def sensors_to_show_alike(margin: float, *, wanted: float = 0.8, level: float = 0.05) -> int:
-    """Return how many sensors each of two equal groups that do not differ needs to be shown alike within ± margin.
+    """Return the size of each of two equal groups needed to show equivalence within ± margin.
 
     Parameters
     ----------
@@ -124,18 +124,18 @@ def _test(size: float, first: int, second: int, level: float) -> tuple[int, floa
     """Return degrees of freedom, and δ: the size in standard errors of the groups' difference."""
     share(level, "level")
     if min(first, second) < 1 or first + second < 3:
-        raise NumericsError(f"power: groups of {first} and {second} sensors have no t test")
+        raise NumericsError(f"power: groups of {first} and {second} sensors are too small for a t test")
     return first + second - 2, abs(size) * sqrt(first * second / (first + second))
 
 
 def _check_wanted(wanted: float, level: float) -> None:
     share(wanted, "power"), share(level, "level")
     if wanted <= level:
-        raise NumericsError(f"power: {wanted:g} is not above the level {level:g}, which a guess already has")
+        raise NumericsError(f"power: {wanted:g} is not above the level {level:g}, which chance alone reaches")
 
 
 def _fewest(enough: Callable[[int], bool], size: float) -> int:
-    """Return the smallest number of sensors a group, from two on, that is enough; more are enough too."""
+    """Return the smallest sufficient number of sensors per group, at least two."""
     fewer, count = 1, 2
     while not enough(count):
         fewer, count = count, 2 * count

@@ -1,4 +1,4 @@
-"""Capability: how a process's spread and place fit between its limits.
+"""Process capability indices and yield, with confidence intervals.
 
 With the deviation σ̂ within subgroups (short term, ν = N − k degrees of freedom) and s of all values (ν = N − 1),
 
@@ -122,7 +122,7 @@ def capability_of_extremes(
     confidence: float = 0.95,
     what: str = "values",
 ) -> Capability:
-    """Return the indices of runs of several values each, all of which two limits judge.
+    """Return the indices of runs of several values each, judged by two limits.
 
     Parameters
     ----------
@@ -169,14 +169,14 @@ def capability_of(
     _check_limits(lower, upper, "values")
     share(confidence, "confidence")
     if count < 2 or not deviation > 0:
-        raise NumericsError(f"capability: {count} values with a deviation of {deviation:g} have no index")
+        raise NumericsError(f"capability: {count} values with a deviation of {deviation:g} have no capability index")
     spread = _Spread(deviation, count - 1, count)
     return _both(spread, lower, upper, confidence), _nearest(spread, mean, lower, upper, confidence)
 
 
 def _check_limits(lower: float | None, upper: float | None, what: str) -> None:
     if lower is None and upper is None:
-        raise NumericsError(f"{what}: there is no limit, and so no capability")
+        raise NumericsError(f"{what}: capability needs at least one limit")
     if not (-inf if lower is None else lower) < (inf if upper is None else upper):
         raise NumericsError(f"{what}: the lower limit {lower} is not below the upper one {upper}")
 
@@ -188,7 +188,7 @@ def _within(arrays: Sequence["np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
     if freedom < 1:
         raise NumericsError(f"{what}: every subgroup has one value", remedy="give all values as one subgroup")
     if all(constant(array) for array in arrays):
-        raise NumericsError(f"{what}: values within the subgroups do not differ, which leaves no short-term spread")
+        raise NumericsError(f"{what}: values within the subgroups do not differ: there is no short-term spread")
     squares = fsum(square for array in arrays for square in centred(array)[1] ** 2)
     return _Spread(sqrt(squares / freedom), freedom, count)
 
@@ -214,7 +214,7 @@ def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | N
 
 
 def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence: float) -> Index:
-    """Return the lesser of both sides' indices; both intervals hold at once, and so does the lesser of their ends."""
+    """Return the lesser of both sides' indices; both intervals hold jointly, and so does the lesser of their ends."""
     each = 1 - (1 - confidence) / 2
     values = [below / (3 * low.deviation), above / (3 * high.deviation)]
     ends = [_exact(value, spread, each) for value, spread in zip(values, (low, high), strict=True)]
@@ -246,7 +246,7 @@ def _exact(value: float, spread: _Spread, confidence: float) -> tuple[float, flo
 
 @dataclass(frozen=True, slots=True)
 class Yield:
-    """A share, between 0 and 1, of a number of sensors."""
+    """A proportion of sensors, between 0 and 1."""
 
     passed: int
     count: int
@@ -264,7 +264,7 @@ def passed_share(passed: int, count: int, *, confidence: float = 0.95) -> Yield:
     """
     share(confidence, "confidence")
     if count < 1 or not 0 <= passed <= count:
-        raise NumericsError(f"yield: {passed} of {count} is no share", remedy="count at least one sensor")
+        raise NumericsError(f"yield: {passed} of {count} is not a yield", remedy="count at least one sensor")
     value = passed / count
     return Yield(passed, count, value, _wilson(passed, count, confidence))
 

@@ -1,4 +1,4 @@
-"""Two groups without normal distributions: shift of medians, ranks, and the chance that one value exceeds another.
+"""Two groups without assuming normality: shift of medians, rank tests, probability of superiority.
 
 Mann & Whitney 1947 with Hodges & Lehmann's 1963 shift, the median of all x_i − y_j, and its interval from ordered
 differences (Hollander & Wolfe 1999, sections 4.1 to 4.3); both suppose that the distributions differ by a shift only.
@@ -138,7 +138,7 @@ def shift(
     x, y = (sample(values, name) for values, name in zip((first, second), names, strict=True))
     every = np.concatenate([x, y])
     if constant(every):
-        raise NumericsError(f"{names[0]} − {names[1]}: all values are {every[0]:.6g}, which leaves nothing to rank")
+        raise NumericsError(f"{names[0]} − {names[1]}: all values are {every[0]:.6g}, so they cannot be ranked")
     ranks, pairs = stats.rankdata(every), len(x) * len(y)
     statistic = float(ranks[: len(x)].sum()) - len(x) * (len(x) + 1) / 2
     exact = pairs <= MOST_COUNTED and len(np.unique(every)) == len(every)
@@ -181,8 +181,8 @@ def brunner_munzel(
     variance = sum(parts)
     if not variance:
         raise NumericsError(
-            f"{names[0]} and {names[1]}: the groups do not overlap, which leaves Brunner–Munzel's test no variance",
-            remedy="take the Mann–Whitney test",
+            f"{names[0]} and {names[1]}: the groups do not overlap, so Brunner–Munzel's test has no variance",
+            remedy="use the Mann–Whitney test",
         )
     freedom = 1 / sum((part / variance) ** 2 / (len(g) - 1) for part, g in zip(parts, (x, y), strict=True))
     error, statistic = sqrt(variance), (value - 0.5) / sqrt(variance)

@@ -1,4 +1,4 @@
-"""What every statistic takes and gives: checked samples, and intervals.
+"""Validated samples and intervals, shared by all statistics.
 
 Mean, deviation, lag-1 autocorrelation and quantiles of one sample, to the digits that double precision allows.
 
@@ -106,12 +106,12 @@ def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool =
     if len(bad):
         raise NumericsError(
             f"{what}: {len(bad)} of {len(array)} values are missing or infinite, the first at index {bad[0]}",
-            remedy="leave those rows out, and say that they are",
+            remedy="leave those rows out, and report it",
         )
     if len(array) and float(np.abs(array).max()) > LARGEST:
-        raise NumericsError(f"{what}: values beyond {LARGEST:g} have no squares", remedy="choose a larger unit")
+        raise NumericsError(f"{what}: squares of values beyond {LARGEST:g} overflow", remedy="choose a larger unit")
     if spread and constant(array):
-        raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}, which leaves no variance")
+        raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}, so there is no variance")
     return array
 
 
@@ -129,7 +129,7 @@ def share(value: float, what: str) -> float:
         It does not.
     """
     if not 0 < value < 1:
-        raise NumericsError(f"{what} is {value:g}; allowed are numbers between 0 and 1, both excluded")
+        raise NumericsError(f"{what} is {value:g}; it must lie between 0 and 1, both excluded")
     return value
 
 
@@ -219,7 +219,7 @@ def centred(array: Array) -> tuple[float, Array]:
 
 
 def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95, what: str = "values") -> Quantile:
-    """Return a quantile with an interval that holds whatever the distribution.
+    """Return a quantile with a distribution-free interval.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95,
 
 @lru_cache(maxsize=1024)  # many metrics have as many values each
 def _largest_rank(count: int, below: float, tail: float) -> int:
-    """Largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 where there is none."""
+    """Largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 if none."""
     rank = int(stats.binom.ppf(tail, count, below))
     while rank and stats.binom.cdf(rank - 1, count, below) > tail:
         rank -= 1
@@ -262,5 +262,5 @@ def _needed(below: float, tail: float) -> int:
     rarer = min(below, 1 - below)
     count = ceil(log(tail) / log(1 - rarer))
     if count > 10**12:
-        raise NumericsError(f"share below a quantile: {below:g} is too near to 0 or 1 for any sample")
+        raise NumericsError(f"share below a quantile: {below:g} is too close to 0 or 1 for any sample size")
     return count

@@ -1,4 +1,4 @@
-"""Components of variance where sensors were run more than once: between sensors, and between runs of one sensor."""
+"""Variance components of repeated runs: between sensors, and within a sensor."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The largest of m normal values: what a sensor's worst value is where every sensor is measured m times.
+"""Distribution of the largest of m normal values: a sensor's worst value.
 
 A run fails when one of its m values is outside a limit, so it is the worst value of a sensor that a limit has to
 hold. Where single values are normal the worst of them is not: its upper tail is longer (the 99 % point of the

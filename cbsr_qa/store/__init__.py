@@ -1,4 +1,4 @@
-"""The database: tables, journal, results, and the chain of digests they are under."""
+"""The database: tables, journal, results, and their chain of digests."""
 
 from cbsr_qa import door
 

@@ -1,7 +1,4 @@
-"""Changes of files from run to run, noted in the transaction that begins a run.
-
-Overrides of verdicts: rows beside the analysis they are about, which stays as it was.
-"""
+"""Configuration changes noted with each run, and overrides of verdicts. Neither alters earlier rows."""
 
 import hashlib
 import json
@@ -33,7 +30,7 @@ _ACCEPTED: Final = (str(Outcome.PASS), str(Outcome.MARGINAL))
 
 
 def note_changes(connection: Connection, identity: RunIdentity, configuration: str, material: str, why: str) -> None:
-    """Note what a run that begins uses otherwise than the latest run with files of the same names.
+    """Note where a new run's files differ from those of the latest run with the same names.
 
     Parameters
     ----------
@@ -70,7 +67,7 @@ def note_changes(connection: Connection, identity: RunIdentity, configuration: s
 
 
 def all_changes(engine: Engine) -> tuple[ConfigurationChange, ...]:
-    """Return every change that was noted, oldest first."""
+    """Return all noted changes, oldest first."""
     with reading(engine) as connection:
         return _changes(connection)
 
@@ -127,7 +124,7 @@ def _names(identity: RunIdentity, material: str) -> Iterator[tuple[FileKind, str
 
 
 def _content(configuration: Mapping[str, Any], kind: FileKind) -> dict[str, Any]:
-    """Return what a run's configuration says of one file; of the station, with the scenes it stands for."""
+    """Return a run's configuration of one file; for a station, with its scenes."""
     content = dict(configuration.get(kind.value.replace(" ", "_"), {}))
     if kind is FileKind.STATION:
         content |= {key: configuration[key] for key in ("scenes", "emulated_scene") if configuration.get(key)}
@@ -196,7 +193,7 @@ def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
     if end != EndReason.FINISHED:
         raise StoreError(
             f"run {run} has not finished ({end}): there is no verdict to override",
-            remedy=f"cbsr-qa run --resume {run} goes on with it",
+            remedy=f"cbsr-qa run --resume {run} continues it",
         )
     latest = select(func.max(AnalysisRow.analysis)).where(AnalysisRow.run == run).scalar_subquery()
     query = select(AnalysisRow.analysis, AnalysisRow.outcome).where(AnalysisRow.analysis == latest)
@@ -204,6 +201,6 @@ def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
     if found is None:
         raise StoreError(
             f"run {run} has no result yet: there is no verdict to override",
-            remedy=f"cbsr-qa run --resume {run} works it out",
+            remedy=f"cbsr-qa run --resume {run} computes it",
         )
     return found.analysis, analysis_outcome(found)

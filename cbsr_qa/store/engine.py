@@ -1,4 +1,4 @@
-"""Connections: SQLite set up for journalling, PostgreSQL as it is.
+"""Database connections: SQLite set up for journalling, PostgreSQL with its defaults.
 
 What a database says when something is wrong, turned into one clear message with what to do.
 """
@@ -22,24 +22,24 @@ _KNOWN = (
     ("file is not a database", "is not a database", "name another file, or restore it from a copy"),
     ("malformed", "is damaged or cut off", "restore it from a copy; the damaged file is left as it is"),
     ("unable to open database file", "cannot be opened", "check that its folder exists and may be written to"),
-    ("readonly database", "is read-only", "make the file and its folder writable, or name another database"),
-    ("read-only transaction", "is read-only", "connect as a user who may write, or name another database"),
+    ("readonly database", "is read-only", "make the file and its folder writable, or use another database"),
+    ("read-only transaction", "is read-only", "connect as a user with write access, or use another database"),
     ("permission denied", "refuses this user", "grant the user the right to read and write its tables"),
     ("database is locked", "is in use by another program", "end that program, or try again"),
     ("disk is full", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
     ("no space left", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
     (
         "disk i/o error",
-        "cannot be read or written: the disk fails, or a quota or a limit on the size of files is reached",
-        "check the disk and the limits (quota, ulimit -f); what is committed is kept as long as the disk keeps it",
+        "cannot be read or written: the disk fails, or a quota or file size limit is reached",
+        "check the disk and the limits (quota, ulimit -f); committed data is kept unless the disk loses it",
     ),
     ("authentication failed", "refuses the user or the password", "check both in the database URL"),
     ("does not exist", "does not exist", "create it, or correct its name in the database URL"),
     ("connection refused", "does not answer", "start the server, or correct its address in the database URL"),
     ("could not translate host", "has an unknown host", "correct its address in the database URL"),
     ("failed to resolve host", "has an unknown host", "correct its address in the database URL"),
-    ("server closed the connection", "hung up", "check the server; everything committed so far is kept"),
-    ("terminating connection", "hung up", "check the server; everything committed so far is kept"),
+    ("server closed the connection", "closed the connection", "check the server; all committed data is kept"),
+    ("terminating connection", "closed the connection", "check the server; everything committed so far is kept"),
 )
 
 
@@ -47,7 +47,7 @@ _Word = TypeVar("_Word", bound=StrEnum)
 
 
 def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
-    """Return a stored text as one of the words that a column may hold.
+    """Return a stored text as a member of its column's enumeration.
 
     Parameters
     ----------
@@ -63,9 +63,8 @@ def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
         return words(value)
     except ValueError:
         raise StoreError(
-            f"the database is damaged: {row} states {column} {str(value)[:64]!r}, which is none of"
-            f" {', '.join(words)}",
-            remedy="restore the database from a copy; the row is left as it is",
+            f"the database is damaged: {row} has {column} {str(value)[:64]!r}; allowed: {', '.join(words)}",
+            remedy="restore the database from a copy; the row is left unchanged",
         ) from None
 
 
@@ -77,14 +76,14 @@ def shown(url: URL) -> str:
 
 
 def address(url: URL) -> str:
-    """Write what ``--database`` takes, as a shell reads it: a file's path, or the URL with its password hidden."""
+    """Return the argument for ``--database``, shell-quoted: a file's path, or the URL with its password hidden."""
     sqlite = url.get_backend_name() == "sqlite"
     return shlex.quote(str(url.database) if sqlite else url.render_as_string(hide_password=True))
 
 
 @contextmanager
 def translated(url: URL) -> Iterator[None]:
-    """Turn whatever the database raises inside into a StoreError that names it and says what to do."""
+    """Turn any database exception of the body into a StoreError that names it and gives a remedy."""
     try:
         yield
     except CbsrError:
@@ -144,7 +143,7 @@ def parsed_url(text: str) -> URL:
         # The text is not repeated: it may hold a password.
         raise StoreError(
             "the database URL cannot be read",
-            remedy="it looks like sqlite:///folder/file.db or postgresql://user:password@host:5432/name",
+            remedy="expected: sqlite:///folder/file.db or postgresql://user:password@host:5432/name",
         ) from None
     name = url.get_backend_name()
     if name not in _DRIVERS:
@@ -160,7 +159,7 @@ def sqlite_file(url: URL) -> Path | None:
 
 
 def open_engine(url: URL, *, durable: bool = True) -> Engine:
-    """Make the engine; nothing is opened yet.
+    """Create the engine; nothing is opened yet.
 
     Parameters
     ----------
@@ -190,14 +189,14 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
 
 @contextmanager
 def reading(engine: Engine) -> Iterator[Connection]:
-    """One transaction that reads; what the database raises becomes a StoreError."""
+    """One read transaction; database errors become StoreError."""
     with translated(engine.url), engine.begin() as connection:
         yield connection
 
 
 @contextmanager
 def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Iterator[Connection]:
-    """One transaction that writes: committed at the end, undone on any error.
+    """One write transaction: committed at the end, rolled back on any error.
 
     Parameters
     ----------
@@ -211,7 +210,7 @@ def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Ite
 
 
 def _begun(writer: Connection, tell: Callable[[str], None] | None) -> RootTransaction:
-    """Begin a transaction; a SQLite file that another program writes is waited for, at first in silence."""
+    """Begin a transaction; wait for a SQLite file that another program writes, silently at first."""
     if tell is None or writer.dialect.name != "sqlite":
         return writer.begin()
     _wait_at_most(writer, _PATIENCE_MS)
@@ -233,7 +232,7 @@ def _wait_at_most(connection: Connection, timeout_ms: int) -> None:
 
 
 def use_write_ahead_log(engine: Engine) -> None:
-    """Make a SQLite file journal ahead, for good: readers and one writer do not wait for each other."""
+    """Switch a SQLite file to write-ahead logging: readers and one writer do not block each other."""
     if sqlite_file(engine.url) is None:
         return
     with translated(engine.url):
@@ -260,7 +259,7 @@ def _remember_file(url: URL, _: object, record: Any) -> None:
 
 
 def _which_file(url: URL) -> tuple[int, int] | None:
-    """Device and number of the file that has the database's name; None where none has."""
+    """Device and inode of the database file; None without one."""
     path = sqlite_file(url)
     assert path is not None
     try:
@@ -271,7 +270,7 @@ def _which_file(url: URL) -> tuple[int, int] | None:
 
 
 def _refuse_lost_file(connection: Connection) -> None:
-    """Refuse to go on with a file that was deleted or replaced: SQLite would write into it until the program ends."""
+    """Refuse to continue with a deleted or replaced file: SQLite would write into the old one."""
     url, was = connection.engine.url, connection.info[_FILE]
     found = _which_file(url)
     if was in (None, found):
@@ -279,8 +278,8 @@ def _refuse_lost_file(connection: Connection) -> None:
     what = "was deleted or moved away" if found is None else "was replaced by another file"
     raise StoreError(
         f"{shown(url)} {what} while it was in use",
-        remedy="put it back under its name, with its files ending in -wal and -shm, or a copy of it; what was stored"
-        " in a file that is gone is lost",
+        remedy="put it back under its name, with its files ending in -wal and -shm, or a copy of it; data stored"
+        " in a deleted file is lost",
     )
 
 

@@ -1,4 +1,4 @@
-"""Figures of many runs at once, read by sets: which runs, and the metrics of their latest analyses."""
+"""Values of many runs: selection of runs, and the metrics of their latest analyses."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _AT_ONCE: Final = 900
 
 @dataclass(frozen=True, slots=True)
 class RunFilter:
-    """Which analysed runs; what is given must all hold.
+    """Selection of analysed runs; all given criteria must hold.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class RunFilter:
 
 
 def run_lines(engine: Engine, wanted: RunFilter) -> tuple[RunLine, ...]:
-    """Return the analysed runs that were asked for, in the order of their names: the oldest first."""
+    """Return the selected analysed runs, ordered by name, the oldest first."""
     with reading(engine) as connection:
         rows = connection.execute(_query(wanted)).all()
     return tuple(RunLine(*row) for row in reversed(rows) if row.analysis is not None)
@@ -71,7 +71,7 @@ def run_figures(
 
 
 def software_of(engine: Engine, lines: Sequence[RunLine]) -> dict[str, str]:
-    """Return run → the version of this program that its latest analysis was made with; empty where none is noted."""
+    """Return run → program version of its latest analysis; empty if none is noted."""
     runs = {line.analysis: line.run for line in lines}
     found: dict[str, str] = {}
     with reading(engine) as connection:

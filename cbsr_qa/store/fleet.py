@@ -1,4 +1,4 @@
-"""The runs of a fleet with the values of their latest analyses: a few queries, whatever the number of runs."""
+"""Runs of a fleet with the values of their latest analyses, in a fixed number of queries."""
 
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, time
@@ -39,7 +39,7 @@ _STATES: Final = {
 
 
 def metric_names(engine: Engine) -> tuple[str, ...]:
-    """Return the names of everything that was ever measured, sorted."""
+    """Return all measurement names in the database, sorted."""
     with reading(engine) as connection:
         names = connection.scalars(select(MeasurementRow.name).distinct().order_by(MeasurementRow.name))
         return tuple(names)
@@ -95,8 +95,8 @@ def _check_recipe(connection: Connection, recipe: str) -> None:
     if known and recipe not in known:
         near = get_close_matches(recipe, known, n=1)
         raise RefusedError(
-            f"no stored run is of recipe {recipe[:64]!r}",
-            remedy=(f"did you mean {near[0]!r}? " if near else "") + f"there are: {', '.join(known)}",
+            f"no stored run uses recipe {recipe[:64]!r}",
+            remedy=(f"did you mean {near[0]!r}? " if near else "") + f"recipes: {', '.join(known)}",
         )
 
 
@@ -107,7 +107,7 @@ def _midnight(day: date) -> datetime:
 def _runs(
     connection: Connection, chosen: list[ColumnElement[bool]]
 ) -> tuple[list[FleetRun], dict[str, int], list[Known | None]]:
-    """Runs in order, the place of each latest analysis among them, and what was read of it where a run is chained.
+    """Runs in order, the place of each latest analysis, and the rows read of chained runs.
 
     States and analyses are put to their runs here: a database that has no statistics of its tables yet may join them
     by counting every analysis again for every run.
@@ -123,12 +123,12 @@ def _runs(
     known: list[Known | None] = []
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
     for row in connection.execute(query.execution_options(yield_per=AT_ONCE)):
-        analysis, told = analyses.get(row.run), None
+        analysis, linked = analyses.get(row.run), None
         if analysis is not None:
             name = analysis.analysis
-            told = (row.run, name, facts(row, name, analysis.outcome, analysis.software))
+            linked = (row.run, name, facts(row, name, analysis.outcome, analysis.software))
             places[name] = len(runs)
-        known.append(told if row.chain is not None else None)
+        known.append(linked if row.chain is not None else None)
         runs.append(_run(row, ends.get(row.run), analysis, shared, of_check=row.run in of_checks))
     return runs, places, known
 
@@ -171,7 +171,7 @@ def _run(
 
 
 def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Select[*tuple[Any, ...]]:
-    """A fleet has a million values, and each column takes its time."""
+    """Query measurements with their texts joined: a fleet has a million values, and each column takes time."""
     m, query = MeasurementRow, figures_query()
     if chosen:
         analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
@@ -188,7 +188,7 @@ def _values(
     places: dict[str, int],
     known: list[Known | None],
 ) -> tuple[tuple[Kind, ...], tuple[Any, ...]]:
-    """Kinds, and the columns of :class:`FleetTable`; checked where runs are chained."""
+    """Kinds, and the columns of :class:`FleetTable`; chained runs are verified."""
     # A digest is over all measurements of an analysis.
     chained = any(known)
     figures = Figures(connection, _measured(chosen, () if chained else names), places)
@@ -205,19 +205,19 @@ def _values(
 def _meant(
     connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, int], names: Sequence[str]
 ) -> tuple[int, int]:
-    """Kind and state that joined words and limits stand for; a kind that was not met before is added.
+    """Kind and state for joined words and limits; new kinds are added.
 
     The kind is −1 where its metric was not asked for, and it is within its limits.
     """
     said, lower, upper = saying
-    told = said.split(BETWEEN)
-    if len(told) != len(JOINED):
+    parts = said.split(BETWEEN)
+    if len(parts) != len(JOINED):
         raise StoreError(
-            f"the database is damaged: {_first(connection, said)} states {said[:64]!r}, with the control character"
+            f"the database is damaged: {_first(connection, said)} has {said[:64]!r} with the control character"
             " U+001F in it",
-            remedy="restore the database from a copy; the row is left as it is",
+            remedy="restore the database from a copy; the row is left unchanged",
         )
-    name, phase, qualifier, unit, location, outcome, bound = told
+    name, phase, qualifier, unit, location, outcome, bound = parts
     if (outcome, bound) not in _STATES:
         row = _first(connection, said)
         stored(Outcome, outcome, "measurements.outcome", row)
@@ -230,7 +230,7 @@ def _meant(
 
 
 def _first(connection: Connection, said: str) -> str:
-    """Name the first row of such words."""
+    """Name the first row with these words."""
     m = MeasurementRow
     query = select(m.analysis, m.number).where(words() == said).order_by(m.analysis, m.number).limit(1)
     row = connection.execute(query).one()
@@ -238,11 +238,11 @@ def _first(connection: Connection, said: str) -> str:
 
 
 def _places(connection: Connection, runs: Sequence[FleetRun]) -> dict[str, tuple[float, float]]:
-    """Where loads of a label are pressed: of the first and the last run of each recipe, which press them all."""
+    """Place of each load label, from the first and the last run of each recipe."""
     last = {run.recipe: run.run for run in runs if run.finished}
     first = {run.recipe: run.run for run in reversed(runs) if run.finished}
-    asked = {*first.values(), *last.values()}
-    query = select(LoadRow.label, LoadRow.x_mm, LoadRow.y_mm).where(LoadRow.run.in_(asked)).distinct()
+    ends = {*first.values(), *last.values()}
+    query = select(LoadRow.label, LoadRow.x_mm, LoadRow.y_mm).where(LoadRow.run.in_(ends)).distinct()
     found: dict[str, set[tuple[float, float]]] = {}
     for label, x_mm, y_mm in connection.execute(query):
         found.setdefault(label, set()).add((x_mm, y_mm))

@@ -1,4 +1,4 @@
-"""One writer a run, one maker of tables, one run a seed: locks that go with the process, however it ends."""
+"""Locks that end with the process: one writer per run, one schema change at a time, one run per seed."""
 
 import hashlib
 import os
@@ -24,13 +24,13 @@ PATIENCE_S: Final = 1.0
 
 
 def this_process(operator: str) -> str:
-    """Say who writes a run: operator, computer and process."""
+    """Name the writer of a run: operator, computer and process."""
     return f"{operator or 'somebody'} on {platform.node() or 'this computer'}, process {os.getpid()}"
 
 
 @contextmanager
 def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
-    """Hold the right to write a run; it falls back when the process ends, also by a kill.
+    """Hold the right to write a run; it is released when the process ends, also by a kill.
 
     On SQLite a locked file beside the database, on PostgreSQL an advisory lock of a connection of its own. A database
     in memory has one process anyway.
@@ -44,7 +44,7 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
     if isinstance(release, str):
         raise StoreError(
             f"run {run} is being written by {release} ({shown(engine.url)})",
-            remedy="wait until it has ended, or stop it first: cbsr-qa run --resume then goes on",
+            remedy="wait for it to end, or stop it and continue with cbsr-qa run --resume",
         )
     try:
         yield
@@ -54,7 +54,7 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
 
 @contextmanager
 def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Hold the right to create or change tables; waits for whoever holds it.
+    """Hold the right to create or change tables; wait for the current holder.
 
     Parameters
     ----------
@@ -65,16 +65,16 @@ def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -
     StoreError
         If another process still holds it after :data:`SCHEMA_WAIT_S`; the message says who.
     """
-    begun_s, told = time.monotonic(), tell is None
+    begun_s, announced = time.monotonic(), tell is None
     while isinstance(release := _acquired(engine, "schema", this_process("")), str):
         waited_s, busy = time.monotonic() - begun_s, f"{shown(engine.url)} is being created or upgraded by {release}"
         if waited_s >= SCHEMA_WAIT_S:
             raise StoreError(
                 f"{busy}; waited {SCHEMA_WAIT_S:g} s for it", remedy="try again when it is done, or end that process"
             )
-        if not told and waited_s >= PATIENCE_S and tell is not None:
+        if not announced and waited_s >= PATIENCE_S and tell is not None:
             tell(f"{busy}; waiting {SCHEMA_WAIT_S:g} s at most")
-            told = True
+            announced = True
         time.sleep(0.05)
     try:
         yield
@@ -97,7 +97,7 @@ def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> Iterator[b
 
 
 def writer_of(engine: Engine, run: str) -> str:
-    """Return who writes a run at this moment; empty where nobody does."""
+    """Return who is writing a run; empty if nobody is."""
     file = sqlite_file(engine.url)
     if file is not None:
         who = holder(_lock_file(file, run))
@@ -110,7 +110,7 @@ def writer_of(engine: Engine, run: str) -> str:
 
 
 def _acquired(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
-    """Return what gives the lock back, or who holds it."""
+    """Return a function that releases the lock, or the current holder."""
     if engine.url.get_backend_name() == "postgresql":
         return _advisory(engine, name, who)
     file = sqlite_file(engine.url)
@@ -128,7 +128,7 @@ def _file_lock(engine: Engine, path: Path, who: str) -> Callable[[], None] | str
         return _named(error.who)
     except OSError as error:  # a full disk will not hold the run either
         raise StoreError(
-            f"{shown(engine.url)}: no lock can be written beside it ({error.strerror})",
+            f"{shown(engine.url)}: cannot create a lock file beside it ({error.strerror})",
             remedy="make its folder writable, free space, or name another database; everything committed is kept",
         ) from error
 

@@ -1,4 +1,4 @@
-"""Versions of the database's schema: what is there, what this program needs, and how to get from one to the other."""
+"""Schema versions of the database: detection, required version, upgrade."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -32,7 +32,7 @@ class Age(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SchemaVersion:
-    """What was found.
+    """Schema version of a database.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def downgrade(engine: Engine, target: str) -> None:
 
 
 def check_writable(engine: Engine, version: SchemaVersion) -> None:
-    """Make sure that a user may add rows, or tables where there are none yet, by adding none.
+    """Check that the user may add rows, or create tables, by adding none.
 
     Where a SQLite file is to be made, its lock file is made beside it and removed; so is the folder.
 
@@ -114,7 +114,7 @@ def check_writable(engine: Engine, version: SchemaVersion) -> None:
 
 
 def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
-    """Say why a database cannot be used as it is."""
+    """Return the error for a database that cannot be used as it is."""
     match version.age:
         case Age.OLDER:
             return StoreError(
@@ -123,13 +123,13 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
             )
         case Age.NEWER:
             return StoreError(
-                f"{shown(engine.url)} has schema {version.revision}, which this program ({HEAD}) does not know",
+                f"{shown(engine.url)} has schema {version.revision}, unknown to this program ({HEAD})",
                 remedy="use the newer version of cbsr-qa that made it",
             )
         case Age.FOREIGN:
             return StoreError(
-                f"{shown(engine.url)} belongs to another program: it has tables, but no schema version of ours",
-                remedy="name another database",
+                f"{shown(engine.url)} belongs to another program: it has tables but no schema version of cbsr-qa",
+                remedy="use another database",
             )
         case _:
             return StoreError(f"{shown(engine.url)} does not exist or is empty", remedy="test a sensor first")
@@ -161,14 +161,14 @@ def _make_folder(engine: Engine) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(
-            f"{shown(engine.url)}: its folder cannot be made: {error.strerror}",
-            remedy="free it, or name another database with --database or CBSR_QA_DATABASE",
+            f"{shown(engine.url)}: its folder cannot be created: {error.strerror}",
+            remedy="free the path, or use another database with --database or CBSR_QA_DATABASE",
         ) from error
 
 
 @contextmanager
 def _folder_for_now(engine: Engine, folder: Path) -> Iterator[None]:
-    """Make the folder of a database, and remove again what was made of it; StoreError if it cannot be made."""
+    """Create the folder of a database, and remove it again afterwards; StoreError if it cannot be created."""
     made = [above for above in (folder, *folder.parents) if not above.exists()]
     try:
         _make_folder(engine)

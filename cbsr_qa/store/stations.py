@@ -1,4 +1,4 @@
-"""Checks of stations: added one after the other; the latest one says how a station stands.
+"""Station checks: appended; the latest one gives a station's state.
 
 References of control charts: added one after the other; the latest of each chart holds, unless it retires it.
 """
@@ -171,7 +171,7 @@ def ring_of(engine: Engine, check: str) -> RingReadings | None:
         frames = frame_block(FrameBlockRow(run="", phase=0, block=0, **columns))
     except StoreError as error:
         raise StoreError(
-            f"the ring's frames of station check {check} are not what was measured: their digest does not fit",
+            f"the ring's frames of station check {check} are not what was measured: their digest does not match",
             remedy="restore the database from a copy",
         ) from error
     return RingReadings(frames, tuple(float(one) for one in found["resistances_ohm"]))

@@ -1,4 +1,4 @@
-"""Column types that behave alike on SQLite and PostgreSQL, and let no NaN and no foreign number type through.
+"""Column types that behave alike on SQLite and PostgreSQL, and reject NaN and foreign number types.
 
 Time-ordered identifiers (UUID version 7, RFC 9562): stations merge without collision, rows sort by age.
 
@@ -25,7 +25,7 @@ _YEAR_10000_MS = 253_402_300_800_000
 
 
 class IdSource:
-    """Makes identifiers that rise within one source, whatever the wall clock does.
+    """Creates identifiers that increase within one source, even if the wall clock goes back.
 
     The 12 bits after the version count within a millisecond (RFC 9562, 6.2, method 1), starting from a random
     number whose highest bit is 0; a clock that stands or is set back keeps the last millisecond and counts on.
@@ -68,7 +68,7 @@ class IdSource:
 
 
 def made_at(identifier: str) -> datetime | None:
-    """Return when an identifier was made, by the clock of whoever made it; None where it does not say."""
+    """Return the creation time in an identifier, by its maker's clock; None if it has none."""
     found = _parts(identifier)
     if found is None or found[0] >= _YEAR_10000_MS:
         return None
@@ -136,7 +136,7 @@ class FiniteDouble(TypeDecorator[float]):
             return None
         number = float(value)
         if not abs(number) < float("inf"):
-            raise ValueError(f"{number} is not a finite number and is not stored")
+            raise ValueError(f"{number} is not a finite number; it is not stored")
         return number
 
 
@@ -173,7 +173,7 @@ class Instant(TypeDecorator[datetime]):
         if value is None:
             return None
         if not isinstance(value, datetime) or value.tzinfo is None:
-            raise ValueError(f"{value!r} is not a time with a zone and is not stored")
+            raise ValueError(f"{value!r} has no time zone; it is not stored")
         instant = value.astimezone(UTC)
         return instant.replace(tzinfo=None) if dialect.name == "sqlite" else instant
 

@@ -1,4 +1,4 @@
-"""What the operating system gives: clocks, files that appear whole, locks, limited child processes."""
+"""Operating system services: clocks, atomic files, locks, limited child processes."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""Time, real and virtual. No other module sleeps or asks for the time.
+"""Real and virtual clocks. No other module sleeps or reads the time.
 
 Both clocks tell multiples of one tick, a power of two: sums and differences of such times are exact in double
 precision for two and a half centuries, so that what rests on differences of times is the same, bit for bit, at
@@ -19,7 +19,7 @@ TICK_S: Final = 2.0**-20
 
 
 def in_ticks(duration_s: float) -> float:
-    """Return the multiple of a tick nearest to a duration, at least one tick if it is above zero [s]."""
+    """Return the multiple of a tick nearest to a duration, at least one tick if it is positive [s]."""
     ticks = round(duration_s / TICK_S)
     return TICK_S * (1 if ticks == 0 and duration_s > 0 else ticks)
 
@@ -37,11 +37,11 @@ class Clock(Protocol):
         ...
 
     def wall(self) -> datetime:
-        """Date and time of day with zone, for people; may be set back by anybody."""
+        """Date and time of day with zone, for people; may be set back."""
         ...
 
     def sleep(self, duration_s: float) -> None:
-        """Let this much of the station's time pass, at least a tick if it is above zero [s]."""
+        """Sleep this much station time, at least a tick if it is positive [s]."""
         ...
 
 
@@ -66,7 +66,7 @@ class RealClock:
 
 
 class VirtualClock:
-    """Time that passes only when somebody sleeps: hours of station time cost no waiting.
+    """Time that advances only by sleeping: hours of station time cost no waiting.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class VirtualClock:
         return self._start + timedelta(seconds=self._now)
 
     def sleep(self, duration_s: float) -> None:
-        """Advance at once by the nearest number of ticks, at least one [s]; a negative duration is ignored."""
+        """Advance by the nearest number of ticks, at least one [s]; a negative duration is ignored."""
         self._now += in_ticks(max(duration_s, 0.0))
 
 
@@ -95,7 +95,7 @@ Listener = Callable[[str], None]
 
 
 class Stages:
-    """Names and times what the computer is busy with.
+    """Names and times the stages of a computation.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class Stages:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the time inside towards a stage."""
+        """Add the time of the body to a stage."""
         self._listener(name)
         before = time.perf_counter()
         try:
@@ -121,5 +121,5 @@ class Stages:
         return tuple(self._spent.items())
 
     def total_s(self) -> float:
-        """Seconds of all stages [s]."""
+        """Total of all stages [s]."""
         return sum(self._spent.values())

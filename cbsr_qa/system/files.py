@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and tables that spreadsheets open safely.
+"""Atomic file writes, and tables that spreadsheets open safely.
 
 A lock of one process: a locked file that says who holds it, and goes when it is released.
 """
@@ -41,7 +41,7 @@ _TRIES: Final = 1000  # to lock a file that others remove; some file systems ans
 
 
 class HeldError(Exception):
-    """Another process, or this one, holds the lock; ``who`` is what its file says, empty in its first moments."""
+    """The lock is held by this or another process; ``who`` is the text in its file, at first empty."""
 
     def __init__(self, who: bytes) -> None:
         super().__init__(who)
@@ -49,7 +49,7 @@ class HeldError(Exception):
 
 
 class FileLock:
-    """Holds a file's lock until it is released or the process ends, however it ends.
+    """Holds a file's lock until it is released or the process ends.
 
     The kernel keeps the lock, so the file of a process that was killed keeps nobody out: the next holder takes it
     over and removes it. A file that belongs to another user may stay where only its owner may remove it.
@@ -76,7 +76,7 @@ class FileLock:
             if self._file is not None:
                 break
         else:
-            raise OSError(errno.ENOENT, "a file that is made there is gone at once", str(path))
+            raise OSError(errno.ENOENT, "a file created there disappears at once", str(path))
         try:
             os.ftruncate(self._file, 0)
             os.lseek(self._file, 0, os.SEEK_SET)
@@ -86,7 +86,7 @@ class FileLock:
             raise
 
     def release(self) -> None:
-        """Remove the file and let others have the lock; may be called more than once."""
+        """Remove the file and release the lock; may be called more than once."""
         file, self._file = self._file, None
         if file is None:
             return
@@ -103,7 +103,7 @@ class FileLock:
 
 
 def holder(path: Path) -> bytes | None:
-    """Return what the holder's file says; None where nobody holds the lock.
+    """Return the text in the holder's file; None if nobody holds the lock.
 
     The file of a process that was killed is removed, if this user may remove it. Nothing is written, so a full disk
     does not matter.
@@ -130,7 +130,7 @@ _SAFE: Final = getattr(os, "O_NOFOLLOW", 0)
 
 
 def _locked(path: Path, *, shared: bool) -> int | None:
-    """Open and lock the file; None where its holder removed it between the two."""
+    """Open and lock the file; None if its holder removed it in between."""
     try:
         file = _opened(path, shared=shared)
     except FileNotFoundError:

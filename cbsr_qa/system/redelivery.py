@@ -28,7 +28,7 @@ class Redelivery:
         self._before: Any = None
 
     def was_dropped(self) -> bool:
-        """Say, once for every loss, whether what a handler raised was dropped."""
+        """Whether an exception raised by a handler was dropped; true once for every loss."""
         dropped, self._dropped = self._dropped, False
         return dropped
 
@@ -40,7 +40,7 @@ class Redelivery:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Raise what is still due, unless another error is under way."""
+        """Raise pending signals, unless another error propagates."""
         if self._before is not None:
             sys.unraisablehook, self._before = self._before, None
         due, self._due = self._due, None

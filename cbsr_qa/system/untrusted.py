@@ -1,4 +1,4 @@
-"""Reading files of unknown origin in a child process that can neither crash, hang nor fill the memory of its parent.
+"""Reading of untrusted files in a child process, so that a crash, hang or memory bomb cannot harm the parent.
 
 Libraries that parse files (HDF5 above all) crash, loop or ask for gigabytes when a byte of a file is changed. So what
 reads a file is called in a forked child, whose memory, time and open files are limited; its result comes back as
@@ -74,7 +74,7 @@ _LENGTH: Final = struct.Struct("<Q")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the reading of one file may take.
+    """Limits of reading one file.
 
     Parameters
     ----------
@@ -87,19 +87,19 @@ class Limits:
 
     @property
     def clock_s(self) -> float:
-        """On the clock."""
+        """Limit of wall time [s]."""
         return _CLOCK * self.seconds
 
     @classmethod
     def of(cls, size_bytes: int) -> "Limits":
-        """Limits of a file of a size; large files may take more of both."""
+        """Limits for a file size; larger files may take more of both."""
         half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
         memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half)
         return cls(_SECONDS + _SECONDS_PER_MB * size_bytes / _MEGABYTE, memory_bytes)
 
 
 def largest_content(size_bytes: int) -> int:
-    """Bytes a file of a size may hold unpacked, eight for each number: measured ones hardly pack, made-up ones do."""
+    """Bytes a file of this size may unpack to, eight per number: measured numbers hardly compress, fakes do."""
     return max(_CONTENT, _CONTENT_PER_BYTE * size_bytes)
 
 
@@ -135,19 +135,19 @@ def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[Refu
         child = _forked(read, outgoing, limits)
         os.close(outgoing)
         try:
-            told = _told(pipe, deadline, limits)
+            received = _parts_of(pipe, deadline, limits)
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)  # it has said all, or says nothing any more
             _, status = os.waitpid(child, 0)
-    if told is None:
+    if received is None:
         late = time.monotonic() >= deadline
         raise refusal(_why(path, limits, status, late=late), remedy=_BUSY if late else _COPY)
-    return cast(Result, _result(path, told, limits, refusal))
+    return cast(Result, _result(path, received, limits, refusal))
 
 
 def shortened(reason: str) -> str:
-    """Return what is said of a file, what it repeats of the file cut: a name or unit may be a megabyte."""
+    """Return a message with quotes from the file cut: a name or unit may be a megabyte long."""
     cut = re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason)
     return cut if len(cut) <= _LONGEST_REASON else f"{cut[:_LONGEST_REASON]}… ({len(cut)} characters)"
 
@@ -177,7 +177,7 @@ def _forked(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:
 
 
 def _confined(outgoing: int, limits: Limits) -> int:
-    """Give up in the child what reading does not need; returns the pipe's new number."""
+    """Release in the child what reading does not need; return the pipe's new descriptor."""
     import resource
 
     gc.disable()  # finalisers of what the parent holds are the parent's
@@ -207,7 +207,7 @@ def _confined(outgoing: int, limits: Limits) -> int:
 
 
 def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
-    """Say what came of reading: a pickled head, and the arrays' bytes."""
+    """Encode the result of reading: a pickled head, and the arrays' bytes."""
     arrays: list[pickle.PickleBuffer] = []
     try:
         told: tuple[Any, ...] = ("read", read())
@@ -236,8 +236,8 @@ def _failed(error: Exception) -> tuple[Any, ...]:
     return "broken", f"{type(error).__name__}: {error}"
 
 
-def _told(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
-    """All parts a child sends before it ends; None where it is late, or stops amid one."""
+def _parts_of(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
+    """All parts a child sends before it ends; None on timeout, or if it stops within a part."""
     parts: list[bytearray] = []
     left = limits.memory_bytes
     while length := _received(pipe, _LENGTH.size, deadline):
@@ -253,7 +253,7 @@ def _told(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] |
 
 
 def _received(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
-    """So many bytes; none where the other side has ended, None where it is late or ends amid them."""
+    """Read so many bytes; empty at the end of the stream, None on timeout or if it ends within them."""
     data = bytearray(count)
     view, got = memoryview(data), 0
     while got < count:
@@ -281,13 +281,13 @@ def _why(path: Path, limits: Limits, status: int, *, late: bool) -> str:
 
 def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[RefusedError]) -> Any:
     try:
-        kind, *told = _Plain(io.BytesIO(parts[0]), buffers=parts[1:]).load()
+        kind, *content = _Plain(io.BytesIO(parts[0]), buffers=parts[1:]).load()
     except pickle.UnpicklingError as error:
-        kind, told = "strange", [str(error)]
+        kind, content = "strange", [str(error)]
     if kind == "read":
-        return told[0]
+        return content[0]
     if kind == "refused":
-        raise _refused(*told)
+        raise _refused(*content)
     if kind == "memory":
         raise refusal(
             f"reading {path.name} needs more than {limits.memory_bytes / 2**30:.1f} GiB of memory, the limit for a"
@@ -295,21 +295,21 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
             remedy=_COPY,
         )
     if kind == "second":
-        other = "another file" if told[0] is None else f"the file {shortened(told[0])}"
+        other = "another file" if content[0] is None else f"the file {shortened(content[0])}"
         raise refusal(
-            f"reading {path.name} opens {other} beside it, which no recording and no calibration needs",
-            remedy="the file is damaged or leads to other files; a format's plugin imports its modules beforehand",
+            f"reading {path.name} opens {other} beside it, which no recording or calibration needs",
+            remedy="the file is damaged or links to other files; a plugin must import its modules beforehand",
         )
     if kind == "strange":
         raise refusal(
-            f"{path.name}: its format's plugin returned something other than a recording: {told[0]}",
-            remedy="plugins return dataclasses of cbsr_qa.domain, numpy arrays, numbers and texts",
+            f"{path.name}: its format plugin did not return a recording: {content[0]}",
+            remedy="plugins return dataclasses of cbsr_qa.domain, numpy arrays, numbers and strings",
         )
-    raise RuntimeError(f"reading {path.name}: {told[0]}")
+    raise RuntimeError(f"reading {path.name}: {content[0]}")
 
 
 def _refused(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:
-    """The error a child raised; one of a plugin's own kind becomes the kind all are of."""
+    """The error a child raised; a plugin's own type becomes its base in this package."""
     named, reason = getattr(errors, kind, RefusedError), shortened(reason)
     if named is errors.RecordingError:
         return errors.RecordingError(reason, remedy=remedy, problems=problems)
@@ -317,7 +317,7 @@ def _refused(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> 
 
 
 class _Plain(pickle.Unpickler):
-    """Reads plain data alone: a child that a file has taken over cannot make its parent call anything else."""
+    """Unpickles plain data only: a child taken over by a file cannot make its parent call anything else."""
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) in _NUMPY:

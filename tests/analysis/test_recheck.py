@@ -81,14 +81,14 @@ class TestRefused:
         run = checked[1.0]
         identity = replace(run.record.identity, sensor=SensorIdentity("T", "", "disc-100mm"))
         other = replace(run, record=replace(run.record, identity=identity))
-        with pytest.raises(CalibrationError, match="is of sensor S, the run of T"):
+        with pytest.raises(CalibrationError, match="is for sensor S, the run for T"):
             recheck(other, calibration)
 
     def test_a_reading_that_is_gone(self, calibration, checked):
         run = checked[1.0]
         usable = run.usable.copy()
         usable[tuple(np.argwhere(usable)[0])] = False
-        with pytest.raises(CalibrationError, match="1 readings that the calibration needs cannot be used"):
+        with pytest.raises(CalibrationError, match="1 readings that the calibration needs are no longer usable"):
             recheck(replace(run, usable=usable), calibration)
 
     def test_no_force(self, calibration, checked):

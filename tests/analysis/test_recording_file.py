@@ -159,8 +159,8 @@ def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda file: file["frames/time_s"].__setitem__(2, np.nan), "times of its frames"),
-        (lambda file: file["frames/time_s"].__setitem__(2, 0.0), "times of its frames"),
+        (lambda file: file["frames/time_s"].__setitem__(2, np.nan), "frame times"),
+        (lambda file: file["frames/time_s"].__setitem__(2, 0.0), "frame times"),
         (lambda file: file["frames/voltages"].__setitem__((0, 0, 0), np.inf), "not a finite number"),
         (lambda file: file["frames"].attrs.__setitem__("current_A", np.nan), "drive current"),
         (lambda file: file["frames/reading_time_s"].__setitem__((0, 0, 0), np.nan), "time of a reading"),

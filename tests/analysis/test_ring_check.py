@@ -76,7 +76,7 @@ def test_a_resistor_that_is_off_shows_as_the_reading_across_it():
     assert "worst reading" in outcomes(found)
     # Off the pair readings grow by 1.1/(1 + 0.1/16); of what they stand out the fit takes a little for gain.
     assert abs(found["worst reading"].value) == pytest.approx(100 * (1.1 / 1.00625 - 1), abs=1.0)
-    assert "across electrodes 3 and 4 is off: check the resistor" in found["worst reading"].remedy
+    assert "across electrodes 3 and 4 are off: check the resistor" in found["worst reading"].remedy
     # Within the tolerance that was stated nothing is wrong.
     wide = lines(ring(ring_readings(off, PATTERN)), replace(ALLOWED, tolerance=0.1))
     assert outcomes(wide) == set()
@@ -120,7 +120,7 @@ def test_where_all_are_flagged_there_is_one_line_and_no_number():
     (line,) = check_ring(readings, PATTERN, ALLOWED)
     assert (line.outcome, line.value) == (FAILED, None)
     assert line.said.startswith("0 of 256 readings of the ring are without a flag")
-    with pytest.raises(NumericsError, match="one frame of a ring says nothing of noise"):
+    with pytest.raises(NumericsError, match="one frame of a ring does not show noise"):
         fit_ring(ring(frames=1), PATTERN)
 
 

@@ -97,7 +97,7 @@ def test_a_dead_pin_is_refused():
     with pytest.raises(AssertionError, match="rule 'compliance': 1 of 1 readings of a frame"):  # the station stops it
         strip_run(effects=effects, strains_percent=[10.0, 20.0], cycles=1)
     run = strip_run(effects=effects, strains_percent=[10.0, 20.0], cycles=1, compliance=np.inf)
-    with pytest.raises(NumericsError, match="a pin does not carry the current") as refused:
+    with pytest.raises(NumericsError, match="a pin may be open") as refused:
         characterise_run(run, SETTINGS)
     assert "check both pins" in refused.value.remedy
 
@@ -118,7 +118,7 @@ def test_without_readings_of_the_rested_strip_there_is_no_change(run):
         flags = np.where(frames.time_s < first, np.uint8(ReadingFlag.MISSING), np.uint8(0))[:, None, None]
         return replace(frames, flags=flags)
 
-    with pytest.raises(NumericsError, match="no reading of the rested strip can be used"):
+    with pytest.raises(NumericsError, match="no usable reading of the rested strip"):
         characterise_run(with_frames(run, lost), SETTINGS)
 
 
@@ -144,7 +144,7 @@ def test_a_cycle_that_was_not_read_is_left_out_by_name(run):
 def test_a_load_cell_at_its_limit_costs_the_strains_it_could_not_follow(run):
     """At 12 N: 20 % relaxes to 10.6 N after a peak of 13.2 N, 30 % to 15.9 N."""
     found = characterise_run(with_force(run, lambda force: np.minimum(force, 12.0)), SETTINGS)
-    assert "the load cell is flat at its limit of 12 N: the stress at 30 % strain is not known" in found.reduced
+    assert "the load cell is flat at its limit of 12 N: the stress at 30 % strain is unknown" in found.reduced
     assert [level.stress_kPa is None for level in found.levels] == [False, False, True]
     assert found.modulus_kPa.value == pytest.approx(132.5, rel=0.02)
     assert found.local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.03)
@@ -191,7 +191,7 @@ def test_a_spike_after_the_release_moves_nothing_but_what_it_covers():
 def test_a_run_without_force_says_so(run):
     (phase,) = run.phases
     found = characterise_run(replace(run, phases=(replace(phase, samples=()),)), SETTINGS)
-    assert found.reduced[0] == "no force was recorded: nothing is known of the stress"
+    assert found.reduced[0] == "no force was recorded: the stress is unknown"
     assert found.refused
 
 
@@ -203,5 +203,5 @@ def test_loads_of_another_purpose_are_no_cycles(run):
     moved = replace(phase, loads=(elsewhere, *phase.loads[1:]))
     with pytest.raises(NumericsError, match="pressed at 2 places"):
         characterise_run(replace(run, phases=(moved,)), SETTINGS)
-    with pytest.raises(NumericsError, match="'disc-100mm' is no strip"):
+    with pytest.raises(NumericsError, match="'disc-100mm' is not a strip"):
         characterise_run(replace(run, sensor_type=load_sensor_type("disc-100mm").value), SETTINGS)

@@ -139,7 +139,7 @@ _RECORD = sample_load().record
 
 def test_a_cell_that_stands_at_its_highest_reading_all_through_a_hold_is_saturated():
     said = stood_at_limit(_force(lambda t, _: np.full(len(t), 5.0)), _RECORD)
-    assert said == "the load cell stood at 5 N, its highest reading, all through the hold: it is saturated"
+    assert said == "the load cell read 5 N, its highest reading, throughout the hold: it is saturated"
     clipped = _force(lambda t, random: np.minimum(6.0 + 0.3 * random.standard_normal(len(t)), 5.0))
     assert "saturated" in stood_at_limit(clipped, _RECORD)
 

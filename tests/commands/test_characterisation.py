@@ -57,7 +57,7 @@ def test_a_document_says_what_there_is_and_why_not(folder):
     assert said["outcome"] == "not measured"
     assert said["material"] is None
     assert "slope and intercept need two" in said["material_why"]
-    assert said["calibration_why"] == "a strip of the material gets no calibration"
+    assert said["calibration_why"] == "a material strip gets no calibration"
     assert {"settling_time", "conductance_change"} <= {m["name"] for m in said["measurements"]}
     assert not list((folder / "var" / "materials").glob("S-2*"))
 
@@ -66,6 +66,6 @@ def test_a_recipe_for_strips_is_refused_on_a_sensor_before_anything_moves(folder
     run = ("run", "--station", "simulated", "--recipe", "characterisation", "--serial", "S-3")
     done = cbsr_qa(folder, *run, check=False)
     assert done.returncode == 2
-    assert "sensor type 'disc-100mm' is no strip" in done.stderr
+    assert "sensor type 'disc-100mm' is not a strip" in done.stderr
     run = ("run", "--station", "simulated-strip", "--recipe", "nine-locations", "--serial", "S-3")
     assert "0 independent readings" in cbsr_qa(folder, *run, check=False).stderr

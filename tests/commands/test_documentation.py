@@ -78,7 +78,7 @@ def test_the_page_on_fielded_sensors_runs_as_printed(tmp_path):
     for command in commands(HOW_TO / "verify-a-fielded-sensor.md"):
         done = typed(tmp_path, command)
     assert "PASS" in done.stdout
-    assert "names no phase to calibrate from" in done.stdout
+    assert "has no phase to calibrate from" in done.stdout
     assert len(list((tmp_path / "var" / "calibrations").iterdir())) == 1
 
 

@@ -191,13 +191,13 @@ def test_a_signal_while_the_result_is_worked_out_says_how_to_have_it(
 
     with monkeypatch.context() as patch:
         patch.setattr(session, at, stopped)
-        with pytest.raises(UnconcludedError, match="all that was measured is stored") as ended:
+        with pytest.raises(UnconcludedError, match="all measured data is stored") as ended:
             run_sensor(RunRequest("station.toml", "recipe.toml", "S-1", seed=5, database=database))
     assert ended.value.exit_code == 3
     assert f"stopped by signal {stop.name} while" in ended.value.reason
     run = ended.value.document()["aborted"]["run"]
     command = f"{again} {run}" + ("" if database is None else f" --database '{database}'")
-    assert ended.value.remedy == f"this goes on: {command}"
+    assert ended.value.remedy == f"to continue: {command}"
     done = document(cbsr_qa(tmp_path, *shlex.split(command)[1:], "--json"))
     assert Path(tmp_path / done["report"]).exists()
     assert len(came_of(tmp_path, run, database or "var/cbsr-qa.db").record.sessions) == 1

@@ -210,7 +210,7 @@ def test_only_effects_that_are_on_are_imported(folder):
     ("arguments", "reason", "remedy"),
     [
         (["--format", "ert-board"], "no recording plugin named 'ert-board'", "did you mean 'ert-board-csv'"),
-        (["--format", "eidors-mat"], "'eidors-mat' is read only", "can be written: cbsr-recording, ert-board-csv"),
+        (["--format", "eidors-mat"], "'eidors-mat' is read-only", "writable: cbsr-recording, ert-board-csv"),
         (["--output", "short.toml"], "short.toml exists already", "name another file"),
         (["--output", "short.toml/x.h5"], "cannot be written to", "another folder with --output"),
     ],

@@ -181,12 +181,12 @@ def test_a_log_that_is_damaged_in_the_middle_of_a_run_ends_in_no_verdict(here, b
             harm(file, log.stat().st_size)
 
     at_document(monkeypatch, 150, damage)
-    with pytest.raises(BrokenRunError, match=r"cbsr-qa\.db is damaged .*, and this run with it") as broken:
+    with pytest.raises(BrokenRunError, match=r"cbsr-qa\.db is damaged .*, including this run") as broken:
         run_sensor(request())
     assert broken.value.reason.count("is damaged") == 1
     assert "where the database then holds the run, this goes on: cbsr-qa run --resume" in broken.value.remedy
     assert broken.value.exit_code == 3
-    assert "restore the database from a copy; what was measured after that copy is lost" in broken.value.remedy
+    assert "restore the database from a copy; data measured after that copy is lost" in broken.value.remedy
     assert benches == [True]
     assert [one.name for one in (here / "var").rglob("S-1*")] == []  # no report, and no calibration
 
@@ -204,7 +204,7 @@ def test_damage_beside_a_run_is_told_from_damage_of_the_run(here, whole, undistu
         file.seek((page - 1) * _PAGE)
         file.write(b"\xff" * 64)
     with open_store(f"sqlite:///{path}") as store:
-        with pytest.raises(StoreError, match="every row and frame of this run was checked and is whole") as refused:
+        with pytest.raises(StoreError, match="every row and frame of this run was checked and is intact") as refused:
             store.whole_run(run)
         assert f"sqlite3 {path} .recover" in refused.value.remedy
         assert store.load_run(run).end is EndReason.FINISHED
@@ -264,7 +264,7 @@ def test_a_server_that_hangs_up(here, benches, whole, monkeypatch, postgres_serv
         at_document(patch, 120, hang_up)
         run, said = broken_run(database=postgres_database)
     assert name in said
-    assert "hung up" in said
+    assert "closed the connection" in said
     assert benches == [True]
     assert_goes_on(run, whole, database=postgres_database)
 

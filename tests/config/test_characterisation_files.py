@@ -81,7 +81,7 @@ def test_what_a_recipe_needs_is_known_before_anything_moves():
     recipe, plugins = load_recipe("characterisation").value, discover()
     strip = load_sensor_type("strip-40x20mm").value
     check_recipe(recipe, strip, plugins)
-    with pytest.raises(NumericsError, match="recipe 'characterisation': sensor type 'disc-100mm' is no strip"):
+    with pytest.raises(NumericsError, match="recipe 'characterisation': sensor type 'disc-100mm' is not a strip"):
         check_recipe(recipe, load_sensor_type("disc-100mm").value, plugins)
     (wrong, *_) = recipe.limits
     with pytest.raises(ConfigError, match="no metric of this recipe measures 'gauge_factr'") as error:

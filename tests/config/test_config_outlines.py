@@ -68,10 +68,10 @@ def test_rules_and_lists_of_pairs_mean_the_same(write, rule):
     ("sheet", "said"),
     [
         ("outline_mm = [[0, 0], [1, 0]]", "line 4: sensor_type.outline_mm has 2 corners; at least 3 are needed"),
-        (OUTLINE[:-1] + ", [-60, -40]]", "line 4: sensor_type.outline_mm[5] is corner 1 again; the last edge closes"),
+        (OUTLINE[:-1] + ", [-60, -40]]", "line 4: sensor_type.outline_mm[5] repeats corner 1; the last edge closes"),
         (
             "outline_mm = [[-60, -40], [60, 40], [60, -40], [-60, 40]]",
-            "sensor_type.outline_mm crosses itself: the edges behind corners 1 and 3 meet",
+            "sensor_type.outline_mm crosses itself: the edges after corners 1 and 3 meet",
         ),
         ('outline_mm = [[0, 0], [1, "x"], [3, 4]]', "sensor_type.outline_mm[2][2] is 'x'; it must be a number"),
         (
@@ -108,13 +108,13 @@ def test_an_outline_that_is_none_is_refused_with_its_line(refused, sheet, said):
         (PINS.replace("[55, 0]", "[55, 34.5]"), "positions_mm[5] (electrode 4) overlaps electrode 3"),
         (
             PINS.replace('"pin"', '"arc"').replace("diameter", "length"),
-            "(electrode 0) lies 5 mm from the edge, on which the centre of a strip belongs",
+            "(electrode 0) lies 5 mm from the edge, where its centre must be",
         ),
         (PINS + "\ncount = 8", "electrodes.count does not apply where positions_mm is given"),
         ('kind = "pin"\ndiameter_mm = 1.0', "electrodes.count is missing; without a ring positions_mm is needed"),
         (
             'kind = "arc"\ncount = 8\nring_radius_mm = 40.0\nlength_mm = 2.0',
-            "equally spaced arcs lie on a disc; on another outline each electrode needs a position",
+            "equally spaced arcs need a disc; on another outline give the position of each electrode",
         ),
         (
             'kind = "pin"\ncount = 8\nring_radius_mm = 45.0\ndiameter_mm = 1.0',
@@ -133,10 +133,10 @@ def test_electrodes_that_do_not_fit_are_refused_with_their_key(refused, electrod
         ("drive = 5", "pattern.drive is 5; it must be the name of a rule or an array of pairs"),
         ("drive = [[0, 1.5]]", "it must be the name of a rule or an array of pairs"),
         ("drive = [[0, 1], [1, 2], [0, 1]]", "pattern.drive[3] repeats pair 1"),
-        ("measure = [[0, 0]]", "pattern.measure[1] joins electrode 0 with itself"),
-        ("measure = [[0, 8]]", "pattern.measure[1] names electrode 8; there are 0 to 7"),
+        ("measure = [[0, 0]]", "pattern.measure[1] pairs electrode 0 with itself"),
+        ("measure = [[0, 8]]", "pattern.measure[1] names electrode 8; allowed: 0 to 7"),
         ("measure = []", "pattern.measure has no pairs"),
-        ('measure = "skip-3"', "half way round 8 electrodes or further: use 'skip-2' or less, or 'opposite'"),
+        ('measure = "skip-3"', "half of 8 electrodes or more: use 'skip-2' or less, or 'opposite'"),
         ("drive = [[0, 1], [1, 2]]\nmeasure = [[3, 4], [4, 5]]", "pattern never uses electrodes 6, 7"),
         (
             'drive = "opposite"\nmeasure = "opposite"',

@@ -90,7 +90,7 @@ def test_what_is_no_finite_number_is_refused_by_effect_and_parameter(name: str, 
     for value in NO_NUMBERS:
         error = refused(name, **{parameter: value})
         assert f": {parameter} is {value!r}" in error.reason
-        assert re.match(r"it is a (finite|whole) number|electrodes are counted|it is a list", error.remedy)
+        assert re.match(r"it must be a (finite|whole) number|electrodes are numbered|it is a list", error.remedy)
 
 
 @pytest.mark.parametrize(("name", "parameter"), NUMBERS)
@@ -151,7 +151,7 @@ def test_a_parameter_in_another_unit_is_refused_with_the_nearest(name: str, para
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if not parameters(name)])
 def test_an_effect_without_parameters_says_so(name: str):
-    assert refused(name, decay_ms=1.0).remedy == "it has no parameters"
+    assert refused(name, decay_ms=1.0).remedy == "it takes no parameters"
 
 
 @pytest.mark.parametrize("name", EFFECTS)

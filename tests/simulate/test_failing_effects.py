@@ -38,7 +38,7 @@ def test_a_factory_that_fails_is_named(error):
     def factory(setting):
         raise error("their slip")
 
-    with pytest.raises(ConfigError, match=f"effect 'theirs' cannot be made: {error.__name__}: .*their slip"):
+    with pytest.raises(ConfigError, match=f"effect 'theirs' cannot be created: {error.__name__}: .*their slip"):
         build_chain(scene("theirs"), SETTING, lambda name: factory)
 
 
@@ -106,7 +106,7 @@ def test_what_an_effect_refuses_stays_its_own_words():
 def test_an_effect_that_leaves_no_number_is_named(stage, attribute, value):
     effect = theirs(stage, apply=lambda self, moment: setattr(moment, attribute, value))
     with pytest.raises(
-        PluginError, match=rf"effect 'theirs' leaves .*{attribute}.* that is no finite number at 12.5 s"
+        PluginError, match=rf"effect 'theirs' leaves .*{attribute}.* with non-finite values at 12.5 s"
     ):
         chain_of(effect).apply(stage, moment())
 
@@ -124,4 +124,4 @@ def test_a_quantity_beyond_anything_of_a_scene_is_refused():
     assert number("range_V", 1e15) == 1e15
     with pytest.raises(ConfigError, match=r"range_V is 1e\+308") as refused:
         number("range_V", 1e308)
-    assert refused.value.remedy == "it is a finite number of at least 0 and at most 1e+15"
+    assert refused.value.remedy == "it must be a finite number of at least 0 and at most 1e+15"

@@ -105,7 +105,7 @@ def test_an_unknown_parameter_is_refused_with_the_nearest():
 
 
 def test_a_parameter_that_is_missing_is_named():
-    with pytest.raises(ConfigError, match="lacks its parameter 'rms_N'"):
+    with pytest.raises(ConfigError, match="lacks parameter 'rms_N'"):
         build_chain(scene("load-cell-noise"), SETTING, installed)
 
 

@@ -188,7 +188,7 @@ def test_an_effect_that_lacks_the_method_of_its_stage_is_refused(claims, made_fo
             self.perturbs = claims
 
     of = replace(scene(), effects=(PluginChoice("own"),))
-    with pytest.raises(ConfigError, match=f"perturbs '{claims}' and lacks the method"):
+    with pytest.raises(ConfigError, match=f"perturbs '{claims}' but lacks the method"):
         world(of, effect_factory=lambda _: Wrong)
 
 

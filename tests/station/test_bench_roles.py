@@ -133,7 +133,7 @@ def test_what_fills_the_role_of_a_meter_or_a_multiplexer_must_be_one(role, lacks
     script = Script(VirtualClock())
     mounted = [one for one in parts(script) if role not in one.spec.provides]
     impostor = Mounted(spec("impostor", role), ScriptedLoadCell(script, ScriptedApplicator(script)))
-    with pytest.raises(ConfigError, match=rf"impostor \(scripted\) is said to provide '{role}'") as refused:
+    with pytest.raises(ConfigError, match=rf"impostor \(scripted\) is configured to provide '{role}'") as refused:
         Bench([*mounted, impostor])
     assert lacks in refused.value.reason
 
@@ -189,10 +189,10 @@ def test_an_instrument_that_is_who_the_station_file_says_is_accepted(expected):
 @pytest.mark.parametrize(
     ("expected", "said"),
     [
-        ({"model": "2636B"}, "it says its model is 'Keithley Model 2634B'; the station file expects '2636B'"),
+        ({"model": "2636B"}, "its model is 'Keithley Model 2634B'; the station file expects '2636B'"),
         ({"model": "2634"}, "the station file expects '2634'"),
         ({"model": "2634B Keithley"}, "the station file expects '2634B Keithley'"),
-        ({"model": "2634B", "serial": "403"}, "it says its serial is '4031823'; the station file expects '403'"),
+        ({"model": "2634B", "serial": "403"}, "its serial is '4031823'; the station file expects '403'"),
     ],
 )
 def test_another_instrument_at_the_address_is_refused_with_role_address_found_and_expected(expected, said):
@@ -201,7 +201,7 @@ def test_another_instrument_at_the_address_is_refused_with_role_address_found_an
     assert refused.value.reason.startswith("smu at TCPIP::10.0.0.7::5025::SOCKET: ")
     assert said in refused.value.reason
     assert not refused.value.retryable
-    assert "mend address or" in refused.value.remedy
+    assert "correct address or" in refused.value.remedy
 
 
 # --- who is made safe first ------------------------------------------------------------------------------

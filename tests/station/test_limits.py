@@ -262,7 +262,7 @@ def test_a_range_that_nothing_can_be_held_against_is_refused(unit):
         bench = with_thermometer(thermometer, plan, script)
     with pytest.raises(ConfigError, match="temperature_C limits the temperature, but") as refused:
         run(plan, script=script, bench=bench)
-    assert ("no instrument samples it" if unit is None else "sampled in 'K'") in refused.value.reason
+    assert ("no instrument samples it" if unit is None else "its unit is 'K'") in refused.value.reason
     assert script.calls == []
 
 

@@ -58,7 +58,7 @@ def test_a_retry_is_said():
     script.on("frame_source.acquire", raising(InstrumentError("mux", "COM3", "no reply", retryable=True)))
     stream = io.StringIO()
     shown(stream, script=script)
-    assert "attempt 1 failed, trying again: mux at COM3: no reply" in stream.getvalue()
+    assert "attempt 1 failed, retrying: mux at COM3: no reply" in stream.getvalue()
 
 
 def test_on_a_terminal_phase_and_doing_are_plain_text_and_the_bar_goes_away(capsys):

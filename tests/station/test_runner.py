@@ -142,7 +142,9 @@ def test_phases_say_what_they_are_for():
 @pytest.mark.parametrize("role", ["grid", None, 3])
 def test_a_role_that_is_none_is_refused_before_anything_moves(role):
     script = Script(VirtualClock(), TOOK_S)
-    with pytest.raises(PluginError, match=r"sequence 'fixed' of phase 'a' has role .*, which is no Role") as refused:
+    with pytest.raises(
+        PluginError, match=r"sequence 'fixed' of phase 'a' has role .*, which is not a Role"
+    ) as refused:
         run(PlannedPhase("a", "fixed", FixedSequence(cycle(0), role)), script=script)
     assert "Role.GRID" in refused.value.remedy
     assert script.calls == []

@@ -70,8 +70,8 @@ def test_the_first_signal_completes_the_frame_and_lifts_the_head_as_after_any_pr
     assert after(script, "frame_source.acquire", 2) == ["force_applicator.release", *SAFE]
     assert not bench.force_applicator.down
     (line,) = said
-    assert line.startswith(f"{number.name}: the run stops in order.")
-    assert "A second signal makes it safe at once." in line
+    assert line.startswith(f"{number.name}: the run stops in order:")
+    assert "A second signal makes the bench safe at once." in line
     assert not any(isinstance(d, LoadFinished | PhaseFinished) for d in told)
     assert told[-1] is ended
 
@@ -125,7 +125,7 @@ def test_a_lift_that_fails_is_said_and_the_bench_made_safe_all_the_same():
     ended, _, script, bench, _ = run(script=script)
     assert ended.end is EndReason.ABORTED
     assert "by signal SIGTERM, while" in ended.detail
-    assert "; the head was not lifted in order: instrument force_applicator at COM3: stalled" in ended.detail
+    assert "; lifting the head failed: instrument force_applicator at COM3: stalled" in ended.detail
     assert script.names()[-3:] == SAFE
     assert not bench.force_applicator.down
 
@@ -143,7 +143,7 @@ def test_the_second_signal_makes_everything_safe_where_the_run_is():
     assert after(script, "frame_source.acquire") == SAFE
     assert not bench.force_applicator.down
     assert [line.split(":")[0] for line in said] == ["SIGINT", "SIGINT"]
-    assert "everything is made safe at once" in said[1]
+    assert "making the bench safe at once" in said[1]
 
 
 def test_the_second_signal_breaks_into_the_lift():

@@ -50,7 +50,7 @@ def test_a_driver_that_makes_an_error_of_its_own_of_every_exception_does_not_hid
 
     script.on("load_cell.samples_since", hang, call=2)
     ended, _, script, _, _ = run(script=script, answer_s=0.3)
-    assert "rule 'no answer': load_cell (scripted): its samples has not come back for" in ended.detail
+    assert "rule 'no answer': load_cell (scripted): reading its samples has not returned for" in ended.detail
     assert script.count("load_cell.samples_since") == 2  # nobody is asked for anything any more
     assert_made_safe(script)
 
@@ -87,7 +87,7 @@ def test_what_cannot_be_broken_into_is_made_safe_without_it_and_said():
     thread.join(10)
     ended, told, script, bench, said = results[0]
     assert ended.end is EndReason.BROKEN
-    assert "rule 'no answer': load_cell (scripted): its samples has not come back for" in ended.detail
+    assert "rule 'no answer': load_cell (scripted): reading its samples has not returned for" in ended.detail
     assert "the bench is made safe without it" in said[0]
     assert not bench.force_applicator.down
     assert told[-1] is ended
@@ -144,7 +144,7 @@ def test_a_call_may_take_twice_its_work_and_the_answer_time(clock):
         with dog.expect("a frame", 0.1):
             clock.nothing_late_after(0.49)
         assert late.empty()
-        with pytest.raises(SafetyError, match="a frame has not come back"), dog.expect("a frame", 0.1):
+        with pytest.raises(SafetyError, match="a frame has not returned"), dog.expect("a frame", 0.1):
             clock.late_after(0.51, late)
     assert late.empty()
 
@@ -196,7 +196,7 @@ def test_a_journal_or_a_listener_that_hangs_keeps_no_head_down(who):
     subscribers = [hang, told.append] if who == "journal" else [told.append, hang]
     ended = execute(plan, example_identity(), bench, script.clock, subscribers, tell=lambda line: None)
     assert ended.end is EndReason.BROKEN
-    assert "rule 'no answer': the journal, or whoever listens, has not come back for" in ended.detail
+    assert "rule 'no answer': the journal or an event listener has not returned for" in ended.detail
     assert_made_safe(script)
     assert not bench.force_applicator.down
 

@@ -102,7 +102,7 @@ def test_without_a_distribution_small_lots_are_refused_with_how_many_it_takes():
     assert found.upper is None
     assert "not normal (p = " in found.why
     assert "nor log-normal" in found.why
-    assert f"need {count_needed(0.99, 0.95, 1)} sensors instead of 80" in found.why
+    assert f"need {count_needed(0.99, 0.95, 1)} sensors; there are 80" in found.why
 
 
 @pytest.mark.rest

@@ -26,9 +26,9 @@ def test_five_values_reach_as_far_as_the_table_of_t_says():
 @pytest.mark.parametrize(
     ("values", "confidence", "said"),
     [
-        ([1.0, 2.0], 0.95, "2 values predict nothing"),
+        ([1.0, 2.0], 0.95, "2 values are too few to predict"),
         ([1.0, np.nan, 2.0], 0.95, "not a finite number"),
-        ([1.0, 2.0, 3.0], 1.0, "a confidence of 1 is none"),
+        ([1.0, 2.0, 3.0], 1.0, "confidence is 1"),
     ],
 )
 def test_what_predicts_nothing_is_refused(values, confidence, said):

@@ -111,11 +111,11 @@ def test_indices_have_no_unit_and_mirror(lot, scale, shift):
 @pytest.mark.parametrize(
     ("groups", "limits", "reason"),
     [
-        ([[1.0, 2.0]], {}, "there is no limit"),
+        ([[1.0, 2.0]], {}, "at least one limit"),
         ([[1.0, 2.0]], {"lower": 2.0, "upper": 1.0}, "lower limit 2.0 is not below"),
         ([[1.0]], {"lower": 0.0}, "1 value instead of at least 2"),
         ([], {"lower": 0.0}, "0 values"),
-        ([[1.0, 1.0]], {"lower": 0.0}, "leaves no variance"),
+        ([[1.0, 1.0]], {"lower": 0.0}, "no variance"),
         ([[1.0], [2.0]], {"lower": 0.0}, "every subgroup has one value"),
         ([[1.0, 1.0], [2.0, 2.0]], {"lower": 0.0}, "within the subgroups do not differ"),
         ([[1.0, float("nan")]], {"lower": 0.0}, "subgroup 1: 1 of 2 values are missing"),

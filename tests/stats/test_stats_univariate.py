@@ -84,7 +84,7 @@ def test_one_value_has_a_mean_and_nothing_else():
     [
         ([], "0 values instead of at least 1"),
         ([1.0, float("nan"), 2.0], "1 of 3 values are missing or infinite, the first at index 1"),
-        ([1e200, 1.0], "have no squares"),
+        ([1e200, 1.0], "overflow"),
     ],
 )
 def test_what_has_no_summary_is_named(numbers, reason):

@@ -57,11 +57,11 @@ def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(cop
 @pytest.mark.parametrize(
     ("table", "column", "word", "said"),
     [
-        ("measurements", "outcome", "odd", "states measurements.outcome 'odd', which is none of pass, "),
-        ("measurements", "bound", "odd", "states measurements.bound 'odd', which is none of exact, "),
-        ("measurements", "outcome", "", "states measurements.outcome '', which is none of pass, "),
-        ("measurements", "name", "a\x1fb", ", with the control character U+001F in it"),
-        ("analyses", "outcome", "odd", "states analyses.outcome 'odd', which is none of pass, "),
+        ("measurements", "outcome", "odd", "has measurements.outcome 'odd'; allowed: pass, "),
+        ("measurements", "bound", "odd", "has measurements.bound 'odd'; allowed: exact, "),
+        ("measurements", "outcome", "", "has measurements.outcome ''; allowed: pass, "),
+        ("measurements", "name", "a\x1fb", " with the control character U+001F in it"),
+        ("analyses", "outcome", "odd", "has analyses.outcome 'odd'; allowed: pass, "),
     ],
 )
 def test_words_that_are_none_are_a_damaged_database(copied, table, column, word, said):
@@ -75,9 +75,9 @@ def test_words_that_are_none_are_a_damaged_database(copied, table, column, word,
 
 def test_an_unknown_recipe_is_refused_with_the_nearest_name(copied):
     with open_store(copied[1]) as store:
-        with pytest.raises(RefusedError, match="no stored run is of recipe 'shrot'") as raised:
+        with pytest.raises(RefusedError, match="no stored run uses recipe 'shrot'") as raised:
             store.fleet(recipe="shrot")
-        assert raised.value.remedy == "did you mean 'short'? there are: short"
+        assert raised.value.remedy == "did you mean 'short'? recipes: short"
         assert len(store.fleet(recipe="short").runs) == 4
 
 

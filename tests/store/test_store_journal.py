@@ -289,7 +289,7 @@ def test_a_changed_byte_is_found_when_the_run_is_loaded(repository, path):
         (data,) = other.execute("select voltages from frame_blocks where block = 0 and phase = 0").fetchone()
         spoilt = data[:100] + bytes([data[100] ^ 1]) + data[101:]
         other.execute("update frame_blocks set voltages = ? where block = 0 and phase = 0", (spoilt,))
-    with pytest.raises(StoreError, match=r"frame block 0 of phase 0 .* digest does not fit"):
+    with pytest.raises(StoreError, match=r"frame block 0 of phase 0 .* digest does not match"):
         repository.load_run(run)
 
 

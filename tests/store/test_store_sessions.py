@@ -220,7 +220,7 @@ def test_a_folder_in_which_no_lock_can_be_made_is_named(repository, path, monkey
 
     monkeypatch.setattr(os, "open", refuse)
     with (
-        pytest.raises(StoreError, match="no lock can be written beside it") as refused,
+        pytest.raises(StoreError, match="cannot create a lock file beside it") as refused,
         repository.writing_alone("r"),
     ):
         pass

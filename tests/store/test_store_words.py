@@ -63,6 +63,6 @@ def test_the_table_and_row_are_named(stored, tmp_path, table, column, readers):
     for name in readers:
         with open_store(f"sqlite:///{copy}") as store, pytest.raises(StoreError) as raised:
             READERS[name](store, run, cut)
-        assert f" states {table}.{column} 'odd', which is none of " in raised.value.reason, name
+        assert f" has {table}.{column} 'odd'; allowed: " in raised.value.reason, name
     if table == "run_states":
         assert guarded(["db", "status", "--database", f"sqlite:///{copy}"]) == 2

@@ -1,4 +1,4 @@
-"""What a recording nobody annotated shows: channels, noise, presses."""
+"""Analysis of an unannotated recording: channels, noise, presses."""
 
 from cbsr_qa import door
 

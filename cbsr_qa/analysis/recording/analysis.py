@@ -1,4 +1,4 @@
-"""A recording with everything that can be found in it: channels, reading memory, noise, presses."""
+"""Complete analysis of a recording: channels, carry-over, noise, presses."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -37,7 +37,7 @@ DEFAULT_RECONSTRUCTION: Final = "gauss-newton-noser"
 
 @dataclass(frozen=True, slots=True)
 class AnalysisChoices:
-    """What a user may decide about the analysis of a recording.
+    """User options for the analysis of a recording.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _searched(
         raise RecordingError(
             f"sensor type {sensor_type.name!r} has frames of {sensor_type.pattern.shape},"
             f" {recording.path.name} has {ready.block.voltages.shape[1:]}",
-            remedy="name the sensor type that was measured, or none",
+            remedy="name the sensor type of the recording, or omit it",
         )
     try:
         scene = RecordedScene.of(recording, ready, sensor_type, named=choices.sensor_type is not None)
@@ -150,19 +150,19 @@ def _imaged(searched: Searched, reconstruction: Reconstruction, chosen: PluginCh
 def _no_image(recording: Recording, ready: ReadyReadings) -> str:
     """Why a recording cannot be imaged at all; empty if it can."""
     if ready.faults.not_connected:
-        return "no signal: every reading is the same, nothing is connected"
+        return "no signal: all readings are equal; nothing is connected"
     if ready.faults.frozen and recording.reference is None and not recording.still:
         return f"all {len(ready.block)} frames are identical: the board (or the file) repeats one frame"
     if recording.scan is ScanKind.DRIVEN_PAIRS:
-        return "one-row scans measure each pair only while it is driven: there is no image to find a load in"
+        return "one-row scans measure each pair only while it drives, which is not enough for an image"
     if ready.error is not None and ready.error > RECIPROCITY_LIMIT and not recording.still:
         return (
             f"no usable image: the readings are not reciprocal (error {ready.error:.2f}; a passive sheet gives 0,"
-            f" unrelated numbers 1.41, and above {RECIPROCITY_LIMIT:g} nothing is imaged)"
+            f" unrelated numbers 1.41, the limit is {RECIPROCITY_LIMIT:g})"
         )
     if recording.reference is None and len(ready.block) == 1:
         raise RecordingError(
-            f"{recording.path.name} is a single image and there is nothing to compare it with",
+            f"{recording.path.name} is a single image without a reference",
             remedy="name the recording of the empty tank with --reference FILE[:NAME]",
         )
     if recording.reference is None and len(ready.block) < FEWEST_FRAMES:
@@ -191,9 +191,7 @@ def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) ->
         rows = "row was" if recording.rows_rejected == 1 else "rows were"
         said.append(f"{recording.rows_rejected} {rows} rejected, see the list of problems")
     if ready.memory is not None and ready.memory.worth_correcting and not ready.corrected:
-        said.append(
-            f"readings keep {ready.memory.share:.0%} of the one before them and were not corrected, as asked for"
-        )
+        said.append(f"readings carry over {ready.memory.share:.0%} of the previous one; not corrected, as requested")
     said += [*ready.remarks(), *searched.remarks]
     if searched.sightings and searched.why:
         said.append(searched.why)

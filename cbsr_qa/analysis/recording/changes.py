@@ -1,4 +1,4 @@
-"""When something changed: steps of the matched patterns, at a controlled rate of false alarms.
+"""Change detection: steps of the matched patterns, at a controlled false alarm rate.
 
 For each candidate place the series of scores is scanned with windows before and after each moment, at several
 widths. The noise of such a step is not taken from theory but, per place and width, from all moments of the same
@@ -24,7 +24,7 @@ _MOST_CHANGES = 400
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A step.
+    """A detected step.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def find_changes(scores: Array) -> tuple[Change, ...]:
 
 
 def nearest_step(scores: Array) -> tuple[float, float]:
-    """Return the step that is nearest to counting, over its noise, and the threshold it is held to.
+    """Return the step closest to the threshold, over its noise, and that threshold.
 
     Each window has its own threshold. Where there are too few frames for any, the step is 0.
     """
@@ -73,7 +73,7 @@ def nearest_step(scores: Array) -> tuple[float, float]:
 
 
 def threshold_for(moments: int, window: int) -> float:
-    """Return the threshold for a noise estimate from so many moments."""
+    """Return the threshold for a noise estimate from this many moments."""
     return THRESHOLD * (1 + window / moments) if moments else np.inf
 
 
@@ -95,7 +95,7 @@ def _strongest(scores: Array, window: int, found: list[Change]) -> list[Change]:
 
 
 def _reach(window: int, change: Change) -> int:
-    """Frames around a step that windows of this width must keep off so as not to see it."""
+    """Frames around a step to exclude so that windows of this width do not see it."""
     return window + max(change.window, 2) - 1
 
 
@@ -135,7 +135,7 @@ def _spread(step: Array) -> tuple[Array, Array]:
 
 
 def _rescored(scores: Array, found: list[Change]) -> list[Change]:
-    """Score all steps anew against the noise that is left when every one of them is kept out of it."""
+    """Score all steps again against the noise estimated without them."""
     out: list[Change] = []
     for window in WINDOWS:
         own = [change for change in found if change.window == window]

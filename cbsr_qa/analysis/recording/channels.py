@@ -1,4 +1,4 @@
-"""What the channels of a recording are worth: saturated, stuck, nothing connected.
+"""Faulty channels of a recording: saturated, stuck, disconnected, or changed at an electrode.
 
 Changes that come from an electrode and not from the sheet.
 
@@ -29,7 +29,7 @@ _SIGMAS = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
-    """Readings that share one contact, or one pair.
+    """Readings that share one contact or one pair.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Suspect:
 
 
 def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
-    """List what a bad contact can touch, fewest readings first.
+    """List the readings that each bad contact would affect, fewest first.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
 def suspect_in(
     change: Array, load: Array, hidden: Array, noise: float, suspects: tuple[Suspect, ...]
 ) -> Suspect | None:
-    """Find the contact a change comes from.
+    """Find the contact that explains a change.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def suspect_in(
 
 
 def _seen(load: Array, outside: Array, hidden: Array, readings: Mask, noise: float) -> bool:
-    """Whether the load may be there: its pattern in the readings that the contact does not touch."""
+    """Whether a load may explain it: its pattern must show in readings that do not touch the contact."""
     expected = _parts(load, hidden, readings)[1]
     power = float(expected @ expected)
     if power == 0:
@@ -135,7 +135,7 @@ _CEILING_SIGMA = 6.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelFaults:
-    """Faults found, each (drives, measures) bool.
+    """Faults by channel, each (drives, measures) bool.
 
     Parameters
     ----------
@@ -156,13 +156,13 @@ class ChannelFaults:
 
     @property
     def bad(self) -> Mask:
-        """Readings not to image from."""
+        """Readings excluded from imaging."""
         bad: Mask = self.saturated | self.stuck | self.missing
         return bad
 
 
 def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
-    """Look for faults in a block of frames.
+    """Detect faults in a block of frames.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def _remembering_rail(level: Array, rail: float) -> Mask:
 
 
 def _at_ceiling(voltages: Array) -> Mask:
-    """Different pairs at one level that no reading exceeds: the source has run into its voltage limit.
+    """Pairs clipped at a common level that no reading exceeds: the source's voltage limit.
 
     Only for one-row scans, where equal levels are not a matter of symmetry.
     """
@@ -255,7 +255,7 @@ def _stuck_from(block: FrameBlock) -> NDArray[np.int64]:
 
 
 def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:
-    """Repeats in a row that noise gives a channel in one of ten thousand recordings only.
+    """Number of repeats in a row that noise alone reaches in one of ten thousand recordings.
 
     A channel's noise is told from how often it repeats itself besides its longest run; quiet ones often do.
     """

@@ -1,4 +1,4 @@
-"""Presses in a recording nobody annotated: one press, one event.
+"""Presses in an unannotated recording: one event per press.
 
 The sheet is slow: it creeps while it is held, keeps much of the change after the release (two thirds, two seconds
 later, on the lab's recordings), and relaxes for long. So a press is looked for as a *step* (:mod:`changes`)
@@ -54,7 +54,7 @@ _EXPLAINED_SIGMA = 3.0  #: … unless noise may be the reason it is less
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Press:
-    """A press found; frames are indices into the series.
+    """A detected press; frames are indices into the series.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class Press:
 
 @dataclass(slots=True)
 class Found:
-    """Presses, and changes that were not taken for one.
+    """Presses, and changes that are not presses.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoLoads:
-    """What changes look like that are no loads.
+    """Explanations of changes that are not loads.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class NoLoads:
 
 
 def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loads: NoLoads | None = None) -> Found:
-    """Put steps together to presses.
+    """Combine steps into presses.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loa
 
 
 def search(white: Array, match: Matcher, no_loads: NoLoads | None = None) -> tuple[Found, tuple[Change, ...]]:
-    """Look for short and for lasting presses.
+    """Search for short and for lasting presses.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def search(white: Array, match: Matcher, no_loads: NoLoads | None = None) -> tup
 
 
 def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
-    """Whether a pulse is a tremble of a press that is held, or its release.
+    """Whether a pulse belongs to a held press or its release.
 
     A press known by its release alone may be no more than the end of the pulse itself.
     """
@@ -168,7 +168,7 @@ def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
 
 
 def _add_short(short: Press, found: Found) -> None:
-    """Add a short press, unless it is the beginning or a tremble of one that lasts."""
+    """Add a short press, unless it belongs to a lasting one."""
     for press in found.presses:
         apart = np.hypot(press.places[0].x - short.places[0].x, press.places[0].y - short.places[0].y)
         if apart > SAME_PLACE or not press.start - _CLOSE < short.start < press.end + _CLOSE:
@@ -191,7 +191,7 @@ class _Search:
     found: Found = field(default_factory=Found)
 
     def close(self, group: Group) -> None:
-        """Work out one press from its steps."""
+        """Evaluate one press from its steps."""
         before, held, start, end, along = self._slow(group) if group.slow else self._stepped(group)
         if places := self._loads(group.frame, before, held):
             first = min(int(np.ceil(start)), int(end))
@@ -200,7 +200,7 @@ class _Search:
             self.found.presses.append(Press(start, peak, end, before, held, places, score, group.slow))
 
     def close_short(self, pulse: Change) -> None:
-        """Work out a press of a few frames."""
+        """Evaluate a press of a few frames."""
         before = slice(max(pulse.frame - BEFORE_FRAMES, 0), pulse.frame)
         held = slice(pulse.frame, pulse.frame + pulse.window)
         if places := self._loads(pulse.frame, before, held):
@@ -209,7 +209,7 @@ class _Search:
             self.found.presses.append(Press(start, peak, end, before, held, places, pulse.score))
 
     def _loads(self, frame: int, before: slice, held: slice) -> tuple[Place, ...]:
-        """Return the loads behind a change; none, and why, where it is no load's."""
+        """Return the loads that explain a change, or none and the reason."""
         change = difference(self.white, before, held)
         places, explained = find_places(change, self.match)
         noise = noise_energy(self.white, before, held) / self.white.shape[1]
@@ -225,7 +225,7 @@ class _Search:
         return ()
 
     def _stepped(self, group: Group) -> tuple[slice, slice, float, float, Array]:
-        """Reference, hold, beginning, end and trace of a press that began with a step."""
+        """Reference, hold, start, end and trace of a press that started with a step."""
         first = group.changes[0]
         limits = self._limits(group)
         before, held = rough(first, group.limit(self.groups, len(self.white)), len(self.white))
@@ -239,7 +239,7 @@ class _Search:
         return before, held, start, end, along
 
     def _slow(self, group: Group) -> tuple[slice, slice, float, float, Array]:
-        """Work out the same for a press of which only the release is a step."""
+        """Evaluate a press of which only the release is a step."""
         release = group.changes[0]
         until = max(release.frame - release.window // 2, 2)
         held = slice(max(until - BEFORE_FRAMES, 1), until)
@@ -251,7 +251,7 @@ class _Search:
         return before, held, start, end_of(along, held.start, self._limits(group)[0]), along
 
     def _limits(self, group: Group) -> list[int]:
-        """Frames at which something else begins, up to the next press at the same place, or the end."""
+        """Frames at which other events begin, up to the next press at the same place, or the end."""
         later = [other for other in self.groups if other.frame > group.frame and other is not group]
         limits: list[int] = []
         for other in sorted(later, key=lambda one: one.frame):
@@ -261,7 +261,7 @@ class _Search:
         return [*limits, len(self.white)]
 
     def _end(self, group: Group, before: slice, held: slice, window: int, limits: list[int]) -> tuple[float, Array]:
-        """Find the end of a press: before the next step elsewhere or beyond it, that one's pattern fitted along."""
+        """Find the end of a press: before the next step elsewhere, or beyond it with that pattern fitted too."""
         along = smooth(trace(self.white, before, held), window)
         end = end_of(along, group.frame, limits[0])
         for before_it, limit in pairwise(limits):
@@ -278,7 +278,7 @@ class _Search:
         )
 
     def _gain(self, change: Array) -> float:
-        """Return by which share all readings grew, if that explains a change as well as any one place does."""
+        """Return the common factor of all readings, if it explains a change as well as any place does."""
         power = float(self.no_loads.frame @ self.no_loads.frame)
         if power == 0:
             return 0.0
@@ -288,7 +288,7 @@ class _Search:
 
 
 def held_from_the_beginning(presses: Sequence[Press], n: int) -> tuple[list[Press], list[Press]]:
-    """Tell releases of loads that were there from the beginning from loads that stay to the end.
+    """Distinguish releases of initial loads from loads that stay to the end.
 
     Both are one step that is never taken back. Where every press that ends has one sign, such a step of the other
     sign is a release: a sheet answers alike to all its loads.
@@ -322,7 +322,7 @@ def _sign(press: Press) -> int:
 
 
 def _unlike_a_load(white: Array, explained: float, before: slice, held: slice) -> str:
-    """Say why a change is not a load's, if even the best places explain too little of it; empty if it may be one."""
+    """Say why a change is not a load, if even the best places explain too little of it; empty otherwise."""
     noise, signal = noise_energy(white, before, held), signal_energy(white, before, held)
     per_reading = noise / white.shape[1]
     doubt = _EXPLAINED_SIGMA * per_reading * np.sqrt(2 * white.shape[1] + 4 * signal / per_reading)

@@ -1,4 +1,4 @@
-"""Short presses: up there for one to three frames, and gone again.
+"""Short presses: visible for one to three frames only.
 
 Windows of a step hold the beginning and the end of such a press at once. So it is looked for by itself: a pulse is a
 few frames that stand out of the frames before *and* of the frames after them, to the same side. As with steps the
@@ -53,14 +53,14 @@ class Group:
         return self.changes[0].frame
 
     def limit(self, others: list["Group"], n: int) -> int:
-        """Frame up to which the first pattern may be taken: before its release, and before another press."""
+        """Last frame for the first pattern: before its release, and before another press."""
         after = [change.frame - change.window // 2 for change in self.releases]
         after += [other.frame - other.changes[0].window for other in others if other.frame > self.frame]
         return max(min([*after, n]), self.frame + 1)
 
 
 def group_changes(white: Array, match: Matcher, changes: tuple[Change, ...]) -> list[Group]:
-    """Put steps together.
+    """Combine steps into groups.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def group_changes(white: Array, match: Matcher, changes: tuple[Change, ...]) -> 
 
 
 def same_place(one: Group, other: Group, match: Matcher) -> bool:
-    """Whether two presses are at one place, so that the later one ends the earlier."""
+    """Whether two presses are at one place, so the later one ends the earlier."""
     return min(_apart(change, other, match) for change in one.changes) <= SAME_PLACE
 
 
@@ -91,7 +91,7 @@ def _apart(change: Change, group: Group, match: Matcher) -> float:
 
 
 def _taken(change: Change, group: Group, white: Array, match: Matcher) -> bool:
-    """Add a step to a press at the same place that it continues or takes back."""
+    """Add a step to a press at the same place, as its continuation or its release."""
     if _apart(change, group, match) > SAME_PLACE:
         return False
     if group.slow:
@@ -110,7 +110,7 @@ def _taken(change: Change, group: Group, white: Array, match: Matcher) -> bool:
 
 
 def _continues(change: Change, group: Group, white: Array) -> bool:
-    """Whether nothing much of the trace was lost before a further step."""
+    """Whether the trace kept its level until a further step."""
     first = group.changes[0]
     along = trace(white, *rough(first, min(group.limit([], len(white)), change.frame), len(white)))
     until = max(change.frame - change.window // 2, group.changes[-1].frame + 1)
@@ -119,14 +119,14 @@ def _continues(change: Change, group: Group, white: Array) -> bool:
 
 
 def _sides(change: Change, n: int) -> tuple[slice, slice]:
-    """Frames on either side of a step."""
+    """Frames on both sides of a step."""
     before = slice(max(change.frame - change.window - max(change.window // 2, 1), 0), max(change.frame - 1, 1))
     after = min(change.frame + max(change.window // 2, 1), n - 1)
     return before, slice(after, min(after + change.window, n))
 
 
 def _leads_back(change: Change, white: Array, match: Matcher) -> bool:
-    """Whether a step brings its place nearer to the state the recording began in."""
+    """Whether a step returns its place towards the initial state."""
     before, after = _sides(change, len(white))
     start = slice(0, max(min(BEFORE_FRAMES, before.start), 2))
     middle = (white[before].mean(axis=0) + white[after].mean(axis=0)) / 2 - white[start].mean(axis=0)
@@ -134,7 +134,7 @@ def _leads_back(change: Change, white: Array, match: Matcher) -> bool:
 
 
 def _explains(group: Group, change: Change, white: Array, match: Matcher) -> bool:
-    """Whether a step may be a press taken back: one still held, or along its pattern if its place is a little off."""
+    """Whether a step may release a press: one still held, or with its pattern if its place is a little off."""
     if group.slow or change.sign == group.sign:
         return False
     if not group.releases:
@@ -179,7 +179,7 @@ def find_pulses(scores: Array) -> tuple[Change, ...]:
 
 
 def without_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:
-    """Bridge the frames of pulses by straight lines: (n, m), for what is looked for besides."""
+    """Interpolate linearly over the frames of pulses, (n, m), for further detection."""
     bridged = white.copy()
     for pulse in pulses:
         first, last = pulse.frame - 1, pulse.frame + pulse.window
@@ -189,7 +189,7 @@ def without_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:
 
 
 def _strongest(scores: Array, at: NDArray[np.int64], width: int) -> tuple[Array, NDArray[np.int64], Array]:
-    """For each moment the size, the place and the sign of the pulse that stands out most."""
+    """Size, place and sign of the strongest pulse at each moment."""
     total = np.vstack([np.zeros(scores.shape[1]), np.cumsum(scores, axis=0)])
     inside = (total[at + width] - total[at]) / width
     before = (total[at] - total[at - _BESIDE]) / _BESIDE

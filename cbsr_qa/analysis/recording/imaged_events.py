@@ -1,4 +1,4 @@
-"""From what was found in a recording to events with their images.
+"""Events of a recording with their images.
 
 Where images show events, and whether those that overlap in time each still have a region of their own.
 
@@ -40,7 +40,7 @@ Together = Callable[[Sequence[int]], Array]
 def with_fates(
     events: Sequence[LoadEvent], radius_mm: float, *, together: Together | None = None
 ) -> tuple[LoadEvent, ...]:
-    """Say of every event beside others whether it is apart from them in the image, merged with one, or missed.
+    """Report of simultaneous events whether their images are separate, merged or missing.
 
     The image is that of the changes of the events that last at this one's peak, each once; a region is one of its
     25 % mask, parted at valleys. It belongs to an event whose place it covers, or whose centre is a head's diameter
@@ -63,7 +63,7 @@ def with_fates(
 
 
 def with_imaged_places(events: Sequence[LoadEvent], radius_mm: float, layout: Electrodes) -> tuple[LoadEvent, ...]:
-    """Say of every event where its own image shows it; nowhere, if no region smaller than half the sheet is there.
+    """Add to every event its place in its own image; none if no region smaller than half the sheet is found.
 
     Regions are found and assigned as for fates; what was pressed at once shares an image.
     """
@@ -102,7 +102,7 @@ def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: 
 
 
 def _assigned(image: Image, events: Sequence[LoadEvent], radius_mm: float) -> tuple[tuple[Blob, ...], Assignment]:
-    """Regions of an image of what conducts as the first event does, and which belongs to which event."""
+    """Regions of an image with the first event's sign, and their assignment to events."""
     regions = split_blobs(masked_blobs(image, (_MASK,))[0], _VALLEY)
     head_mm = _HEAD * radius_mm
     places = [RoundFootprint(one.x_over_R * radius_mm, one.y_over_R * radius_mm, head_mm) for one in events]
@@ -116,7 +116,7 @@ _SMOOTHED: Final = 8  #: a track is smoothed over this share of its frames, or t
 
 
 def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes) -> Motion | None:
-    """Say how an object moves.
+    """Describe how an object moves.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes)
 
 
 def _running_median(places: Array) -> Array:
-    """Median of each place (n, 2) with those around it; shorter by what has no neighbours."""
+    """Running median of places (n, 2), with shorter windows at the ends."""
     window = max(3, len(places) // _SMOOTHED)
     median: Array = np.median(sliding_window_view(places, window, axis=0), axis=-1)
     return median
@@ -176,7 +176,7 @@ def image_events(
     chosen: PluginChoice,
     tell: Tell,
 ) -> Imaged:
-    """Image what was found, event by event.
+    """Image the events one by one.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def image_events(
         made.append(_event(scene, one, images.of(one, _name(scene, number, one.peak_s))))
 
     def together(numbers: Sequence[int]) -> Array:
-        tell(f"imaging event {numbers[0] + 1} together with those beside it with {chosen.name}")
+        tell(f"imaging event {numbers[0] + 1} and its neighbours with {chosen.name}")
         return images.together([sightings[k] for k in numbers])
 
     fated = with_fates(made, sheet.radius_mm, together=None if images.superposes else together)
@@ -212,7 +212,7 @@ def image_events(
 
 
 def _name(scene: RecordedScene, number: int, peak_s: float) -> str:
-    """Name an event as the report does, with its time where there is one."""
+    """Name an event as in the report, with its time if known."""
     untimed = scene.recording.still or scene.recording.clock == "none"
     return f"E{number}" if untimed else f"E{number} (at {peak_s:.1f} s)"
 
@@ -246,24 +246,24 @@ def _peak_force(samples: tuple[SampleBlock, ...], start_s: float, end_s: float) 
 
 
 def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
-    """Say what a method could not be given."""
+    """Describe what a method could not be given."""
     said = []
     if alone:
-        said.append(f"{name} images consecutive frames; this recording has none, each event is an image by itself")
+        said.append(f"{name} needs consecutive frames; this recording has none, so each event is imaged alone")
     if unknown:
         said.append(
-            f"{name} starts from the nominal sheet: the readings are counts with an offset nobody states, so those of"
+            f"{name} starts from the nominal sheet: readings are counts with an unknown offset, so those of"
             " the unloaded sensor itself are not known"
         )
     return said
 
 
 def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImages) -> list[str]:
-    """Name events that the method's own image does not show: nobody shall look for them in what is left."""
+    """Name events that the method's own image does not show, so nobody searches the image for them."""
     return [
-        f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: there is no region"
-        f" near its place ({event.place}), and what is elsewhere is not"
-        " this event; choose other options or another reconstruction"
+        f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: no region lies"
+        f" near its place ({event.place}), and regions elsewhere are not"
+        " this event; use other options or another reconstruction"
         for number, event in enumerate(events, start=1)
         if event.imaged is None
     ]

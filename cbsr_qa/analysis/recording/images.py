@@ -1,4 +1,4 @@
-"""Images of the events of a recording, by whatever reconstruction a user chose.
+"""Images of a recording's events, by the chosen reconstruction.
 
 Events are found without images: the patterns loads leave in the readings are matched (:mod:`places`). What
 is imaged is each event's change alone, never every frame, so that methods that take a second an image can be used.
@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 #: Told of each step, in words.
 Tell = Callable[[str], None]
 
-_REMEDY: Final = "choose other options, or another reconstruction; without one gauss-newton-noser is taken"
+_REMEDY: Final = "use other options or another reconstruction; the default is gauss-newton-noser"
 _MOST_FRAMES: Final = 256  #: of a hold, and of what is before it, that a method of sequences is handed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """An event that was found, before it is imaged.
+    """A detected event, before imaging.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Sighting:
 
 
 def frames_around(changes: Array, before: slice, held: slice) -> tuple[Array, slice]:
-    """Cut the frames around a press, against those before it.
+    """Cut the frames around a press, relative to those before it.
 
     Parameters
     ----------
@@ -81,14 +81,14 @@ def frames_around(changes: Array, before: slice, held: slice) -> tuple[Array, sl
 
 
 def nearest_frames(changes: Array, frame: int) -> tuple[Array, int]:
-    """Frames around one of (n, m): at most 513, and the number of that one among them."""
+    """Frames around one of (n, m): at most 513, and the index of that one among them."""
     begin = max(frame - _MOST_FRAMES, 0)
     return changes[begin : frame + _MOST_FRAMES + 1], frame - begin
 
 
 @dataclass(slots=True, eq=False)
 class EventImages:
-    """A reconstruction prepared for the events of a recording.
+    """A reconstruction prepared for a recording's events.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class EventImages:
         return image
 
     def together(self, sightings: Sequence[Sighting]) -> Array:
-        """Image (e,) of the changes of several events, each change once."""
+        """Image (e,) of the changes of several events, each counted once."""
         changes = {one.change.tobytes(): one for one in sightings}.values()
         if self.superposes:
             total: Array = np.sum([self.of(one) for one in changes], axis=0)
@@ -136,7 +136,7 @@ class EventImages:
 
     @property
     def superposes(self) -> bool:
-        """Whether the image of a sum is the sum of the images, as the method says."""
+        """Whether the method is linear."""
         return isinstance(self.prepared, LinearReconstruction) or bool(getattr(self.prepared, "linear", False))
 
     def _images(self, where: str, changes: Array) -> Array:
@@ -157,7 +157,7 @@ def prepare_for_events(
     *,
     offset: bool,
 ) -> EventImages:
-    """Prepare a reconstruction for events that were found.
+    """Prepare a reconstruction for detected events.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def prepare_for_events(
 def _prepared(
     reconstruction: Reconstruction, name: str, problem: ImagingProblem
 ) -> tuple[PreparedReconstruction, tuple[str, ...]]:
-    """Prepare on the recording's own changes; without them, and said so, where they settle no parameter."""
+    """Prepare on the recording's own changes, or without them, with a note, if they settle no parameter."""
     try:
         return reconstruction.prepare(problem), ()
     except NumericsError as refused:
@@ -194,21 +194,21 @@ def _prepared(
             prepared = reconstruction.prepare(replace(problem, sample=None))
         except NumericsError:
             raise refused from None
-        said = f"the parameter of {name} is not chosen on this recording's changes: {refused.reason}"
+        said = f"cannot choose the parameter of {name} from this recording: {refused.reason}"
         return prepared, (said,)
 
 
 def _with_measured(
     name: str, problem: ImagingProblem, model: UnitModel, sightings: Sequence[Sighting]
 ) -> tuple[ImagingProblem, Array]:
-    """Add the readings before the first event, and the gain that takes changes to their scale."""
+    """Add the readings before the first event, and the gain to their scale."""
     unloaded = min(sightings, key=lambda one: one.start_s).unloaded
     plain = plain_model(unloaded, problem)
     if plain is None:
         raise NumericsError(
-            f"{name} cannot be used for this recording: it needs the unloaded readings themselves, and one scale does"
-            " not take these to the model's (channels of unequal gain, another geometry, or no sheet at all)",
-            remedy="name the sensor type that was measured, or take a reconstruction of changes",
+            f"{name} cannot be used for this recording: it needs absolute unloaded readings, and a single scale does"
+            " not map these to the model's (channels of unequal gain, another geometry, or no sheet)",
+            remedy="name the sensor type of the recording, or use a difference reconstruction",
         )
     assert problem.sample is not None
     gain = plain.gain / model.gain
@@ -217,7 +217,7 @@ def _with_measured(
 
 @contextmanager
 def _by_name(where: str) -> Iterator[None]:
-    """Refuse by name; whatever a stranger's method raises becomes one clear refusal."""
+    """Turn any exception of a plugin's method into one clear refusal."""
     try:
         yield
     except CbsrError as error:
@@ -229,7 +229,7 @@ def _by_name(where: str) -> Iterator[None]:
 def _checked(images: object, shape: tuple[int, int]) -> Array:
     values = np.asarray(images, dtype=np.float64)
     if values.shape != shape:
-        raise NumericsError(f"it gave images of shape {values.shape}, not {shape}")
+        raise NumericsError(f"it returned images of shape {values.shape} instead of {shape}")
     if not np.isfinite(values).all():
-        raise NumericsError("it gave an image that is not a finite number everywhere")
+        raise NumericsError("it returned an image with non-finite values")
     return values

@@ -1,4 +1,4 @@
-"""From a recording's readings to changes of the unit model, and the patterns loads leave in them.
+"""Readings of a recording as changes of the unit model, and the patterns of loads in them.
 
 Nobody says what a stranger's recording was measured on, so it is imaged on a nominal unit disc unless a sensor type
 is named; lengths are then in units of its radius. Readings become changes of the unit model in one of two ways:
@@ -39,7 +39,7 @@ _CLOSE_COSINE = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet:
-    """What a recording is imaged on.
+    """Model that a recording is imaged on.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Sheet:
 
     @property
     def radius_mm(self) -> float:
-        """Radius of the sheet; of the nominal disc where nobody named a sensor type."""
+        """Radius of the sheet; of the nominal disc if no sensor type was given."""
         return self.problem.sensor_type.radius_mm
 
     @property
@@ -64,7 +64,7 @@ class Sheet:
 
 
 def nominal_disc(layout: Electrodes | None, electrode_count: int) -> SensorType:
-    """Disc with arc electrodes on its edge, for recordings whose sensor nobody named.
+    """Disc with arc electrodes on its edge, for recordings without a sensor type.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
 
 
 def _thinned(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Keep places no closer to each other than half a bump: more of them tell nothing more."""
+    """Thin out places to half a bump's distance: closer ones add nothing."""
     kept: list[int] = []
     for candidate in candidates[np.argsort(np.hypot(*places[candidates].T), kind="stable")]:
         apart = np.hypot(*(places[kept] - places[candidate]).T)
@@ -124,7 +124,7 @@ def _thinned(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnitModel:
-    """How a recording's readings become changes of the unit model.
+    """Conversion of a recording's readings to changes of the unit model.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def unit_model(reference: Array, problem: ImagingProblem, *, offset: bool) -> Un
     correlation = abs(slope) * float(np.linalg.norm(centred)) / spread if spread else 0.0
     if correlation < _LEAST_CORRELATION:
         raise NumericsError(
-            f"the readings do not look like those of a sheet driven and measured at adjacent pairs"
+            f"the readings do not match a sheet driven and measured at adjacent pairs"
             f" (correlation with the model {correlation:.2f}, at least {_LEAST_CORRELATION} is needed)",
             remedy="check the electrode order, and whether readings are clipped",
         )
@@ -191,7 +191,7 @@ def plain_model(reference: Array, problem: ImagingProblem) -> UnitModel | None:
 
 
 def usable_volts(reference: Array, used: Mask, noise: Array | None) -> Mask:
-    """Used readings whose reference value is clear of its noise, so that a relative change means something.
+    """Used readings whose reference value is clear of its noise, so a relative change is meaningful.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Noise of a recording: robust, and steps are reported rather than averaged over."""
+"""Robust noise of a recording; steps are reported instead of averaged over."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -55,7 +55,7 @@ def channel_noise(readings: Array, *, counts: bool) -> Array:
 
 
 def find_steps(time_s: Array, readings: Array, sigma: Array) -> tuple[NoiseStep, ...]:
-    """Changes of level or noise that most channels share, in time order.
+    """Changes of level or noise shared by most channels, in time order.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def _noise_steps(time_s: Array, readings: Array) -> list[NoiseStep]:
 
 
 def _split(log: Array, start: int, end: int) -> list[int]:
-    """Binary segmentation: cut where the two sides differ most, as long as they differ clearly."""
+    """Binary segmentation: cut where the two sides differ most, while the difference is significant."""
     n = end - start
     if n < 2 * _NOISE_FRAMES:
         return []

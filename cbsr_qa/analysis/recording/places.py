@@ -1,4 +1,4 @@
-"""Where a load is: matching the pattern a small load at each place would leave.
+"""Template matching: the place whose small-load pattern fits a change best.
 
 For one small load in Gaussian noise the place whose unit-length whitened pattern has the largest product with the
 whitened change is the maximum-likelihood estimate; unlike the maximum of a regularised image it is not drawn
@@ -30,7 +30,7 @@ _HUBER = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One load of a change.
+    """One load in a change.
 
     Parameters
     ----------
@@ -63,14 +63,14 @@ class Matcher:
     patterns: Array
 
     def whiten(self, changes: Array) -> Array:
-        """Divide by the noise and take the nuisance out: (n, m) → (n, m)."""
+        """Divide by the noise and project the nuisance out: (n, m) → (n, m)."""
         white = changes / self.sigma
         cleaned: Array = white - (white @ self.nuisance)[..., None] * self.nuisance
         return cleaned
 
 
 def matcher(patterns: Array, places: Array, sigma: Array, nuisance: Array) -> Matcher:
-    """Prepare matching for one noise level.
+    """Prepare template matching for one noise level.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def matcher(patterns: Array, places: Array, sigma: Array, nuisance: Array) -> Ma
 def find_places(
     change: Array, match: Matcher, *, sign: int = 0, most: int = _MOST_LOADS
 ) -> tuple[tuple[Place, ...], float]:
-    """Find the loads behind one change.
+    """Find the loads that explain one change.
 
     Parameters
     ----------
@@ -118,12 +118,12 @@ def find_places(
 
 
 def fitted(change: Array, match: Matcher, places: tuple[Place, ...]) -> Array:
-    """Return what loads at these places make of a change, by least squares: (m,)."""
+    """Return the least-squares fit of loads at these places to a change: (m,)."""
     return change - _left(change, match, [place.index for place in places])
 
 
 def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) -> tuple[Place, ...]:
-    """Turn places towards where a robust fit sees them, keeping their distance from the centre.
+    """Turn places towards a robust fit, keeping their distance from the centre.
 
     Iteratively reweighted least squares with Huber's weights: the readings of a corroded or misplaced electrode do
     not decide the direction.
@@ -195,7 +195,7 @@ def _settled(change: Array, match: Matcher, chosen: list[int], sign: int) -> lis
 
 
 def _nearest(match: Matcher, chosen: list[int]) -> float:
-    """Distance of the two places nearest to each other."""
+    """Smallest distance between two places."""
     places = match.places[chosen]
     apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(len(chosen))
     return float(apart.min())

@@ -1,4 +1,4 @@
-"""Reading recordings: the format that knows a file, in a child process that can do no harm."""
+"""Reading of recordings: detection of the format, in a sandboxed child process."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ _Read = TypeVar("_Read")
 
 
 def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, dataset: str | None) -> Recording:
-    """Read one recording in any format that is known here.
+    """Read one recording in any known format.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, da
 
 
 def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
-    """Find the plugin that reads a file.
+    """Find the plugin that can read a file.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[Recordi
             failed.append(f"{name}: {type(error).__name__}: {error}")
     known = ", ".join(plugins.names(Kind.RECORDING))
     raise RecordingError(
-        f"{path.name} is in no format that is known here",
+        f"{path.name} has no known format",
         remedy="; ".join([f"formats: {known}; name one with --format", *failed]),
     )
 
@@ -74,19 +74,19 @@ def _head(path: Path) -> bytes:
     if not there:
         raise RecordingError(f"there is no file {path}", remedy="check its name and folder")
     if not path.is_file():
-        raise RecordingError(f"{path} is not a file", remedy="name the files in it")
+        raise RecordingError(f"{path} is not a file", remedy="name a file in it")
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     if not head.strip():
-        raise RecordingError(f"{path.name} is empty", remedy="record again, or analyse another file")
+        raise RecordingError(f"{path.name} is empty", remedy="record it again, or analyse another file")
     return head
 
 
 def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
-    """Run a format's code on a file in a limited child process; whatever it raises becomes one clear refusal."""
+    """Run a format's code on a file in a limited child process; any exception becomes one clear refusal."""
     return read_untrusted(path, lambda: _refusing(path, name, work), refusal=RecordingError)
 
 
@@ -105,5 +105,5 @@ def _refusing(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
     except (Exception, SystemExit) as error:
         raise RecordingError(
             f"{path.name} cannot be read as {name}: {type(error).__name__}: {error}",
-            remedy="the file is damaged, or of another format: name it with --format",
+            remedy="the file is damaged, or has another format: give it with --format",
         ) from error

@@ -1,4 +1,4 @@
-"""A recording made ready for imaging: bad channels known, reading memory taken out.
+"""Preparation of a recording for imaging: bad channels masked, carry-over removed.
 
 Single readings that jump for a frame or so: replaced before anything is looked for.
 
@@ -72,7 +72,7 @@ def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mas
 
 
 def _running_median(readings: Array) -> Array:
-    """Median of each channel over the frames around each frame; mirrored at the ends, which do not repeat then."""
+    """Running median of each channel, mirrored at the ends."""
     padded = np.pad(readings, ((_HALF_WINDOW, _HALF_WINDOW), (0, 0)), mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _HALF_WINDOW + 1, axis=0)
     level: Array = np.median(windows, axis=-1)
@@ -80,7 +80,7 @@ def _running_median(readings: Array) -> Array:
 
 
 def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
-    """Whether what is reciprocal to a reading did not go along with it."""
+    """Whether the reciprocal of a reading did not change with it."""
     square = usable.shape[0] == usable.shape[1]
     partner = usable & usable.T if square else np.zeros_like(usable)
     few = (far.sum(axis=(1, 2)) <= _FEW * usable.sum())[:, None, None]
@@ -96,7 +96,7 @@ _MOST_LISTED = 6  #: channels named in a remark
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadyReadings:
-    """What is left of a recording once its instrument's faults are known.
+    """Usable readings of a recording, with its instrument faults removed.
 
     Parameters
     ----------
@@ -123,12 +123,12 @@ class ReadyReadings:
     spiky_frames: int = 0
 
     def remarks(self) -> list[str]:
-        """What was done to readings, and which channels went wrong on the way, in words."""
+        """Describe corrections of readings, and channels that failed during the recording."""
         said = []
         if self.spikes:
             said.append(
-                f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for a frame"
-                " or so, but not with drive and measurement exchanged; replaced by their neighbours in time"
+                f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for about a"
+                " frame, and their reciprocals did not; they were replaced by their neighbours in time"
             )
         partly = (self.faults.stuck_from > 0) & ~self.faults.saturated
         if partly.any():
@@ -136,13 +136,13 @@ class ReadyReadings:
             listed = ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(partly)[:_MOST_LISTED])
             more = int(partly.sum()) - _MOST_LISTED
             said.append(
-                f"stuck from {first:.1f} s on: channels {listed}{f' and {more} more' if more > 0 else ''};"
+                f"stuck after {first:.1f} s: channels {listed}{f' and {more} more' if more > 0 else ''};"
                 " they were left out"
             )
         return said
 
     def noise_use(self) -> Mask:
-        """Readings to judge noise by: the used ones; all that are not bad where none is used."""
+        """Readings for the noise estimate: the used ones, or all that are not bad if none is used."""
         use = self.used if self.used.any() else ~self.faults.bad
         return use if use.any() else np.ones_like(use)
 
@@ -157,12 +157,12 @@ def _usable(recording: Recording, pattern: DrivePattern | None) -> Mask:
 
 
 def has_offset(recording: Recording) -> bool:
-    """Whether readings carry an offset nobody states: counts do, volts and magnitudes do not."""
+    """Whether readings may have an unknown offset: counts do, volts and magnitudes do not."""
     return recording.frames.unit is VoltageUnit.COUNT and not recording.magnitudes_only
 
 
 def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern | None = None) -> ReadyReadings:
-    """Find the faults of a recording, and take the reading memory out.
+    """Detect the faults of a recording, and remove its carry-over.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
 
 
 def channel_report(ready: ReadyReadings) -> ChannelReport:
-    """Put what is known about the channels into the result's words."""
+    """Report the state of the channels."""
     memory = ready.memory
     return ChannelReport(
         saturated=_pairs(ready.faults.saturated),

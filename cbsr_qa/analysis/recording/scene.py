@@ -1,4 +1,4 @@
-"""A recording on its sheet, searched for loads."""
+"""Search for loads in a recording of a sheet."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -33,7 +33,7 @@ _LEAST_LEFT = 0.5  #: and only as long as this share of the readings is left
 
 @dataclass(frozen=True, slots=True)
 class Searched:
-    """What a search for loads came to.
+    """Result of a search for loads.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Searched:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedScene:
-    """A recording on its sheet, ready to be searched."""
+    """A recording with its model, ready to be searched."""
 
     recording: Recording
     ready: ReadyReadings
@@ -70,7 +70,7 @@ class RecordedScene:
         *,
         named: bool,
     ) -> Self:
-        """Put a recording on its sheet.
+        """Prepare the model of a recording.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class RecordedScene:
         return cls(recording, ready, sheet, model, block.voltages[:, used], named)
 
     def without(self, readings: NDArray[np.bool_]) -> Self:
-        """Leave readings out: (m,) bool."""
+        """Return the scene without some readings, (m,) bool."""
         keep = ~readings
         used = self.sheet.problem.used.copy()
         used[used] = keep
@@ -103,7 +103,7 @@ class RecordedScene:
         return replace(self, sheet=sheet, model=model, readings=self.readings[:, keep])
 
     def objects(self, rate_hz: float | None) -> Searched:
-        """Search against the reference."""
+        """Search relative to the reference."""
         changes = self.model.changes(self.readings)
         sigma = reciprocal_noise(changes, self.sheet.problem.used)
         if sigma == 0:
@@ -122,7 +122,7 @@ class RecordedScene:
         return match.whiten(changes), match
 
     def _still(self, changes: Array, sigma: float) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
-        """Search a still image; in a tank that is no sheet with the patterns of balls as large as what is found."""
+        """Search a still image; in a tank, with the patterns of balls as large as those found."""
         white, match = self._matched(self.sheet, changes, sigma)
         found, why = find_still(white[0], match)
         tank = None
@@ -139,7 +139,7 @@ class RecordedScene:
                 return on_sheet, why, ()
             ball, conducts = tank.ball_of(found, sheet, changes[0])
         remark = (
-            f"the reference frame falls off like that of a tank {tank.depth:.2f} radii deep, not like a sheet's:"
+            f"the reference frame decays like that of a tank {tank.depth:.2f} radii deep, not like a sheet's:"
             f" places are those of balls in it, of {ball:.2f} radii or more"
         )
         return found, why, (remark,)
@@ -154,7 +154,7 @@ class RecordedScene:
         return tuple(replace(one, place=place, track=((0, place),)) for one, place in zip(found, places, strict=True))
 
     def presses(self, rate_hz: float | None) -> Searched:
-        """Search for presses, each against the frames before it.
+        """Search for presses, each relative to the frames before it.
 
         Where readings that share one contact changed together they are left out, and all the others searched again.
         """
@@ -170,7 +170,7 @@ class RecordedScene:
                 times.append(time_s)
                 electrodes |= set(suspect.electrodes)
                 said.append(
-                    f"{suspect.name}: its readings changed together at {time_s:.1f} s: a contact or a cable,"
+                    f"{suspect.name}: its readings changed together at {time_s:.1f} s: a contact or cable fault,"
                     " not a load; they were left out"
                 )
             left = scene.readings.shape[1] - int(bad.sum())
@@ -178,14 +178,14 @@ class RecordedScene:
                 break
             scene = scene.without(bad)
         why = searched.why or (
-            "" if searched.sightings else "no change is a load's: " + "; ".join([*said, *searched.remarks])
+            "" if searched.sightings else "no change is a load: " + "; ".join([*said, *searched.remarks])
         )
         return replace(
             searched, why=why, remarks=(*said, *searched.remarks), suspect_electrodes=tuple(sorted(electrodes))
         )
 
     def _search(self, rate_hz: float | None) -> tuple[Searched, list[tuple[float, Suspect]]]:
-        """Search once: what was found, and which contacts changed when."""
+        """Search once: events found, and contacts that changed."""
         times, readings = self._slowed(rate_hz)
         changes = self.model.changes(readings)
         sigma = channel_noise(readings, counts=self.ready.offset) * np.abs(self.model.gain)
@@ -203,7 +203,7 @@ class RecordedScene:
         why = _rejected(found, times) if seen else _quiet(white @ match.patterns)
         if not (why or sightings or remarks):
             at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
-            why = f"what changes (at {at}) leads back to the state the recording begins in: no load is put on"
+            why = f"the changes (at {at}) only return to the initial state: no load is applied"
         return Searched(sightings, why, remarks, scene=self), suspects
 
     def _no_loads(self, match: Matcher) -> NoLoads:
@@ -263,13 +263,13 @@ def _quiet(scores: Array) -> str:
 
 
 def _rejected(found: Found, times: Array) -> str:
-    said = [f"a change at {times[frame]:.1f} s is no event: {why}" for frame, why in sorted(found.rejected)]
+    said = [f"a change at {times[frame]:.1f} s is not an event: {why}" for frame, why in sorted(found.rejected)]
     more = f"; and {len(said) - _MOST_LISTED} more like these" if len(said) > _MOST_LISTED else ""
     return "; ".join(said[:_MOST_LISTED]) + more
 
 
 def _gains(found: Found, times: Array) -> list[str]:
-    """Say where all readings changed in proportion."""
+    """Report moments at which all readings changed in proportion."""
     return [
         f"all readings changed in proportion, by {share:+.1%}, at {times[frame]:.1f} s: a gain or the drive current,"
         " not a load"
@@ -278,19 +278,19 @@ def _gains(found: Found, times: Array) -> list[str]:
 
 
 def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) -> list[str]:
-    """Say what the signs of the loads leave open."""
+    """Describe ambiguities in the signs of the loads."""
     said = []
     if len({one.sign for one in sightings}) > 1:
         listed = ", ".join(f"{one.start_s:.1f} s {'more' if one.sign > 0 else 'less'}" for one in sightings)
         said.append(
-            f"the loads disagree about the sign (conducts {listed}): one sheet answers alike to all loads, so one"
-            " of them may be a release, or not a load"
+            f"the loads disagree about the sign (conducts {listed}): one sheet responds with one sign, so one"
+            " of them may be a release or another disturbance"
         )
     for press in unclear:
         at = float(np.interp(press.start, np.arange(len(times)), times))
         less = press.places[0].score > 0
         said.append(
-            f"the change at {at:.1f} s is never taken back: it may as well be the release of a load held from the"
-            f" beginning, which then conducts {'less' if less else 'more'}"
+            f"the change at {at:.1f} s is never reversed: it may be the release of a load held from the"
+            f" start, which then conducts {'less' if less else 'more'}"
         )
     return said

@@ -1,4 +1,4 @@
-"""Tanks that are no sheets: how deep one is, told from its reference frame, and the patterns of balls in it.
+"""Recordings of tanks: depth from the reference frame, and patterns of balls.
 
 In a tank readings fall off faster with distance than on a sheet, and a large ball is not a small one: the parts of it
 that are near an electrode are seen by it alone. In a tank as deep as it is wide a sheet's patterns put balls of 0.15
@@ -32,7 +32,7 @@ _BRIDGED_FRAMES = 2  #: frames in which an object was not seen that do not end i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Object:
-    """An object, as long as it is there.
+    """An object, and when it is present.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Object:
 
 
 def reciprocal_noise(changes: Array, used: Mask) -> float:
-    """Noise of one reading from what is not reciprocal in changes of a passive tank.
+    """Noise of one reading, from the reciprocity error of changes in a passive tank.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def reciprocal_noise(changes: Array, used: Mask) -> float:
 
 
 def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
-    """Find the objects of one still image.
+    """Find the objects in one still image.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
     if not places or abs(places[0].score) < _DETECTED or explained < _EXPLAINED:
         score = abs(places[0].score) if places else 0.0
         return (), (
-            f"nothing stands out of what is not reciprocal: the best place scores {score:.1f}"
+            f"nothing stands out from the reciprocity error: the best place scores {score:.1f}"
             f" (at least {_DETECTED:g} is needed) and explains {explained:.0%} of the change"
             f" (at least {_EXPLAINED:.0%})"
         )
@@ -93,7 +93,7 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
 
 
 def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
-    """Follow one object through frames.
+    """Track one object through frames.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class Tank:
     field: DeepTank
 
     def sheet(self, sheet: Sheet, *, ball: float, conducts: bool) -> Sheet:
-        """Put the patterns of balls of a radius (in units of the tank's) in the place of a sheet's.
+        """Replace a sheet's patterns by those of balls of a radius (in units of the tank's).
 
         Signs stay as they are on a sheet: positive for what conducts more.
         """
@@ -178,7 +178,7 @@ class Tank:
 
 
 def fitted_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
-    """Fit the depth of a tank to its reference frame: one number, from how readings fall off with distance.
+    """Fit the depth of a tank to the decay of its reference frame with distance.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Traces of presses: how strongly a recording shows one pattern from frame to frame, and what is read off it.
+"""Traces of presses: strength of one pattern from frame to frame.
 
 The trace is 0 before a press and 1 on the mean of its hold. Where it rises, the press began; where its final decline
 sets in, the press ended (the sheet keeps much of a change, so it need not come back to 0).
@@ -61,7 +61,7 @@ def smooth(along: Array, window: int = 2) -> Array:
 
 
 def rise(along: Array, first: Change, end: int) -> tuple[float, int]:
-    """Where the press began (fractional frame), and the first frame in which it is down."""
+    """Start of the press (fractional frame), and the first frame in which it is down."""
     after = slice(first.frame, max(end, first.frame + 1))
     plateau = float(np.median(along[after]))
     earliest = max(first.frame - 2 * first.window, 0)
@@ -75,13 +75,13 @@ def rise(along: Array, first: Change, end: int) -> tuple[float, int]:
 
 
 def slow_rise(along: Array, held: int) -> float:
-    """Where a press began that rose too slowly to show as a step: the last frame before the hold without it."""
+    """Start of a press that rose too slowly for a step: the last frame before the hold without it."""
     below = np.flatnonzero(along[:held] < _BEGUN)
     return float(below[-1]) + 0.5 if len(below) else 0.0
 
 
 def at_the_step(first: Change, end: int) -> tuple[float, int]:
-    """Where the rise is too faint to follow: it happened where the step is largest."""
+    """Start of a rise too faint to follow: the largest step."""
     return first.frame - 0.5, min(first.frame + first.window // 2, max(end, first.frame))
 
 
@@ -97,7 +97,7 @@ def signal_energy(white: Array, before: slice, held: slice) -> float:
 
 
 def end_of(along: Array, begin: int, limit: int) -> float:
-    """Where the final decline of a trace set in; the last frame where it did not decline."""
+    """Start of a trace's final decline; the last frame if it does not decline."""
     part = along[begin:limit]
     if len(part) < 4:
         return float(limit - 1)

@@ -1,4 +1,4 @@
-"""What a stored run shows: reference, loads, relaxations, force."""
+"""Analysis of a stored run: reference, loads, relaxations, force."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""Whether a run's relaxations agree: the whole image's with the blobs', and the sheet's with its material's strip."""
+"""Agreement of relaxations: whole image and blobs, sheet and material strip."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -51,7 +51,7 @@ class DirectedAgreement:
 
 @lru_cache(maxsize=2)
 def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
-    """Compare the mean of the whole image with the blobs, over all loads that show both.
+    """Compare the relaxation of the whole image with the blobs', over all loads that show both.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
 
 @lru_cache(maxsize=2)
 def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
-    """Compare how strongly the sheet's loads show over time with how a strip of its material relaxed.
+    """Compare the relaxation of the sheet's response with a strip of its material.
 
     The sheet's are the kernels of a unit step that all loads of its calibration share: strength at the place of the
     head, by the force model. The strip's are those its material file carries; after releases, as they show on a sheet
@@ -81,7 +81,7 @@ def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     """
     strip = run.record.material.strip_relaxation
     if strip is None:
-        why = f"material {run.record.material.name} carries no relaxation of a strip; characterise one of its batch"
+        why = f"material {run.record.material.name} has no strip relaxation; characterise a strip of its batch"
         return tuple(_without(loading, why) for loading in (True, False))
     force = run_force(run)
     if force.learned is None:
@@ -95,10 +95,10 @@ def _against(
 ) -> DirectedAgreement:
     window = _window_s(run, force.used, loading)
     if kernel is None or window is None:
-        return _without(loading, "the loads of the sheet do not tell how it relaxes: held too short, or too weak")
+        return _without(loading, "the sheet's loads do not show its relaxation: held too short, or too weak")
     expected = _expected(strip, loading, _hold_s(force.used))
     if expected is None:
-        return _without(loading, "the material file carries no relaxation of a strip in this direction")
+        return _without(loading, "the material file has no strip relaxation in this direction")
     found = compare_relaxations(
         expected, KernelCurve.of_sheet(kernel, *window), tolerance=run.settings.settling_tolerance
     )
@@ -106,7 +106,7 @@ def _against(
 
 
 def _expected(strip: StripRelaxation, loading: bool, hold_s: float) -> KernelCurve | None:
-    """What the sheet should show; after releases that takes both of the strip's kernels."""
+    """Expected relaxation of the sheet; after releases it needs both of the strip's kernels."""
     if strip.loading is None:
         return None
     if loading:
@@ -150,7 +150,7 @@ def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> M
 
 
 def _of(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservation | None:
-    """The relaxation of a signal, None where it is too short."""
+    """The relaxation of a signal, None if it is too short."""
     found = (seen for seen in load.relaxations if seen.signal == signal and seen.loading is loading)
     return next((seen for seen in found if len(seen.trace.values) >= _FEWEST), None)
 

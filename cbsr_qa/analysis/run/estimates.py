@@ -1,4 +1,4 @@
-"""Estimates of a run's loads from their readings, beside what their images show."""
+"""Load estimates from the readings of a run, independent of its images."""
 
 from collections import defaultdict
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ _QUIETEST: Final = 1e-2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimatedLoad:
-    """What the readings say of one press.
+    """Estimate of one press from its readings.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class EstimatedLoad:
 
 @lru_cache(maxsize=2)
 def estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
-    """Estimate every load of a run; the last two answers are kept, since metrics and report both ask.
+    """Estimate every load of a run; the last two results are cached, since metrics and report both ask.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimat
         found = _estimates(run, alone, model, noise, reference) if alone else {}
     except NumericsError as error:
         return {_key(load): EstimatedLoad(None, None, error.reason) for load in run.loads}
-    many = "{} loads were held at once; the estimate is of one"
+    many = "{} loads were held at once; the estimate needs one"
     rest = {
         _key(load): EstimatedLoad(None, None, many.format(load.together)) for load in run.loads if load.together > 1
     }
@@ -85,7 +85,7 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     """
     count = len(unloaded)
     if count < FEWEST_FRAMES:
-        raise NumericsError(f"{count} unloaded frames are too few to know the readings' noise; {FEWEST_FRAMES} are")
+        raise NumericsError(f"{count} unloaded frames are too few to estimate noise; {FEWEST_FRAMES} are needed")
     line = np.column_stack([np.ones(count), unloaded.time_s - unloaded.time_s.mean()])
     q, _ = np.linalg.qr(line)
     flat = unloaded.voltages.reshape(count, -1)
@@ -95,7 +95,7 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     typical = float(np.median(variance[usable]))
     # Rounding of frames that are all alike is no noise.
     if typical <= (1e-13 * np.abs(flat).max()) ** 2:
-        raise NumericsError("the unloaded frames do not differ: there is no noise to weigh the readings by")
+        raise NumericsError("the unloaded frames do not differ: there is no noise to weight readings by")
     quiet: Array = np.maximum(variance, _QUIETEST * typical)
     return quiet
 
@@ -107,7 +107,7 @@ def _key(load: LoadObservation) -> Key:
 def _estimates(
     run: RunObservation, loads: list[LoadObservation], model: RoundLoadModel, noise: Array, reference: str
 ) -> dict[Key, EstimatedLoad]:
-    """Estimate loads in groups of alike noise: as many frames averaged, under the hold and for the reference."""
+    """Estimate loads in groups of equal noise: equal numbers of frames under the hold and for the reference."""
     groups: dict[tuple[int, int], list[tuple[LoadObservation, LoadWindow]]] = defaultdict(list)
     for load in loads:
         window = load_window(run.record.phase(load.phase), load.record, run.settings)
@@ -160,7 +160,7 @@ def model_scale(model: RoundLoadModel, reference: Array, usable: NDArray[np.bool
     expected, readings = model.unloaded()[usable], reference[usable]
     scale = float(readings @ expected / (expected @ expected))
     if abs(scale) * np.linalg.norm(expected) <= 1e-6 * np.linalg.norm(readings) or scale == 0:
-        raise NumericsError("the reference frame has nothing in common with the model's")
+        raise NumericsError("the reference frame is uncorrelated with the model's")
     return scale
 
 

@@ -1,4 +1,4 @@
-"""What a run's map of the response would have been with fewer loads, as far as the run itself can say.
+"""Prediction of the response map with fewer loads, from the run itself.
 
 The map is learned again from some of the places, spread as evenly as they can be, and held against what was seen at
 the places that were left out. It says nothing of what lies between places that nobody pressed; the map's own stated
@@ -29,7 +29,7 @@ _WAYS: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class MapCost:
-    """A map from some loads.
+    """A map learned from some loads.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class MapCost:
 
 
 def map_costs(run: RunObservation, found: RunForce) -> tuple[MapCost, ...]:
-    """Return maps of fewer and fewer places, and of one load a place, the whole run's last.
+    """Return maps of ever fewer places, and of one load per place; the whole run's map comes last.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def map_costs(run: RunObservation, found: RunForce) -> tuple[MapCost, ...]:
 
 
 def farthest_first(places_mm: Array, count: int, *, first: int | None = None) -> list[int]:
-    """Choose places one by one, each the farthest from those before it.
+    """Choose places one by one, each the farthest from those chosen.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
         If there are fewer places than asked for.
     """
     if count > len(places_mm):
-        raise NumericsError(f"{count} places cannot be chosen from {len(places_mm)}")
+        raise NumericsError(f"cannot choose {count} places from {len(places_mm)}")
     chosen = [int(np.hypot(*places_mm.T).argmin()) if first is None else first]
     while len(chosen) < count:
         apart = np.hypot(*(places_mm[:, None] - places_mm[chosen]).transpose(2, 0, 1)).min(axis=1)
@@ -94,16 +94,16 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
 
 
 class _Loads:
-    """Loads that a run's map was learned from."""
+    """The loads that a run's map was learned from."""
 
     def __init__(self, run: RunObservation, found: RunForce) -> None:
         learned = found.learned
         assert learned is not None
-        told = np.isfinite(learned.ratio)
-        used = [load for load, yes in zip(found.used, told, strict=True) if yes]
+        responds = np.isfinite(learned.ratio)
+        used = [load for load, yes in zip(found.used, responds, strict=True) if yes]
         self._places = found.seat.places_mm(places_mm(used))
-        self._log = np.log(learned.ratio[told]) + _by_the_line(run, found, used)
-        self._variance = (learned.ratio_stderr[told] / learned.ratio[told]) ** 2
+        self._log = np.log(learned.ratio[responds]) + _by_the_line(run, found, used)
+        self._variance = (learned.ratio_stderr[responds] / learned.ratio[responds]) ** 2
         self._scatter = learned.model.scatter
         self._seconds = np.array(list(_seconds(run, used)))
         self._radius_mm = run.record.sensor_type.radius_mm
@@ -126,17 +126,17 @@ class _Loads:
         return first
 
     def cost(self, chosen: Chosen) -> MapCost:
-        """What some loads say of the sheet."""
+        """Predictions of a map from some loads."""
         _, variance = self._learned(chosen).predict(self._area)
         count = len(np.unique(self._which[chosen]))
         return MapCost(count, int(chosen.sum()), float(self._seconds[chosen].sum()), _rms(variance))
 
     def whole(self) -> MapCost:
-        """What all of them say, as the calibration states it."""
+        """Prediction of all loads, as the calibration states it."""
         return MapCost(self.count, len(self._which), float(self._seconds.sum()), self._stated)
 
     def of_places(self, count: int) -> MapCost:
-        """What all loads at some of the places say, of the sheet and of the places left out: mean of several ways."""
+        """Predictions from all loads at some places, for the sheet and the left-out places, over several choices."""
         ways = np.unique(np.linspace(0, self.count - 1, _WAYS).astype(np.intp)).tolist()
         kept = [np.isin(np.arange(self.count), farthest_first(self._at, count, first=way)) for way in ways]
         costs = [self.cost(places[self._which]) for places in kept]
@@ -151,7 +151,7 @@ class _Loads:
         )
 
     def _left_out(self, kept: Chosen) -> tuple[float, float]:
-        """Mean square of the error at the other places, without noise, and of what is stated there."""
+        """Mean square error at the left-out places, noise removed, and the stated one."""
         mean, variance = self._learned(kept[self._which]).predict(self._at[~kept])
         weight = 1 / (self._variance + self._scatter**2)
         total = np.bincount(self._which, weight)
@@ -166,7 +166,7 @@ class _Loads:
 
 
 def _by_the_line(run: RunObservation, found: RunForce, used: list[LoadObservation]) -> Array:
-    """What the sensor's own line says of each load, over the material's: ln, to be taken from what was seen."""
+    """Logarithm of the sensor's own line over the material's, for each load."""
     assert found.learned is not None
     stress = np.array([load.force_N or 0.0 for load in used]) * 1e3 / run.record.indenter.area_mm2
     given, own = run.record.material.against_stress, found.learned.line

@@ -1,4 +1,4 @@
-"""The force model of a run's sensor, and what it says of loads it was not learned from."""
+"""The force model of a run's sensor, tested on held-out loads."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -41,7 +41,7 @@ _BORNE_OUT: Final = 3.0
 
 @dataclass(frozen=True, slots=True)
 class ForceTest:
-    """One load's force as estimated by a model that has not seen it, beside what the load cell read.
+    """Force of one held-out load as estimated, beside the load cell's.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class ForceTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunForce:
-    """What a run's loads say about force.
+    """Force model of a run with its tests.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def run_force(run: RunObservation) -> RunForce:
 
 
 def learned_from(run: RunObservation) -> RunForce:
-    """Learn the force model from all loads of phases that calibrate, and test nothing.
+    """Learn the force model from all loads of phases that calibrate, without a test.
 
     Raises
     ------
@@ -151,12 +151,12 @@ def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[T
 
 @lru_cache(maxsize=1)
 def _loads_of(run: RunObservation) -> "_RunForce":
-    """One run's loads, kept for whoever asks next."""
+    """One run's loads, cached."""
     return _RunForce(run)
 
 
 class _RunForce:
-    """One run's loads with all they are compared with."""
+    """One run's loads with all data they are compared with."""
 
     def __init__(self, run: RunObservation) -> None:
         sensor_type = run.record.sensor_type
@@ -179,7 +179,7 @@ class _RunForce:
             self._compensate()
 
     def _compensate(self) -> None:
-        """Bring short holds to where the longest ones end; their loads have the force of that time."""
+        """Extend short holds to the end of the longest ones; their loads have the force of that time."""
         done = compensated(self.run, self.loads, self.data, self.strengths())
         self.data, self.at_s, self.predicted = done.data, done.at_s, done.predicted
         self.loads = tuple(
@@ -215,7 +215,7 @@ class _RunForce:
         )
 
     def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, Seat]:
-        """Loads where they are on the sheet: a sheet that lies beside its place must not cost its sensor anything."""
+        """Loads at their places on the sheet: a misplaced sheet must not degrade its sensor."""
         rows, noise = data.changed()
         seat = seat_of(data.place_mm, TemplateFilter(unlearned_model(self.bank, self.merging)).search(rows), noise)
         return replace(data, place_mm=seat.places_mm(data.place_mm)), seat
@@ -240,7 +240,7 @@ class _RunForce:
         return RunForce(learned, used, tuple(tests), seat=self.seat)
 
     def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
-        """Add when the loads were looked at, and how they get there and fade."""
+        """Add the time of the hold that loads were evaluated at, and their kernels."""
         loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
         model, settings = learned.model, self.run.settings
         held = [
@@ -268,12 +268,12 @@ class _RunForce:
         return replace(learned, predicted=tuple(self.predicted[which].tolist()))
 
     def _pressed_in(self, others: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Whether each load's place was pressed by others: elsewhere it is not the repetition that is tested."""
+        """Whether each load's place was pressed by others; elsewhere repeatability is not tested."""
         places = {tuple(place) for place in self.data.place_mm[others].tolist()}
         return np.array([tuple(place) in places for place in self.data.place_mm.tolist()], dtype=np.bool_)
 
     def tests(self, learned: LearnedForce, which: NDArray[np.bool_], how: str) -> list[ForceTest]:
-        """Test a model on some loads; those where the head does not fit the map are left out."""
+        """Test a model on some loads; those whose head does not fit the map are excluded."""
         if not which.any():
             return []
         loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]

@@ -1,4 +1,4 @@
-"""How the strength of a sensor's loads rises under a hold and fades after a release: kernels for its runtime.
+"""Kernels of a load's rise under a hold and decay after release, for the runtime.
 
 Transient compensation of a calibration: short holds brought to where the run's longest ones end.
 
@@ -62,7 +62,7 @@ def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: f
 
 
 def key_of(load: LoadObservation) -> LoadKey:
-    """What a load is known by in its run."""
+    """Identity of a load in its run."""
     return load.phase, load.record.index
 
 
@@ -129,7 +129,7 @@ class StrengthTraces:
 
     @staticmethod
     def fading(time_s: Array) -> Array:
-        """Share of what earlier loads left that is still there so long after the press."""
+        """Share of earlier loads' residue that remains this long after the press."""
         share: Array = RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
         return share
 
@@ -176,7 +176,7 @@ _BIN_S: Final = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compensated:
-    """Loads of which short holds were predicted.
+    """Loads whose short holds were predicted.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class Compensated:
 def compensated(
     run: RunObservation, loads: Sequence[LoadObservation], data: CalibrationLoads, traces: StrengthTraces
 ) -> Compensated:
-    """Bring loads that were held for a shorter time to where the longest holds were looked at.
+    """Extrapolate loads of shorter holds to the time at which the longest holds were evaluated.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def _usable_transients(what: str, kernel: RelaxationKernel | None, loads: int | 
         of = "the longest holds" if loads is None else f"the {loads} longest holds"
         why = f": {kernel.why}" if kernel is not None else ""
         raise NumericsError(
-            f"{of} do not say how the {what} relaxes{why}: no hold can be predicted from its first part",
+            f"{of} do not determine how the {what} relaxes{why}: no hold can be predicted from its start",
             remedy='hold some loads for 1.5 settling times, or set transients = "averaged" in the recipe',
         )
     return kernel
@@ -254,7 +254,7 @@ def _predicted_rows(
     kernel: RelaxationKernel,
     at_s: float,
 ) -> tuple[Array, float]:
-    """Steady rows scaled by what is still to come, and as many frames as would be as sure of their strength."""
+    """Steady rows scaled by the predicted rise, and the equivalent number of frames."""
     time_s, strength, noise = traces.held(load)
     if not len(time_s):
         raise NumericsError(f"load {load.record.load.label} of phase {load.phase!r} was held without taking a frame")
@@ -270,7 +270,7 @@ def _predicted_rows(
 
 
 def _within(predicted: float, seen: float) -> float:
-    """What readings are scaled by: no load rises or falls by more than noise can make it seem to."""
+    """Scale of readings: no load may seem to rise or fall by more than its noise."""
     return float(np.clip(predicted / seen, 1 / LARGEST_FACTOR, LARGEST_FACTOR)) if seen else 1.0
 
 
@@ -297,14 +297,14 @@ def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Arr
 def _stress_kernel(
     loads: Sequence[LoadObservation], forces: Sequence[tuple[Array, Array, float]]
 ) -> RelaxationKernel | None:
-    told = [k for k, (times, _, _) in enumerate(forces) if len(times)]
-    if not told:
+    recorded = [k for k, (times, _, _) in enumerate(forces) if len(times)]
+    if not recorded:
         return None
     return learn_kernel(
-        [forces[k][:2] for k in told],
-        ramp_s=[ramp_s(loads[k]) for k in told],
+        [forces[k][:2] for k in recorded],
+        ramp_s=[ramp_s(loads[k]) for k in recorded],
         frame_s=_BIN_S,
-        noise=[forces[k][2] for k in told],
+        noise=[forces[k][2] for k in recorded],
     )
 
 

@@ -1,4 +1,4 @@
-"""How good the force of a run's sensor is: errors of loads it was not learned from, its map, what it can detect."""
+"""Quality of a sensor's force: held-out errors, response map, detection limit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ _OF_RESIDUES: Final = 0.12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceErrors:
-    """Errors of the loads of one test, one way.
+    """Errors of the loads of one test.
 
     Parameters
     ----------
@@ -80,11 +80,11 @@ class ForceErrors:
         return Estimate(float(self.error_N.mean()), spread / count**0.5 or None, count - 1)
 
     def inside(self, reach: float) -> int:
-        """Return how many loads err by no more than so many of their stated standard errors."""
+        """Return how many loads err by at most this many stated standard errors."""
         return int((np.abs(self.error_N) <= reach * self.stderr_N).sum())
 
     def coverage(self, reach: float, nominal: float) -> Estimate:
-        """Return the share of loads within so many stated standard errors; ± what chance gives a nominal share.
+        """Return the share of loads within this many stated standard errors, ± chance scatter of a nominal share.
 
         Raises
         ------
@@ -133,14 +133,14 @@ def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
 
 
 def calibrated_radius_mm(found: RunForce) -> float:
-    """Return how far from the centre the farthest load lies that the map was learned from [mm]."""
+    """Return the distance of the farthest calibration load from the centre [mm]."""
     assert found.learned is not None
     places = places_mm([load for load, why in zip(found.used, found.learned.refused, strict=True) if not why])
     return float(np.hypot(*places.T).max())
 
 
 def places_mm(loads: Sequence[LoadObservation]) -> Array:
-    """Return where loads were pressed, (n, 2)."""
+    """Return the places of loads, (n, 2)."""
     return np.array([(load.record.load.x_mm, load.record.load.y_mm) for load in loads]).reshape(-1, 2)
 
 
@@ -165,7 +165,7 @@ class MapQuality:
 
 
 def map_quality(learned: LearnedForce, radius_mm: float) -> MapQuality:
-    """Look at the map within a radius; at the place nearest to the centre where no other is."""
+    """Restrict the map to a radius; to the place nearest to the centre if no other is inside."""
     places = sheet_places(learned.model, stride=1)
     away = np.hypot(*places.T)
     places = places[away <= max(radius_mm, float(away.min())) + 1e-9]
@@ -180,7 +180,7 @@ def map_quality(learned: LearnedForce, radius_mm: float) -> MapQuality:
 
 @dataclass(frozen=True, slots=True)
 class Detectable:
-    """Least force that counts as a load in one frame, where, and the error of that force [N]."""
+    """Detection limit in one frame, its place, and the error of that force [N]."""
 
     force_N: float
     stderr_N: float
@@ -188,7 +188,7 @@ class Detectable:
 
 
 def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -> tuple[Detectable, ...]:
-    """Return what the threshold of detection is worth at places (n, 2): there half of all loads are found.
+    """Return the force of the detection threshold at places (n, 2): half of such loads are detected.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
     matches = Matches(places_mm, strength, np.zeros((len(places_mm), 3, 3)), nothing, nothing)
     force, stderr = ForceInverse(model, learned.line, head.area_mm2, map_tables(model)).force(matches)
     if not (np.isfinite(force).all() and (force > 0).all()):
-        raise NumericsError("the intercept of the line alone counts as a load: no least force follows")
+        raise NumericsError("the line's intercept alone exceeds the threshold: there is no least force")
     at = (tuple(map(float, place)) for place in places_mm)
     return tuple(Detectable(float(f), float(e), (p[0], p[1])) for f, e, p in zip(force, stderr, at, strict=True))
 
@@ -211,7 +211,7 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
 def gauge_factor(
     run: RunObservation, found: RunForce, *, traces: Sequence[TimedValues] | None = None
 ) -> tuple[Estimate, Estimate]:
-    """Return the gauge factor of the sheet, and where holds end over what was seen of them.
+    """Return the gauge factor of the sheet, and the ratio of steady to observed values.
 
     Parameters
     ----------
@@ -224,17 +224,17 @@ def gauge_factor(
     """
     learned = found.learned
     assert learned is not None
-    told = [k for k, load in enumerate(found.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
-    loads = [found.used[k] for k in told]
+    usable = [k for k, load in enumerate(found.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
+    loads = [found.used[k] for k in usable]
     if not loads:
         raise NumericsError("no load of the calibration has a nominal strain")
     line = run.record.material.against_stress
     stress = np.array([load.stress_kPa or 0.0 for load in loads])
-    contrast = learned.ratio[told] * (line.slope.value * stress + line.intercept.value)
+    contrast = learned.ratio[usable] * (line.slope.value * stress + line.intercept.value)
     seen = sheet_gauge_factor(
         places_mm(loads),
         contrast,
-        (learned.ratio_stderr[told] / learned.ratio[told]) ** 2,
+        (learned.ratio_stderr[usable] / learned.ratio[usable]) ** 2,
         np.array([load.record.load.strain for load in loads]),
         run.record.material.against_strain,
         radius_mm=run.record.sensor_type.radius_mm,
@@ -260,7 +260,7 @@ def _blob_traces(run: RunObservation) -> list[TimedValues]:
 def _steady_share(
     run: RunObservation, loads: Sequence[LoadObservation], traces: Sequence[TimedValues], predicted_s: float
 ) -> Estimate:
-    """Of the frames that were averaged, alike for all loads as far as their holds are; or of what was predicted."""
+    """Steady share of the averaged frames, equal for all loads whose holds are, or of predicted values."""
     times = [
         load_window(run.record.phase(load.phase), load.record, run.settings).steady.time_s - load.record.hold_start_s
         for load in loads

@@ -1,9 +1,4 @@
-"""Percentage masks of one image: the blobs each leaves, and the one that was sensed.
-
-From stored voltages to relative conductance images, against a reference frame.
-
-Which way the conductance goes under load: a property of the material, decided from its loads where not given.
-"""
+"""Conductance images of a run relative to its reference, percentage masks, and the sign of the response."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,7 +17,7 @@ from cbsr_qa.eit.inverse import changes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Imager:
-    """A reconstruction with the reference it images against.
+    """A reconstruction with its reference frame.
 
     Parameters
     ----------
@@ -82,12 +77,12 @@ def decide_response(
     voted = Response.INCREASE if rising >= falling else Response.DECREASE
     counts = f"{rising} loads raise the conductance, {falling} lower it"
     if configured is not Response.AUTO:
-        against = f"the sensor type says its response is {configured}, but {counts}"
+        against = f"the sensor type sets its response to {configured}, but {counts}"
         disagree = bool(clear) and voted is not configured
         return configured, "configured in the sensor type", (against,) if disagree else ()
     if not clear:
         return voted, "not decided: no load stands out of the noise", ("no load stands out of the noise",)
-    warnings = (f"the loads disagree about the sign of the response: {counts}",) if rising and falling else ()
+    warnings = (f"the loads disagree on the sign of the response: {counts}",) if rising and falling else ()
     return voted, f"decided from {len(clear)} loads: {counts}", warnings
 
 
@@ -167,7 +162,7 @@ def sensed_regions(
 def _sensed(
     regions: Sequence[AnyRegion], pressed: Footprint, others: Sequence[Footprint]
 ) -> tuple[AnyRegion | None, str]:
-    """Return the region of a load, and what became of it: ``"apart"``, ``"merged"`` or ``"missed"``.
+    """Return the region of a load, and its fate: ``"apart"``, ``"merged"`` or ``"missed"``.
 
     A load alone has the nearest region, however far. Several held at once have those assigned to them, a head's
     diameter (that of its area) away at most.

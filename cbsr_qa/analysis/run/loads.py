@@ -1,4 +1,4 @@
-"""One press at a time: its steady image, its blobs, its force, its relaxations.
+"""Analysis of one press: steady image, blobs, force, relaxations.
 
 Whether a load cell stood at the end of its range while a load was held.
 """
@@ -27,7 +27,7 @@ _SHARE: Final = 0.9
 
 
 def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
-    """Say that the cell stood at its highest reading all through a hold; empty where it did not.
+    """Report that the cell stayed at its highest reading throughout a hold; empty otherwise.
 
     A cell whose readings never differ while nothing presses has no noise (a simulated world without any), and nothing
     can be told from its standing still.
@@ -43,7 +43,7 @@ def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     rest = samples.between(record.unloaded_s, record.rest_end_s).values
     if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
         return ""
-    return f"the load cell stood at {highest:.4g} N, its highest reading, all through the hold: it is saturated"
+    return f"the load cell read {highest:.4g} N, its highest reading, throughout the hold: it is saturated"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ class LoadWindow:
 
 @dataclass(frozen=True, slots=True)
 class LoadSetting:
-    """What every load of a run is looked at with."""
+    """Settings shared by the analysis of all loads of a run."""
 
     imager: Imager
     settings: AnalysisSettings
@@ -108,7 +108,7 @@ def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
 
 
 def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: LoadWindow) -> float:
-    """Mean relative change under the head in the steady frames, unsigned: what votes on the response."""
+    """Mean relative change under the head in the steady frames, unsigned: its vote on the response."""
     values = setting.imager.images(window.steady).mean(axis=0)
     pressed = setting.indenter.at(record.load.x_mm, record.load.y_mm)
     return mean_under(setting.imager.mesh, values, pressed)
@@ -117,7 +117,7 @@ def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: Loa
 def observe_load(
     setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow, *, over_time: bool = True
 ) -> LoadObservation:
-    """Work out one press; against the other reference too where earlier loads left more than the noise floor.
+    """Analyse one press; also relative to the other reference if earlier loads left more than the noise floor.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def _observe(
 
 
 def held_beside(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, time_s: float) -> list[Footprint]:
-    """Where else the phase held loads at a time."""
+    """Other places of the phase loaded at a time."""
     return [
         indenter.at(other.load.x_mm, other.load.y_mm)
         for other in phase.loads
@@ -200,7 +200,7 @@ def _settled(
     window: LoadWindow,
     settings: AnalysisSettings,
 ) -> bool | None:
-    """Whether the steady frames lie beyond the stated multiple of the load's own settling time; None if unknown."""
+    """Whether the steady frames lie beyond the required multiple of the load's own settling time; None if unknown."""
     for seen in relaxations:
         if seen.signal == "conductance" and seen.loading and seen.settling.value_s is not None:
             needed_s = settings.settling_multiple * seen.settling.value_s

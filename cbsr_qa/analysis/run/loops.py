@@ -1,4 +1,4 @@
-"""Loops: what the readings and the force did while a press was eased up and down through its strains."""
+"""Loops: readings and force while a press is eased up and down through its strains."""
 
 from collections import defaultdict
 from dataclasses import replace
@@ -27,7 +27,7 @@ _ROUNDS: Final = 8
 def observe_loops(
     record: RunRecord, unloaded: FrameBlock, usable: NDArray[np.bool_], settings: AnalysisSettings
 ) -> tuple[LoopObservation, ...]:
-    """Work out the loops of a run, by phase and place.
+    """Analyse the loops of a run, by phase and place.
 
     The output of a frame is the amplitude of its readings, each over its noise, along one pattern: how they answer
     strain in all loops of the place. The mean of a blob, which single presses are judged by, is twice as noisy.
@@ -104,13 +104,13 @@ def _nothing(
 
 
 def _no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
-    """Say that the cell stood at its limit while one of the strains was held."""
+    """Report that the cell was at its limit while one of the strains was held."""
     holds = [replace(one, hold_start_s=h.start_s, release_start_s=h.end_s) for one in loops for h in one.held]
     return next((why for hold in holds if (why := stood_at_limit(samples, hold))), "")
 
 
 def _before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
-    """Frames before the first press: all since the sheet was called rested, or the last few after other presses."""
+    """Frames before the first press: all since the sheet was marked rested, or the last few after other presses."""
     rested = phase.unloaded_from_s
     others = [load for load in (*phase.loads, *phase.loops) if load.press_start_s < press_s]
     if rested is not None and not any(rested <= load.press_start_s for load in others):
@@ -120,7 +120,7 @@ def _before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) 
 
 
 def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array:
-    """How each reading answers strain, (readings,): its slope over the medians of the holds and of the rests' ends.
+    """Response of each reading to strain, (readings,): slope over the medians of holds and rest ends.
 
     A straight drift over time is fitted beside it, and holds that lie far off count for little (Huber): an electrode
     that drifts, or falls out for a while, is no answer to strain.

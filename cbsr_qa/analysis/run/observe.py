@@ -1,4 +1,4 @@
-"""A stored run to observations: reference, noise floor, response, every press. Pure, given a reconstruction.
+"""Observations from a stored run: reference, noise floor, response, every press. Pure, given a reconstruction.
 
 Spatial metrics of every frame of a phase, for every mask: how they come and go with the load.
 """
@@ -30,7 +30,7 @@ from cbsr_qa.plugin import Reconstruction
 
 
 def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
-    """Metrics over time of the phases that press a grid of places; of the last of several loads held at once."""
+    """Metrics over time of the phases that press a grid of places; of the last of several simultaneous loads."""
     return tuple(
         _timeline(setting, phase)
         for phase in record.phases
@@ -65,7 +65,7 @@ def _metrics(
 def observe_run(
     record: RunRecord, reconstruction: Reconstruction, settings: AnalysisSettings, *, over_time: bool = True
 ) -> RunObservation:
-    """Work out everything about a run that metrics need.
+    """Compute everything about a run that metrics need.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: 
 
 
 def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tuple[str, ...]:
-    """What is to be said of loads; of how settled they are only where a multiple of the settling time is given."""
+    """Warnings about loads; about how settled they are only if a multiple of the settling time is given."""
     words = []
     residual = [load for load in loads if load.alternate is not None]
     if residual:
@@ -142,12 +142,12 @@ def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tupl
     if early:
         words.append(
             f"in {early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
-            " passed: their images are of a sheet still relaxing"
+            " passed: their images show a sheet that is still relaxing"
         )
     unknown = sum(load.settled is None for load in loads)
     if unknown:
         words.append(
-            f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): whether their last"
-            " frames are settled is not known either"
+            f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): their last frames"
+            " may not be settled"
         )
     return tuple(words)

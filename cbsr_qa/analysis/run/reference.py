@@ -1,9 +1,4 @@
-"""How much each reading of a run counts in its images.
-
-What every single reading of the rested sheet is worth: its signal-to-noise ratio, and its reciprocity.
-
-The unloaded sheet of a run: its frames, its reference, its usable readings.
-"""
+"""The unloaded sheet of a run: its frames, reference frame, usable readings, and the weight of each reading."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -51,7 +46,7 @@ def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
 def reciprocity_errors(
     frame: Array, pattern: DrivePattern, usable: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return what exchanging drive and measure pair changes, for every pair of readings that should be the same.
+    """Return the reciprocity error of every pair of readings that should be equal.
 
     Parameters
     ----------
@@ -112,7 +107,7 @@ def unloaded_frames(record: RunRecord) -> FrameBlock:
             return frames
     raise NumericsError(
         f"run {record.identity.run} has no frames of the unloaded sheet",
-        remedy="begin the recipe with a sequence that rests and takes unloaded frames, such as noise-figure",
+        remedy="start the recipe with a sequence that rests and takes unloaded frames, such as noise-figure",
     )
 
 
@@ -126,8 +121,8 @@ def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBl
     """
     if len(frames) <= noise_floor_frames:
         raise NumericsError(
-            f"{len(frames)} unloaded frames are too few: {noise_floor_frames} set the noise floor and at least one"
-            " more is the reference",
+            f"{len(frames)} unloaded frames are too few: the noise floor needs {noise_floor_frames}, the reference at"
+            " least one more",
             remedy="take more unloaded frames, or lower analysis.noise_floor_frames in the recipe",
         )
     return frames.select(slice(0, noise_floor_frames)), frames.select(slice(noise_floor_frames, None))
@@ -135,7 +130,7 @@ def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsableData:
-    """What of a run can be imaged.
+    """Usable frames and readings of a run.
 
     Parameters
     ----------
@@ -150,7 +145,7 @@ class UsableData:
 
 
 def usable_data(record: RunRecord) -> UsableData:
-    """Leave out readings that cannot be imaged, or the few frames in which they could not.
+    """Exclude unusable readings, or the few frames in which they are unusable.
 
     A frame most of which is flagged is lost: one bad frame must not cost a run, nor its readings in all others. Of
     what is flagged then, channels go first, the worst before others, until at most 1 % of the frames are still
@@ -168,13 +163,13 @@ def usable_data(record: RunRecord) -> UsableData:
     constant = np.ptp(kept, axis=0) == 0 if len(kept) else np.zeros_like(pattern)
     stuck = constant & pattern & ~left_out if not constant[pattern].all() else np.zeros_like(pattern)
     words = [
-        f"{int(channels.sum())} readings are left out of every image because they are {why}:"
+        f"{int(channels.sum())} readings are excluded from all images because they are {why}:"
         f" {named_readings(channels)}"
         for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
         if channels.any()
     ]
     if lost.any():
-        words.append(f"{int(lost.sum())} of {len(frames)} frames are left out: readings in them are missing")
+        words.append(f"{int(lost.sum())} of {len(frames)} frames are excluded: they have missing readings")
     return UsableData(_without(record, frames.time_s[lost]), pattern & ~left_out & ~stuck, tuple(words))
 
 
@@ -216,7 +211,7 @@ def named_readings(readings: NDArray[np.bool_], most: int = 6) -> str:
 
 
 def check_weighing(reconstruction: Reconstruction, method: str, settings: AnalysisSettings) -> None:
-    """Make sure that a method weighs readings by their noise where the recipe asks for it.
+    """Check that a method weights readings by their noise if the recipe asks for it.
 
     Parameters
     ----------
@@ -229,8 +224,8 @@ def check_weighing(reconstruction: Reconstruction, method: str, settings: Analys
     """
     if settings.noise_weighting == "measured" and not getattr(reconstruction, "weighs_noise", True):
         raise NumericsError(
-            f'analysis.noise_weighting is "measured", but reconstruction {method!r} lets all readings count alike',
-            remedy='take another method, or set analysis.noise_weighting = "equal" in the recipe',
+            f'analysis.noise_weighting is "measured", but reconstruction {method!r} weights all readings equally',
+            remedy='use another method, or set analysis.noise_weighting = "equal" in the recipe',
         )
 
 
@@ -263,7 +258,7 @@ def weighed_problem(
     silent = np.zeros_like(used)
     silent[used] = noise.silent
     words = (
-        f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames, so that nobody knows"
-        f" their noise; they are weighed like a common one: {named_readings(silent)}"
+        f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames: their noise is unknown"
+        f" and a typical value is used for them: {named_readings(silent)}"
     )
     return problem, (words,)

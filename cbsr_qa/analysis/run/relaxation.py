@@ -1,4 +1,4 @@
-"""Relaxations of one press: conductance of the blob, of the whole image, and stress, after press and release."""
+"""Relaxations of one press: blob, whole image and stress, after press and release."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ def relaxations_of(
     before: NDArray[np.float64],
     force: SampleBlock | None,
 ) -> tuple[RelaxationObservation, ...]:
-    """Fit every relaxation that was recorded of one press.
+    """Fit every recorded relaxation of one press.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _unloading(
 
 
 def _steady_change(pressed: RelaxationObservation) -> float:
-    """Steady change under load: of the fit where it was kept, else the end of the hold as it was seen."""
+    """Steady change under load: of an accepted fit, else the observed end of the hold."""
     if pressed.settling.value_s is not None and not pressed.settling.censored:
         return pressed.fit.offset
     return _end_level(pressed.trace)

@@ -1,4 +1,4 @@
-"""How the area of a masked region answers to the area of what presses: what an overlap near 100 % is worth."""
+"""Size response: area of the masked region against area of the load."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class SizeResponse:
 
     @property
     def flat(self) -> bool:
-        """Whether the region says nothing about the size of what presses."""
+        """Whether the region does not reflect the size of the load."""
         return self.slope is None or self.slope < FLAT
 
 

@@ -1,4 +1,4 @@
-"""Closed curves of straight stretches and circular arcs: the edge of a sheet, by length along it."""
+"""Closed curves of straight segments and circular arcs: a sheet's edge by arc length."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ class ClosedCurve:
 
     @property
     def begins(self) -> Array:
-        """Length along the curve at which each piece begins, and that of the whole: (k + 1,)."""
+        """Arc length at which each piece begins, and the total: (k + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.length)])
 
     @property
@@ -49,20 +49,20 @@ class ClosedCurve:
 
     @property
     def turns(self) -> Array:
-        """By how much the direction jumps where each piece begins, (k,) [rad], positive to the left."""
+        """Jump of the direction where each piece begins, (k,) [rad], positive to the left."""
         leaves = np.roll(self.heading + self.curvature * self.length, 1)
         jump = self.heading - leaves
         return np.asarray((jump + np.pi) % (2 * np.pi) - np.pi, dtype=np.float64)
 
     def at(self, along: Array) -> Points:
-        """Points at lengths along the curve, taken round as often as they need: (n,) → (n, 2)."""
+        """Points at arc lengths along the curve, modulo its length: (n,) → (n, 2)."""
         begins = self.begins
         along = np.asarray(along, dtype=np.float64) % begins[-1]
         piece = np.minimum(np.searchsorted(begins, along, side="right") - 1, len(self.length) - 1)
         return self._on(piece, along - begins[piece])
 
     def nearest(self, points: Points) -> tuple[Array, Array]:
-        """Nearest place on the curve.
+        """Nearest point on the curve.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ def circle_curve(radius: float) -> ClosedCurve:
 
 
 def corner_turns(corners: Points) -> Array:
-    """By how much the direction turns at each corner of a polygon, (k,) [rad], positive to the left."""
+    """Turning angle at each corner of a polygon, (k,) [rad], positive to the left."""
     edge = np.roll(corners, -1, axis=0) - corners
     before = np.roll(edge, 1, axis=0)
     cross = before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0]

@@ -1,4 +1,4 @@
-"""What a head presses on, where it presses: a disc, or any polygon. Sensed regions are compared with it."""
+"""Footprint of a head, a disc or a polygon, to which sensed regions are compared."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,7 +27,7 @@ _SIDES = 72
 
 
 class Footprint(Protocol):
-    """A closed outline on the sheet, of an indenter where it presses."""
+    """A closed outline on the sheet, such as an indenter's."""
 
     @property
     def centre_mm(self) -> tuple[float, float]:
@@ -61,13 +61,13 @@ class Footprint(Protocol):
         ...
 
     def drawn_mm(self) -> Points:
-        """Corners (q, 2) of the outline as it is drawn."""
+        """Corners (q, 2) of the drawn outline."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class RoundFootprint:
-    """Of a round head.
+    """Footprint of a round head.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class RoundFootprint:
 
     def __post_init__(self) -> None:
         if not 0 < self.radius_mm < float("inf"):
-            raise NumericsError(f"the radius of a circle is {self.radius_mm} mm; it must be a positive number")
+            raise NumericsError(f"circle radius is {self.radius_mm} mm; it must be positive and finite")
 
     @property
     def centre_mm(self) -> tuple[float, float]:
@@ -113,14 +113,14 @@ class RoundFootprint:
         return inside
 
     def drawn_mm(self) -> Points:
-        """A circle that is round in print."""
+        """A circle drawn as a polygon."""
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         return np.array(self.centre_mm) + self.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 @dataclass(frozen=True, eq=False)
 class PolygonFootprint:
-    """Of any other head: a polygon, convex or not, without holes.
+    """Footprint of any other head: a polygon, convex or not, without holes.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ class Disc:
 
     @property
     def centre_mm(self) -> tuple[float, float]:
-        """Where a load that is to be central goes."""
+        """Place of a central load."""
         return 0.0, 0.0
 
     @property
@@ -47,7 +47,7 @@ class Disc:
         return clearance
 
     def words(self) -> str:
-        """Say where it ends, behind "the sheet"."""
+        """Describe where it ends; follows "the sheet"."""
         return f"ends {self.radius_mm:g} mm from its centre"
 
 
@@ -95,7 +95,7 @@ class Polygon:
 
     @property
     def centre_mm(self) -> tuple[float, float]:
-        """Where a load that is to be central goes: the origin, or else the place furthest from the edge.
+        """Place of a central load: the origin, or else the place furthest from the edge.
 
         The origin it is where it lies at least half as far from the edge as any place does.
         """
@@ -113,7 +113,7 @@ class Polygon:
         return np.where(self.curve.contains(points), distance, -distance)
 
     def words(self) -> str:
-        """Say where it ends, behind "the sheet"."""
+        """Describe where it ends; follows "the sheet"."""
         low_x, high_x, low_y, high_y = self.extent_mm
         return (
             f"is a polygon of {len(self.corners_mm)} corners, x from {low_x:g} to {high_x:g} mm,"
@@ -125,7 +125,7 @@ SheetOutline = Disc | Polygon
 
 
 def polygon_problems(corners_mm: Sequence[Sequence[float]]) -> Iterator[tuple[int | None, str]]:
-    """Yield what is wrong with an outline: at which corner (from 0; None for the whole), and what.
+    """Yield problems of an outline: the corner (from 0; None for the whole) and a description.
 
     What presupposes that something is right is not looked at where that is wrong.
     """
@@ -143,13 +143,13 @@ def polygon_problems(corners_mm: Sequence[Sequence[float]]) -> Iterator[tuple[in
     crossing = _crossing(corners)
     if crossing is not None:
         first, second = crossing
-        yield None, f"crosses itself: the edges behind corners {first + 1} and {second + 1} meet"
+        yield None, f"crosses itself: the edges after corners {first + 1} and {second + 1} meet"
         return
     yield from _shape_problems(corners)
 
 
 def rounding_problems(corners_mm: Sequence[Sequence[float]], corner_radius_mm: float) -> Iterator[str]:
-    """Yield why the corners of an outline that is right by itself cannot be rounded with a radius."""
+    """Yield why the corners of a valid outline cannot be rounded with a radius."""
     corners, radius = np.array(corners_mm, dtype=np.float64), float(corner_radius_mm)
     if not 0 <= radius < np.inf:
         yield f"is {radius}; it must be a finite number of at least 0"
@@ -161,7 +161,7 @@ def rounding_problems(corners_mm: Sequence[Sequence[float]], corner_radius_mm: f
         curve = polygon_curve(corners if _signed_area(corners) > 0 else corners[::-1], radius)
         sampled = curve.at((curve.begins[:-1, None] + curve.length[:, None] * np.arange(8) / 8).ravel())
         if _crossing(sampled) is not None:
-            yield f"is {radius:g}; a rounded corner would cut another part of the edge"
+            yield f"is {radius:g}; a rounded corner would cut another edge"
 
 
 def _repeats(corners: Points) -> Iterator[tuple[int, str]]:
@@ -173,7 +173,7 @@ def _repeats(corners: Points) -> Iterator[tuple[int, str]]:
             remedy = (
                 "the last edge closes the outline by itself: leave the corner out" if closing else "leave one out"
             )
-            yield index, f"is corner {same[0] + 1} again; {remedy}"
+            yield index, f"repeats corner {same[0] + 1}; {remedy}"
 
 
 def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
@@ -188,7 +188,7 @@ def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
         yield (
             None,
             (
-                f"is only {width:.3g} mm wide between the edges behind corners {first + 1} and {second + 1};"
+                f"is only {width:.3g} mm wide between the edges after corners {first + 1} and {second + 1};"
                 f" at least {_NARROWEST * size:.3g} mm are needed"
             ),
         )
@@ -207,7 +207,7 @@ def _apart(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def _crossing(corners: Points) -> tuple[int, int] | None:
-    """First pair of edges that meet although they share no corner."""
+    """First pair of edges that meet without sharing a corner."""
     end = np.roll(corners, -1, axis=0)
     first, second = _apart(len(corners))
     a, b, c, d = corners[first], end[first], corners[second], end[second]
@@ -229,7 +229,7 @@ def _side(start: Points, end: Points, point: Points) -> NDArray[np.int64]:
 
 
 def _narrowest(corners: Points) -> tuple[float, int, int] | None:
-    """Shortest distance between edges that share no corner, and which they are."""
+    """Shortest distance between edges that share no corner, and the pair."""
     end = np.roll(corners, -1, axis=0)
     first, second = _apart(len(corners))
     if not first.size:

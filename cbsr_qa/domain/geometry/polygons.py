@@ -38,7 +38,7 @@ def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radiu
         If the radius is not a positive number.
     """
     if not 0 < radius_mm < float("inf"):
-        raise NumericsError(f"the radius of a circle is {radius_mm} mm; it must be a positive number")
+        raise NumericsError(f"circle radius is {radius_mm} mm; it must be positive and finite")
     start = corners_mm - np.asarray(centre_mm)
     area: NDArray[np.float64] = area_under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
     # Far triangles cancel to rounding of their distance squared, not to zero.
@@ -145,19 +145,19 @@ def simple_polygon(corners_mm: Points) -> Points:
     """
     corners = np.asarray(corners_mm, dtype=np.float64)
     if corners.ndim != 2 or corners.shape[1:] != (2,) or len(corners) < 3 or not np.isfinite(corners).all():
-        raise NumericsError(f"an outline of shape {corners.shape} is not at least three finite corners (x, y)")
+        raise NumericsError(f"an outline needs three or more finite corners (x, y); its shape is {corners.shape}")
     along = np.roll(corners, -1, axis=0) - corners
     still = np.flatnonzero(~along.any(axis=1))
     if still.size:
         raise NumericsError(
             f"corner {still[0] + 1} of the outline is repeated",
-            remedy="leave it out; an outline closes by itself",
+            remedy="leave it out: an outline is closed automatically",
         )
     crossed = _first_crossing(corners)
     if crossed is not None:
         raise NumericsError(
             f"sides {crossed[0] + 1} and {crossed[1] + 1} of the outline meet",
-            remedy="give its corners in the order in which one walks around it",
+            remedy="list its corners in order around the edge",
         )
     return corners if signed_area(corners) > 0 else corners[::-1].copy()
 
@@ -251,7 +251,7 @@ def distance_to_outline(points: Points, corners: Points) -> Values:
 
 
 def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points) -> Values:
-    """Distance of points (…, 2) from sides (…,) of a polygon, each from its own."""
+    """Distance of points (…, 2) from sides (…,) of a polygon, one side each."""
     start = corners[side]
     along = corners[(side + 1) % len(corners)] - start
     away = points - start

@@ -1,4 +1,4 @@
-"""What is going to happen: station, recipe, steps, scene."""
+"""Plans: station, recipe, steps, scene."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""What is going to happen: the station, the recipe and the scene, as read from their files."""
+"""Station, recipe and scene as read from their files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from cbsr_qa.domain.run import Indenter
 
 @dataclass(frozen=True, slots=True)
 class PluginChoice:
-    """A plugin by name, with the options its factory is given."""
+    """A plugin by name, with options for its factory."""
 
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -50,18 +50,18 @@ class InstrumentSpec:
 
     @property
     def emulated(self) -> bool:
-        """Whether its address is the word for an instrument that the station emulates."""
+        """Whether its address asks for an emulator."""
         return self.options.get("address") == EMULATED
 
     @property
     def address(self) -> str:
-        """Where the station file says it is, for messages."""
+        """Address in the station file, for messages."""
         return str(self.options.get("address", "an address of the driver's choice"))
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How the head moves.
+    """Speeds and reach of the head.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class SafetyLimits:
-    """What the station allows, whatever a recipe asks for.
+    """Limits of the station, which no recipe can exceed.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class SafetyLimits:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceRing:
-    """A ring of resistors that is connected in place of a sensor, and what a station's readings of it may be.
+    """A ring of resistors connected in place of a sensor, with the allowed deviations of its readings.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ class Station:
 
 @dataclass(frozen=True, slots=True)
 class PhaseSpec:
-    """One phase of a recipe: a name, the sequence plugin that makes its steps, its options."""
+    """One phase of a recipe: name, sequence plugin, options."""
 
     name: str
     sequence: str
@@ -187,7 +187,7 @@ class PhaseSpec:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisSettings:
-    """How images become numbers; every choice the paper leaves open, named.
+    """Settings of the image analysis: every choice the paper leaves open.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class AnalysisSettings:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What is done to a sensor and how it is judged.
+    """What to measure on a sensor, and how to judge it.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class Recipe:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What the simulated world contains.
+    """The simulated world: effects, drive current, mesh and reference ring.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A scene that is recorded by itself, without a station: what is simulated, which loads press, for how long."""
+"""A scene recorded without a station: sensor, loads, duration."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -37,13 +37,13 @@ class SceneLoad:
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """Where it presses."""
+        """Place of the load."""
         return self.x_mm, self.y_mm
 
 
 @dataclass(frozen=True, slots=True)
 class ScenePlan:
-    """All a scene file says; a station takes only its :class:`~cbsr_qa.domain.plan.Scene`.
+    """Content of a scene file; a station uses only its :class:`~cbsr_qa.domain.plan.Scene`.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ class ScenePlan:
 
     @property
     def frame_count(self) -> int:
-        """Whole frames that fit into the recording; 0 without one."""
+        """Whole frames that fit into the recording; 0 if it has no duration."""
         return 0 if self.duration_s is None else int(self.duration_s / self.scene.frame_period_s + 1e-9)
 
     def heads(self) -> dict[int, tuple[SceneLoad, ...]]:
-        """Loads of each head by its number, each head's in the order in which it presses them."""
+        """Loads of each head by its number, in pressing order."""
         numbers = sorted({load.head for load in self.loads})
         by_time = sorted(self.loads, key=lambda load: load.start_s)
         return {number: tuple(load for load in by_time if load.head == number) for number in numbers}
@@ -77,7 +77,7 @@ class ScenePlan:
 
 @dataclass(frozen=True, slots=True)
 class PressTimes:
-    """When a head does what, on the scene's clock [s].
+    """Schedule of a head, on the scene's clock [s].
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class PressTimes:
 
 
 def press_times(load: SceneLoad, depth_mm: float, motion: Motion) -> PressTimes:
-    """When a head presses a load of a depth below the nominal surface."""
+    """Schedule of one load, pressed to a depth below the nominal surface."""
     down_s = load.start_s + depth_mm / motion.press_speed_mm_s
     lifts_s = down_s + load.hold_s
     return PressTimes(

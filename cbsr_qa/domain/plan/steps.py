@@ -1,4 +1,4 @@
-"""Steps a sequence asks for. The runner executes them; a dry run only counts them.
+"""Steps of a sequence. The runner executes them; a dry run only checks them.
 
 How long the head takes, as a station's motion tells: the dry run counts with it before anything has moved.
 
@@ -15,7 +15,7 @@ from cbsr_qa.domain.run import Load
 
 
 class Role(StrEnum):
-    """What a sequence is for: metrics and report sections look for roles, never for a plugin's name."""
+    """Purpose of a sequence: metrics and report sections look for roles, never for a plugin's name."""
 
     NOISE = "noise"  #: unloaded frames and centre loads for the noise figure
     GRID = "grid"  #: fixed places at common strains
@@ -42,7 +42,7 @@ class FindSurface:
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """Travel to a load's place and press to its strain, at the press speed."""
+    """Travel to a load's place and press to its strain at press speed."""
 
     load: Load
 
@@ -64,7 +64,7 @@ class Ease:
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Stay for a while, pressed or not.
+    """Wait, pressed or not.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class AcquireFrames:
 
 @dataclass(frozen=True, slots=True)
 class MarkUnloaded:
-    """Say that the sheet has rested: frames from here to the next press are reference and noise."""
+    """Mark the sheet as rested: frames from here to the next press are reference and noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +144,7 @@ def lift_off_s(motion: Motion, depth_mm: float) -> float:
 
 
 def surface_search_s(motion: Motion) -> float:
-    """Time to feel for the surface from the hover height and to come back to it [s]."""
+    """Time to search the surface from the hover height and return [s]."""
     steps = SEARCH_FROM_MM / SEARCH_STEP_MM + SEARCH_CONTACT_STEPS
     stepping_s = steps * (SEARCH_STEP_MM / motion.press_speed_mm_s + SEARCH_DWELL_S)
     approach_mm = max(motion.hover_mm - SEARCH_FROM_MM, 0.0)

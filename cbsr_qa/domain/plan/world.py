@@ -1,4 +1,4 @@
-"""What the effects of a scene change in turn: the sheet as it is made, and the world at one moment."""
+"""State that the effects of a scene modify: the sheet's design, and the world at one moment."""
 
 import math
 from collections.abc import Callable
@@ -51,7 +51,7 @@ class SimulatedPress:
 
     @property
     def end_s(self) -> float:
-        """When its last ramp so far ends."""
+        """End of its last ramp so far."""
         return self.steps[-1].start_s + self.steps[-1].ramp_s if self.steps else -math.inf
 
     def strain_at(self, time_s: float) -> float:
@@ -65,7 +65,7 @@ class SimulatedPress:
 
 @dataclass(frozen=True, slots=True)
 class SceneSetting:
-    """What does not change through a scene.
+    """Constants of a scene.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class SceneSetting:
 
 @dataclass(frozen=True, slots=True)
 class HeadRing:
-    """One of the nested shapes a head's pressure is made of.
+    """One of the nested outlines that a head's pressure is made of.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class HeadRing:
 
 @dataclass(slots=True, eq=False)
 class SheetDesign:
-    """A sheet before it is made. Effects of the stage ``sheet`` change it, once.
+    """Design of a sheet. Effects of the stage ``sheet`` modify it, once.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class SheetDesign:
 
     @classmethod
     def plain(cls, sensor_type: SensorType, indenter: Indenter, contact_length_mm: float = CONTACT_LENGTH_MM) -> Self:
-        """The sheet of a scene without effects: uniform, electrodes in place, contacts alike."""
+        """The sheet of a scene without effects: uniform, electrodes in place, equal contacts."""
         count = sensor_type.electrodes.count
         return cls(sensor_type, indenter, np.full(count, contact_length_mm), np.zeros((count, 2)))
 
@@ -150,7 +150,7 @@ def _product(factors: list[SheetField], places_mm: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Dump:
-    """A board's watchdog dump in the middle of a frame: the board prints its log, and reads on later.
+    """A board's watchdog dump within a frame: the board prints its log and continues later.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class Dump:
 
 @dataclass(slots=True, eq=False)
 class Transcript:
-    """How frames come to be written down. Effects of the stage ``recording`` change it, once, before the first frame.
+    """How frames are recorded. Effects of the stage ``recording`` modify it, once, before the first frame.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class Transcript:
         return cls(setting, time_s, np.zeros((len(time_s), rows), dtype=np.bool_))
 
     def pauses_s(self) -> Array:
-        """How much later than without dumps each row is read, (frames, drives)."""
+        """Delay of each row by dumps, (frames, drives)."""
         late = np.zeros(self.lost.size)
         for dump in self.dumps:
             late[dump.frame * self.lost.shape[1] + dump.row :] += dump.pause_s
@@ -196,7 +196,7 @@ class Transcript:
 
 @dataclass(slots=True, eq=False)
 class Moment:
-    """One moment of the simulated world. Effects change it in the scene's declared order.
+    """One moment of the simulated world. Effects modify it in the scene's declared order.
 
     Parameters
     ----------
@@ -249,5 +249,5 @@ class Moment:
 
     @property
     def run_s(self) -> float:
-        """When it is on the run's time line: what drifts with the time of a run goes on in a resumed session."""
+        """The moment on the run's time line: drift over a run continues in a resumed session."""
         return self.time_s + self.setting.began_s

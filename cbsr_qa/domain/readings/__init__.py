@@ -1,4 +1,4 @@
-"""What instruments deliver: frames, samples, recordings, and what was found in them."""
+"""Data from instruments: frames, samples, recordings and findings in them."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""Reading memory: each reading keeps a share of the one taken just before it.
+"""Carry-over between readings: each keeps a share of the one taken just before it.
 
 A multiplexer and a converter that do not settle fully mix a share m of the previous reading into each one,
 s[n] = (1 − m) x[n] + m s[n−1]. A passive sheet is reciprocal (V_ij = V_ji), the memory is not, so m shows in the
@@ -27,7 +27,7 @@ RECIPROCITY_LIMIT = 1.0
 
 @dataclass(frozen=True, slots=True)
 class MemoryEstimate:
-    """Reading memory of one recording.
+    """Carry-over of one recording.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def scan_order(block: FrameBlock) -> NDArray[np.int64]:
 
 
 def correct_memory(voltages: Array, share: float, order: NDArray[np.int64]) -> Array:
-    """Take the memory out: x[n] = (s[n] − m s[n−1]) / (1 − m) along the scan, frame after frame.
+    """Remove the carry-over: x[n] = (s[n] − m s[n−1]) / (1 − m) along the scan, frame after frame.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def offset_of(frame: Array, used: Mask, *, counts: bool) -> float:
 
 
 def reciprocity_error(frame: Array, used: Mask, offset: float) -> float | None:
-    """Rms of V_ij − V_ji over rms of V_ij − offset, over used pairs; None where there is nothing to compare.
+    """Rms of V_ij − V_ji over rms of V_ij − offset, over used pairs; None without such pairs.
 
     A passive sheet gives 0, uncorrelated noise √2. Raw recordings of a board with memory reach 0.6 to 0.9 without
     any electrode being loose.

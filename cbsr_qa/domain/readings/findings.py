@@ -1,4 +1,4 @@
-"""What was found in a recording nobody annotated: channels, noise, and presses as events."""
+"""Findings in an unannotated recording: channels, noise, and presses as events."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -22,7 +22,7 @@ def place_in_words(electrode: float, r_over_R: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NoiseStep:
-    """The noise or the level of a recording changed at once.
+    """A sudden change of a recording's noise or level.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class NoiseReport:
 
 @dataclass(frozen=True, slots=True)
 class ChannelReport:
-    """What the channels of a recording are worth.
+    """State of a recording's channels.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class ChannelReport:
 
 @dataclass(frozen=True, slots=True)
 class ImagedPlace:
-    """Where, and how strongly, the image of an event shows it.
+    """Place and strength of an event in its image.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class EventImaging:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How an object moves while it is followed.
+    """Motion of a tracked object.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class Motion:
 
     @property
     def words(self) -> str:
-        """From where to where, and which way round."""
+        """Describe the path: start, end and direction."""
         (first, first_r), (last, last_r) = self.begins, self.ends
         places = f"from {place_in_words(first, first_r)} to {place_in_words(last, last_r)}"
         way = self._way()
@@ -168,7 +168,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadEvent:
-    """One press (or object) found without being told where or when.
+    """One press (or object), detected without prior knowledge of place or time.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ class LoadEvent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingResult:
-    """A recording with everything that was found in it.
+    """A recording with all findings.
 
     Parameters
     ----------

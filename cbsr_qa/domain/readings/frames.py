@@ -1,4 +1,4 @@
-"""What the instruments deliver: frames of voltages, and samples of everything else.
+"""Frames of voltages, and samples of other channels, as instruments deliver them.
 
 A recording somebody else's rig, or ours, wrote to a file.
 """
@@ -24,14 +24,14 @@ SMALLEST_CURRENT_A: Final = 1e-15
 
 
 class VoltageUnit(StrEnum):
-    """Unit of the readings. Counts stay counts: a scale nobody states is not guessed."""
+    """Unit of the readings. Counts stay counts: an unknown scale is not guessed."""
 
     VOLT = "V"
     COUNT = "count"
 
 
 class ReadingFlag(IntFlag):
-    """What is known against a single reading."""
+    """Known faults of a single reading."""
 
     NONE = 0
     SATURATED = 1  #: at the end of the converter's range
@@ -68,11 +68,9 @@ class FrameBlock:
 
     def __post_init__(self) -> None:
         if self.voltages.ndim != 3 or self.voltages.shape[0] != self.time_s.shape[0]:
-            raise RefusedError(
-                f"a block of {self.time_s.shape[0]} times cannot hold voltages of shape {self.voltages.shape}"
-            )
+            raise RefusedError(f"{self.time_s.shape[0]} times do not match voltages of shape {self.voltages.shape}")
         if self.flags.shape != self.voltages.shape:
-            raise RefusedError(f"flags of shape {self.flags.shape} do not fit voltages of {self.voltages.shape}")
+            raise RefusedError(f"flags {self.flags.shape} do not match voltages {self.voltages.shape}")
         if not np.isfinite(self.voltages).all():
             raise RefusedError(
                 "a frame holds a voltage that is not a finite number", remedy="flag it as missing instead"
@@ -99,18 +97,18 @@ class FrameBlock:
         return int(self.time_s.shape[0])
 
     def select(self, which: NDArray[np.bool_] | slice) -> Self:
-        """Return the frames chosen by a mask or a slice, as a block of their own."""
+        """Return the frames chosen by a mask or a slice, as a new block."""
         own = None if self.reading_time_s is None else self.reading_time_s[which]
         return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
 
     def between(self, start_s: float, end_s: float) -> Self:
-        """Return the frames whose time lies in [start_s, end_s)."""
+        """Return the frames with start_s ≤ time < end_s."""
         return self.select((self.time_s >= start_s) & (self.time_s < end_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBlock:
-    """Samples of one channel that is not a frame: force, position, temperature.
+    """Samples of one scalar channel: force, position, temperature.
 
     Parameters
     ----------
@@ -145,13 +143,13 @@ class SampleBlock:
         return int(self.time_s.shape[0])
 
     def between(self, start_s: float, end_s: float) -> Self:
-        """Return the samples whose time lies in [start_s, end_s)."""
+        """Return the samples with start_s ≤ time < end_s."""
         which = (self.time_s >= start_s) & (self.time_s < end_s)
         return type(self)(self.channel, self.unit, self.time_s[which], self.values[which])
 
 
 def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
-    """Put blocks behind each other; they must agree in unit and current.
+    """Concatenate blocks of equal unit and current.
 
     Raises
     ------
@@ -159,7 +157,7 @@ def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
         If there are none, or they differ in unit, shape or current.
     """
     if not blocks:
-        raise RefusedError("there are no frames to join")
+        raise RefusedError("no frames to join")
     if len({(b.unit, b.current_A, b.voltages.shape[1:]) for b in blocks}) > 1:
         raise RefusedError("blocks of frames differ in unit, drive current or shape")
     own = [b.reading_time_s for b in blocks if b.reading_time_s is not None]
@@ -174,7 +172,7 @@ def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
 
 
 def join_samples(blocks: list[SampleBlock]) -> SampleBlock:
-    """Put sample blocks of one channel behind each other.
+    """Concatenate sample blocks of one channel.
 
     Raises
     ------
@@ -182,7 +180,7 @@ def join_samples(blocks: list[SampleBlock]) -> SampleBlock:
         If there are none, or they differ in channel or unit.
     """
     if len({(b.channel, b.unit) for b in blocks}) != 1:
-        raise RefusedError("sample blocks of one channel and one unit are needed to join them")
+        raise RefusedError("sample blocks can be joined only if channel and unit are the same")
     return SampleBlock(
         blocks[0].channel,
         blocks[0].unit,
@@ -192,7 +190,7 @@ def join_samples(blocks: list[SampleBlock]) -> SampleBlock:
 
 
 class ScanKind(StrEnum):
-    """What one frame of a recording covers."""
+    """Scan type of a recording: what one frame covers."""
 
     FULL = "full"  #: every drive pair against every measure pair
     DRIVEN_PAIRS = "driven_pairs"  #: one row: the voltage across each pair while that pair is driven
@@ -242,13 +240,13 @@ class Recording:
 
     @property
     def rows_rejected(self) -> int:
-        """Number of rows whose numbers were left out."""
+        """Number of rows that were excluded."""
         return sum(problem.rejected for problem in self.problems)
 
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """What a user may say about a recording.
+    """What a user may state about a recording.
 
     Parameters
     ----------

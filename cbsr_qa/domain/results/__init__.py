@@ -1,4 +1,4 @@
-"""What was concluded: measurements, images, relaxations, calibrations, reports."""
+"""Results: measurements, images, relaxations, calibrations, report content."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""What press cycles on a strip tell about its material (paper 2.2)."""
+"""Characterisation of a material from press cycles on a strip (paper 2.2)."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class CharacterisationSettings:
-    """How cycles on a strip become numbers.
+    """Settings for the evaluation of cycles on a strip.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class CharacterisationSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleReadings:
-    """One press cycle as it was read.
+    """Readings of one press cycle.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class CycleChange:
 
 @dataclass(frozen=True, slots=True)
 class StrainLevel:
-    """The cycles of one strain together.
+    """Combined cycles of one strain.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class StrainLevel:
 
 @dataclass(frozen=True, slots=True)
 class FittedLine:
-    """Relative conductance change against stress or strain, or why there is none.
+    """Line of relative conductance change against stress or strain, or the reason for none.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class StrainSettling:
 
 @dataclass(frozen=True, slots=True)
 class StripFacts:
-    """The strip itself.
+    """Geometry and resting state of the strip.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class StripFacts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Characterisation:
-    """What the cycles on a strip came to.
+    """Results of the cycles on a strip.
 
     Parameters
     ----------

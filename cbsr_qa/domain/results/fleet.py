@@ -1,4 +1,4 @@
-"""Figures of runs: one number a run and metric, as studies over many runs take them.
+"""Values of many runs: one number per run and metric, for studies.
 
 Many runs of many sensors as columns: what a comparison of batches, stations or periods is made from.
 """
@@ -16,7 +16,7 @@ from cbsr_qa.domain.results.measurement import Outcome
 
 @dataclass(frozen=True, slots=True, order=True)
 class MetricKey:
-    """What tells one metric of a run from another.
+    """Identity of a metric within a run.
 
     Parameters
     ----------
@@ -31,14 +31,14 @@ class MetricKey:
 
     @property
     def label(self) -> str:
-        """Name with phase, qualifier and location, as a reader would say it."""
+        """Name with phase, qualifier and location, for people."""
         detail = ", ".join(part for part in (self.phase, self.qualifier, self.location) if part)
         return f"{self.name} ({detail})" if detail else self.name
 
 
 @dataclass(frozen=True, slots=True)
 class RunLine:
-    """A run as a point of a study.
+    """A run as a data point of a study.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class RunLine:
 
     @property
     def day(self) -> date:
-        """The day it began on, UTC, by the same clock."""
+        """Start day, UTC, by the same clock."""
         return self.started_at.astimezone(UTC).date()
 
 
@@ -86,7 +86,7 @@ class RunFigure:
 
     @property
     def why(self) -> str:
-        """Say why there is no value; empty where there is one."""
+        """Reason for a missing value; empty if there is a value."""
         if self.units:
             return f"its values are in several units within the run, {' and '.join(self.units)}"
         if self.missing:
@@ -95,7 +95,7 @@ class RunFigure:
 
 
 class State(IntFlag):
-    """What is known of one value besides its number."""
+    """State of one value besides its number."""
 
     PLAIN = 0
     LOWER_BOUND = 1  #: the quantity is at least the value
@@ -105,7 +105,7 @@ class State(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class FleetRun:
-    """One run as a comparison sees it.
+    """One run in a comparison.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class FleetRun:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What values of one kind have in common.
+    """Common attributes of values of one kind.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetTable:
-    """Values of runs.
+    """Values of many runs.
 
     Parameters
     ----------

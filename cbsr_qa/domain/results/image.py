@@ -37,7 +37,7 @@ class Image:
 
 
 class Region(Protocol):
-    """A sensed region, of whole elements or bounded by a contour: what the figures of merit look at."""
+    """A sensed region, of whole elements or bounded by a contour: the input of spatial metrics."""
 
     @property
     def area_mm2(self) -> float:
@@ -60,7 +60,7 @@ class Region(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Blob:
-    """Connected elements that survived the masks.
+    """Connected elements above the mask's threshold.
 
     Parameters
     ----------
@@ -143,14 +143,14 @@ class ImagingProblem:
         count = int(self.used.sum())
         if self.jacobian.shape != (count, len(self.mesh.elements)) or self.reference.shape != (count,):
             raise RefusedError(
-                f"a Jacobian of {self.jacobian.shape} and a reference of {self.reference.shape} do not fit"
+                f"Jacobian {self.jacobian.shape} and reference {self.reference.shape} do not match"
                 f" {count} used readings on {len(self.mesh.elements)} elements"
             )
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterAnswer:
-    """What one criterion says about a regularisation parameter.
+    """Choice of one criterion for the regularisation parameter.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class ParameterAnswer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterCurve:
-    """What there was to choose from.
+    """The candidates for the regularisation parameter, and their criteria.
 
     Parameters
     ----------
@@ -184,14 +184,14 @@ class ParameterCurve:
     discrete: bool = False
 
     def noise_figure_at(self, value: float) -> float | None:
-        """Noise figure of a value that is among ``values``; None of any other."""
+        """Noise figure of a candidate value; None of others."""
         where = np.flatnonzero(self.values == value)
         return float(self.noise_figures[where[0]]) if where.size else None
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterChoice:
-    """A regularisation parameter and why it has this value.
+    """A regularisation parameter and the reason for its value.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ class ParameterChoice:
 
 
 class PreparedReconstruction(Protocol):
-    """What every prepared method offers; those that are one matrix are a :class:`LinearReconstruction`.
+    """Interface of every prepared method; single-matrix methods are a :class:`LinearReconstruction`.
 
     Runs, whose calibration holds the matrix, take linear methods only; ``analyse`` takes all.
     """
@@ -225,12 +225,12 @@ class PreparedReconstruction(Protocol):
 
     @property
     def problem(self) -> ImagingProblem:
-        """What it was prepared for."""
+        """The problem it was prepared for."""
         ...
 
     @property
     def choice(self) -> ParameterChoice:
-        """The regularisation parameter and why it has this value."""
+        """The regularisation parameter and the reason for its value."""
         ...
 
     def images(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -278,7 +278,7 @@ class LinearReconstruction:
         return images
 
     def in_single_precision(self) -> Self:
-        """Return it with matrix and Jacobian rounded to single precision, as a calibration keeps them.
+        """Return a copy with matrix and Jacobian rounded to single precision, as calibrations store them.
 
         No value changes by more than 6e-8 of itself, a thousandth of what noise makes of an image.
         """
@@ -312,7 +312,7 @@ def checked_readings(changes: NDArray[np.float64], problem: ImagingProblem) -> N
 
 
 def linear(prepared: PreparedReconstruction) -> LinearReconstruction:
-    """Narrow to a method that is one matrix.
+    """Narrow to a single-matrix method.
 
     Raises
     ------
@@ -321,7 +321,7 @@ def linear(prepared: PreparedReconstruction) -> LinearReconstruction:
     """
     if not isinstance(prepared, LinearReconstruction):
         raise NumericsError(
-            f"reconstruction {prepared.method!r} is not one matrix, which a run's calibration must hold",
-            remedy="take a linear method in a recipe; this one can be used by `cbsr-qa analyse`",
+            f"reconstruction {prepared.method!r} is not a single matrix, which a run's calibration needs",
+            remedy="use a linear method in a recipe; `cbsr-qa analyse` can use this one",
         )
     return prepared

@@ -1,4 +1,4 @@
-"""Measurements, the limits they are held against, and the verdict that follows.
+"""Measurements, limits, and the verdict that follows.
 
 How things end: outcomes of measurements, verdicts, and end reasons of runs.
 
@@ -40,12 +40,12 @@ SEVERITY: tuple[Outcome, ...] = (
 
 
 def worst(outcomes: Iterable[Outcome]) -> Outcome:
-    """Return the worst of some outcomes; NOT_JUDGED where there are none."""
+    """Return the worst of some outcomes, NOT_JUDGED of none."""
     return min(outcomes, key=SEVERITY.index, default=Outcome.NOT_JUDGED)
 
 
 class EndReason(StrEnum):
-    """How a run ended, whatever its outcome."""
+    """How a run ended, independent of its outcome."""
 
     RUNNING = "running"  #: begun and not ended: found again after a power cut, it is incomplete
     FINISHED = "finished"
@@ -54,7 +54,7 @@ class EndReason(StrEnum):
 
 
 class Bound(StrEnum):
-    """What a value says about the quantity it stands for."""
+    """Relation of a value to the quantity it stands for."""
 
     EXACT = "exact"
     LOWER = "lower"  #: the quantity is at least this: a settling time later than the window
@@ -62,7 +62,7 @@ class Bound(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Bounds of one measurement, both inclusive; None is no bound on that side.
+    """Bounds of one measurement, both inclusive; None leaves a side unbounded.
 
     Parameters
     ----------
@@ -86,12 +86,12 @@ class Limit:
 
     def __post_init__(self) -> None:
         if self.lower is None and self.upper is None:
-            raise RefusedError(f"limit of {self.measurement}: neither lower nor upper is given")
+            raise RefusedError(f"limit of {self.measurement}: give lower, upper or both")
         if self.lower is not None and self.upper is not None and self.lower > self.upper:
             raise RefusedError(f"limit of {self.measurement}: lower {self.lower} is above upper {self.upper}")
 
     def judge(self, value: float | None, bound: Bound = Bound.EXACT) -> Outcome:
-        """Judge a value; a value nobody could determine is NOT_MEASURED.
+        """Judge a value; an undetermined value is NOT_MEASURED.
 
         A lower bound can fail an upper limit, but never meet it: the quantity itself may lie anywhere above.
         """
@@ -124,7 +124,7 @@ _TEXTS: Final = ("name", "unit", "phase", "location", "qualifier", "how")
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """A named number with its unit, or a named refusal.
+    """A named number with its unit, or the reason for a missing one.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ class Measurement:
 
     @property
     def label(self) -> str:
-        """Name with location, repetition and qualifier, as a reader would say it."""
+        """Name with location, repetition and qualifier, for people."""
         parts = [self.location, f"trial {self.trial + 1}" if self.trial else "", self.qualifier]
         detail = ", ".join(part for part in parts if part)
         name = self.name.replace("_", " ").replace("snr", "SNR")
@@ -203,7 +203,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome of a run and the one reason that decided it."""
+    """Outcome of a run and the reason that decided it."""
 
     outcome: Outcome
     reason: str
@@ -232,7 +232,7 @@ def explained(verdict: Verdict, measurements: tuple[Measurement, ...]) -> str:
 
 
 def relative_margin(measurement: Measurement) -> float:
-    """Distance from the nearer bound over the limit's size: what is closest to failing comes first."""
+    """Distance from the nearer bound over the limit's size: the smallest is closest to failing."""
     limit = measurement.limit
     if limit is None or measurement.value is None:
         return -float("inf")
@@ -257,7 +257,7 @@ def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
 
 
 def _number(value: float) -> str:
-    """Four digits as people write them; powers of ten only where zeros would have to be counted."""
+    """Format to four digits; powers of ten only instead of many zeros."""
     return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
@@ -267,7 +267,7 @@ def _shown(unit: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LimitsVersion:
-    """A named version of limits.
+    """A named version of a recipe's limits.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the analysis has worked out about a load and about a run: the input of every metric plugin.
+"""Observations of a load and of a run: the input of every metric plugin.
 
 What the measurements say about one load: where, how large, how strong, and how surely.
 """
@@ -19,7 +19,7 @@ from cbsr_qa.domain.sensor import Response
 
 
 class LoadFinding(StrEnum):
-    """What became of the question where a load is."""
+    """Result of locating a load."""
 
     LOCATED = "located"
     NOT_DETECTED = "not detected"  #: nothing stands out of the noise of the readings
@@ -45,7 +45,7 @@ class Estimated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadEstimate:
-    """One round load, estimated from the readings and not from an image.
+    """One round load estimated from the readings, not from an image.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class LoadEstimate:
 
     @property
     def place_stderr_mm(self) -> float | None:
-        """Standard error of the place, root mean square over two axes [mm]; None where it was not located."""
+        """Standard error of the place, root mean square over two axes [mm]; None if not located."""
         covariance = self.place_covariance_mm2
         return None if covariance is None else float(np.sqrt(np.trace(covariance) / 2))
 
@@ -104,7 +104,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelaxationObservation:
-    """A relaxation of one load: which signal, loading or unloading, the trace and its fit.
+    """A relaxation of one load: signal, direction, trace and fit.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class MaskView:
 
     @property
     def region(self) -> Region | None:
-        """What place, size and shape are taken from."""
+        """Source of place, size and shape."""
         return self.sensed if self.contour is None else self.contour
 
 
@@ -192,17 +192,17 @@ class LoadObservation:
 
     @property
     def stress_kPa(self) -> float | None:
-        """Mean stress under the head [kPa]; None where no force was recorded."""
+        """Mean stress under the head [kPa]; None without force."""
         return None if self.force_N is None else self.force_N / self.indenter.area_mm2 * 1e3
 
     def mask(self, fraction: float) -> MaskView | None:
-        """Return the view of one percentage mask, or None where the recipe did not ask for it."""
+        """Return the view of one percentage mask, or None if the recipe does not use it."""
         return next((view for view in self.masks if abs(view.fraction - fraction) < 1e-9), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopObservation:
-    """The loops that were pressed at one place of a phase: strains reached from below and from above.
+    """Loops pressed at one place of a phase: strains reached from below and from above.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ class MetricTimeline:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunObservation:
-    """Everything worked out about a run before metrics are taken.
+    """All results of a run that metrics may use.
 
     Parameters
     ----------
@@ -295,12 +295,12 @@ class RunObservation:
 
     @property
     def tested(self) -> tuple[LoadObservation, ...]:
-        """Loads that test the sheet: all but those that only work it in."""
+        """Loads that test the sheet, without conditioning loads."""
         worked_in = {phase.name for phase in self.record.phases if phase.role is Role.PRECONDITIONING}
         return tuple(load for load in self.loads if load.phase not in worked_in)
 
     @property
     def weight_ratio(self) -> float:
-        """Largest over smallest weight of a reading, 1 where all count alike."""
+        """Largest over smallest weight of a reading; 1 for equal weights."""
         variance = self.reconstruction.problem.noise_variance
         return 1.0 if variance is None else float(variance.max() / variance.min())

@@ -1,4 +1,4 @@
-"""Fitted relaxations and what follows from them."""
+"""Fitted relaxations and quantities derived from them."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,7 +11,7 @@ from cbsr_qa.domain.kept import FROM_ABOVE, OWN, Kept
 
 
 class FitStatus(StrEnum):
-    """What became of a relaxation fit."""
+    """Status of a relaxation fit."""
 
     TWO = "two exponentials"
     ONE = "one exponential"  #: the second could not be told apart
@@ -66,7 +66,7 @@ class SettlingTime:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelaxationKernel:
-    """What a sensor's own relaxations have in common: how its next load will relax, and how sure that is.
+    """Common parameters of a sensor's relaxations: prediction of its next load, with uncertainty.
 
     The change after a step is A K(t), K(t) = 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂), A the steady change. After a release it
     is R + D (w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂)), D the change that was released and R what is left at the end.
@@ -96,7 +96,7 @@ class RelaxationKernel:
 
     @property
     def new_load_covariance(self) -> NDArray[np.float64]:
-        """Covariance (2 k, 2 k) of (w, log τ) of a load not seen yet: of their means and between loads."""
+        """Covariance (2 k, 2 k) of (w, log τ) of a new load: of the means and between loads."""
         between = np.concatenate([self.scatter**2, np.zeros_like(self.scatter)])
         covariance: NDArray[np.float64] = self.covariance + np.diag(between)
         return covariance
@@ -104,7 +104,7 @@ class RelaxationKernel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteadyPrediction:
-    """Where holds (or releases) end, as predicted from what was seen of them.
+    """Predicted end values of holds (or releases), from their observed part.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Content of a report, before anybody decided how it looks. Text stays text: escaping is the template's job."""
+"""Content of a report, independent of layout. Text stays text: escaping is the template's job."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, StationC
 
 @dataclass(frozen=True, slots=True)
 class Paragraph:
-    """Plain words; ``tone`` is ``"plain"``, ``"note"`` or ``"warning"``."""
+    """Plain text; ``tone`` is ``"plain"``, ``"note"`` or ``"warning"``."""
 
     text: str
     tone: str = "plain"
@@ -29,7 +29,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns and rows, with a caption that says what to see.
+    """Columns and rows, with a caption that says what to look at.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """An inline SVG with a caption, and the same in words for who cannot see it.
+    """An inline SVG with a caption and a text alternative.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The first thing a reader sees.
+    """The verdict at the top of the page.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommandOutcome(Generic[R]):
-    """What a command has found, once: an HTML page, the terminal and ``--json`` are made of it.
+    """The outcome of a command, for HTML page, terminal and ``--json`` alike.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class CommandOutcome(Generic[R]):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResult:
-    """A run with everything that was concluded from it: what a report section is given.
+    """A run with all its results: the input of a report section.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What happened: runs and their events, loads, changes, station checks."""
+"""Runs as recorded: events, loads, changes, station checks."""
 
 from cbsr_qa import door
 

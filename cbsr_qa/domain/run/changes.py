@@ -1,7 +1,4 @@
-"""What was changed by somebody: files of a name that a run used with another content, and verdicts.
-
-Earlier runs of one sensor: how many tries there were, how they ended, and what they state of the sensor.
-"""
+"""History before a run: earlier runs of the sensor, changed configuration files, overridden verdicts."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -50,7 +47,7 @@ class EarlierRun:
 
     @property
     def words(self) -> str:
-        """Day and how it ended."""
+        """Day and end of the run."""
         return self._ended if self.chained else f"{self._ended} (no chain)"
 
     @property
@@ -71,7 +68,7 @@ class EarlierRun:
 
 @dataclass(frozen=True, slots=True)
 class SensorHistory:
-    """Runs of a sensor that began before one run of it, with the results the database holds of them.
+    """Runs of a sensor before a given run, with their results in the database.
 
     Parameters
     ----------
@@ -85,12 +82,12 @@ class SensorHistory:
 
     @property
     def tries(self) -> tuple[EarlierRun, ...]:
-        """Earlier runs of the same recipe, without those that checked a station."""
+        """Earlier runs of the same recipe, station checks excluded."""
         return tuple(one for one in self.earlier if one.recipe == self.recipe and not one.of_check)
 
     @property
     def ordinal(self) -> str:
-        """Number of this try, as a word up to the tenth."""
+        """Ordinal of this try, as a word up to the tenth."""
         number = len(self.tries) + 1
         if number <= len(_ORDINALS):
             return _ORDINALS[number - 1]
@@ -99,37 +96,37 @@ class SensorHistory:
 
     @property
     def words(self) -> str:
-        """Number of this try and what came before; empty where nothing did."""
+        """Ordinal of this try and earlier runs; empty if there are none."""
         checks = [one for one in self.earlier if one.of_check]
         others = [one for one in self.earlier if one.recipe != self.recipe and not one.of_check]
-        told = []
+        parts = []
         if self.tries or others:
-            told.append(f"{self.ordinal} try of this recipe")
+            parts.append(f"{self.ordinal} try of this recipe")
         if self.tries:
             before = len(self.tries) - _TOLD
             more = f", and {before} before" if before > 0 else ""
-            told.append(f"earlier: {', '.join(one.words for one in self.tries[-_TOLD:])}{more}")
+            parts.append(f"earlier: {', '.join(one.words for one in self.tries[-_TOLD:])}{more}")
         if others:
-            told.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
+            parts.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
         if checks:
-            told.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
-        return "; ".join(told)
+            parts.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
+        return "; ".join(parts)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a run of this sensor is to warn of."""
+        """Warnings for a run of this sensor."""
         return (*self.differences, *self.changed)
 
     @property
     def changed(self) -> tuple[str, ...]:
-        """Say which earlier runs are not what was stored."""
+        """Describe earlier runs whose stored rows were changed."""
         return tuple(
             f"an earlier run was changed since it was stored: {one.changed}" for one in self.earlier if one.changed
         )
 
     @property
     def differences(self) -> tuple[str, ...]:
-        """Say where earlier runs state another batch or type; a batch that was not stated differs from none."""
+        """Report earlier runs with another batch or type; an unknown batch differs from none."""
         return tuple(
             f"sensor {self.sensor.serial}: {what} {now!r} now; {', '.join(others)}:"
             " one is wrong, or two sensors have this serial number"
@@ -147,7 +144,7 @@ class SensorHistory:
         )
 
     def document(self) -> dict[str, Any]:
-        """Return the same as a JSON object."""
+        """Return the history as a JSON object."""
         return {"try": len(self.tries) + 1, "earlier_runs": [_row(one) for one in self.earlier]}
 
 
@@ -181,7 +178,7 @@ _NAMED_BY: Final = ("measurement", "name", "phase", "qualifier", "sequence")
 
 
 class FileKind(StrEnum):
-    """Files a run is configured by; the scenes of a station belong to it."""
+    """Kinds of configuration files of a run; the scenes of a station belong to it."""
 
     RECIPE = "recipe"
     STATION = "station"
@@ -191,7 +188,7 @@ class FileKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One key whose value changed.
+    """One changed key.
 
     Parameters
     ----------
@@ -205,7 +202,7 @@ class Difference:
 
     @property
     def words(self) -> str:
-        """The same for people."""
+        """Describe the change."""
         if self.before is None:
             return f"{self.key} = {self.after} added"
         return (
@@ -217,7 +214,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationChange:
-    """A run used a file of a known name with another content than the latest run before it.
+    """A run used a file of a known name with different content than the latest run before it.
 
     Parameters
     ----------
@@ -240,7 +237,7 @@ class ConfigurationChange:
     why: str
 
     def words(self, most: int = 3) -> str:
-        """Say what changed, with so many differences at most."""
+        """Describe the changes, with at most this many differences."""
         shown = "; ".join(one.words for one in self.differences[:most])
         more = len(self.differences) - most
         return f"{shown}; and {more} more" if more > 0 else shown
@@ -248,7 +245,7 @@ class ConfigurationChange:
 
 @dataclass(frozen=True, slots=True)
 class ChangeHistory:
-    """Changes of the files of one run, since its sensor type last passed its recipe.
+    """Changes of one run's files since its sensor type last passed its recipe.
 
     Parameters
     ----------
@@ -261,13 +258,13 @@ class ChangeHistory:
     changes: tuple[ConfigurationChange, ...] = ()
 
     def of(self, run: str) -> tuple[ConfigurationChange, ...]:
-        """Return the changes that one run brought."""
+        """Return the changes that came with one run."""
         return tuple(change for change in self.changes if change.run == run)
 
 
 @dataclass(frozen=True, slots=True)
 class VerdictOverride:
-    """Somebody's decision against a verdict, beside it.
+    """An operator's decision that overrides a verdict, stored beside it.
 
     Parameters
     ----------
@@ -287,14 +284,14 @@ class VerdictOverride:
 
     @property
     def words(self) -> str:
-        """The same for people."""
+        """Describe the override."""
         return (
             f"{self.verdict.value} overridden to {self.outcome.value} by {self.operator}"
             f" on {self.noted_at:%Y-%m-%d %H:%M} UTC: {self.why}"
         )
 
     def document(self) -> dict[str, Any]:
-        """Return the same as a JSON object."""
+        """Return the override as a JSON object."""
         return {
             "override": self.override,
             "run": self.run,
@@ -308,7 +305,7 @@ class VerdictOverride:
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[Difference, ...]:
-    """Compare two contents of a file key by key, limits first, then in the order of the keys.
+    """Compare two versions of a file key by key, limits first, then in file order.
 
     Parameters
     ----------
@@ -333,7 +330,7 @@ def _leaves(at: str, content: Any) -> Iterator[tuple[str, str]]:
 
 
 def _labels(tables: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Name each table of a list: by what it is of, and by its number where two are of the same."""
+    """Name each table of a list by its key, and by its number if two share it."""
     found: list[str] = []
     for number, table in enumerate(tables, start=1):
         named = ", ".join(str(table[key]) for key in _NAMED_BY if table.get(key)) or str(number)

@@ -1,4 +1,4 @@
-"""What presses on the sheet, where, how hard, and when it happened."""
+"""Heads and loads: what presses on the sheet, where, how hard, when."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Indenter:
 
     @property
     def radius_mm(self) -> float:
-        """Radius r of the head; of the disc of the same area where it is not round."""
+        """Radius r of the head; of the disc of equal area if it is not round."""
         return self.diameter_mm / 2
 
     @property
@@ -69,11 +69,11 @@ class Indenter:
         return PolygonFootprint(np.array(self.outline_mm) + np.array([x_mm, y_mm]))
 
     def scaled(self, factor: float) -> Self:
-        """Return a head of the same shape, this many times as wide."""
+        """Return a scaled copy of the head."""
         return type(self)(factor * self.diameter_mm, tuple((factor * x, factor * y) for x, y in self.outline_mm))
 
     def words(self) -> str:
-        """Say what it is, e.g. ``"13 mm diameter"``."""
+        """Describe the head, e.g. ``"13 mm diameter"``."""
         if not self.outline_mm:
             return f"{self.diameter_mm:g} mm diameter"
         return f"outline of {len(self.outline_mm)} corners, {2 * self.reach_mm:.3g} mm across"
@@ -81,7 +81,7 @@ class Indenter:
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """One intended press.
+    """One planned press.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class EasedStrain:
-    """Another strain that a press was brought to without leaving the sheet.
+    """Another strain of a press, reached without leaving the sheet.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class EasedStrain:
 
 @dataclass(frozen=True, slots=True)
 class HeldStrain:
-    """One strain of a press, from when the head is there to when it moves on [s]."""
+    """One strain of a press, from the head's arrival to its next move [s]."""
 
     strain: float
     start_s: float
@@ -150,7 +150,7 @@ class LoadRecord:
 
     @property
     def held(self) -> tuple[HeldStrain, ...]:
-        """Every strain of the press in order, the first one included, with the times between which it was held."""
+        """All strains of the press in order, the first one included, with start and end of each hold."""
         strains = (self.load.strain, *(step.strain for step in self.eased))
         starts = (self.hold_start_s, *(step.hold_start_s for step in self.eased))
         ends = (*(step.start_s for step in self.eased), self.release_start_s)
@@ -158,7 +158,7 @@ class LoadRecord:
 
     @property
     def unloaded_s(self) -> float:
-        """When the unloading ramp ended: the head left the sheet, or is known to be up [s]."""
+        """End of the unloading ramp: the head left the sheet, or is known to be up [s]."""
         return self.release_end_s if self.clear_s is None else self.clear_s
 
 

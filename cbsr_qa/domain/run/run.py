@@ -1,8 +1,6 @@
-"""What is known of the chain of digests a stored run is under.
+"""Runs: the stream of events, the stored record, and the state of its chain of digests.
 
-A run as it is stored: who, where, with what, and everything the instruments said.
-
-What happens in a run, as a stream of documents. The journal, the screen and the safety log only subscribe.
+The journal, the screen and the safety log only subscribe to the stream.
 """
 
 from dataclasses import dataclass, field
@@ -17,13 +15,13 @@ from cbsr_qa.domain.run.loads import Indenter, LoadRecord
 from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
 
 _NONE: Final = (
-    "no chain: from before version 0011 of the database, or the chain was removed; changed rows cannot be told"
+    "no chain: from before version 0011 of the database, or the chain was removed; changes cannot be detected"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class ChainState:
-    """State of a run's chain after every link of it was checked; a broken chain is refused instead.
+    """State of a run's chain after verification; a broken chain is refused instead.
 
     Parameters
     ----------
@@ -45,11 +43,11 @@ class ChainState:
             return "chained, not signed"
         if self.verified:
             return f"chained and signed (key {self.key_id})"
-        return f"chained; signatures not checked, key {self.key_id} is not set here"
+        return f"chained; signatures not checked: key {self.key_id} is not set here"
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the run is to warn of: rows that nothing vouches for."""
+        """Warnings for the run: rows without verification."""
         return () if self.links else (f"rows of this run: {self.words}",)
 
     def document(self) -> dict[str, Any]:
@@ -61,7 +59,7 @@ class ChainState:
 
 @dataclass(frozen=True, slots=True)
 class InstrumentIdentity:
-    """What an instrument says it is.
+    """Identity reported by an instrument.
 
     Parameters
     ----------
@@ -85,7 +83,7 @@ class InstrumentIdentity:
 
 @dataclass(frozen=True, slots=True)
 class RunIdentity:
-    """Everything that traces a run.
+    """Identity of a run: everything needed to trace it.
 
     Parameters
     ----------
@@ -113,7 +111,7 @@ class RunIdentity:
 
 @dataclass(frozen=True, slots=True)
 class PhaseRecord:
-    """One sequence of a run, as it happened.
+    """One sequence of a run, as executed.
 
     Parameters
     ----------
@@ -140,13 +138,13 @@ class PhaseRecord:
     loops: tuple[LoadRecord, ...] = ()
 
     def channel(self, name: str) -> SampleBlock | None:
-        """Return the samples of a channel, or None where it was not recorded."""
+        """Return the samples of a channel, or None if it was not recorded."""
         return next((block for block in self.samples if block.channel == name), None)
 
 
 @dataclass(frozen=True, slots=True)
 class RunSession:
-    """One go at a run: from where it was begun or resumed to where it ended or was cut off.
+    """One session of a run, from start or resumption to its end or interruption.
 
     Parameters
     ----------
@@ -167,7 +165,7 @@ class RunSession:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """A whole run, the sole input of its analysis.
+    """A whole run, the only input of its analysis.
 
     Parameters
     ----------
@@ -195,7 +193,7 @@ class RunRecord:
     chain: ChainState = field(default_factory=ChainState)
 
     def phase(self, name: str) -> PhaseRecord:
-        """Return a phase by the recipe's name for it.
+        """Return a phase by its name in the recipe.
 
         Raises
         ------
@@ -206,19 +204,19 @@ class RunRecord:
             if phase.name == name:
                 return phase
         known = ", ".join(phase.name for phase in self.phases) or "none"
-        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; it has {known}")
+        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; phases: {known}")
 
 
 @dataclass(frozen=True, slots=True)
 class RunStarted:
-    """First document of a run."""
+    """First event of a run."""
 
     identity: RunIdentity
 
 
 @dataclass(frozen=True, slots=True)
 class PhaseStarted:
-    """A sequence begins. ``role`` is what it says it is for."""
+    """A sequence begins. ``role`` is its stated purpose."""
 
     index: int
     name: str
@@ -229,7 +227,7 @@ class PhaseStarted:
 
 @dataclass(frozen=True, slots=True)
 class StepStarted:
-    """A step begins. ``remaining_s`` is the dry run's estimate of what is left, this step included."""
+    """A step begins. ``remaining_s`` is the dry run's estimate of the remaining time, this step included."""
 
     phase: int
     number: int
@@ -240,7 +238,7 @@ class StepStarted:
 
 @dataclass(frozen=True, slots=True)
 class FramesTaken:
-    """Frames arrived; the journal commits them before anybody else sees them."""
+    """Frames arrived; the journal commits them before any other listener sees them."""
 
     phase: int
     frames: FrameBlock
@@ -264,7 +262,7 @@ class Unloaded:
 
 @dataclass(frozen=True, slots=True)
 class LoadFinished:
-    """A press was held to its end and released, and its rest is over."""
+    """A press was held to its end and released, and its rest has ended."""
 
     phase: int
     record: LoadRecord
@@ -272,7 +270,7 @@ class LoadFinished:
 
 @dataclass(frozen=True, slots=True)
 class StepRetried:
-    """A step failed in a way that may be tried again."""
+    """A step failed in a way that may be retried."""
 
     phase: int
     number: int
@@ -282,7 +280,7 @@ class StepRetried:
 
 @dataclass(frozen=True, slots=True)
 class PhaseFinished:
-    """A sequence has run to its end."""
+    """A sequence ended normally."""
 
     index: int
     time_s: float
@@ -290,7 +288,7 @@ class PhaseFinished:
 
 @dataclass(frozen=True, slots=True)
 class RunEnded:
-    """Last document of a run; the bench is in its safe state."""
+    """Last event of a run; the bench is in its safe state."""
 
     end: EndReason
     detail: str

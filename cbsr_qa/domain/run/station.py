@@ -1,7 +1,4 @@
-"""Control charts of a station: what their limits rest on, and which of them signal.
-
-What a check of a station found: one line for everything that was looked at, kept and shown in its reports.
-"""
+"""Checks and control charts of a station: check results, chart references and standing signals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,7 +84,7 @@ class StationCheck:
 
     @property
     def outcome(self) -> CheckOutcome:
-        """The worst of its lines; NOT_DONE where there is none."""
+        """The worst outcome of its lines, NOT_DONE of none."""
         return worst_check(self.results)
 
     def lines(self, outcome: CheckOutcome) -> tuple[CheckResult, ...]:
@@ -97,7 +94,7 @@ class StationCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingReadings:
-    """Frames of a ring of resistors that was connected in place of a sensor.
+    """Frames of a resistor ring connected in place of a sensor.
 
     Parameters
     ----------
@@ -110,12 +107,12 @@ class RingReadings:
 
 
 def worst_check(results: Sequence[CheckResult]) -> CheckOutcome:
-    """Return the worst outcome of some lines; NOT_DONE where there is none."""
+    """Return the worst outcome of some lines, NOT_DONE of none."""
     return min((line.outcome for line in results), key=_SEVERITY.index, default=CheckOutcome.NOT_DONE)
 
 
 class ChartKind(StrEnum):
-    """What is charted of a metric's values."""
+    """Kind of control chart."""
 
     INDIVIDUALS = "i-mr"  #: single values and their moving range
     MEANS = "xbar-r"  #: means and ranges of so many runs after each other
@@ -125,7 +122,7 @@ class ChartKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ChartSettings:
-    """How a chart is made.
+    """Settings of a chart.
 
     Parameters
     ----------
@@ -146,7 +143,7 @@ class ChartSettings:
 
 @dataclass(frozen=True, slots=True)
 class ChartReference:
-    """What a chart's limits rest on: stored once, and followed by another where it is changed.
+    """Reference of a chart's limits: stored once, superseded by a new one.
 
     Parameters
     ----------
@@ -177,7 +174,7 @@ class ChartReference:
 
     @property
     def label(self) -> str:
-        """Metric and chart as a reader would say them, with the golden sensor where it is of one."""
+        """Metric and chart for people, with the golden sensor if there is one."""
         of = f" of golden sensor {self.golden}" if self.golden else ""
         return f"{self.key.label}{of}, chart {self.settings.kind}"
 
@@ -206,7 +203,7 @@ class StandingSignal:
     began: datetime | None = None
 
     def words(self) -> str:
-        """Say which chart signals since when, and by which rule."""
+        """Describe which chart signals, since when, and by which rule."""
         when = f"{'at least ' if self.at_least else ''}{self.runs} run{'' if self.runs == 1 else 's'}"
         return (
             f"{self.reference.label}, signals since run {self.since_run} of {self.since:%Y-%m-%d} ({when}): "
@@ -221,7 +218,7 @@ class StandingSignal:
 
 @dataclass(frozen=True, slots=True)
 class StationCharts:
-    """How a station's charts stood when a run ended.
+    """State of a station's charts at the end of a run.
 
     Parameters
     ----------
@@ -236,6 +233,6 @@ class StationCharts:
     notes: tuple[str, ...] = ()
 
     def warnings(self) -> tuple[str, ...]:
-        """Return one warning a chart that signals."""
+        """Return one warning per signalling chart."""
         here = of_kind("station", self.station)
         return tuple(f"{here} is out of control: {signal.words()}" for signal in self.signals)

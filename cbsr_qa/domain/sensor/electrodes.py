@@ -1,4 +1,4 @@
-"""Where the electrodes are and how they are counted.
+"""Positions and numbering of electrodes.
 
 Whether electrodes fit a sheet: inside it or on its edge, and clear of each other.
 """
@@ -17,7 +17,7 @@ from cbsr_qa.domain.kept import Kept
 
 
 class ElectrodeKind(StrEnum):
-    """How an electrode touches the sheet."""
+    """Kind of electrode contact."""
 
     PIN = "pin"  #: a metal pin through the sheet, contact impedance on its rim
     ARC = "arc"  #: a strip along the sheet's edge, straight where the edge is, round a corner where it is on one
@@ -93,7 +93,7 @@ class ElectrodeLayout:
 
 @dataclass(frozen=True, slots=True)
 class PlacedElectrodes:
-    """Electrodes one by one, wherever they are. Two make a strip for characterising a material, not for images.
+    """Electrodes at individual positions. Two make a strip for characterising a material, not for images.
 
     Parameters
     ----------
@@ -108,11 +108,11 @@ class PlacedElectrodes:
 
     def __post_init__(self) -> None:
         if self.count < 2:
-            raise RefusedError(f"electrodes.positions_mm has {self.count} electrodes; at least 2 are needed")
+            raise RefusedError(f"electrodes.positions_mm has {self.count} positions; at least 2 are needed")
         if not 0 < self.width_mm < float("inf"):
-            raise RefusedError(f"the width of electrodes is {self.width_mm} mm; it must be a positive number")
+            raise RefusedError(f"electrode width is {self.width_mm} mm; it must be positive and finite")
         if not np.isfinite(self.places_mm).all():
-            raise RefusedError("the position of an electrode is not a finite number")
+            raise RefusedError("an electrode position is not a finite number")
 
     @property
     def count(self) -> int:
@@ -165,7 +165,7 @@ LEAST_WIDTH: Final = 1e-3
 
 
 def placement_problems(electrodes: Electrodes, outline: SheetOutline) -> Iterator[tuple[int | None, str]]:
-    """Yield what keeps electrodes from fitting a sheet: which one (None for all of a ring), and what.
+    """Yield problems of electrodes on a sheet: the electrode (None for a whole ring) and a description.
 
     Equally spaced arcs belong to a disc; every other combination of electrodes and outline is looked at one by one.
     """
@@ -174,13 +174,13 @@ def placement_problems(electrodes: Electrodes, outline: SheetOutline) -> Iterato
         yield from check(electrodes, outline)
     elif not isinstance(outline, Disc):
         if electrodes.kind is ElectrodeKind.ARC:
-            yield None, "equally spaced arcs lie on a disc; on another outline each electrode needs a position"
+            yield None, "equally spaced arcs need a disc; on another outline give the position of each electrode"
         else:
             yield from _pins(electrodes, outline)
 
 
 def width_problem(electrodes: Electrodes, radius_mm: float) -> str | None:
-    """What is wrong with electrodes' width on a sheet of this radius, or with the room it leaves on a ring."""
+    """Problem of the electrodes' width on a sheet of this radius, or of the gaps it leaves on a ring."""
     width = electrodes.width_mm
     if width < LEAST_WIDTH * radius_mm:
         return (
@@ -197,7 +197,7 @@ def width_problem(electrodes: Electrodes, radius_mm: float) -> str | None:
         return None
     return (
         f"is {width:g}; electrodes whose centres are {apart:.4g} mm apart are at most {apart / (1 + room):.6g} mm"
-        f" wide, with {room:g} of that between them"
+        f" wide, with a gap of {room:g} of the width"
     )
 
 
@@ -239,7 +239,7 @@ def _strips(electrodes: PlacedElectrodes, outline: SheetOutline) -> Iterator[tup
     along, off = curve.nearest(electrodes.positions_mm())
     for number, distance in enumerate(off):
         if distance > _OFF_EDGE * width:
-            yield number, f"lies {distance:.4g} mm from the edge, on which the centre of a strip belongs"
+            yield number, f"lies {distance:.4g} mm from the edge, where its centre must be"
     for number, place in enumerate(along):
         apart = np.abs(along[:number] - place)
         apart = np.minimum(apart, curve.perimeter - apart)
@@ -257,4 +257,4 @@ def _strips(electrodes: PlacedElectrodes, outline: SheetOutline) -> Iterator[tup
                 f" of {width:g} mm need {needed:g} mm",
             )
     if width >= curve.perimeter / 2:
-        yield 0, f"is {width:g} mm long, half the edge or more"
+        yield 0, f"is {width:g} mm long; it must be less than half the edge"

@@ -22,7 +22,7 @@ _OFF_CIRCLE = 1e-6  # how far a node may be off its circle, of the radius
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CircleArcs:
-    """Edges of a mesh that stand for arcs of one circle: the sheet's round edge, or a pin's rim.
+    """Edges of a mesh that approximate arcs of one circle: the sheet's round edge, or a pin's rim.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class CircleArcs:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles that cover the sheet, with the electrodes' rims where the mesh carries them.
+    """Triangle mesh of the sheet, with the electrodes' edges if it has any.
 
     Parameters
     ----------
@@ -67,13 +67,11 @@ class Mesh:
     def __post_init__(self) -> None:
         check_places(real_numbers(self.nodes_mm, "nodes"))
         if self.elements.size and not 0 <= self.elements.min() <= self.elements.max() < len(self.nodes_mm):
-            raise RefusedError(
-                "a mesh element names a node that is not in the mesh", remedy="count the mesh's nodes from 0"
-            )
+            raise RefusedError("a mesh element names a node outside the mesh", remedy="number nodes from 0")
         flat = np.flatnonzero(self.areas_mm2 <= 0)
         if flat.size:
             raise RefusedError(
-                f"mesh element {flat[0]} (of {flat.size}) is turned or has no area",
+                f"mesh element {flat[0]} (of {flat.size}) is clockwise or has no area",
                 remedy="list its nodes counterclockwise, or leave it out",
             )
         for arcs in self.arcs:
@@ -135,7 +133,7 @@ class Mesh:
 
 
 def check_places(nodes_mm: NDArray[np.float64]) -> None:
-    """Refuse nodes (n, 2) at places that are not finite numbers, or farther away than any sheet reaches.
+    """Refuse nodes (n, 2) that are not finite, or farther away than any sheet reaches.
 
     Raises
     ------
@@ -147,7 +145,7 @@ def check_places(nodes_mm: NDArray[np.float64]) -> None:
         raise RefusedError(
             f"mesh node {wrong[0]} (one of {wrong.size} such) is at {nodes_mm[wrong[0]].tolist()} mm; places are"
             f" finite numbers up to {FARTHEST_MM:g} mm",
-            remedy="give nodes in millimetres from the sheet's centre",
+            remedy="give nodes in mm from the sheet's centre",
         )
 
 
@@ -224,7 +222,7 @@ def edge_lists(arrays: Mapping[str, Any], what: str) -> tuple[NDArray[np.int64],
 
 
 def mesh_digest(mesh: Mesh) -> str:
-    """SHA-256 of all that a mesh is made of, hexadecimal."""
+    """SHA-256 of a mesh's content, hexadecimal."""
     sha = hashlib.sha256()
     for name, array in sorted(mesh_arrays(mesh).items()):
         kind = "<i8" if name in INTEGERS else "<f8"
@@ -247,11 +245,11 @@ def _array(arrays: Mapping[str, Any], name: str, columns: int) -> NDArray[Any]:
         if array.size == 0:
             array = np.zeros((0, columns) if columns else 0, dtype=np.int64 if whole else np.float64)
         if array.dtype.kind not in ("iu" if whole else "iuf"):
-            raise RefusedError(f"{name} of the mesh does not hold {'whole ' if whole else ''}numbers")
+            raise RefusedError(f"{name} of the mesh must hold {'whole ' if whole else ''}numbers")
     except ValueError as error:
         raise RefusedError(f"{name} of the mesh has rows of different lengths") from error
     if array.ndim != (2 if columns else 1) or (columns and array.shape[1] != columns):
-        raise RefusedError(f"{name} of the mesh has the shape {array.shape} instead of (n, {columns or ''})")
+        raise RefusedError(f"{name} of the mesh has shape {array.shape} instead of (n, {columns or ''})")
     array = array.astype(np.int64 if whole else np.float64)
     if not np.isfinite(array).all():
         raise RefusedError(f"{name} of the mesh holds a number that is not finite")

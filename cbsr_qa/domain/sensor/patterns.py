@@ -1,7 +1,4 @@
-"""How many of many sparse linear functions are independent.
-
-Which electrode pairs are driven and which are measured, and in what canonical order frames are kept.
-"""
+"""Drive and measurement patterns: electrode pairs, canonical order of readings, number of independent readings."""
 
 import re
 from collections import defaultdict
@@ -70,7 +67,7 @@ FEWEST_INDEPENDENT: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class DrivePattern:
-    """Drive and measure pairs. A frame is stored as (drive, measure), whatever order the rig scanned in.
+    """Drive and measure pairs. Frames are stored as (drive, measure), independent of the scan order.
 
     A pair may also be there reversed: rigs turn the current round to tell offsets from signal, and each of the two
     readings has noise of its own. It adds no independent reading.
@@ -115,7 +112,7 @@ class DrivePattern:
         return _incidence(self.electrode_count, self.drive)
 
     def measure_matrix(self) -> NDArray[np.float64]:
-        """Matrix that turns electrode potentials into readings: readings = potentials.T @ this.
+        """Matrix from electrode potentials to readings: readings = potentials.T @ this.
 
         Returns
         -------
@@ -136,7 +133,7 @@ class DrivePattern:
         return usable
 
     def reading_groups(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Which readings are equal, up to their sign, on every sheet that obeys Ohm's law.
+        """Groups of readings that are equal, up to sign, on every sheet that obeys Ohm's law.
 
         By reciprocity exchanging the driven and the measured pair changes nothing; reversing one of them changes
         the sign.
@@ -153,7 +150,7 @@ class DrivePattern:
         return group.reshape(self.shape), sign.reshape(self.shape)
 
     def reciprocal_pairs(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Readings that say the same, as pairs: of every group the first, and each of the others.
+        """Reciprocal readings as pairs: the first of every group with each of the others.
 
         Returns
         -------
@@ -169,7 +166,7 @@ class DrivePattern:
         return np.column_stack([of_first[other], other]).astype(np.int64), equal
 
     def independent_readings(self, used: NDArray[np.bool_] | None = None) -> int:
-        """Count the readings that the others do not determine: 104 of the 208 of adjacent/adjacent on 16.
+        """Count the independent readings: 104 of the 208 of adjacent/adjacent on 16.
 
         A reading is a linear function of the sheet's symmetric transfer impedance; counted is the rank of these.
         No pattern on n electrodes has more than n(n − 1)/2. Up to 64 electrodes it takes less than a second; pairs
@@ -182,7 +179,7 @@ class DrivePattern:
         return rank_of(_functionals(self, self.usable() if used is None else used))
 
     def too_few_readings(self, used: NDArray[np.bool_]) -> int | None:
-        """Number of independent readings where they are fewer than an image needs; None where there are enough.
+        """Number of independent readings if too few for an image, else None.
 
         Enough are :data:`FEWEST_INDEPENDENT`. They are not counted beyond, which takes long with many electrodes.
 
@@ -198,12 +195,12 @@ class DrivePattern:
 
 
 def adjacent_pattern(electrode_count: int) -> DrivePattern:
-    """Pair k joins electrodes k and k+1, for driving and for measuring alike (the rig's pattern)."""
+    """Pair k joins electrodes k and k+1, for driving and measuring (the rig's pattern)."""
     return DrivePattern(electrode_count, *(2 * [named_pairs("adjacent", electrode_count)]))
 
 
 def named_pairs(name: str, electrode_count: int) -> Pairs:
-    """Pairs by the name of their rule.
+    """Pairs of a named rule.
 
     Parameters
     ----------
@@ -217,55 +214,55 @@ def named_pairs(name: str, electrode_count: int) -> Pairs:
     """
     if not is_rule(name):
         raise RefusedError(
-            f"there is no pattern {name!r}", remedy="there are 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on"
+            f"unknown pattern {name!r}", remedy="allowed: 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on"
         )
     widest = (electrode_count - 1) // 2 - 1
     if name == "opposite":
         half = electrode_count // 2
         if electrode_count % 2:
             raise RefusedError(
-                f"of {electrode_count} electrodes none are opposite each other", remedy=f"use 'skip-{widest}'"
+                f"no two of {electrode_count} electrodes are opposite each other", remedy=f"use 'skip-{widest}'"
             )
         return tuple((k, k + half) for k in range(half))
     skipped = 0 if name == "adjacent" else int(name.removeprefix("skip-"))
     # Half way round is 'opposite'; further round come the same pairs reversed.
     if skipped > max(widest, 0):
         raise RefusedError(
-            f"skipping {skipped} reaches half way round {electrode_count} electrodes or further",
+            f"skipping {skipped} spans half of {electrode_count} electrodes or more",
             remedy=f"use 'skip-{widest}' or less" + (", or 'opposite'" if electrode_count % 2 == 0 else ""),
         )
     return tuple((k, (k + skipped + 1) % electrode_count) for k in range(electrode_count))
 
 
 def is_rule(name: str) -> bool:
-    """Whether pairs have a rule of this name; it may still not suit a number of electrodes."""
+    """Whether a pair rule of this name exists; it may still not suit a number of electrodes."""
     return re.fullmatch(r"adjacent|opposite|skip-\d{1,3}", name) is not None
 
 
 def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Iterator[tuple[int | None, str]]:
-    """Yield what is wrong with drive or measure pairs: which one (from 0; None for all), and what."""
+    """Yield problems of drive or measure pairs: the pair (from 0; None for all) and a description."""
     if not len(pairs):
         yield None, "has no pairs"
     seen: dict[tuple[int, ...], int] = {}
     for index, pair in enumerate(pairs):
         uncounted = [electrode for electrode in pair if not is_whole(electrode)]
         if uncounted:
-            yield index, f"names electrode {uncounted[0]!r}; electrodes are counted by whole numbers"
+            yield index, f"names electrode {uncounted[0]!r}; electrodes have whole numbers"
             continue
         missing = [electrode for electrode in pair if not 0 <= electrode < electrode_count]
         if len(pair) != 2:
             yield index, f"has {len(pair)} electrodes instead of two"
         elif missing:
-            yield index, f"names electrode {missing[0]}; there are 0 to {electrode_count - 1}"
+            yield index, f"names electrode {missing[0]}; allowed: 0 to {electrode_count - 1}"
         elif pair[0] == pair[1]:
-            yield index, f"joins electrode {pair[0]} with itself"
+            yield index, f"pairs electrode {pair[0]} with itself"
         first = seen.setdefault(tuple(pair), index)
         if first != index:
             yield index, f"repeats pair {first + 1}"
 
 
 def imaging_problems(pattern: DrivePattern) -> Iterator[str]:
-    """Yield why nothing can be imaged with a pattern whose pairs are right by themselves."""
+    """Yield why a pattern of valid pairs cannot be imaged."""
     named = {electrode for pair in (*pattern.drive, *pattern.measure) for electrode in pair}
     idle = sorted(set(range(pattern.electrode_count)) - named)
     if idle:
@@ -284,13 +281,13 @@ def _sign(pair: Pair) -> int:
 
 
 def _key(drive: Pair, measure: Pair) -> tuple[Pair, Pair]:
-    """Name of what a reading says, whichever pair is driven and whichever way round."""
+    """Canonical name of a reading, equal for its reciprocal and for reversed pairs."""
     first, second = sorted(((min(drive), max(drive)), (min(measure), max(measure))))
     return first, second
 
 
 def _functionals(pattern: DrivePattern, used: NDArray[np.bool_]) -> list[Functional]:
-    """What each of some readings says, what says the same once."""
+    """Functionals of the used readings; reciprocal ones share one."""
     kept = {_key(pattern.drive[d], pattern.measure[m]) for d, m in np.argwhere(used)}
     return [_functional(*key) for key in sorted(kept)]
 

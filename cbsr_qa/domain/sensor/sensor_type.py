@@ -13,7 +13,7 @@ from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 
 class Response(StrEnum):
-    """What a load does to the conductance of the place it presses."""
+    """Sign of the conductance change under a load."""
 
     INCREASE = "increase"
     DECREASE = "decrease"
@@ -22,7 +22,7 @@ class Response(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GivenMesh:
-    """A mesh that a sensor type comes with; equal where everything in it is.
+    """A sensor type's own mesh; equal if all its content is.
 
     Parameters
     ----------
@@ -84,12 +84,12 @@ class SensorType:
             raise RefusedError(
                 f"sensor type {self.name!r}: radius_mm is {self.radius_mm}; the disc of equal area has"
                 f" {self.polygon.radius_mm}",
-                remedy="use polygon_sensor, which works it out",
+                remedy="use polygon_sensor, which computes it",
             )
 
     @property
     def outline(self) -> SheetOutline:
-        """Where the sheet ends: clearance of places, extent, centre, the edge as a curve."""
+        """Outline of the sheet: clearance, extent, centre, edge curve."""
         return Disc(self.radius_mm) if self.polygon is None else self.polygon
 
 
@@ -107,7 +107,7 @@ def polygon_sensor(
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A material parameter and where it comes from.
+    """A material parameter and its source.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Relaxation:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredKernel:
-    """A relaxation as it was measured, with its errors, relative to the steady (after a release the released) change.
+    """A measured relaxation with its errors, relative to the steady (after a release the released) change.
 
     After a press 1 + Σ wᵢ e^(−t/τᵢ), after a release Σ wᵢ e^(−t/τᵢ): what creeps up has negative weights under load,
     what fades positive ones after it.
@@ -175,7 +175,7 @@ class MeasuredKernel:
 
 @dataclass(frozen=True, slots=True)
 class StripRelaxation:
-    """How a strip of the material relaxed in one dimension: what a sheet of it is compared with.
+    """One-dimensional relaxation of a material strip, to compare a sheet with.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class StripRelaxation:
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """What the sheet is made of.
+    """The sheet's material.
 
     Parameters
     ----------

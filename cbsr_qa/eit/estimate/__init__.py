@@ -1,4 +1,4 @@
-"""Where a load is and how strong, by maximum likelihood, with its bound."""
+"""Maximum-likelihood estimate of place and strength of a load, with the Cramér–Rao bound."""
 
 from cbsr_qa import door
 

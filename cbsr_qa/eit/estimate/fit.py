@@ -1,4 +1,4 @@
-"""What any unbiased estimate of a round load can reach: the Cramér–Rao bound.
+"""Least-squares fit of a round load, and the Cramér–Rao bound of its parameters.
 
 Least-squares fit of one round load to each of many frames at once, by damped Gauss–Newton steps.
 
@@ -190,7 +190,7 @@ class _Run:
         self.active[which[self.damping[which] > _LARGEST_DAMPING]] = False
 
     def result(self) -> Fits:
-        """What was reached, with covariances of everything that could have been fitted."""
+        """Fitted parameters, with covariances of everything that could have been fitted."""
         held = self.square & ~self.free[:, 3]
         covariance = _inverted(self.information, square=self.square)
         excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
@@ -201,7 +201,7 @@ class _Run:
 
 
 def _normal(information: Array, free: Mask) -> tuple[Array, Array]:
-    """Information (n, 4, 4) scaled to unit diagonal, with ones for what is fixed, and the scale (n, 4)."""
+    """Information (n, 4, 4) scaled to unit diagonal, with ones for fixed parameters, and the scale (n, 4)."""
     diagonal = np.diagonal(information, axis1=1, axis2=2)
     scale = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1))
     both = free[:, :, None] & free[:, None]
@@ -223,7 +223,7 @@ _BEYOND: Final = 8.0
 
 
 def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, square: bool) -> Array:
-    """Average the covariance over the places it allows; that of loads held by an electrode is large enough.
+    """Average the covariance over the places it allows; for loads near an electrode it is already large enough.
 
     Parameters
     ----------

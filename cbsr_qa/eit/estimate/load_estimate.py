@@ -1,4 +1,4 @@
-"""Where a round load is and how strong, with the uncertainty of both: maximum likelihood on the readings.
+"""Maximum-likelihood estimate of place and strength of a round load, with uncertainties.
 
 The image plays no part but for a place to start from: weighted least squares on the readings' changes is unbiased
 and as precise as the Cramér–Rao bound allows, which an image masked at 85 % is not. What the readings do not
@@ -47,7 +47,7 @@ _GRID: Final = 0.08  # of the sheet's radius, between places the matched filter 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadFits:
-    """Fits of n frames with what follows from them, as arrays.
+    """Fits of n frames with derived quantities, as arrays.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class LoadEstimator:
         changes = np.asarray(changes, dtype=np.float64)
         if changes.ndim != 2 or changes.shape[1] != int(self.readings.used.sum()):
             raise NumericsError(
-                f"changes of shape {changes.shape} do not fit {int(self.readings.used.sum())} used readings"
+                f"changes of shape {changes.shape} do not match the {int(self.readings.used.sum())} used readings"
             )
         if not np.isfinite(changes).all():
             raise NumericsError("a reading is not a finite number", remedy="leave its channel out of the readings")
@@ -130,7 +130,7 @@ class LoadEstimator:
         return self._judged(fits)
 
     def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
-        """Begin at the better of the given place and the best of the grid, (n, 4); what that explains, (n,)."""
+        """Start from the better of the given place and the best of the grid, (n, 4); its explained share, (n,)."""
         match = data @ self._patterns.T
         best, every = np.abs(match).argmax(axis=1), np.arange(len(data))
         found = match[every, best]
@@ -149,7 +149,7 @@ class LoadEstimator:
         return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), found**2
 
     def _sized(self, data: Array, fits: Fits) -> Fits:
-        """Fit the size as well, where a load was seen."""
+        """Fit the size as well, if a load was detected."""
         seen = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
         if not seen.size:
             return fits
@@ -181,7 +181,7 @@ class LoadEstimator:
         return _replaced(fits.covariance, unsure, spread)
 
     def _radius_stderr(self, fits: Fits, located: NDArray[np.bool_]) -> Array:
-        """Standard error of the radius if it were the expected one, (n,) [mm]; infinite where none is wanted."""
+        """Standard error of the radius at its expected value, (n,) [mm]; infinite if none is expected."""
         stderr = np.full(len(located), np.inf)
         which = np.flatnonzero(located)
         if self.known or not which.size:
@@ -224,11 +224,11 @@ class LoadEstimator:
             return "no load stands out of the noise of the readings"
         seen, place = float(found.detectability[number]), float(found.place_stderr_mm[number])
         if not found.fits.converged[number]:
-            return "the fit of a round load did not settle: more than one load, or no load at all"
+            return "the fit of a round load did not converge: there is more than one load, or none"
         allowed = _SHARE * self.expected_radius_mm
         factor = max(10 / max(seen, 1e-3), place / allowed)
         return (
-            f"a load is there (d′ {seen:.1f}), but its place is known to no better than {place:.2g} mm;"
+            f"a load is there (d′ {seen:.1f}), but its position is uncertain by {place:.2g} mm;"
             f" averaging {ceil(factor**2)} times as many frames would resolve it"
         )
 
@@ -243,7 +243,7 @@ class LoadEstimator:
 
 @lru_cache(maxsize=16)
 def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
-    """Places (p, 2) all over the sheet, and what a weak load of unit strength changes there (p, drives, measures)."""
+    """Places (p, 2) all over the sheet, and the response to a weak load of unit strength (p, drives, measures)."""
     step = _GRID * model.surroundings.radius_mm
     left, right, bottom, top = model.surroundings.extent_mm
     axes = (
@@ -255,7 +255,7 @@ def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
 
 
 def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> Array:
-    """What weak loads of unit strength change, smaller near an electrode: good enough to begin with, and cheap."""
+    """Response to weak loads, smaller near an electrode: a cheap starting point."""
     clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
     radius = np.minimum(radius_mm, _SMALL * clear)
     changes = np.empty((len(places_mm), *model.pattern.shape))

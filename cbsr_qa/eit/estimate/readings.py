@@ -1,4 +1,4 @@
-"""Readings ready for a least-squares fit: reciprocal pairs merged, every row of unit noise.
+"""Readings prepared for least squares: reciprocal pairs merged, rows scaled to unit noise.
 
 The load model of a sensor type, made once per process.
 """
@@ -46,7 +46,7 @@ FEWEST_ROWS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergedReadings:
-    """Reciprocal readings are one number measured twice: their weighted mean says all they say about the sheet.
+    """Reciprocal readings are one quantity measured twice: their weighted mean is a sufficient statistic.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def merged_readings(pattern: DrivePattern, used: NDArray[np.bool_], variance: Ar
     """
     if used.shape != pattern.shape or variance.shape != pattern.shape:
         raise NumericsError(
-            f"a mask of {used.shape} and variances of {variance.shape} do not fit frames of {pattern.shape}"
+            f"mask {used.shape} and variances {variance.shape} do not match frames of shape {pattern.shape}"
         )
     if not (np.isfinite(variance[used]) & (variance[used] > 0)).all():
         raise NumericsError(
@@ -99,8 +99,8 @@ def merged_readings(pattern: DrivePattern, used: NDArray[np.bool_], variance: Ar
     _, first, row = np.unique(groups[used], return_index=True, return_inverse=True)
     if len(first) < FEWEST_ROWS:
         raise NumericsError(
-            f"only {len(first)} independent readings are left; a load's estimate needs {FEWEST_ROWS}",
-            remedy="mend the channels that were masked",
+            f"only {len(first)} independent readings are left; estimating a load needs at least {FEWEST_ROWS}",
+            remedy="repair the masked channels",
         )
     precision = 1 / variance[used]
     total, sign = np.bincount(row, precision), signs[used]

@@ -1,4 +1,4 @@
-"""The complete electrode model: solved, updated, differentiated, and held against closed forms."""
+"""Complete electrode model: solution, local updates, derivatives, closed forms."""
 
 from cbsr_qa import door
 

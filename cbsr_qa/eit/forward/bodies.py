@@ -1,14 +1,12 @@
-"""Readings of a round tank that is no sheet: electrodes at mid-height of a cylinder, and what small objects change.
+"""Bodies other than sheets: a cylindrical tank with electrodes at mid-height, and a strip with two pins.
 
 In a cylinder of radius 1 and depth H, with electrodes at mid-height, the potential is a sum over modes cos(κz),
 κ = 2πk/H, each of which solves ∇²u = κ²u in the plane: Bessel functions I_m(κρ) cos(mθ) instead of ρᵐ cos(mθ). H → 0
-is the sheet. Far readings fall off faster the deeper the tank is, which is how its depth can be told.
+is the sheet. Far readings decay faster the deeper the tank is, which is how its depth can be estimated.
 
-A strip with two pins: how far the reading between them tells what the material under the head does.
-
-The current between the pins passes their contacts, the strip beside the head and the strip under it, all in series.
-Only the last changes under load, so that the reading changes by less than the material does (about a third on the
-shipped strip). How much less follows from the forward model of the strip, and from what is assumed of the contacts.
+On a strip, the current between the pins passes their contacts, the strip beside the head and the strip under it, in
+series. Only the last changes under load, so the reading changes by less than the material does (about a third on the
+shipped strip). How much less follows from the forward model of the strip, and from the assumed contacts.
 """
 
 from functools import cached_property
@@ -34,7 +32,7 @@ _CHANGES: Final = np.expm1(np.linspace(-np.log(20.0), np.log(20.0), 41))  # of c
 
 
 def check_strip(sensor_type: SensorType) -> None:
-    """Refuse a sensor type that is no strip.
+    """Refuse a sensor type that is not a strip.
 
     Raises
     ------
@@ -44,8 +42,8 @@ def check_strip(sensor_type: SensorType) -> None:
     pattern = sensor_type.pattern
     if sensor_type.electrodes.count != 2 or pattern.drive[0] != pattern.measure[0]:
         raise NumericsError(
-            f"sensor type {sensor_type.name!r} is no strip: a material is characterised between two pins that carry"
-            " the current and are read themselves",
+            f"sensor type {sensor_type.name!r} is not a strip: a material needs two pins, which carry"
+            " the current and are measured themselves",
             remedy="use a sensor type of two electrodes, such as strip-40x20mm",
         )
 
@@ -63,7 +61,7 @@ class StripModel:
     Raises
     ------
     NumericsError
-        If the sensor type is no strip, or the head does not touch it.
+        If the sensor type is not a strip, or the head does not touch it.
     """
 
     def __init__(
@@ -118,9 +116,9 @@ class StripModel:
         lowest, highest = self._range
         if apparent.size and not lowest <= float(apparent.min()) <= float(apparent.max()) <= highest:
             raise NumericsError(
-                f"the conductance between the pins changes by {apparent.min():.3g} to {apparent.max():.3g} of itself;"
-                f" what lies under the head can change it by {lowest:.3g} to {highest:.3g}",
-                remedy="look for a loose pin: its contact changes, not the material",
+                f"the conductance between the pins changed by {apparent.min():.3g} to {apparent.max():.3g};"
+                f" the material under the head can change it by only {lowest:.3g} to {highest:.3g}",
+                remedy="check for a loose pin: its contact has changed, not the material",
             )
         return np.asarray(np.expm1(self._local(np.log1p(apparent))), dtype=np.float64)
 
@@ -166,7 +164,7 @@ class DeepTank:
         return readings
 
     def changes(self, places: Array, radius: float, *, conducts: bool) -> Array:
-        """Changes of the readings for balls in the electrodes' plane, as far as it is linear in their volume.
+        """Changes of the readings for balls in the electrodes' plane, linear in their volume.
 
         A ball scatters the gradient at its centre and, with (radius)², the second derivatives there; of higher orders
         none is counted.

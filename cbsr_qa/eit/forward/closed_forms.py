@@ -1,15 +1,12 @@
-"""A ring of resistors between neighbouring electrodes: what a station should read of it, in closed form.
+"""Closed-form voltages of discs and resistor rings: reference solutions for meshed models and stations.
 
-Exact voltages of a round sheet, homogeneous or with a concentric inclusion: truth for everything that is meshed.
-
-On the edge of such a sheet the current density Σ j_n e^{inθ} makes the potential Σ j_n R g_n/(γ n) e^{inθ} with
+Concentric disc: on its edge the current density Σ j_n e^{inθ} makes the potential Σ j_n R g_n/(γ n) e^{inθ} with
 g_n = (1 + μ a²ⁿ)/(1 − μ a²ⁿ), μ = (γ − γ_i)/(γ + γ_i) and a the inclusion's radius over the sheet's (Isaacson 1986).
-Nothing here uses a mesh, so that agreement with :mod:`cbsr_qa.eit.forward.model` is evidence.
+Nothing here uses a mesh, so agreement with :mod:`cbsr_qa.eit.forward.model` is independent evidence.
 
-Exact voltages of a homogeneous round sheet with round pins through it: truth for meshes with holes.
-
-Boundary integral over the pins' rims with the Neumann function of the disc (method of images), so that the sheet's
-edge needs no unknowns; trapezoidal Nyström points converge exponentially because every rim is a circle (Kress 2014).
+Disc with round pins: a boundary integral over the pins' rims with the Neumann function of the disc (method of
+images), so the sheet's edge needs no unknowns. Trapezoidal Nyström points converge exponentially because every rim
+is a circle (Kress 2014).
 """
 
 from collections.abc import Sequence
@@ -236,10 +233,10 @@ def ring_impedance(resistances_ohm: Sequence[float] | Array) -> Array:
     """
     ohm = np.asarray(resistances_ohm, dtype=np.float64)
     if ohm.ndim != 1 or len(ohm) < FEWEST_RESISTORS:
-        raise NumericsError(f"resistors of shape {ohm.shape} are no ring", remedy="give three or more")
+        raise NumericsError(f"resistors of shape {ohm.shape} do not form a ring", remedy="give three or more")
     if not (np.isfinite(ohm).all() and (ohm > 0).all()):
         bad = int(np.flatnonzero(~(np.isfinite(ohm) & (ohm > 0)))[0])
-        raise NumericsError(f"resistor {bad} of the ring has {ohm[bad]:g} Ω", remedy="it is above zero and finite")
+        raise NumericsError(f"resistor {bad} of the ring has {ohm[bad]:g} Ω", remedy="it must be positive and finite")
     along = np.concatenate([[0.0], np.cumsum(ohm[:-1])])
     arc = np.abs(along[:, None] - along)
     impedance: Array = -arc * (1 - arc / ohm.sum()) / 2
@@ -259,7 +256,7 @@ def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePatter
     impedance = ring_impedance(resistances_ohm)
     if len(impedance) != pattern.electrode_count:
         raise NumericsError(
-            f"a ring of {len(impedance)} resistors does not fit a pattern of {pattern.electrode_count} electrodes",
+            f"a ring of {len(impedance)} resistors does not match a pattern of {pattern.electrode_count} electrodes",
             remedy="give one for each pair of neighbouring electrodes",
         )
     readings: Array = pattern.drive_currents().T @ impedance @ pattern.measure_matrix()
@@ -267,7 +264,7 @@ def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePatter
 
 
 def lead_readings(pattern: DrivePattern) -> NDArray[np.float64]:
-    """What resistance in each electrode's lead adds to a reading: (drives, measures, electrodes) of −1, 0 and +1.
+    """Contribution of each electrode's lead resistance to a reading: (drives, measures, electrodes) of −1, 0, +1.
 
     A pair that is measured through a lead which carries current reads the drop over it as well: +1 where the source
     and the plus terminal, or the sink and the minus terminal, share the electrode.

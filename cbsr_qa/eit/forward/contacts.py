@@ -1,4 +1,4 @@
-"""Where the electrodes touch the sheet: along edges of the mesh, or at single nodes."""
+"""Electrodes on the mesh: along boundary edges, or at single nodes."""
 
 from dataclasses import dataclass
 
@@ -77,7 +77,7 @@ def point_contacts(elements: FiniteElements, nodes: Indices) -> Contacts:
     if nodes.ndim != 1 or not nodes.size or not 0 <= nodes.min() <= nodes.max() < count:
         raise NumericsError(f"point electrodes are a list of nodes from 0 to {count - 1}, one for each electrode")
     if len(np.unique(nodes)) != len(nodes):
-        raise NumericsError("two point electrodes are at the same node", remedy="give each a node of its own")
+        raise NumericsError("two point electrodes are at the same node", remedy="give each its own node")
     means = np.zeros((elements.count, len(nodes)))
     means[nodes, np.arange(len(nodes))] = 1
     none = tuple(np.zeros((1, 1)) for _ in nodes)

@@ -1,4 +1,4 @@
-"""What a load covers of each element, and what that makes of the element's conductance."""
+"""Share of each element that a load covers, and the conductance change that follows."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -40,7 +40,7 @@ def disc_coverage(mesh: Mesh, x_mm: float, y_mm: float, radius_mm: float) -> tup
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cover:
-    """What a load covers, as its elements' integration points see it.
+    """Coverage of elements by a load, at their integration points.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Cover:
 
 
 def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
-    """Find what a load of any outline covers of each element; areas are exact, whatever the mesh.
+    """Area of each element covered by a load of any outline; exact for any mesh.
 
     Parameters
     ----------

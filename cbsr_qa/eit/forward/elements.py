@@ -1,4 +1,4 @@
-"""Finite elements on a mesh: what depends on geometry alone, for first and second order alike.
+"""Finite elements of first and second order: everything that depends on geometry alone.
 
 Plain numpy instead of scikit-fem: the matrices are needed per element, unassembled, so that the conductance enters as
 a scale and a local change touches its own elements only.
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """What an element needs to know of its shape functions, at points where it integrates.
+    """Shape functions at an element's integration points.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class FiniteElements:
 
     def __init__(self, mesh: Mesh, order: int = 1) -> None:
         if order not in SHAPES:
-            raise NumericsError(f"there are no finite elements of order {order}; there are 1 and 2")
+            raise NumericsError(f"element order is {order}; allowed: 1 and 2")
         self.mesh = mesh
         self.order = order
         self.shapes = SHAPES[order]
@@ -203,7 +203,7 @@ class FiniteElements:
         folded = np.flatnonzero((twice <= 0).any(axis=1))
         if folded.size:
             raise NumericsError(
-                f"an arc bends element {folded[0]} (of {folded.size} such) inside out",
+                f"an arc bends element {folded[0]} (one of {folded.size} such) inside out",
                 remedy="use smaller elements along the arc",
             )
         inverse = np.stack([np.stack([by, -bx], -1), np.stack([-ay, ax], -1)], -2) / twice[..., None, None]

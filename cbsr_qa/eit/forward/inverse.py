@@ -1,4 +1,4 @@
-"""Entries of K⁻¹ between the nodes anybody has asked about, each node solved for once."""
+"""Entries of K⁻¹ between the nodes requested so far; each node is solved for once."""
 
 from typing import Final
 
@@ -103,7 +103,7 @@ class InverseEntries:
         return columns
 
     def _keep(self, nodes: Indices, columns: Array) -> None:
-        """Keep what columns of nodes that have a place say about all that have one."""
+        """Store the entries of columns between all nodes known so far."""
         count, here = len(self._known), self._place[nodes]
         self._entries[:count, here] = columns[self._known]
         self._entries[here, :count] = columns[self._known].T

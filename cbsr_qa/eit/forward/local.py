@@ -1,4 +1,4 @@
-"""Exact voltages after local changes of conductance, without factorising again.
+"""Exact voltages after local conductance changes, without a new factorisation.
 
 Changed elements form patches. A node whose elements all belong to one patch, and which lies on no electrode, is seen
 by nobody outside: it is condensed away. With E the discrete harmonic extension from a patch's rim to its inside (E of
@@ -61,7 +61,7 @@ class LocalUpdate:
 
     @property
     def nbytes(self) -> int:
-        """Memory of what is kept between calls."""
+        """Memory kept between calls [bytes]."""
         return self._inverse.nbytes + self._kept_now()
 
     def voltages(self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None) -> Array:
@@ -108,7 +108,7 @@ class LocalUpdate:
     def _changed(
         self, elements: Indices, change: Array, contact_impedance: Array | None
     ) -> ForwardModel | tuple[Array, Array]:
-        """What the transfer impedance loses, and what contacts add to it; or the sheet factorised again."""
+        """Change of the transfer impedance by the sheet and by contacts; or the sheet factorised again."""
         elements, change = self._checked(elements, change)
         contact_change, own = self.contact_change(contact_impedance)
         if not elements.size and contact_change is None:
@@ -119,7 +119,7 @@ class LocalUpdate:
         return patches.correction(change, contact_change), own
 
     def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
-        """Change of 1/z [S/mm], None where there is none, and of what each electrode adds to its own potential.
+        """Change of 1/z [S/mm], or None if unchanged, and change of each electrode's own potential.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class LocalUpdate:
         model = self.model
         shape = elements.shape if change.ndim == 1 else (*elements.shape, len(model.elements.shapes.points), 2, 2)
         if elements.ndim != 1 or change.shape != shape:
-            raise NumericsError(f"{change.shape} conductance changes do not fit {elements.shape} elements")
+            raise NumericsError(f"conductance changes {change.shape} do not match elements {elements.shape}")
         model.check_elements(elements)
         unique, total = elements, change
         if not (elements[1:] > elements[:-1]).all():
@@ -149,7 +149,7 @@ class LocalUpdate:
         return unique.astype(np.int64), total
 
     def _patches(self, elements: Indices, contacts: bool) -> Patches | None:
-        """Patches of some elements, or None where factorising the whole sheet again is the shorter way."""
+        """Patches of some elements, or None if factorising the whole sheet again is cheaper."""
         key = elements.tobytes() + b"contacts" * contacts
         if key not in self._kept:
             short = dense_work(self.model, elements) < _MOST_WORK

@@ -56,7 +56,7 @@ class ForwardModel:
             elements = FiniteElements(mesh, order)
             prepared = PreparedSheet(elements, edge_contacts(elements))
         elif prepared.elements.mesh is not mesh:
-            raise NumericsError("the sheet was prepared for another mesh", remedy="prepare each mesh for itself")
+            raise NumericsError("the sheet was prepared for another mesh", remedy="prepare the model for this mesh")
         self.mesh = mesh
         self.pattern = pattern
         self.prepared = prepared
@@ -69,7 +69,7 @@ class ForwardModel:
         self._factors = prepared.factorise(self.conductance, self.contact_impedance)
 
     def changed(self, *, conductance: Array | None = None, contact_impedance: Array | None = None) -> "ForwardModel":
-        """Return the same sheet with other values; what depends on the mesh alone is not computed again."""
+        """Return the same sheet with other values; mesh-dependent parts are reused."""
         return ForwardModel(
             self.mesh,
             self.pattern,
@@ -135,7 +135,7 @@ class ForwardModel:
 
     @cached_property
     def electrode_fields(self) -> Array:
-        """Potentials for a unit current into each electrode and out of all alike.
+        """Potentials for a unit current into each electrode, returned evenly through all.
 
         Returns
         -------
@@ -242,7 +242,7 @@ class ForwardModel:
 
     @property
     def _own_impedance(self) -> Array:
-        """What each electrode's contact adds to its own potential, (electrodes,) [Ω]."""
+        """Contribution of each electrode's contact to its own potential, (electrodes,) [Ω]."""
         impedance: Array = self.contact_impedance / self.prepared.contacts.lengths_mm
         return impedance
 
@@ -277,7 +277,7 @@ class ForwardModel:
 
     @property
     def _ordered_rest(self) -> Array | None:
-        """What rounding took of them; None where nobody knows."""
+        """Rounding error of the potentials; None if unknown."""
         return self._ordered_parts[1]
 
     @cached_property

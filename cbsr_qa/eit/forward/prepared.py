@@ -1,4 +1,4 @@
-"""A sheet's system of equations, prepared: for every new conductance it is only scaled, factorised and solved.
+"""Prepared system of equations of a sheet: a new conductance only scales, factorises and solves it.
 
 The matrix is linear in the elements' conductance and in the reciprocal contact impedance, so that its entries are two
 sparse products; where they go, and the order in which nodes are eliminated, depend on the mesh alone.
@@ -39,7 +39,7 @@ _LOST: Final = 1e-2  # of the largest potential: corrections that end above were
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conductors:
-    """A symmetric matrix whose rows sum to zero, as what joins its nodes.
+    """A symmetric matrix whose rows sum to zero, stored as conductances between its nodes.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def refined(
             break
     if not left <= _LOST:
         raise NumericsError(
-            "the sheet's potentials cannot be refined: its conductances and contacts are too far apart",
+            "the sheet's potentials cannot be refined: conductances and contact impedances span too wide a range",
             remedy="bring conductances and contact impedances closer to each other",
         )
     return high, low
@@ -109,14 +109,14 @@ def _share(correction: Array, potentials: Array) -> float:
 
 
 def _sum(one: Array, other: Array) -> tuple[Array, Array]:
-    """Rounded sum, and what rounding lost of it (Knuth)."""
+    """Rounded sum, and its rounding error (Knuth)."""
     total = one + other
     part = total - one
     return total, (one - (total - part)) + (other - part)
 
 
 def _difference(one: Array, other: Array) -> tuple[Array, Array]:
-    """Rounded difference, and what rounding lost of it."""
+    """Rounded difference, and its rounding error."""
     return _sum(one, -other)
 
 
@@ -173,7 +173,7 @@ class PreparedSheet:
 
     @cached_property
     def ordered_drives(self) -> Array:
-        """Unit currents into each electrode but the first and out of all alike, in the order of elimination."""
+        """Unit currents into each electrode but the first, returned evenly by all, in the order of elimination."""
         means = self.contacts.means[np.argsort(self.place)]
         return np.asfortranarray((means - means.mean(axis=1, keepdims=True))[:, 1:])
 
@@ -241,7 +241,7 @@ class Factors:
         return potentials
 
     def refined_ordered(self, load: Array) -> tuple[Array, Array]:
-        """The same to rounding, however far conductances and contacts are apart, and what rounding took of it.
+        """The same to rounding for any spread of conductances and contacts, and the rounding error.
 
         What columns do not sum to zero by leaves at the node that is held.
 

@@ -1,4 +1,4 @@
-"""How far apart conductances and contact impedances may be before rounding decides the readings.
+"""Allowed range of conductances and contact impedances; outside it rounding would decide the readings.
 
 Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest entry: of the best conductor, and of
 |E|/z under a contact. The leak counts against the worst conductor the current has to pass. Where values are more than
@@ -36,7 +36,7 @@ _ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
 
 _NOTHING: Final = {
     "conductance": "give an insulator 1e-8 of the others' conductance, or leave it out of the mesh",
-    "contact impedance": "give a perfect contact a small one, as 1e-6 of the electrode's length over conductance",
+    "contact impedance": "give a perfect contact a small one, e.g. 1e-6 of the electrode's length over conductance",
 }
 
 
@@ -132,7 +132,7 @@ def _check_ratios(low: Array, high: Array, impedance: Array, where: str, allowed
         raise ValueRangeError(
             f"contact impedance {first} is {impedance[first]:g} Ω·mm, {(low if good else high)[first]:.3g} of the"
             f" electrode's length over {where} (z γ/|E|; one of {wrong.size} such); {allowed[0]:g} to {allowed[1]:g}"
-            " are allowed: beyond, rounding would decide the readings",
+            " are allowed: outside this range rounding would decide the readings",
             remedy=f"{'raise' if good else 'lower'} it; readings that touch no driven electrode hardly change",
         )
 

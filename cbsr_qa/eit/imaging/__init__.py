@@ -1,4 +1,4 @@
-"""From images to regions and what they score."""
+"""Regions of images, and their metrics."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""Blobs: connected regions of the elements that a mask kept.
+"""Blobs: connected regions of the elements above a mask's threshold.
 
 Percentage masks.
 
@@ -45,7 +45,7 @@ def percentage_mask(values: NDArray[np.float64], fraction: float) -> NDArray[np.
 
 
 def threshold(values: NDArray[np.float64], fraction: float) -> float:
-    """Return what a value must reach to survive: the fraction of the maximum, less rounding; 0 if none is positive.
+    """Return the threshold of a mask: the fraction of the maximum, less rounding; 0 if no value is positive.
 
     Raises
     ------
@@ -53,11 +53,11 @@ def threshold(values: NDArray[np.float64], fraction: float) -> float:
         If the fraction is outside (0, 1] or a value is not finite.
     """
     if not 0 < fraction <= 1:
-        raise NumericsError(f"a mask of {fraction:g} is outside (0, 1]", remedy="give it as a fraction, e.g. 0.85")
+        raise NumericsError(f"mask is {fraction:g}; allowed: above 0, at most 1", remedy="use a fraction, e.g. 0.85")
     if not np.isfinite(values).all():
         raise NumericsError(
-            "an image that is to be masked holds a value that is not a finite number",
-            remedy="leave readings that are not finite out of the image",
+            "the image to be masked holds a non-finite value",
+            remedy="leave non-finite readings out of the image",
         )
     return fraction * float(values.max(initial=0.0)) * (1 - _TIE)
 
@@ -82,11 +82,11 @@ def noise_floor(images: NDArray[np.float64]) -> float:
     """
     if images.ndim != 2 or images.size == 0:
         raise NumericsError(
-            f"the noise floor needs unloaded images of shape (k, e); found {images.shape}",
+            f"the noise floor needs unloaded images of shape (k, e); shape is {images.shape}",
             remedy="record at least one frame of the rested sheet before the first press",
         )
     if not np.isfinite(images).all():
-        raise NumericsError("an unloaded image holds a value that is not a finite number")
+        raise NumericsError("an unloaded image holds a non-finite value")
     return float(np.abs(images).max())
 
 
@@ -183,7 +183,7 @@ def find_blobs(image: Image, keep: NDArray[np.bool_]) -> tuple[Blob, ...]:
         If the mask does not fit the image.
     """
     if keep.shape != image.values.shape:
-        raise NumericsError(f"a mask of {keep.shape} does not fit an image of {image.values.shape}")
+        raise NumericsError(f"mask {keep.shape} does not match an image of shape {image.values.shape}")
     return _components(image, keep[None])[0]
 
 
@@ -205,7 +205,7 @@ def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, 
 
 
 def nearest_blob(blobs: Sequence[AnyRegion], x_mm: float, y_mm: float) -> AnyRegion | None:
-    """Return the region whose centre of mass is nearest to a place; None where there is none.
+    """Return the region whose centre of mass is nearest to a place, or None if there is no region.
 
     Of regions equally near, the first is taken: the heaviest comes first.
     """

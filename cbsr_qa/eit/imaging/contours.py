@@ -1,4 +1,4 @@
-"""Regions bounded by a contour inside the elements, for images whose masks would jump by whole elements.
+"""Regions bounded by a contour inside elements, so that masks do not jump by whole elements.
 
 An image of one value per element becomes one value per node (:func:`nodal_values`), linear in between; a region is
 where that field reaches a share of its maximum. ``contour_regions(image, fraction)`` returns them heaviest first
@@ -128,7 +128,7 @@ def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[Con
         If a fraction is outside (0, 1).
     """
     if max(fractions, default=0.5) == 1:
-        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="take a mask below 100 %")
+        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="use a mask below 100 %")
     nodal = nodal_values(image.mesh, image.values)
     levels = np.array([threshold(nodal, fraction) for fraction in fractions])
     if not levels.size or levels[0] <= 0:

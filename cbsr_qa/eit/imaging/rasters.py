@@ -1,4 +1,4 @@
-"""Images on square pixels (GREIT and pixel plugins), by scikit-image: outlines, regions, touching loads parted."""
+"""Images on square pixels (GREIT, pixel plugins), by scikit-image: contours, regions, watershed of touching loads."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -91,7 +91,7 @@ def find_regions(raster: Raster, fraction: float) -> tuple[PixelRegion, ...]:
 
 
 def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tuple[PixelRegion, ...]:
-    """Find regions, and part those that hold several peaks along the valleys between them (watershed).
+    """Find regions, and split those with several peaks along the valleys between them (watershed).
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
         If the separation is not positive, or the fraction outside (0, 1).
     """
     if not separation_mm > 0:
-        raise NumericsError(f"a separation of {separation_mm} mm does not tell loads apart; it must be positive")
+        raise NumericsError(f"separation is {separation_mm} mm; it must be positive")
     keep, level = _masked(raster, fraction)
     if not keep.any():
         return ()
@@ -162,7 +162,7 @@ def outlines(raster: Raster, level: float) -> tuple[NDArray[np.float64], ...]:
 
 def _masked(raster: Raster, fraction: float) -> tuple[NDArray[np.bool_], float]:
     if fraction == 1:
-        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="take a mask below 100 %")
+        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="use a mask below 100 %")
     keep = percentage_mask(raster.values.ravel(), fraction).reshape(raster.values.shape)
     return keep, threshold(raster.values, fraction)
 

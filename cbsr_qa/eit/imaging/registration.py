@@ -1,4 +1,4 @@
-"""How a whole set of places is seen shifted, turned and scaled, and what is left of their errors without that."""
+"""Registration of seen to nominal places: shift, rotation, scale, and the residual errors."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -41,7 +41,7 @@ class Registration:
 
     @property
     def errors_mm(self) -> Array:
-        """What is left of each place's error, (n,)."""
+        """Residual error of each place, (n,) [mm]."""
         errors: Array = np.hypot(self.residuals_mm[:, 0], self.residuals_mm[:, 1])
         return errors
 
@@ -63,7 +63,7 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
         at one place, in the order of a mirror image, or in no order that any turn explains.
     """
     if nominal_mm.shape != seen_mm.shape or nominal_mm.ndim != 2 or nominal_mm.shape[1:] != (2,):
-        raise NumericsError(f"places {nominal_mm.shape} and {seen_mm.shape} do not fit together; (n, 2) each")
+        raise NumericsError(f"places {nominal_mm.shape} and {seen_mm.shape} do not match; both must be (n, 2)")
     count = len(nominal_mm)
     if count < _FEWEST:
         some = "1 place says" if count == 1 else f"{count} places say"
@@ -75,7 +75,7 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
     centred, seen = p - p.mean(), q - q.mean()
     size, seen_size = float((np.abs(centred) ** 2).sum()), float((np.abs(seen) ** 2).sum())
     if _one_place(p, size):
-        raise NumericsError("all loads were pressed at one place", remedy="a registration needs places that differ")
+        raise NumericsError("all loads were pressed at one place", remedy="press at different places")
     if _one_place(q, seen_size) or seen_size < _SEEN_APART**2 * size:
         raise NumericsError("all loads are seen at one place, wherever they were pressed")
     factor = complex((centred.conj() * seen).sum() / size)
@@ -114,8 +114,8 @@ def _not_mirrored(factor: complex, mirrored: complex, size: float) -> None:
     turned_left, mirrored_left = size - abs(factor) ** 2, size - abs(mirrored) ** 2
     if abs(mirrored) ** 2 >= _MIRRORED * size and mirrored_left < _CLEARLY * turned_left - _ROUNDING * size:
         raise NumericsError(
-            "places are seen in the order of a mirror image of where loads were pressed",
-            remedy="look whether the sheet lies upside down, or its electrodes are counted the other way round",
+            "the places seen are a mirror image of the places pressed",
+            remedy="check whether the sheet is upside down or its electrodes are numbered in the other direction",
         )
     if abs(factor) ** 2 < _SEEN_APART**2 * size:
-        raise NumericsError("no turn and scale explains anything of where loads are seen")
+        raise NumericsError("no rotation and scale explains where loads are seen")

@@ -1,4 +1,4 @@
-"""Several loads at once: which region belongs to which load, and what was merged, missed or made up.
+"""Several simultaneous loads: assignment of regions to loads; merged, missed and spurious regions.
 
 Touching loads parted on a mesh: a blob with several peaks is cut along the valleys between them.
 
@@ -22,7 +22,7 @@ from cbsr_qa.eit.imaging.contours import contour_regions
 
 
 def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
-    """Part blobs that hold several peaks (watershed by flooding, Vincent & Soille 1991, on the mesh's elements).
+    """Split blobs with several peaks (watershed by flooding, Vincent & Soille 1991, on the mesh's elements).
 
     A peak counts where one has to go down by more than the prominence before one can climb to a higher one: so noise
     on a plateau parts nothing.
@@ -42,7 +42,7 @@ def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
     """
     if not 0 < prominence < 1:
         raise NumericsError(
-            f"a prominence of {prominence:g} is outside (0, 1)", remedy="give it as a share of the peak, e.g. 0.05"
+            f"prominence is {prominence:g}; allowed: above 0, below 1", remedy="as a fraction of the peak, e.g. 0.05"
         )
     if not blobs:
         return ()
@@ -126,11 +126,11 @@ class Assignment:
 
     @property
     def apart(self) -> bool:
-        """Whether every load has a region of its own that no other shares."""
+        """Whether every load has its own region, shared with no other load."""
         return not self.merged and not self.missed
 
     def fate(self, load: int) -> str:
-        """Say what became of a load: ``"apart"``, ``"merged"`` (the one that owns the region too) or ``"missed"``."""
+        """Fate of a load: ``"apart"``, ``"merged"`` (also for the load that owns the region) or ``"missed"``."""
         if load in self.missed:
             return "missed"
         return "merged" if load in self.merged or load in self.merged_with else "apart"
@@ -154,7 +154,7 @@ def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gat
         If the gate is not a positive number.
     """
     if not 0 < gate_mm < float("inf"):
-        raise NumericsError(f"a gate of {gate_mm} mm assigns nothing", remedy="take the diameter of the head")
+        raise NumericsError(f"gate is {gate_mm} mm; it must be positive", remedy="use the diameter of the head")
     distance, covered = _relations(regions, loads)
     possible = covered | (distance <= gate_mm)
     # A column of its own lets every load stay without region; of two equal costs, a region is better than none.
@@ -222,7 +222,7 @@ def two_touch_resolution(
     furthest_mm: float | None = None,
     step_mm: float = 0.5,
 ) -> TwoTouch:
-    """Move two equal loads apart along a line through the sheet's centre until they are seen as two for good.
+    """Move two equal loads apart along a line through the sheet's centre until they stay resolved.
 
     They are two where :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is nearer to
     it than to the other. The readings are those of the linearised model, without noise: the figure says what the
@@ -247,7 +247,7 @@ def two_touch_resolution(
     width = float(np.ptp(indenter.at(0.0, 0.0).drawn_mm() @ along))
     if not (step_mm > 0 and width + step_mm <= furthest_mm):
         raise NumericsError(
-            f"two heads {width:.3g} mm wide do not move apart up to {furthest_mm:.3g} mm in steps of {step_mm:g} mm",
+            f"two heads {width:.3g} mm wide are not told apart up to {furthest_mm:.3g} mm in steps of {step_mm:g} mm",
             remedy="try larger distances, in positive steps",
         )
     tried = step_mm * np.arange(np.ceil(width / step_mm), np.floor(furthest_mm / step_mm + 1e-9) + 1)

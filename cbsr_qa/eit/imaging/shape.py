@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SpatialFigures:
-    """What one region scores against one indenter.
+    """Spatial metrics of one region against one indenter.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def _overlaps_percent(
             [_counted_mm2(_of_elements(region, "clipping by centroids"), indenter) for region in regions]
         )
     else:
-        raise NumericsError(f"clipping mode {mode!r} is unknown", remedy="use 'exact' or 'centroid'")
+        raise NumericsError(f"unknown clipping mode {mode!r}", remedy="use 'exact' or 'centroid'")
     area = np.array([region.area_mm2 for region in regions])
     percent: list[float] = (50.0 * inside * (1 / indenter.area_mm2 + 1 / area)).tolist()
     return percent
@@ -147,7 +147,7 @@ def _deviations_mm2(
         nodes = [blob.image.mesh.nodes_mm[np.unique(blob.rim)] for blob in blobs]
         return [float(np.mean(indenter.distance_mm(places) ** 2)) for places in nodes]
     if mode != "length":
-        raise NumericsError(f"perimeter mode {mode!r} is unknown", remedy="use 'length' or 'nodes'")
+        raise NumericsError(f"unknown perimeter mode {mode!r}", remedy="use 'length' or 'nodes'")
     start, end, first = _joined(rims)
     along = end - start
     length = np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2)
@@ -287,9 +287,9 @@ def greit_figures(
         If the fraction is outside (0, 1], or the contrast not positive.
     """
     if not 0 < fraction <= 1:
-        raise NumericsError(f"a set of what reaches {fraction:g} of the maximum is outside (0, 1]")
+        raise NumericsError(f"threshold is {fraction:g} of the maximum; it must be above 0 and at most 1")
     if contrast is not None and not contrast > 0:
-        raise NumericsError(f"a contrast of {contrast:g} is not positive", remedy="turn image and contrast round")
+        raise NumericsError(f"contrast is {contrast:g}; it must be positive", remedy="invert image and contrast")
     mesh, values = image.mesh, image.values
     if values.max() <= 0:
         return None

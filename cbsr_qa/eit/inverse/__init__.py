@@ -1,4 +1,4 @@
-"""The linearised problem and what reconstructions share: priors, one-step solutions, noise."""
+"""The linearised inverse problem and what reconstructions share: priors, one-step solutions, noise."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""One-step Gauss–Newton in its dual form: a solve as large as the number of readings, not of elements.
+"""One-step Gauss–Newton in dual form: a system of the size of the readings, not of the elements.
 
 With P = R⁻¹, (JᵀWJ + λ²R)⁻¹JᵀW = PJᵀ (JPJᵀ + λ²W⁻¹)⁻¹. With one eigendecomposition of W^½ JPJᵀ W^½ every λ costs a
 product. To form that matrix squares the condition number of J: what is below 1e-8 of its largest singular value is
@@ -73,14 +73,14 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
 
 def _too_small(hyperparameter: float) -> NumericsError:
     return NumericsError(
-        f"hyperparameter {hyperparameter:.3g} is too small: the readings do not determine the image to rounding",
-        remedy="raise the hyperparameter, or ask for a noise figure",
+        f"hyperparameter {hyperparameter:.3g} is too small: the system is singular to rounding",
+        remedy="raise the hyperparameter, or give a noise figure",
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DualSpectrum:
-    """The dual form of every hyperparameter at once.
+    """Spectral decomposition of the dual form, which solves it for any hyperparameter.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class DualSpectrum:
     analysis: Array
 
     def gains(self, hyperparameter: float) -> Array:
-        """Factor of each eigenvector, (k + f,): 1/(Λ + λ²), and 1 for what is not regularised."""
+        """Factor of each eigenvector, (k + f,): 1/(Λ + λ²), and 1 for unregularised ones."""
         gains: Array = np.ones(self.basis.shape[1])
         gains[: len(self.values)] /= self.values + hyperparameter**2
         return gains
@@ -114,7 +114,7 @@ def dual_spectrum(jacobian: Array, prior: Prior | Array, variance: Array | None 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _System:
-    """The dual system before λ: images of the readings' coefficients, and how much of them is seen again.
+    """The dual system before λ: images of the readings' coefficients, and their forward projection.
 
     Parameters
     ----------
@@ -143,8 +143,8 @@ class _System:
         seen = white @ prior.free
         if np.linalg.norm(seen, axis=0).min() <= _UNSEEN * np.linalg.norm(white) * np.linalg.norm(prior.free):
             raise NumericsError(
-                "the readings do not see the image the prior leaves free: it cannot be determined",
-                remedy="mend the masked channels, or take a prior that leaves nothing free (gauss-newton-noser)",
+                "the readings do not respond to the image component that the prior leaves free",
+                remedy="repair the masked channels, or use a prior of full rank (gauss-newton-noser)",
             )
         return cls._without_free(white, prior, seen, prior.free, root)
 
@@ -193,7 +193,7 @@ def check_hyperparameter(value: float) -> None:
     if not 0 <= value <= _LARGEST:
         raise NumericsError(
             f"hyperparameter λ is {value}; it must be a finite number, zero or above, up to {_LARGEST:.0e}",
-            remedy="give a λ in that range, or ask for a noise figure",
+            remedy="give a λ in that range, or give a noise figure",
         )
 
 

@@ -1,4 +1,4 @@
-"""One-step Gauss–Newton with any prior: what its plugins share."""
+"""One-step Gauss–Newton with any prior: the code its plugins share."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -110,7 +110,7 @@ class RidgeSearch:
         return hyperparameter_for(target, self._spectrum, self._signal, self._areas, self._variance)
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
-        """λ by what readings say."""
+        """λ chosen from readings."""
         regularised = self._spectrum.analysis[: len(self._spectrum.values)]
         curves = RidgeCurves(self._spectrum.values, evidence.changes @ regularised.T)
         if criterion is Criterion.GCV:
@@ -130,7 +130,7 @@ def noise_level(evidence: Evidence, readings: int) -> float:
     """
     if evidence.variance is None:
         raise NumericsError(
-            "the discrepancy principle needs the noise, and no readings are there twice to tell it",
+            "the discrepancy principle needs the noise, and no reading is repeated to estimate it from",
             remedy="choose by another criterion",
         )
     return evidence.variance * readings * len(evidence.changes)

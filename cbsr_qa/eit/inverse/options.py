@@ -1,4 +1,4 @@
-"""Options of reconstruction plugins: checked when the plugin is made, before anything is solved."""
+"""Validation of reconstruction plugins' options, before anything is solved."""
 
 from typing import Final
 
@@ -28,7 +28,7 @@ def number(method: str, name: str, value: object) -> float:
 
 
 def whole(method: str, name: str, value: object) -> int:
-    """Return an option that is a whole number; ConfigError if it is anything else, None included."""
+    """Return an option that is a whole number; ConfigError otherwise, None included."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise ConfigError(f"{method}: {name} is {shown(value)}", remedy="allowed: a whole number")
     if abs(value) > _LARGEST_WHOLE:
@@ -37,12 +37,12 @@ def whole(method: str, name: str, value: object) -> int:
 
 
 def optional_number(method: str, name: str, value: object) -> float | None:
-    """Return an option as :func:`number` does, or None where it was not given."""
+    """Return an option as :func:`number` does, or None if not given."""
     return None if value is None else number(method, name, value)
 
 
 def optional_whole(method: str, name: str, value: object) -> int | None:
-    """Return an option as :func:`whole` does, or None where it was not given."""
+    """Return an option as :func:`whole` does, or None if not given."""
     return None if value is None else whole(method, name, value)
 
 
@@ -51,5 +51,5 @@ def shown(value: object) -> str:
     try:
         words = repr(value)
     except ValueError:  # Python writes no whole number of more than 4300 digits
-        words = f"a {type(value).__name__} too long to show"
+        words = f"a {type(value).__name__} too large to show"
     return words if len(words) <= _SHOWN else words[:_SHOWN] + "…"

@@ -1,4 +1,4 @@
-"""How much of each element of one mesh lies in each element of another, exactly."""
+"""Exact overlap areas between the elements of two meshes."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Linear images on square pixels, as one matrix from readings to pixels: for screens, and for raster methods.
+"""Linear images on square pixels: one matrix from readings to pixels.
 
 A pixel is the mean of the image over the part of the sheet it covers, by exact overlap. The matrix takes folded
 readings and is kept in single precision: what that rounds is as much as readings of 24 bits would, 144 dB below
@@ -91,7 +91,7 @@ class PixelImaging:
 
     def _unfit(self, changes: Array) -> RefusedError:
         found = f"readings of shape {changes.shape} and type {changes.dtype}"
-        return RefusedError(f"{found} do not fit {self.readings} used channels, which are real numbers")
+        return RefusedError(f"{found} do not match {self.readings} used channels of real numbers")
 
     def images(self, changes: Array) -> Pixels:
         """Image n frames (n, m), as :meth:`image`: (n, pixels, pixels)."""
@@ -112,7 +112,7 @@ def pixel_imaging(reconstruction: LinearReconstruction, pixels: int = 32) -> Pix
         If there are no pixels.
     """
     if pixels < 1:
-        raise NumericsError(f"a raster of {pixels} pixels a side is none")
+        raise NumericsError(f"raster has {pixels} pixels a side; it must have at least 1")
     problem = reconstruction.problem
     low_x, high_x, low_y, high_y = problem.sensor_type.outline.extent_mm
     pitch = max(high_x - low_x, high_y - low_y) / pixels

@@ -1,4 +1,4 @@
-"""What is expected of an image before it is measured, the R of (JᵀWJ + λ²R), in the form the dual system needs.
+"""Priors: the R of (JᵀWJ + λ²R), in the form the dual system needs.
 
 That form is P = R⁻¹ as a product with columns. Diagonal priors are a division; the Laplace prior is one sparse
 factorisation; the priors with a length (:mod:`cbsr_qa.eit.inverse.priors`) are built from P or its root.
@@ -66,14 +66,14 @@ def noser(jacobian: Array, exponent: float) -> Array:
     """
     if not 0 <= exponent <= 1:
         raise NumericsError(
-            f"NOSER exponent {exponent} is not in 0 … 1",
+            f"NOSER exponent is {exponent}; it must lie between 0 and 1",
             remedy="give an exponent from 0 (Tikhonov's prior) to 1; 0.5 is usual",
         )
     squared = np.einsum("me,me->e", jacobian, jacobian)
     if not (squared > 0).all():
         raise NumericsError(
-            f"{int((squared <= 0).sum())} image elements are felt by no reading that is left",
-            remedy="mend the masked channels",
+            f"{int((squared <= 0).sum())} image elements affect none of the remaining readings",
+            remedy="repair the masked channels",
         )
     weights: Array = squared**exponent
     return weights
@@ -184,8 +184,8 @@ def high_pass(mesh: Mesh, width_mm: float) -> Prior:
     count, areas = len(mesh.elements), mesh.areas_mm2
     if count > _MOST_FILTERED:
         raise NumericsError(
-            f"the high-pass prior is a dense filter; {count} elements are more than {_MOST_FILTERED}",
-            remedy="image on larger elements, or take another prior",
+            f"the high-pass prior is a dense filter: {count} elements; at most {_MOST_FILTERED} are allowed",
+            remedy="use larger image elements or another prior",
         )
     squared = cdist(mesh.centroids_mm, mesh.centroids_mm, "sqeuclidean")
     kernel = np.exp(squared * (-4 * np.log(2) / width_mm**2)) * areas
@@ -215,5 +215,5 @@ def _check_length(mesh: Mesh, value: float, *, least: float) -> None:
         raise NumericsError(
             f"a prior's length is {value:.3g} mm; it must be a positive finite number, {shortest:.2g} to"
             f" {longest:.2g} mm on this image",
-            remedy="give a width or diameter in that range, or image on other elements",
+            remedy="give a width or diameter in that range, or change the size of image elements",
         )

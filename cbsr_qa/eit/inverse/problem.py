@@ -1,4 +1,4 @@
-"""The linearised problem of a sensor type: a fine mesh for the voltages, a coarse one for the image.
+"""The linearised problem of a sensor type: a fine mesh for voltages, a coarse one for the image.
 
 Sensitivity of readings to the elements of an image, from fields on another mesh.
 
@@ -137,7 +137,7 @@ def imaging_problem(
 
 
 def masked_electrodes(pattern: DrivePattern, used: NDArray[np.bool_]) -> tuple[int, ...]:
-    """Electrodes of whose usable readings, (drives, measures) bool, none is used."""
+    """Electrodes with usable readings, (drives, measures) bool, none of which is used."""
     usable, left = (_touched(pattern, readings) for readings in (pattern.usable(), used))
     return tuple(int(electrode) for electrode in np.flatnonzero(usable & ~left))
 
@@ -205,30 +205,30 @@ def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
 def _check_used(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
     if used.shape != pattern.shape:
         raise NumericsError(
-            f"a mask of {used.shape} readings does not fit frames of {pattern.shape}",
-            remedy="say of every reading, by drive and measure pair, whether it is used",
+            f"mask of shape {used.shape} does not match frames of shape {pattern.shape}",
+            remedy="give one boolean for each drive and measure pair",
         )
     _check_number(pattern, used)
     masked = masked_electrodes(pattern, used)
     if len(masked) > MOST_MASKED:
         raise NumericsError(
             f"electrodes {', '.join(map(str, masked))} are masked, {len(masked)} of {pattern.electrode_count};"
-            f" at most {MOST_MASKED} may be: what lies between the others would be guessed",
-            remedy="mend their contacts",
+            f" at most {MOST_MASKED} may be: the area between the others would be guessed",
+            remedy="repair their contacts",
         )
 
 
 def _check_number(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
-    """Refuse too few readings, by what makes them few: the pattern, or a mask."""
+    """Refuse too few readings; the message names the cause, the pattern or a mask."""
     independent = pattern.too_few_readings(used)
     if independent is None:
         return
     left_out = int((pattern.usable() & ~used).sum())
     if left_out:
         raise NumericsError(
-            f"only {independent} independent readings are left to image from, with {left_out} masked; at least"
-            f" {FEWEST_INDEPENDENT} are needed",
-            remedy="mend the channels that were masked",
+            f"only {independent} independent readings remain with {left_out} masked; at least"
+            f" {FEWEST_INDEPENDENT} are needed to image",
+            remedy="repair the masked channels",
         )
     raise NumericsError(
         f"the pattern gives {independent} independent readings; at least {FEWEST_INDEPENDENT} are needed to image",
@@ -249,7 +249,7 @@ def _relative_variance(variance: Array, used: NDArray[np.bool_]) -> Array:
     variance = variance[used] if variance.shape == used.shape else variance
     if variance.shape != (count,):
         raise NumericsError(
-            f"noise variances of shape {variance.shape} are not one for each of {count} used readings",
+            f"noise variances have shape {variance.shape}; there are {count} used readings",
             remedy=f"give {count} of them, or {used.shape} by drive and measure pair",
         )
     wrong = np.flatnonzero(~(np.isfinite(variance) & (variance > 0)))
@@ -267,7 +267,7 @@ def _relative_variance(variance: Array, used: NDArray[np.bool_]) -> Array:
         raise NumericsError(
             f"the noise variance of {_pair(used, extreme)} is {variance[extreme]:g}; its reciprocal is beyond the"
             " range of numbers",
-            remedy="give variances in a larger or smaller unit: only their ratios count",
+            remedy="give variances in a larger or smaller unit; only their ratios matter",
         )
     relative: Array = variance * mean
     return relative
@@ -300,7 +300,7 @@ def _readings(what: str, values: Array, used: NDArray[np.bool_], axes: int) -> A
         values = values[..., used]
     if values.ndim != axes or values.shape[-1] != count or not values.size:
         raise NumericsError(
-            f"a {what} of shape {values.shape} does not fit {count} used readings",
+            f"a {what} of shape {values.shape} does not match {count} used readings",
             remedy=f"give {'frames' if axes > 1 else 'one frame'} of {count} readings, or of {used.shape}",
         )
     if not np.isfinite(values).all():

@@ -1,4 +1,4 @@
-"""Noise variance of every reading from a few frames of a sheet nobody touches, shrunk towards what is common.
+"""Noise variance of each reading, shrunk towards a common value, and folding of reciprocal readings.
 
 The variance of one reading over n frames is known to √(2/(n − 2)) of itself, a third of it from twenty frames. Taken
 as it is, a reading that happened to be quiet would count too much. So variances are *moderated* (Smyth 2004, eqs 6, 8
@@ -60,7 +60,7 @@ class ReadingFold:
 
     @classmethod
     def of(cls, problem: ImagingProblem) -> Self:
-        """Fold a problem's readings; none where its own reference contradicts reciprocity."""
+        """Fold a problem's readings; no folding if its own reference contradicts reciprocity."""
         group, first, sign = _groups(problem.sensor_type.pattern, problem.used)
         reference = problem.reference
         apart = np.abs(reference - sign * reference[first][group])
@@ -89,7 +89,7 @@ class ReadingFold:
         return whole
 
     def noise(self, readings: Array) -> tuple[float, int]:
-        """Mean variance of readings (n, m) for unit relative variance, from what reciprocal ones differ by.
+        """Mean variance of readings (n, m) for unit relative variance, from the differences of reciprocal ones.
 
         Returns
         -------
@@ -131,7 +131,7 @@ _ROUNDS: Final = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadingNoise:
-    """What the noise of readings is.
+    """Noise of each reading.
 
     Parameters
     ----------
@@ -167,22 +167,22 @@ def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
     count = len(readings)
     if count < FEWEST_FRAMES:
         raise NumericsError(
-            f"{count} unloaded frames are too few to weigh readings by their noise; {FEWEST_FRAMES} are needed",
+            f"{count} unloaded frames are too few to weight readings by their noise; {FEWEST_FRAMES} are needed",
             remedy=f"take more unloaded frames, {_REMEDY}",
         )
     bad = ~np.isfinite(readings)
     if bad.any():
         raise NumericsError(
-            f"{int(bad.any(axis=0).sum())} readings are not finite numbers in the unloaded frames",
-            remedy=f"have the driver flag such readings as missing, {_REMEDY}",
+            f"{int(bad.any(axis=0).sum())} readings are non-finite in the unloaded frames",
+            remedy=f"make the driver flag such readings as missing, {_REMEDY}",
         )
     rounding = _ROUNDING * float(np.abs(readings).max())
     silent = np.ptp(readings, axis=0) <= rounding
     if silent.mean() > _MOST_SILENT:
         raise NumericsError(
             f"{int(silent.sum())} of {len(silent)} readings are the same in all {count} unloaded frames: there is no"
-            " noise to weigh readings by",
-            remedy=f"measure with a finer converter step, {_REMEDY}",
+            " noise to weight readings by",
+            remedy=f"measure with a finer resolution, {_REMEDY}",
         )
     step = _converter_step(readings[:, ~silent], rounding)
     own = np.maximum(_scatter(readings[:, ~silent], time_s, step), step**2 / 12)
@@ -217,7 +217,7 @@ def _scatter(readings: Array, time_s: Array, step: float) -> Array:
 
 
 def _moderated(own: Array, freedom: int) -> tuple[Array, float, float]:
-    """Return s̃², s₀² and ν₀ of variances with so many degrees of freedom each; Smyth 2004, section 6.2."""
+    """Return s̃², s₀² and ν₀ of variances with this many degrees of freedom each; Smyth 2004, section 6.2."""
     level = np.log(own) - digamma(freedom / 2) + np.log(freedom / 2)
     beyond_chance = float(level.var(ddof=1) - polygamma(1, freedom / 2)) if len(own) > 1 else 0.0
     mean = float(level.mean())

@@ -1,4 +1,4 @@
-"""From a sensor's volts to the unit model's."""
+"""Scaling of a sensor's voltages to the unit model."""
 
 from typing import Final
 
@@ -32,7 +32,7 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
     scale = float(readings @ problem.reference / (problem.reference @ problem.reference))
     if abs(scale) * np.linalg.norm(problem.reference) <= 1e-6 * np.linalg.norm(readings) or scale == 0:
         raise NumericsError(
-            "the reference frame has nothing in common with the model's (all zero, or electrodes in another order)",
+            "the reference frame is uncorrelated with the model's (all zero, or electrodes in another order)",
             remedy="check the electrode numbering of the sensor type and that the source was on",
         )
     return scale
@@ -49,7 +49,7 @@ def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
 
 
 def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[str, ...]:
-    """What is to be said against the scale of a reference frame, a sentence or none.
+    """Warnings about the scale of a reference frame; empty if there are none.
 
     A frame that lies on an offset, or has its electrodes in another order, has a scale all the same, and images over
     it are of any size. Simulated sensors with every imperfection there is agree with the model to 0.97, one with an
@@ -59,13 +59,13 @@ def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[st
     if abs(alike) >= _LEAST_ALIKE:
         return ()
     return (
-        f"the unloaded frame is like the model's to a cosine of {alike:.2f} only (1 is alike): its readings lie on an"
-        " offset, or electrodes are elsewhere or in another order; amplitudes of images may be of any size",
+        f"the unloaded frame matches the model's with a cosine of {alike:.2f} (1 is equal): its readings have an"
+        " offset, or electrodes are misplaced or in another order; image amplitudes are not reliable",
     )
 
 
 def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: float) -> Array:
-    """Scaled changes of the used readings, what :meth:`LinearReconstruction.images` takes.
+    """Scaled changes of the used readings, the input of :meth:`LinearReconstruction.images`.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: f
         raise NumericsError(
             f"the change of {_reading(problem, channel)} of frame {frame} over the scale {scale:g} is too large for"
             " a number",
-            remedy="take the scale of the sensor's own unloaded frame (scale_of), in the unit of the voltages",
+            remedy="use the scale of the sensor's own unloaded frame (scale_of), in the unit of the voltages",
         )
     return changed
 
@@ -100,7 +100,7 @@ def _check_scale(scale: float) -> None:
     if number.ndim or not np.isfinite(number) or number == 0:
         raise NumericsError(
             f"the scale of the sensor is {scale}; it must be a finite number other than zero",
-            remedy="take that of its unloaded frame (scale_of)",
+            remedy="use that of its unloaded frame (scale_of)",
         )
 
 
@@ -109,7 +109,7 @@ def _used_once(voltages: Array, problem: ImagingProblem) -> Array:
     frame = real_numbers(voltages, "voltages")
     if frame.shape != problem.used.shape:
         raise NumericsError(
-            f"a reference of shape {frame.shape} does not fit frames of {problem.used.shape}",
+            f"reference of shape {frame.shape} does not match frames of shape {problem.used.shape}",
             remedy="give one frame, by drive and measure pair",
         )
     readings: Array = _used(frame[None], problem)[0]
@@ -120,8 +120,8 @@ def _used(voltages: Array, problem: ImagingProblem) -> Array:
     voltages = real_numbers(voltages, "voltages")
     if voltages.ndim != 3 or voltages.shape[1:] != problem.used.shape:
         raise NumericsError(
-            f"voltages of shape {voltages.shape} do not fit frames of {problem.used.shape}",
-            remedy="give frames one after another, each by drive and measure pair",
+            f"voltages of shape {voltages.shape} do not match frames of shape {problem.used.shape}",
+            remedy="give an array of frames, each by drive and measure pair",
         )
     readings: Array = voltages[:, problem.used]
     if not np.isfinite(readings).all():

@@ -1,4 +1,4 @@
-"""One-step images of consecutive frames that belong together: slow materials change little from frame to frame.
+"""One-step images of consecutive frames with a temporal prior: slow materials change little between frames.
 
 The prior of a block of images is P = R⁻¹ between elements times Γ between frames, Γ_ts = a^|t−s| with a = exp(−1/τ)
 (Adler, Dai & Lionheart 2007, there for a window of frames). In the coordinates of the dual spectrum the block falls
@@ -48,12 +48,12 @@ class Correlation:
         if not self.frames >= 0:
             raise NumericsError(
                 f"correlation_frames is {self.frames}; it must be zero, a positive number or infinite",
-                remedy="give a number of frames, 0 for images that know nothing of each other",
+                remedy="give a number of frames, or 0 for independent images",
             )
         if self.lag is not None and self.lag < 0:
             raise NumericsError(
                 f"lag is {self.lag}; it must be zero or a number of frames",
-                remedy="give 0 for live images, or leave it out to look at all frames of a block",
+                remedy="give 0 for live images, or leave it out to use all frames of a block",
             )
 
     @property

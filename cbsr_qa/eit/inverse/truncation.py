@@ -1,4 +1,4 @@
-"""Truncated singular value decomposition: the singular vectors of W^½J that stand out of the noise, unregularised.
+"""Truncated singular value decomposition of W^½J, with no other regularisation.
 
 On a symmetric sheet singular values come in pairs, a pattern and its turned twin. Half a pair would prefer one
 direction over another, so that cuts are made between values that differ by more than a mesh makes them differ.
@@ -56,7 +56,7 @@ class Truncation:
 
     @property
     def shown(self) -> Array:
-        """The same: there are no others."""
+        """The same, as no further values exist."""
         return self.grid
 
     @property
@@ -81,9 +81,9 @@ class Truncation:
         enough = np.flatnonzero(reached <= target)
         if not enough.size:
             raise NumericsError(
-                f"no number of components keeps within noise figure {target:.3g} with the readings that are left; the"
+                f"no number of components reaches noise figure {target:.3g} with the remaining readings; the"
                 f" least is {reached.min():.3g}",
-                remedy="ask for a larger noise figure, give the number of components itself, or mend bad channels",
+                remedy="give a larger noise figure or the number of components itself, or repair bad channels",
             )
         return int(self.cuts[enough[-1]])
 
@@ -99,7 +99,7 @@ class Truncation:
             near = self.cuts[np.argsort(np.abs(self.cuts - components), kind="stable")[:2]]
             count = len(self._values)
             raise NumericsError(
-                f"{components} components are not among the {count} there are"
+                f"components is {components}; allowed: 1 to {count}"
                 if not 1 <= components <= count
                 else f"{components} components split a pair of equal singular values",
                 remedy=f"keep {' or '.join(str(number) for number in sorted(near))}",
@@ -127,12 +127,12 @@ class Truncation:
             raise NumericsError(
                 f"noise figure {target} cannot be reached; this sensor type allows {reached.min():.3g} to"
                 f" {reached.max():.3g}",
-                remedy="ask for a noise figure in that range, or give the number of components itself",
+                remedy="give a noise figure in that range, or the number of components itself",
             )
         return float(self.grid[within[-1]])
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
-        """Number of components by what readings say; NumericsError where that is nothing."""
+        """Number of components chosen from readings; NumericsError if they determine none."""
         energy = ((self._fold.fold(evidence.changes) @ self._spectrum.analysis.T) ** 2).sum(axis=0)
         if not energy.any():
             raise NumericsError(

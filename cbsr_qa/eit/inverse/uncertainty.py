@@ -1,4 +1,4 @@
-"""What noise, and readings that are left out, do to images and to places."""
+"""Propagation of noise and of left-out readings to images and places."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -39,7 +39,7 @@ def image_variance(matrix: Array, covariance: Array | None = None) -> Array:
     covariance = np.ones(count) if covariance is None else np.asarray(covariance, dtype=np.float64)
     variances = np.diag(covariance) if covariance.ndim == 2 else covariance
     if covariance.shape not in ((count,), (count, count)) or not np.isfinite(covariance).all() or variances.min() < 0:
-        raise NumericsError(f"a covariance of shape {covariance.shape} does not fit {count} readings, or is none")
+        raise NumericsError(f"a covariance of shape {covariance.shape} for {count} readings, or not a valid one")
     if covariance.ndim == 1:
         of_channels: Array = matrix**2 @ covariance
         return of_channels
@@ -49,7 +49,7 @@ def image_variance(matrix: Array, covariance: Array | None = None) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class MaskingEffect:
-    """How much less the readings that are left say about places.
+    """Loss of accuracy of places when readings are left out.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Readings of a sheet under loads, without meshing them."""
+"""Readings of a sheet under loads, without a mesh for the loads."""
 
 from cbsr_qa import door
 

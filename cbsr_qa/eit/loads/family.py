@@ -1,4 +1,4 @@
-"""Loads that keep their shape while their strength changes: what each sends back to its rim, tabulated.
+"""Loads of fixed shape and varying strength: their response on the rim, tabulated.
 
 Everything about such a load is a smooth function of one number. With X = (I + ΔΛ W)⁻¹ ΔΛ what a patch answers to the
 fields that reach its rim (:mod:`cbsr_qa.eit.forward.local`), X/s is analytic in the strength s wherever all elements
@@ -156,7 +156,7 @@ class LoadFamily:
 
 
 class Patch:
-    """The elements of one load, or of several that overlap, seen from their rim.
+    """The elements of one load, or of several that overlap, as seen from their rim.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class Patch:
 
     @property
     def nbytes(self) -> int:
-        """Memory it takes beside its loads: most of it for what is tabulated."""
+        """Memory beside its loads, mostly tables [bytes]."""
         tables = [self._own, *vars(self).get("_weak", ()), *([self.series.coefficients] if self.series else [])]
         parts = self._stack.nbytes + self._matrices.nbytes + self._stacked.nbytes
         return parts + sum(int(table.nbytes) for table in tables)

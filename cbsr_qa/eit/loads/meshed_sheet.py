@@ -1,4 +1,4 @@
-"""Fields of any meshed sheet of even conductance, expanded about places in it, from what is known on its edge alone.
+"""Fields of a meshed sheet of uniform conductance, expanded about interior points from boundary values.
 
 Inside an even sheet every field is harmonic, and Green's identity with the pole p = (z − c)⁻ᵐ reads its coefficients
 off the edge: 2πm A_m = ∮ (p ∂u/∂n − u ∂p/∂n) ds. Where the mesh puts its elements inside does not show, so that what
@@ -44,9 +44,9 @@ class MeshedSheet:
 
     def __init__(self, model: ForwardModel, radius_mm: float) -> None:
         if model.conductance.ndim > 1 or not np.allclose(model.conductance, 1.0, rtol=1e-12):
-            raise NumericsError("fields are expanded about places on a sheet of unit conductance only")
+            raise NumericsError("fields can be expanded only on a sheet of unit conductance")
         if not np.isfinite(model.prepared.contacts.lengths_mm).all():
-            raise NumericsError("point electrodes have no edge that a field could be read from")
+            raise NumericsError("point electrodes have no edge to evaluate a field on")
         self.model = model
         self.radius_mm = radius_mm
         edges = model.mesh.outline
@@ -190,7 +190,7 @@ def _parts(place_mm: Array, reach_mm: Array) -> Iterator[tuple[Complex, Array]]:
 
 
 def _spread(place: Indices, values: Array, lengths: Array) -> sparse.csr_matrix:
-    """What turns a density at the points along the edge into loads of its nodes: (nodes, g).
+    """Matrix from a density at the points along the edge to loads of its nodes: (nodes, g).
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def _spread(place: Indices, values: Array, lengths: Array) -> sparse.csr_matrix:
 
 
 def _owners(model: ForwardModel, edges: Indices) -> Indices:
-    """Electrode of each edge (b, 2), −1 where there is none."""
+    """Electrode of each edge (b, 2); −1 without one."""
     count = len(model.mesh.nodes_mm)
     keys = np.sort(edges, axis=1) @ np.array([count, 1])
     owner = np.full(len(edges), -1, dtype=np.int64)

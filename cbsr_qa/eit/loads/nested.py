@@ -1,4 +1,4 @@
-"""What a load that is made of nested outlines covers: one whose strain is not the same all over."""
+"""Loads of nested outlines, for heads whose strain is not uniform."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -18,7 +18,7 @@ _MARGIN: Final = 0.5  # how far a spread may leave [0, 1], as the best line thro
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NestedCover:
-    """What nested outlines cover, as their elements' integration points see it.
+    """Coverage of elements by nested outlines, at their integration points.
 
     Between one outline and the next smaller one lies a layer, in which the load is as strong as the weights of all
     outlines around it together.
@@ -64,7 +64,7 @@ class NestedCover:
             raise NumericsError(
                 f"a relative change of {worst} leaves no positive conductance where a head presses"
                 f" {self.levels.max():.3g} times as hard as on average",
-                remedy="press less deep, or take a head's pressure that is more even",
+                remedy="press less deep, or use a head with a more even pressure",
             )
         along = (self.layers @ raised[..., None])[..., 0]
         less = (self.layers @ (raised / (1 + raised))[..., None])[..., 0]  # of the resistance
@@ -77,7 +77,7 @@ class NestedCover:
 def nested_cover(
     elements: FiniteElements, largest: Footprint, centre_mm: tuple[float, float], sizes: Array, weights: Array
 ) -> NestedCover:
-    """Find what nested outlines of one shape cover of each element; areas are exact, whatever the mesh.
+    """Area of each element covered by nested outlines of one shape; exact for any mesh.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Patches of changed elements, seen from their rims: what they need, whatever their change."""
+"""Patches of changed elements as seen from their rims, independent of the size of the change."""
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -115,7 +115,7 @@ class ContactStack:
 
 
 class Patches:
-    """A set of changed elements as patches that share no node, and what links their rims.
+    """A set of changed elements as patches that share no node, with the coupling of their rims.
 
     Fields from outside are described on each rim by the few that are ever met, without their mean, which no change of
     conductance feels.
@@ -152,7 +152,7 @@ class Patches:
         return _nbytes(self) + parts + sum(array.nbytes for array in arrays)
 
     def correction(self, change: Array, contact_change: Array | None = None) -> Array:
-        """What the transfer impedance loses.
+        """Decrease of the transfer impedance.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ class Patches:
             yield self._contacts.rim_changes(contact_change)
 
     def _link(self, model: ForwardModel, inverse: InverseEntries) -> None:
-        """Describe what each patch meets, and how patches and electrodes meet each other."""
+        """Describe the fields that each patch sees, and the coupling of patches and electrodes."""
         shapes = [stack.rims.shape for stack in self._stacks]
         spans = spans_of([b for g, b in shapes for _ in range(g)])
         between, fields = between_rims(model, inverse, [row for stack in self._stacks for row in stack.rims], spans)
@@ -266,7 +266,7 @@ def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
         raise NumericsError(
             f"the change of element {elements[wrong[0]]} leaves it with a conductance of {new[wrong[0]].tolist()}"
             " S; it must stay a positive finite number, in every direction",
-            remedy="give changes above minus the conductance there is; what is to insulate keeps 1e-8 of it",
+            remedy="give changes that leave it positive; for an insulator leave 1e-8 of the conductance",
         )
 
 

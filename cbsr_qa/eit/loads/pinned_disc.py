@@ -1,4 +1,4 @@
-"""Fields of a homogeneous round sheet with round pins, expanded about any place in it: no mesh, every digit.
+"""Fields of a homogeneous disc with round pins, expanded about any point: no mesh, full precision.
 
 A potential is the real part of an analytic function. A pin that carries a current is a logarithm at its centre plus
 poles d_n (z − p)⁻ⁿ that hold its rim at one potential behind the contact impedance; the sheet's edge adds the image
@@ -98,7 +98,7 @@ class PinnedDisc:
         return Expansion(orders, fields, response)
 
     def _about(self, place_mm: Array, reach_mm: Array, orders: int) -> tuple[Array, Array, Array]:
-        """Fields of currents and of the pins' poles about places, and what they are scaled by."""
+        """Fields of currents and of the pins' poles about places, and their scales."""
         centre, reach = self._centres(place_mm), np.asarray(reach_mm) / self.radius_mm
         scale = np.concatenate([_powers(reach, orders)] * 2, axis=-1)[..., None]
         near = _powers(_inverse(self._pins - centre[:, None]), orders + self._poles)
@@ -194,7 +194,7 @@ def _stacked(values: Complex) -> Array:
 
 
 def _image_poles(images: Complex, count: int) -> Complex:
-    """What conj(d_n) of a pole at a pin becomes at its image: (pins, j, n) coefficients of (z − image)⁻ʲ.
+    """Image of a pole's conj(d_n) at a pin: (pins, j, n) coefficients of (z − image)⁻ʲ.
 
     The image of (z − p)⁻ⁿ is (z/(1 − p̄z))ⁿ = (−p*)ⁿ Σ_j C(n, j) p*ʲ (z − p*)⁻ʲ; the constant j = 0 drives nothing.
     """
@@ -206,7 +206,7 @@ def _image_poles(images: Complex, count: int) -> Complex:
 
 
 def _mirrored(centre: Complex, orders: int) -> Array:
-    """What the edge sends back to poles at a place: its part of an expansion's response, (n, 2·orders, 2·orders).
+    """Reflection of the edge at a place: its part of an expansion's response, (n, 2·orders, 2·orders).
 
     The image of (z − c)⁻ⁿ is (z/(1 − c̄z))ⁿ; with w = z − c and β = 1 − |c|² it is (c/β + β⁻² w/(1 − w c̄/β))ⁿ.
     """

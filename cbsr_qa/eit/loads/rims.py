@@ -1,4 +1,4 @@
-"""Rims of changed patches: who sees them, what lies between them, and the few fields that are ever met there."""
+"""Rims of changed patches: coupling between them and to the electrodes, in few modes."""
 
 from collections.abc import Iterator, Sequence
 
@@ -60,7 +60,7 @@ def between_rims(
 
 
 def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
-    """K₀⁻¹ between the nodes of one rim, without its means: the same whatever loads came before."""
+    """K₀⁻¹ between the nodes of one rim, without its means; independent of earlier loads."""
     own = inverse.alone(rim)
     own -= own.mean(axis=0)
     own -= own.mean(axis=1)[:, None]
@@ -68,7 +68,7 @@ def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
 
 
 def met_bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
-    """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes, but for the least of it."""
+    """Orthonormal bases (b, r) of the fields that reach each rim from other rims and electrodes, truncated."""
     found = []
     for span, negligible in zip(spans, least, strict=True):
         # The factor R of the transpose has the same left vectors, and is square.

@@ -135,7 +135,7 @@ class RoundLoadModel:
         return readings
 
     def readings(self, loads: RoundLoads) -> LoadReadings:
-        """Changes of the readings, and their slopes, for each of n loads in a sheet of its own.
+        """Changes of the readings, and their slopes, for each of n loads pressed alone.
 
         Raises
         ------
@@ -180,7 +180,7 @@ class RoundLoadModel:
         if not np.isfinite(each).all():
             raise NumericsError(
                 "a load's place, strength or size is not a finite number",
-                remedy="a head that conducts perfectly has a strength of its squared radius",
+                remedy="for a perfect conductor use the squared radius as strength",
             )
         outside = np.flatnonzero(self.surroundings.clearance_mm(loads.place_mm) <= 0)
         if outside.size:
@@ -203,7 +203,7 @@ class RoundLoadModel:
 
 
 def _solved(system: Array, fields: Array) -> Array:
-    """Fields with the load; a strength no disc has can resonate, and is then as bad as a very large field says."""
+    """Fields with the load; an unphysical strength may resonate, and then counts as a very large field."""
     try:
         return np.asarray(np.linalg.solve(system, fields), dtype=np.float64)
     except np.linalg.LinAlgError:

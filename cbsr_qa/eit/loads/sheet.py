@@ -1,4 +1,4 @@
-"""Voltages of a sheet under many loads of known shapes, whose strengths change all the time.
+"""Voltages of a sheet under many loads of fixed shape and varying strength.
 
 As :class:`~cbsr_qa.eit.forward.LocalUpdate`, with which it agrees to eight digits, for sequences of frames: what a
 load answers to the fields about it is tabulated over its strength (:mod:`cbsr_qa.eit.loads.family`), contacts are
@@ -31,7 +31,7 @@ _ROUNDING: Final = 1e-14  # a load by itself meets the electrodes' few fields al
 
 
 class LinkedPatches:
-    """What a sheet loses by loads on patches that share no element, and by changed contacts.
+    """Change of a sheet's impedance by loads on patches that share no element, and by changed contacts.
 
     Patches side by side share nodes: these are on both rims, for each has elements that do not belong to the other.
 
@@ -80,7 +80,7 @@ class LinkedPatches:
         return sum(array.nbytes for array in [*kept, *eliminated])
 
     def corrections(self, loads: Sequence[Mapping[LoadFamily, float]], contact_change: Array | None) -> Array:
-        """What the transfer impedance loses, at several moments.
+        """Decrease of the transfer impedance, at several moments.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class LinkedPatches:
         return np.array(corrections)
 
     def _answers(self, loads: Mapping[LoadFamily, float]) -> Array:
-        """What each patch sends back of the fields it meets: (patches, rank, rank)."""
+        """Response of each patch to the fields it sees: (patches, rank, rank)."""
         single = np.array([loads[patch.families[0]] if patch.series else np.inf for patch in self._patches])
         within = np.abs(single) <= self._reach
         strengths = np.where(within, single, 0.0)
@@ -134,7 +134,7 @@ class LinkedPatches:
         return series, reach
 
     def _without_contacts(self, change: Array | None) -> tuple[Array, Array, Array]:
-        """B and F between loads with the contacts changed, and what the contacts lose by themselves."""
+        """B and F between loads with the contacts changed, and the contacts' own contribution."""
         loads = slice(0, self._loads)
         if change is None or self._contacts is None:
             return self._between[loads, loads], self._fields[loads], np.zeros((self._fields.shape[1],) * 2)
@@ -233,7 +233,7 @@ class LoadedSheet:
         return changed
 
     def _link(self, families: tuple[LoadFamily, ...], contacts: bool) -> LinkedPatches | None:
-        """What links some loads, or None where the local update has to do it."""
+        """Coupling of some loads, or None if the local update must be used."""
         key = (frozenset(families), contacts)
         if key not in self._links:
             _make_room(self._links, _MOST_LINKS)

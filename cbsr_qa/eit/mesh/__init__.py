@@ -1,4 +1,4 @@
-"""Triangle meshes of sheets, made here or elsewhere."""
+"""Triangle meshes of sheets, generated or imported."""
 
 from cbsr_qa import door
 

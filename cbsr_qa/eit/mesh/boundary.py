@@ -1,4 +1,4 @@
-"""The edge of a sheet as nodes: spaced by a size field, with every corner and every strip's end on one.
+"""Boundary nodes of a sheet: spaced by a size field, with a node on every corner and electrode end.
 
 How large the elements of a sheet's mesh are, from place to place.
 """
@@ -52,7 +52,7 @@ def plain_lengths(size: float, radius: float) -> Grade:
 
 
 def graded_smoothly(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
-    """Edge lengths for elements of second order, which all err alike under a singularity in ``distance`` 0.
+    """Edge lengths for second-order elements that equalise the error of a singularity at ``distance`` 0.
 
     Where a field goes as r log r an element of second order errs by (h/r)⁴ r² in energy, and there are r dr/h² of
     them: both together are least for h ∝ r^(2/3). The power was then measured on discs with arcs. Readings converge
@@ -310,7 +310,7 @@ def _spread(density: Lengths, places: Lengths, at_least: int) -> Lengths:
 
 
 def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
-    """The piece that a stretch lies on, −1 where it goes on from one to the next."""
+    """The piece that a stretch lies on; −1 if it crosses from one to the next."""
     along = (begin + end) / 2 % curve.perimeter
     piece = int(np.searchsorted(curve.begins, along, side="right")) - 1
     whole = end - begin <= 2 * min(along - curve.begins[piece], curve.begins[piece + 1] - along) * (1 + 1e-9)
@@ -318,7 +318,7 @@ def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
 
 
 def _owner(curve: ClosedCurve, along: float, strips: Lengths, width: float) -> int:
-    """Strip that covers a place on the edge, −1 for none."""
+    """Strip that covers a place on the edge; −1 if none."""
     away = np.abs(strips - along)
     covered = np.flatnonzero(np.minimum(away, curve.perimeter - away) < width / 2)
     return int(covered[0]) if covered.size else -1

@@ -1,7 +1,4 @@
-"""Sensor types whose sheet is a mesh made elsewhere.
-
-Mesh files: our own ``.npz``, and whatever meshio reads where it is installed.
-"""
+"""Mesh files: our own ``.npz`` and, where meshio is installed, its formats; sensor types made from them."""
 
 import io
 import re
@@ -53,7 +50,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     except OSError as error:
         raise NumericsError(
             f"the mesh cannot be written to {path}: {error.strerror or error}",
-            remedy="choose a folder that is there and may be written to",
+            remedy="choose an existing, writable folder",
         ) from error
 
 
@@ -73,9 +70,7 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
         If there is no such file, it is no mesh, meshio is needed and not installed, or the mesh is refused.
     """
     if not path.is_file():
-        raise NumericsError(
-            f"there is no mesh file {path}", remedy="check its name, and the folder it is looked for in"
-        )
+        raise NumericsError(f"there is no mesh file {path}", remedy="check its name and folder")
     if path.stat().st_size > LARGEST_BYTES:
         raise NumericsError(
             f"{path} has {path.stat().st_size} bytes; a mesh file has at most {LARGEST_BYTES}",
@@ -96,7 +91,7 @@ def _npz(path: Path) -> dict[str, NDArray[Any]]:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise NumericsError(
-            "it is damaged, or no .npz file of numbers", remedy="write it again, with write_mesh or numpy.savez"
+            "it is damaged, or not an .npz file of numbers", remedy="write it again, with write_mesh or numpy.savez"
         ) from error
 
 
@@ -104,7 +99,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeG
     missing = [name for name in ("nodes_mm", "elements") if name not in arrays]
     if missing:
         raise NumericsError(
-            f"it holds no {missing[0]}", remedy="write it with write_mesh, or with arrays nodes_mm and elements"
+            f"it has no array {missing[0]}", remedy="write it with write_mesh, or with arrays nodes_mm and elements"
         )
     if electrodes is not None or "electrode_edges" not in arrays:
         return imported_mesh(arrays["nodes_mm"], arrays["elements"], electrodes or (), mend=mend)
@@ -133,7 +128,7 @@ def _by_meshio(path: Path) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGi
     triangles = found.cells_dict.get("triangle")
     if triangles is None:
         kinds = ", ".join(sorted(found.cells_dict)) or "nothing"
-        raise NumericsError(f"it holds no triangles but {kinds}", remedy="mesh the sheet with triangles")
+        raise NumericsError(f"it holds {kinds} and no triangles", remedy="mesh the sheet with triangles")
     return found.points, triangles, _named_lines(found)
 
 
@@ -199,7 +194,7 @@ def mesh_sensor(
 
 
 def outer_ring(mesh: Mesh) -> Indices:
-    """Nodes of the outer boundary, counterclockwise: of the boundary's closed lines the one that goes round most."""
+    """Nodes of the outer boundary, counterclockwise: the closed line of the largest area."""
     return max(_rings(mesh), key=lambda ring: signed_area(mesh.nodes_mm[ring]))
 
 

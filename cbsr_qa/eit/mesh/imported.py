@@ -1,4 +1,4 @@
-"""Meshes made elsewhere: checked, and given their electrodes.
+"""Imported meshes: validation, and placement of electrodes.
 
 What must be right about a mesh that was made elsewhere, each with what to do where it is not.
 """
@@ -24,7 +24,7 @@ _FLAT: Final = 1e-9  # area over the longest edge squared: thinner elements have
 
 
 def plane_points(nodes_mm: ArrayLike) -> Points:
-    """Return nodes as (n, 2) finite numbers; a third coordinate that is the same for all is left out.
+    """Return nodes as (n, 2) finite numbers; a constant third coordinate is dropped.
 
     Raises
     ------
@@ -42,13 +42,13 @@ def plane_points(nodes_mm: ArrayLike) -> Points:
     wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if wrong.size:
         raise NumericsError(
-            f"node {wrong[0]} (one of {wrong.size} such) is at a place that is not a finite number",
-            remedy="mend it, or leave it and its elements out",
+            f"node {wrong[0]} (one of {wrong.size} such) has a non-finite position",
+            remedy="correct it, or leave it and its elements out",
         )
     farthest, extent = float(np.abs(points).max()), float(np.ptp(points, axis=0).max())
     if farthest > FARTHEST_MM or extent < _SMALLEST_MM:
         raise NumericsError(
-            f"a mesh of {extent:g} mm that reaches {farthest:g} mm from its origin is no sheet's; allowed are"
+            f"the mesh is {extent:g} mm wide and reaches {farthest:g} mm from its origin; allowed are"
             f" {_SMALLEST_MM:g} to {FARTHEST_MM:g} mm",
             remedy="give places in millimetres from the sheet's centre",
         )
@@ -76,7 +76,7 @@ def check_range(numbers: Indices, count: int, first: int, what: str) -> None:
         row = (numbers[wrong[0]] + first).tolist()
         counted = "first=1" if first == 0 else "first=0"
         raise NumericsError(
-            f"{what} {wrong[0]} names nodes {row}; there are {first} to {count - 1 + first}",
+            f"{what} {wrong[0]} names nodes {row}; nodes are numbered {first} to {count - 1 + first}",
             remedy=f"if nodes are counted from {1 - first}, say {counted}",
         )
 

@@ -1,4 +1,4 @@
-"""Meshes of sheets of any outline, with electrodes anywhere: the edge node by node, then filled.
+"""Meshes of sheets of any outline with electrodes anywhere: boundary nodes first, then the interior.
 
 The outline is first laid in a frame of its own, its first corner in the origin and its first edge along +x, on a grid
 far finer than any drawing: a sheet that is turned or moved has the same mesh, turned or moved.
@@ -153,7 +153,7 @@ class _Pins:
 
     @classmethod
     def of(cls, curve: ClosedCurve, centres: Points, radius: float, size: float, order: int) -> Self:
-        """Edges so short that enough go round a pin, and that they fit between it and what is next to it."""
+        """Edge lengths so short that enough edges surround a pin and fit between it and its neighbours."""
         room = curve.nearest(centres)[1] - radius
         if len(centres) > 1:
             next_pin = np.asarray(cKDTree(centres).query(centres, k=[2])[0])[:, 0]
@@ -252,7 +252,7 @@ def _followed(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tupl
 
 
 def _cut_edges(rings: list[Points]) -> NDArray[np.bool_]:
-    """Which edges of closed lines are no edges of the Delaunay triangles of all their nodes, one for each node."""
+    """Edges of closed lines that the Delaunay triangulation of all nodes lacks, one for each node."""
     points = np.vstack(rings)
     triangles = Delaunay(points).simplices
     joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
@@ -304,5 +304,5 @@ def _lattice(curve: ClosedCurve, size: float) -> Points:
 
 
 def _ring(count: int) -> Indices:
-    """Edges of a closed line of so many nodes."""
+    """Edges of a closed line of n nodes."""
     return np.column_stack([np.arange(count), (np.arange(count) + 1) % count]).astype(np.int64)

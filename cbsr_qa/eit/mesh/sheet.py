@@ -1,9 +1,8 @@
-"""A mesh whose edges follow a circle inside it, so that every element lies on one side of a round load's outline.
+"""Meshes of a round sheet: graded at the electrodes for voltages, nearly uniform for images, fitted to a circle.
 
-Loads that come and go are better served by cutting elements (:mod:`cbsr_qa.eit.forward`); this is for reference
-solutions, which then converge as fast as without a load.
-
-Meshes of a sensor type's round sheet: graded at the electrodes for voltages, near-uniform for images.
+A fitted mesh has edges along a circle inside it, so every element lies on one side of a round load's outline. Use it
+for reference solutions, which then converge as fast as without a load; for moving loads cut elements
+(:mod:`cbsr_qa.eit.forward`) are the better choice.
 """
 
 from dataclasses import dataclass
@@ -178,7 +177,7 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
 
 
 def _ring(count: int) -> NDArray[np.int64]:
-    """Edges of a closed line of so many nodes."""
+    """Edges of a closed line of n nodes."""
     return np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
 
 
@@ -299,7 +298,7 @@ def _size_at(mesh: Mesh, points: Array) -> Array:
 
 
 def _ring_fitted_mesh(mesh: Mesh, centre: Array, radius: float) -> Array:
-    """Nodes round the circle, as dense as the mesh is there."""
+    """Nodes round the circle, as dense as the surrounding mesh."""
     turn = 2 * np.pi * np.arange(_DENSE + 1) / _DENSE
     circle = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
     density = 1 / _size_at(mesh, circle)

@@ -1,4 +1,4 @@
-"""Fill an outline with triangles of a wanted size: Delaunay refinement, then smoothing.
+"""Triangulation of an outline to a size field: Delaunay refinement, then smoothing.
 
 Points are inserted at circumcentres of triangles that are too large (Chew 1989; Ruppert 1995), many at a time, and
 then moved so that every edge gets the length the size function wants (Persson & Strang 2004). No random
@@ -28,7 +28,7 @@ MOST_POINTS: Final = 200_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """What is to be filled.
+    """The area to triangulate.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def _spread(points: Points, distance: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _smoothed(outline: Outline, points: Points, elements: Elements) -> Points:
-    """Push the ends of edges that are too short apart, in proportion to what they lack (Persson & Strang 2004)."""
+    """Push the ends of short edges apart, in proportion to the missing length (Persson & Strang 2004)."""
     edges = np.sort(np.vstack([elements[:, [0, 1]], elements[:, [1, 2]], elements[:, [2, 0]]]), axis=1)
     edges = np.unique(edges[:, 0] * len(points) + edges[:, 1])
     first, second = np.divmod(edges, len(points))

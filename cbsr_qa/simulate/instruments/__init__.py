@@ -1,4 +1,4 @@
-"""Emulated instruments on byte streams, all before one simulated world."""
+"""Emulated instruments on byte streams, all connected to one simulated world."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""An emulated Cartesian force applicator: a Prusa MK3, or another printer with stock Marlin.
+"""An emulated Cartesian force applicator: a Prusa MK3, or a printer with stock Marlin.
 
 Marlin's line protocol: numbered lines with checksums, and how a printer asks for one again.
 """
@@ -20,7 +20,7 @@ LONGEST_LINE: Final = 96
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line: its number, its command, and what is wrong with it in the firmware's words, if anything."""
+    """One line: number, command, and the firmware's error message if it is wrong."""
 
     number: int | None
     command: str
@@ -33,7 +33,7 @@ def checksum(text: str) -> int:
 
 
 def read_line(raw: bytes, last: int) -> Line:
-    """Read one line as Marlin's queue does.
+    """Parse one line as Marlin's queue does.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def read_line(raw: bytes, last: int) -> Line:
 
 
 def words(command: str) -> tuple[str, dict[str, float | None]]:
-    """Split a command into its code and its parameters; None for those that carry no number."""
+    """Split a command into code and parameters; None for parameters without a number."""
     code, *rest = command.split() or [""]
     parameters: dict[str, float | None] = {}
     for word in rest:
@@ -130,7 +130,7 @@ class EmulatedApplicator:
         send(_BANNER[self._firmware].encode())
 
     def received(self, data: bytes) -> bytes:
-        """Obey what came, line by line."""
+        """Execute received commands, line by line."""
         if Fault.BUSY in self._told:
             self._told.discard(Fault.BUSY)
             self._keep_busy()
@@ -145,7 +145,7 @@ class EmulatedApplicator:
         return said.encode()
 
     def misbehave(self, fault: Fault) -> None:
-        """Ask for the next numbered line again, be busy before the next answer, or restart instead of it."""
+        """Inject a fault: request a resend, report busy, or restart."""
         if fault in (Fault.RESEND, Fault.BUSY, Fault.RESET):
             self._told.add(fault)
 
@@ -169,7 +169,7 @@ class EmulatedApplicator:
         self._believe((0.0, 0.0, 0.0))
 
     def _believe(self, position: Position) -> None:
-        """Take the place where the head stands for this one."""
+        """Define the head's current position (G92)."""
         x, y, z = (true - told for true, told in zip(self._head.target_mm, position, strict=True))
         self._offset: Position = (x, y, z)
 
@@ -213,7 +213,7 @@ class EmulatedApplicator:
         if speed is not None and speed > 0:
             self._speed_mm_s = speed / 60
         origin = self._target_mm()
-        wanted = [self._told_to_go(axis, parameters) for axis in range(3)]
+        wanted = [self._goal_of(axis, parameters) for axis in range(3)]
         x, y, z = (min(max(to, 0.0), most) for to, most in zip(wanted, REACH_MM, strict=True))
         ways = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
         length = sum(way**2 for way in ways) ** 0.5
@@ -228,7 +228,7 @@ class EmulatedApplicator:
         return said + self._wait_until(self._rig.clock.now() + dwell_s)
 
     def _g28(self, parameters: Parameters) -> str:
-        """Home the axes named, or all of them.
+        """Home the named axes, or all.
 
         A Prusa lifts before it, and levels the mesh after it where no axis was named.
         """
@@ -290,14 +290,14 @@ class EmulatedApplicator:
         x, y, z = (told + offset for told, offset in zip(position, self._offset, strict=True))
         return x, y, z
 
-    def _told_to_go(self, axis: int, parameters: Parameters) -> float:
-        now_mm, told = self._target_mm()[axis], parameters.get(_AXES[axis])
-        if told is None:
+    def _goal_of(self, axis: int, parameters: Parameters) -> float:
+        now_mm, goal = self._target_mm()[axis], parameters.get(_AXES[axis])
+        if goal is None:
             return now_mm
-        return told if self._absolute else now_mm + told
+        return goal if self._absolute else now_mm + goal
 
     def _wait_until(self, time_s: float) -> str:
-        """Let time pass, with a word every two seconds."""
+        """Wait, with a busy message every two seconds."""
         said = ""
         while (left_s := time_s - self._rig.clock.now()) > 0:
             self._rig.clock.sleep(min(left_s, _BUSY_EVERY_S))

@@ -1,4 +1,4 @@
-"""The station's clock where instruments are emulated: whoever waits moves the emulated world on.
+"""Clock of a station with emulated instruments: waiting advances the emulated world.
 
 What emulated instruments can be told to do wrong.
 """
@@ -14,7 +14,7 @@ from cbsr_qa.system import VirtualClock
 
 
 class WatchedClock(VirtualClock):
-    """A virtual clock that several threads sleep on, and that tells whoever acts while time passes.
+    """A virtual clock for several threads, which notifies its watchers as time passes.
 
     The runner sleeps in its own thread, emulated instruments in theirs; a free-running instrument (a load cell that
     sends eight samples a second) watches, and sends what fell due before the sleep returns.
@@ -31,16 +31,16 @@ class WatchedClock(VirtualClock):
         self._watchers: list[Callable[[float], None]] = []
 
     def watch(self, watcher: Callable[[float], None]) -> None:
-        """Call this with the time whenever it has passed; it must not sleep, and must not block."""
+        """Add a watcher, called with the time after each advance; it must not sleep or block."""
         self._watchers.append(watcher)
 
     def now(self) -> float:
-        """Seconds slept so far, by anybody [s]."""
+        """Total time slept by all threads [s]."""
         with self.lock:
             return super().now()
 
     def sleep(self, duration_s: float) -> None:
-        """Advance at once by this much [s], and tell the watchers."""
+        """Advance by this much [s], and notify the watchers."""
         with self.lock:
             super().sleep(duration_s)
             now_s = super().now()
@@ -49,7 +49,7 @@ class WatchedClock(VirtualClock):
 
 
 class Fault(StrEnum):
-    """One misbehaviour, at the next command after it was armed."""
+    """One fault, triggered by the next command after it was armed."""
 
     DROP = "drop"  #: the link hangs up and stays down
     SILENCE = "silence"  #: commands are taken, and nothing is ever answered again
@@ -68,24 +68,24 @@ OF_THE_LINK: Final = frozenset({Fault.DROP, Fault.SILENCE, Fault.GARBLE, Fault.D
 
 
 class ArmedFaults:
-    """Faults waiting for the next command; armed in one thread, met in another."""
+    """Armed faults; armed in one thread, triggered in another."""
 
     def __init__(self) -> None:
         self._waiting: deque[Fault] = deque()
         self._lock = threading.Lock()
 
     def arm(self, fault: Fault) -> None:
-        """Let the next command meet a fault; several are met by one command each."""
+        """Arm a fault for the next command; several faults hit one command each."""
         with self._lock:
             self._waiting.append(fault)
 
     @property
     def waiting(self) -> int:
-        """How many were armed and not met yet."""
+        """Number of faults armed and not yet triggered."""
         with self._lock:
             return len(self._waiting)
 
     def met(self) -> Fault | None:
-        """Take the fault the present command meets."""
+        """Take the fault that hits the current command."""
         with self._lock:
             return self._waiting.popleft() if self._waiting else None

@@ -1,4 +1,4 @@
-"""The ERT board, emulated: it scans from the moment it has power, sends what it reads, and is told nothing."""
+"""An emulated ERT board: it scans and sends continuously from power-on, and takes no commands."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -30,7 +30,7 @@ _NOW_S: Final = 1e-9
 
 
 class EmulatedErtBoard:
-    """Sends a row of counts whenever one falls due on the clock.
+    """Sends a row of counts whenever one is due on the clock.
 
     Counts are ``zero_counts`` plus the reading times a scale that its range is well used by; what lies beyond its
     range is cut there. Every frame is of the moment in its middle, which is still to come when its first row is sent:
@@ -62,17 +62,17 @@ class EmulatedErtBoard:
         self._scale = self._counts_per_volt()
 
     def attached(self, line: Port) -> None:
-        """Begin to send."""
+        """Start to send."""
         self._line = line
         self._rig.clock.watch(self._time_passed)
 
     def received(self, data: bytes) -> bytes:
-        """Ignore what comes: the board is sent no commands."""
+        """Ignore received bytes: the board takes no commands."""
         del data
         return b""
 
     def misbehave(self, fault: Fault) -> None:
-        """Start again (RESET); other faults are none of an instrument without commands."""
+        """Start again (RESET); no other fault applies to an instrument without commands."""
         if fault is Fault.RESET:
             self._send(_BOOT)
             self._origin_s = self._rig.clock.now() + _BOOT_S
@@ -81,7 +81,7 @@ class EmulatedErtBoard:
             self._frame = None
 
     def _time_passed(self, now_s: float) -> None:
-        """Send the rows that fell due."""
+        """Send the rows that are due."""
         self._next_row = max(self._next_row, self._due(now_s) - _KEPT_FRAMES * _PAIRS)
         while self._next_row < self._due(now_s) and self._line is not None and not self._silent:
             row, self._next_row = self._next_row, self._next_row + 1
@@ -89,7 +89,7 @@ class EmulatedErtBoard:
                 self._send_row(self._line, row)
 
     def _due(self, now_s: float) -> int:
-        """How many rows fell due since it began its scans."""
+        """Number of rows due since scanning began."""
         return int((now_s - self._origin_s + _NOW_S) / self._row_s)
 
     def _send_row(self, line: Port, row: int) -> None:
@@ -111,7 +111,7 @@ class EmulatedErtBoard:
         return None
 
     def _said(self, row: int) -> bytes:
-        """What is sent for a row; the mark of text goes out as soon as the frame before it is over."""
+        """Bytes sent for a row; the text marker is sent as soon as the frame before it ends."""
         frame, pair = divmod(row, _PAIRS)
         counts = self._counts(frame).ravel()[_PAIRS * pair : _PAIRS * (pair + 1)].tolist()
         if self._text:

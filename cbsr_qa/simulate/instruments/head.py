@@ -1,4 +1,4 @@
-"""The emulated head: it moves in the machine's coordinates, and leaves strain in the world's sheet."""
+"""The emulated head: it moves in machine coordinates and strains the world's sheet."""
 
 import math
 from collections import deque
@@ -39,7 +39,7 @@ class _Way:
 
 
 class EmulatedHead:
-    """A head on three axes; motions are queued by a command and happen later, as time passes on the clock.
+    """A head on three axes; commands queue motions, which happen as time passes on the clock.
 
     Speeds are constant: what acceleration costs at 200 mm/s² is left out, as in :mod:`cbsr_qa.domain.plan.steps`.
 
@@ -65,7 +65,7 @@ class EmulatedHead:
         clock.watch(self._follow)
 
     def mounted(self, centre_mm: tuple[float, float], hover_z_mm: float, *, up: bool = True) -> None:
-        """Say where the sheet lies in the machine.
+        """Set the sheet's position in machine coordinates.
 
         Parameters
         ----------
@@ -78,13 +78,13 @@ class EmulatedHead:
 
     @property
     def position_mm(self) -> Position:
-        """Where it is at this moment, in the machine's coordinates."""
+        """Current position in machine coordinates."""
         now_s = self._clock.now()
         return next((way.at(now_s) for way in self._ways if way.start_s <= now_s < way.end_s), self._rests)
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """Where it is from the sheet's centre."""
+        """Current position from the sheet's centre."""
         x, y, _ = self._sheet_position(self.position_mm)
         return x, y
 
@@ -95,42 +95,42 @@ class EmulatedHead:
 
     @property
     def touching(self) -> bool:
-        """Whether it is below the sheet's surface at this moment."""
+        """Whether it is below the sheet's surface."""
         x, y, depth_mm = self._sheet_position(self.position_mm)
         return self._above_sheet(x, y) and depth_mm > self._world.surface_mm(x, y, self._clock.now()) + _NEAR_MM
 
     @property
     def up(self) -> bool:
-        """Whether it is at the hover height or above it."""
+        """Whether it is at or above the hover height."""
         return self.height_mm >= self._hover_mm - 1e-3
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is under way or waits."""
+        """Whether a motion is active or queued."""
         return bool(self._ways)
 
     @property
     def queued(self) -> int:
-        """How many motions wait or are under way."""
+        """Number of active and queued motions."""
         return len(self._ways)
 
     @property
     def free_at_s(self) -> float:
-        """When the last motion ends; not before now."""
+        """End of the last motion; at least now."""
         return self._ways[-1].end_s if self._ways else self._clock.now()
 
     @property
     def next_end_s(self) -> float:
-        """When the motion under way ends; not before now."""
+        """End of the active motion; at least now."""
         return self._ways[0].end_s if self._ways else self._clock.now()
 
     @property
     def target_mm(self) -> Position:
-        """Where it will be when every motion has ended."""
+        """Position after all motions."""
         return self._ways[-1].goal if self._ways else self._rests
 
     def go(self, goal: Position, speed_mm_s: float) -> None:
-        """Queue a straight motion; a goal where it ends anyway is none."""
+        """Queue a straight motion; a goal equal to its start is skipped."""
         origin, start_s = self.target_mm, self.free_at_s
         length_mm = math.dist(origin, goal)
         if length_mm <= _NEAR_MM:
@@ -140,19 +140,19 @@ class EmulatedHead:
             self._begin(self._ways[0])
 
     def stop(self) -> None:
-        """Stand still at once, and forget every motion that waits."""
+        """Stop at once, and discard queued motions."""
         if self._ways:
             self._rests = self.position_mm
             self._written.halt(self._clock.now())
             self._ways.clear()
 
     def _writer(self) -> PressWriter:
-        """Begin to write from where the head stands; a resumed session has position errors of its own."""
+        """Start a stroke from the head's position; a resumed session has its own position errors."""
         first = math.ceil(1e3 * self._world.setting.began_s) << _MOVEMENTS_BITS
         return PressWriter(self._world, self._sheet_position(self._rests), first_index=first)
 
     def _follow(self, now_s: float) -> None:
-        """Begin the motions whose time has come; called whenever time has passed."""
+        """Start the motions that are due; called after each advance of the clock."""
         while self._ways and self._ways[0].end_s <= now_s:
             self._rests = self._ways.popleft().goal
             if self._ways:

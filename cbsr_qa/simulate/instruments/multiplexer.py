@@ -24,7 +24,7 @@ _BOOT: Final = (
 
 
 class EmulatedMultiplexer:
-    """Steps through all combinations of the pairs it knows; one of the two is the inner loop.
+    """Steps through all combinations of its pairs, one of the two in the inner loop.
 
     Its firmware knows no sensor types: it counts, and its pairs are k and k + 1 + skip.
 
@@ -52,7 +52,7 @@ class EmulatedMultiplexer:
         self._boot()
 
     def received(self, data: bytes) -> bytes:
-        """Obey the first byte of what came; the others are lost, as in the firmware."""
+        """Execute the first received byte; the others are lost, as in the firmware."""
         command = data[:1]
         with self._rig.lock:
             said = self._obeyed(command)
@@ -63,7 +63,7 @@ class EmulatedMultiplexer:
         return held + said
 
     def misbehave(self, fault: Fault) -> None:
-        """Restart: the counter is at its beginning, and whatever was waiting is lost."""
+        """Restart: the counter is reset and pending output is lost."""
         if fault is Fault.RESET:
             with self._rig.lock:
                 self._boot()
@@ -112,7 +112,7 @@ class EmulatedMultiplexer:
         return f"\x1b[0;32mI ({1000 + self._steps}) mux: {self._steps} steps so far, i\x1b[0m\r\n".encode()
 
     def _later(self, digits: bytes) -> None:
-        """Send the counter with the next log line, or with the next answer if that comes first."""
+        """Send the counter with the next log line or the next answer, whichever comes first."""
         with self._writing:
             self._waiting += digits
         timer = threading.Timer(_COUNTER_LATE_S, self._logged)

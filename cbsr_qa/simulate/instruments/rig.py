@@ -1,4 +1,4 @@
-"""The one world behind all emulated instruments: sheet, head, and how source and meter are wired to the pins.
+"""The world behind all emulated instruments: sheet, head, and wiring of source and meter to the pins.
 
 Start the emulated instruments of a station, each on a byte stream of its own.
 """
@@ -26,7 +26,7 @@ _LATEST_ROUNDS: Final = 3.0
 
 @dataclass(slots=True)
 class Wiring:
-    """What is connected to the sheet at the moment.
+    """Current connections to the sheet.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True)
 class Electrical:
-    """What is between source, sheet and meter at the moment.
+    """Current electrical circuit of source, sheet and meter.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Electrical:
 
 
 class EmulatedRig:
-    """A simulated world that emulated instruments share.
+    """The simulated world shared by emulated instruments.
 
     The world moves on by commands, never by the computer's time: an instrument that takes time for a command sleeps
     on the clock, and whoever waits on it moves everything on. Every access holds :attr:`lock`.
@@ -86,7 +86,7 @@ class EmulatedRig:
         self._taken: tuple[int, float, SimulatedFrame] | None = None
 
     def electrical(self) -> Electrical:
-        """Ohm's law: what the source is told to give flows, or what its voltage limit drives through the sheet."""
+        """Apply Ohm's law: the commanded current flows, or what the voltage limit drives through the sheet."""
         wiring = self.wiring
         if wiring.current_A is None:
             return Electrical(0.0, 0.0, limited=False)
@@ -98,7 +98,7 @@ class EmulatedRig:
         return Electrical(per_ampere * flowing_A, flowing_A, limited)
 
     def frame(self) -> SimulatedFrame:
-        """Readings of the multiplexer's present round, all of the moment in its middle [V at the scene's current].
+        """Readings of the multiplexer's current round, at its middle [V at the scene's current].
 
         The sheet is solved once a round, when its first reading is taken; and again for what is left of a round that
         was broken off and is gone on with much later.
@@ -124,7 +124,7 @@ EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
 
 
 class Emulation:
-    """Running emulators of one station; a context manager, or closed by hand.
+    """Running emulators of one station; close it, or use it as a context manager.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class Emulation:
             raise
 
     def addressed(self, spec: InstrumentSpec) -> InstrumentSpec:
-        """Return an instrument's table with the address its emulator is at; others as they are.
+        """Return an instrument's table with its emulator's address; unchanged if it is not emulated.
 
         The table says no more that it is emulated: ask the one it came from.
         """
@@ -159,11 +159,11 @@ class Emulation:
         return replace(spec, options={**spec.options, "address": self.ports[spec.role].address})
 
     def arm(self, role: str, fault: Fault) -> None:
-        """Let the next command to an instrument meet a fault."""
+        """Inject a fault at the next command to an instrument."""
         self.ports[role].faults.arm(fault)
 
     def close(self) -> None:
-        """End every emulator."""
+        """Stop every emulator."""
         for port in self.ports.values():
             port.close()
 
@@ -179,7 +179,7 @@ class Emulation:
         if spec.driver not in EMULATORS:
             raise ConfigError(
                 f"instrument {spec.role!r} has address {EMULATED!r}, but driver {spec.driver!r} has no emulator",
-                remedy=f"emulated are: {', '.join(sorted(EMULATORS))}",
+                remedy=f"emulated drivers: {', '.join(sorted(EMULATORS))}",
             )
         module, name, stream = EMULATORS[spec.driver]
         make: Callable[[EmulatedRig, Mapping[str, Any], Callable[[bytes], None]], Served]

@@ -1,9 +1,4 @@
-"""An emulated thermometer: one line a second with the temperature of a room that slowly warms and cools.
-
-Instruments that send a line every so often, whether anybody asks or not.
-
-An emulated load cell with its amplifier: text lines, eight a second.
-"""
+"""Emulated samplers that stream text lines unasked: a load cell (eight a second) and a thermometer (one a second)."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -25,7 +20,7 @@ _FULL: Final = 3000
 
 
 class LineSender:
-    """Sends what fell due whenever time has passed on the clock, and can be told to do so badly.
+    """Sends due lines as time passes on the clock, and can be told to do so faultily.
 
     Faults of the link are met here too, since nobody sends commands that could meet them.
 
@@ -64,15 +59,15 @@ class LineSender:
             rig.clock.watch(self._follow)
 
     def attached(self, line: Port) -> None:
-        """Be given the line; its faults are met by the lines that are sent."""
+        """Attach the line; faults hit the lines sent."""
         self._port = line
 
     def received(self, data: bytes) -> bytes:
-        """It does not listen."""
+        """Ignore received bytes."""
         return b""
 
     def misbehave(self, fault: Fault) -> None:
-        """Meet a fault with the next line."""
+        """Inject a fault into the next line."""
         with self._rig.lock:
             self._told.append(fault)
 
@@ -117,7 +112,7 @@ class LineSender:
         return said
 
     def _in_time(self, said: bytes, due_s: float) -> bytes:
-        """Return what is sent now: a line, nothing, or all that was held back before it."""
+        """Return the bytes to send now: a line, nothing, or all lines held back."""
         self._last = said
         self._late += said
         if self._late_until_s is not None and due_s < self._late_until_s:
@@ -126,7 +121,7 @@ class LineSender:
         return all_of_it
 
     def _hand_over(self, said: bytes) -> None:
-        """Send, and wait until it is where the driver finds it: time goes on only then."""
+        """Send, and wait until the driver can read it; only then time goes on."""
         before = _FULL if self._port is None else self._port.unread()
         self._send(said)
         clock = RealClock()
@@ -144,7 +139,7 @@ OVERLOAD_N: Final = 200.0
 
 
 class EmulatedLoadCell:
-    """Sends what the world's force is to it, by the same scale that the driver takes it back with.
+    """Sends the world's force, in the scale that the driver converts back.
 
     Parameters
     ----------
@@ -168,15 +163,15 @@ class EmulatedLoadCell:
         )
 
     def attached(self, line: Port) -> None:
-        """Be given the line; its faults are met by the lines that are sent."""
+        """Attach the line; faults hit the lines sent."""
         self._lines.attached(line)
 
     def received(self, data: bytes) -> bytes:
-        """It does not listen."""
+        """Ignore received bytes."""
         return b""
 
     def misbehave(self, fault: Fault) -> None:
-        """Read far too much from the next line on, or spoil that line."""
+        """Report an overload from the next line on, or corrupt that line."""
         self._lines.misbehave(fault)
 
     def _line(self, number: int, time_s: float) -> str:
@@ -203,7 +198,7 @@ OVERLOAD_K: Final = 100.0
 
 
 class EmulatedThermometer:
-    """Sends the temperature, by the same scale that the driver takes it back with.
+    """Sends the temperature, in the scale that the driver converts back.
 
     It has a room of its own: the world's effects do not say at which temperature they are.
 
@@ -225,15 +220,15 @@ class EmulatedThermometer:
         )
 
     def attached(self, line: Port) -> None:
-        """Be given the line; its faults are met by the lines that are sent."""
+        """Attach the line; faults hit the lines sent."""
         self._lines.attached(line)
 
     def received(self, data: bytes) -> bytes:
-        """It does not listen."""
+        """Ignore received bytes."""
         return b""
 
     def misbehave(self, fault: Fault) -> None:
-        """Read far too much from the next line on, or spoil that line."""
+        """Read far too high from the next line on, or corrupt that line."""
         self._lines.misbehave(fault)
 
     def _line(self, number: int, time_s: float) -> str:

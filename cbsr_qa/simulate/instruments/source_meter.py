@@ -104,7 +104,7 @@ class EmulatedSourceMeter:
         self._switched_off()
 
     def received(self, data: bytes) -> bytes:
-        """Run the lines that are whole."""
+        """Execute the complete lines."""
         *lines, self._held = (self._held + data).split(b"\n")
         self._said = bytearray()
         with self._rig.lock:
@@ -113,7 +113,7 @@ class EmulatedSourceMeter:
         return bytes(self._said)
 
     def misbehave(self, fault: Fault) -> None:
-        """Go into compliance for good, or forget everything."""
+        """Stay in compliance, or reset."""
         with self._rig.lock:
             if fault is Fault.COMPLIANCE:
                 self._stuck = True
@@ -123,7 +123,7 @@ class EmulatedSourceMeter:
     # --- the machine of the language ---
 
     def value(self, name: str) -> Any:
-        """Return an attribute, a constant, or the buffer or column that a name stands for."""
+        """Return the value of an attribute, constant, buffer or column."""
         if name in self._attributes:
             return self._attributes[name]
         if name not in self._names:
@@ -181,7 +181,7 @@ class EmulatedSourceMeter:
             self._said += b"TSP>\n"
 
     def _switched_off(self) -> None:
-        """Forget everything, as without power."""
+        """Reset, as after a power cycle."""
         self._errors: list[tuple[float, str, float, float]] = []
         self._said = bytearray()
         self._tsp = Interpreter(self)
@@ -191,7 +191,7 @@ class EmulatedSourceMeter:
         self._reset()
 
     def _readable(self) -> dict[str, Callable[[], Any]]:
-        """What names stand for that are no attributes."""
+        """Values of names that are not attributes."""
         fixed = {**_CONSTANTS, "localnode.linefreq": _LINE_HZ}
         for channel in self._buffers:
             fixed.update({f"{channel}.{name}": value for name, value in _CHANNEL_CONSTANTS.items()})
@@ -214,7 +214,7 @@ class EmulatedSourceMeter:
         self._wire()
 
     def _wire(self) -> None:
-        """Tell the rig what the driving channel does now."""
+        """Tell the rig the state of the driving channel."""
         of = {
             name: self._attributes[f"{self._drives}.source.{name}"] for name in ("func", "output", "leveli", "limitv")
         }
@@ -268,7 +268,7 @@ class EmulatedSourceMeter:
         return abs(there.volts) >= self._attributes[f"{channel}.source.limitv"]
 
     def _print_buffers(self, first: float, last: float, *columns: list[float]) -> None:
-        """Print the columns interleaved; where there is nothing, no number."""
+        """Print the columns interleaved; NaN for missing values."""
         values = [
             column[k - 1] if 1 <= k <= len(column) else NO_NUMBER
             for k in range(int(first), int(last) + 1)

@@ -1,4 +1,4 @@
-"""Byte streams with an emulated instrument at the far end: a pseudo terminal, or a socket on the loopback."""
+"""Byte streams to emulated instruments: a pseudo terminal, or a loopback socket."""
 
 import errno
 import fcntl
@@ -24,28 +24,28 @@ LATE_S: Final = 3.0
 
 
 class Served(Protocol):
-    """An emulated instrument: bytes in, bytes out. It is only ever called from the thread of its port."""
+    """An emulated instrument: bytes in, bytes out. Called only from its port's thread."""
 
     def received(self, data: bytes) -> bytes:
-        """Obey what came, possibly the beginning or several of its commands, and return the answers."""
+        """Execute received bytes, possibly part of a command or several commands, and return the answers."""
         ...
 
     def misbehave(self, fault: Fault) -> None:
-        """Do a fault that is not one of the link; one it does not know is ignored."""
+        """Inject a fault other than one of the link; unknown faults are ignored."""
         ...
 
 
 @runtime_checkable
 class FreeRunning(Served, Protocol):
-    """An emulated instrument that sends without being asked, and so looks by itself what faults wait for it."""
+    """An emulated instrument that sends unsolicited bytes, and so checks for armed faults itself."""
 
     def attached(self, line: "Port") -> None:
-        """Be given the line it is on, before it is served."""
+        """Attach the line, before serving starts."""
         ...
 
 
 class Port(ABC):
-    """Serves one emulated instrument in a thread of its own until it is closed.
+    """Serves one emulated instrument in its own thread until it is closed.
 
     Parameters
     ----------
@@ -65,24 +65,24 @@ class Port(ABC):
         self.failure: BaseException | None = None
 
     def serve(self, instrument: Served) -> None:
-        """Begin to serve."""
+        """Start to serve."""
         self._thread = threading.Thread(target=self._run, args=(instrument,), name=self._name, daemon=True)
         self._thread.start()
 
     @abstractmethod
     def send(self, data: bytes) -> None:
-        """Send what nobody asked for; bytes for which there is no room are lost, as on a real line."""
+        """Send unsolicited bytes; bytes that do not fit are lost, as on a real line."""
 
     def unread(self) -> int:
-        """How many bytes were sent that no driver has read yet; 0 where nobody can tell."""
+        """Number of bytes sent that no driver has read yet; 0 if unknown."""
         return 0
 
     @abstractmethod
     def hang_up(self) -> None:
-        """Take the link down, as a pulled cable does."""
+        """Break the link, as by a pulled cable."""
 
     def close(self) -> None:
-        """End the thread and give everything back."""
+        """End the thread and release all resources."""
         self._over.set()
         self.hang_up()
         if self._thread is not None and self._thread is not threading.current_thread():
@@ -98,10 +98,10 @@ class Port(ABC):
 
     @abstractmethod
     def _serve(self, instrument: Served) -> None:
-        """Take what comes, and send the answers, until it is over."""
+        """Receive and answer, until closed."""
 
     def _answered(self, instrument: Served, data: bytes) -> bytes | None:
-        """Return the answer to what came, after the fault it met; None where the link is to hang up."""
+        """Return the answer to received bytes, after any fault; None to hang up."""
         fault = self.faults.met()
         if fault is not None and fault not in OF_THE_LINK:
             instrument.misbehave(fault)
@@ -133,18 +133,18 @@ class PtyPort(Port):
         self._wakes, self._wake = os.pipe()
 
     def send(self, data: bytes) -> None:
-        """Send what nobody asked for; what finds no room is lost."""
+        """Send unsolicited bytes; bytes that do not fit are lost."""
         with self._writing, suppress(BlockingIOError, OSError):
             os.write(self._master, data)
 
     def unread(self) -> int:
-        """How many bytes wait at the driver's end."""
+        """Number of bytes waiting at the driver's end."""
         with self._writing, suppress(OSError):
             return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0])
         return 0
 
     def hang_up(self) -> None:
-        """Close both ends; a driver that has the line open sees it hang up."""
+        """Close both ends; a connected driver sees a hang-up."""
         with self._writing:
             ends, self._master, self._slave = (self._master, self._slave), -1, -1
             if ends[0] >= 0:
@@ -158,7 +158,7 @@ class PtyPort(Port):
                     os.close(end)
 
     def close(self) -> None:
-        """End the thread and give everything back."""
+        """End the thread and release all resources."""
         super().close()
         with self._writing:
             ends, self._wakes, self._wake = (self._wakes, self._wake), -1, -1
@@ -194,7 +194,7 @@ class PtyPort(Port):
 
 
 class TcpPort(Port):
-    """A raw socket on the loopback, one driver at a time, as a LAN instrument has."""
+    """A raw socket on the loopback for one driver at a time, like a LAN instrument."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -205,13 +205,13 @@ class TcpPort(Port):
         self.address = f"TCPIP::127.0.0.1::{self.number}::SOCKET"
 
     def send(self, data: bytes) -> None:
-        """Send what nobody asked for, if somebody is connected."""
+        """Send unsolicited bytes, if a client is connected."""
         if (talking := self._talking) is not None:
             with suppress(OSError):
                 talking.sendall(data)
 
     def hang_up(self) -> None:
-        """Close the connection and take no further one."""
+        """Close the connection and accept no other."""
         for one in (self._talking, self._listening):
             if one is not None:
                 # Closing alone would not wake the thread that waits on it.

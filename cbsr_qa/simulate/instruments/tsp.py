@@ -1,4 +1,4 @@
-"""As much of TSP (the Lua of Keithley's 2600 series) as drivers send: assignments, calls, functions, loops."""
+"""The subset of TSP (the Lua of Keithley's 2600 series) that drivers use."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ Expression = Callable[[Locals], tuple[Any, ...]]
 
 
 class TspError(Exception):
-    """A line that was not run, or stopped; goes into the instrument's error queue."""
+    """Error of a line that was rejected or stopped; goes into the instrument's error queue."""
 
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
@@ -30,18 +30,18 @@ class TspError(Exception):
 
 
 class Machine(Protocol):
-    """What the language acts on. Names have dots: ``smua.source.leveli``."""
+    """The machine that the language controls. Names have dots: ``smua.source.leveli``."""
 
     def value(self, name: str) -> Any:
-        """Return what a name stands for; TspError if it stands for nothing."""
+        """Return the value of a name; TspError if it is undefined."""
         ...
 
     def assign(self, name: str, value: Any) -> None:
-        """Give an attribute a value; TspError if it takes none, or not this one."""
+        """Set an attribute; TspError if it is read-only, or the value is not allowed."""
         ...
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
-        """Call a built-in function; TspError if it is none."""
+        """Call a built-in function; TspError if it does not exist."""
         ...
 
 
@@ -52,7 +52,7 @@ class _Function:
 
 
 class Interpreter:
-    """Runs one line after the other. Lines are parsed wholly before anything in them is run.
+    """Interpreter of one line at a time. A line is parsed completely before it runs.
 
     Parameters
     ----------
@@ -77,21 +77,21 @@ class Interpreter:
             statement({})
 
     def define(self, name: str, parameters: tuple[str, ...], body: tuple[Statement, ...]) -> None:
-        """Take a function."""
+        """Define a function."""
         self._functions[name] = _Function(parameters, body)
 
     def named(self, name: str, local: Locals) -> Any:
-        """Return what a name stands for here."""
+        """Return the value of a name."""
         if name in _CONSTANTS:
             return _CONSTANTS[name]
         return local[name] if name in local else self._machine.value(name)
 
     def assign(self, name: str, value: Any) -> None:
-        """Give an attribute a value."""
+        """Set an attribute."""
         self._machine.assign(name, value)
 
     def call(self, name: str, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Call a function that was defined, or else a built-in one."""
+        """Call a user-defined function, or else a built-in one."""
         function = self._functions.get(name)
         if function is None:
             return self._machine.call(name, arguments)
@@ -102,7 +102,7 @@ class Interpreter:
 
 
 class _Parser:
-    """Turns one line into statements that can be run again and again."""
+    """Parser of one line into statements that can run repeatedly."""
 
     def __init__(self, line: str, interpreter: Interpreter) -> None:
         self._tokens = _tokens(line)
@@ -223,7 +223,7 @@ def _one(values: tuple[Any, ...]) -> Any:
 
 
 def _tokens(line: str) -> list[tuple[str, str]]:
-    """Cut a line into (kind, text); keywords are their own kind, the end is two empty texts."""
+    """Split a line into (kind, text); keywords are their own kind, the end is two empty texts."""
     found: list[tuple[str, str]] = []
     at = 0
     line = line.rstrip()

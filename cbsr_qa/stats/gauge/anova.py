@@ -276,7 +276,7 @@ def _variation(
     confidence: float,
     appraiser: str,
 ) -> Variation:
-    """Add the components up as AIAG does: each is cut at zero first, and totals are sums of what is left."""
+    """Sum the components as AIAG does: each is cut at zero first, then summed to totals."""
     p, o, r = squares.shape
     repeatability = _component(squares, (0, 0, 0, 1), confidence)
     apart = _component(squares, (0, 1 / (p * r), (p - 1) / (p * r), -1 / r), confidence)

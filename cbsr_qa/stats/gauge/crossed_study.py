@@ -1,4 +1,4 @@
-"""A crossed gauge study, its components, and both by averages and ranges (AIAG MSA, 4th edition 2010, chapter III).
+"""Crossed gauge R&R: variance components, by averages and ranges (AIAG MSA, 4th edition 2010, chapter III).
 
 Every sensor (AIAG: part) is measured on every station (appraiser) equally often (trials). Variances add up:
 
@@ -91,7 +91,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Components:
-    """Where the variation of a study comes from."""
+    """Source of variation in a study."""
 
     repeatability: Component
     reproducibility: Component
@@ -102,7 +102,7 @@ class Components:
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """Components of a study, and what they allow.
+    """Variance components of a study, and indices derived from them.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def study(
 
 
 def usual_trials(counts: Iterable[int]) -> int:
-    """Return how many runs most cells have (of equally common counts the larger): others have too few or too many.
+    """Return the most common number of runs per cell (of equally common numbers the larger).
 
     Cells without runs do not count: none is what they have too few of, however many they are.
     """
@@ -189,7 +189,7 @@ def usual_trials(counts: Iterable[int]) -> int:
 
 
 def on(appraiser: str) -> str:
-    """Return the word between what was measured and who did: on a station, by an operator."""
+    """Return the preposition of the appraiser: on a station, by an operator."""
     return "on" if appraiser == "station" else "by"
 
 
@@ -202,7 +202,7 @@ def _check_balance(
             raise NumericsError(
                 f"gauge study: sensor {sensor} has {len(found)} run{'s' * (len(found) != 1)} {on(appraiser)} "
                 f"{of_kind(appraiser, station)}, others have {trials}",
-                remedy=f"a crossed study has every sensor {on(appraiser)} every {appraiser} equally often: add the "
+                remedy=f"a crossed study has every sensor equally often {on(appraiser)} every {appraiser}: add the "
                 "missing runs, or leave that sensor out",
             )
     sizes = (("sensor", "", len(rows)), (appraiser, "", len(columns)), ("run", f" a sensor and {appraiser}", trials))
@@ -211,7 +211,7 @@ def _check_balance(
             raise NumericsError(f"gauge study: {count} {one}{'s' * (count != 1)}{of} instead of at least 2")
     if all(constant(np.array(found)) for found in cells.values()):
         raise NumericsError(
-            "gauge study: repeated runs do not differ at all, which leaves no repeatability to estimate",
+            "gauge study: repeated runs do not differ at all, so repeatability cannot be estimated",
             remedy="record more digits",
         )
 
@@ -224,7 +224,7 @@ def clipped(estimate: float, interval: Interval | None = None) -> Variance:
 
 
 def check_tolerance(tolerance: float | None) -> None:
-    """Refuse a tolerance that is no width.
+    """Refuse a tolerance that is not a positive width.
 
     Raises
     ------
@@ -237,7 +237,7 @@ def check_tolerance(tolerance: float | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class GaugeRange(Variation):
-    """A study by averages and ranges: the components, and what was averaged, in the values' unit."""
+    """A study by averages and ranges: the components, and the averages they rest on, in the values' unit."""
 
     mean_range: float
     appraiser_range: float

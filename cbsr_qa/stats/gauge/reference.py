@@ -77,21 +77,21 @@ def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") ->
     if len(xs) != len(ys):
         raise NumericsError(f"{what}: {len(xs)} values of x for {len(ys)} of y")
     if constant(xs):
-        raise NumericsError(f"{what}: all {len(xs)} points are at {xs[0]:.6g}, which leaves no slope")
+        raise NumericsError(f"{what}: all {len(xs)} points are at {xs[0]:.6g}, so there is no slope")
     (centre, across), (level, along) = centred(xs), centred(ys)
     squares = fsum(across**2)
     slope = fsum(across * along) / squares
     rest = fsum((along - slope * across) ** 2)
     residual, total = sqrt(rest / (len(xs) - 2)), fsum(along**2)
     if residual <= LEAST_SPREAD * max(abs(level), sqrt(total)):
-        raise NumericsError(f"{what}: the points lie on a line of slope {slope:.6g}, which leaves no variance")
+        raise NumericsError(f"{what}: the points lie on a line of slope {slope:.6g}, so there is no variance")
     checked(slope, residual / sqrt(squares), len(xs) - 2, what)
     return Line(len(xs), centre, level, slope, residual, squares, 1 - rest / total)
 
 
 @dataclass(frozen=True, slots=True)
 class Linearity:
-    """How the bias depends on the value measured.
+    """Bias as a function of the measured value.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Linearity:
         return self._widened(line.at(reference), 1 / line.count, (reference - line.centre) / line.squares)
 
     def _widened(self, found: Contrast, level: float, slope: float) -> Referenced:
-        """Add what errors of the references bring, whose readings weigh level + slope (x − x̄) each.
+        """Add the uncertainty of references whose readings have weights level + slope (x − x̄).
 
         A reference that is u too high reads (1 + b) u too low, b the slope: the truth is further to the left too.
         """
@@ -128,7 +128,7 @@ class Linearity:
         return Referenced(found.value, found.standard_error, found.freedom, hypot(*parts))
 
     def acceptable(self, confidence: float = 0.95) -> bool:
-        """Say whether a bias of zero lies within the confidence band at every reference value."""
+        """Whether a bias of zero lies within the confidence band at every reference value."""
         return all(self.at(reference).interval(confidence).holds(0.0) for reference in self.references)
 
 
@@ -138,7 +138,7 @@ FEWEST_CHARTED: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """What one reference did over time.
+    """Stability of one reference over time.
 
     Parameters
     ----------
@@ -153,12 +153,12 @@ class Stability:
 
     @property
     def in_control(self) -> bool | None:
-        """Whether the chart gives no signal; None of too few readings for it to say anything."""
+        """Whether the chart gives no signal; None with too few readings."""
         return None if len(self.chart.points) < FEWEST_CHARTED else self.chart.in_control
 
 
 def bias(readings: Iterable[float], reference: float, what: str = "bias", *, uncertainty: float = 0.0) -> Referenced:
-    """Return mean reading − reference, with s/√n of the readings and what is known of the reference.
+    """Return mean reading − reference, with s/√n of the readings and the uncertainty of the reference.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def linearity(
     *,
     known: Sequence[tuple[int, float, float]] = (),
 ) -> Linearity:
-    """Return how the bias goes with the reference value.
+    """Return the bias as a function of the reference value.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def linearity(
     values = sample(references, f"{what}, reference values")
     distinct = tuple(float(value) for value in np.unique(values))
     if len(distinct) < 2:
-        raise NumericsError(f"{what}: all readings are of one reference", remedy="measure references over the range")
+        raise NumericsError(f"{what}: all readings have one reference", remedy="measure references over the range")
     biases = sample(readings, what, least=3)
     if len(values) != len(biases):
         raise NumericsError(f"{what}: {len(values)} reference values for {len(biases)} readings")

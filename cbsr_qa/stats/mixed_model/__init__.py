@@ -1,4 +1,4 @@
-"""Groups compared across stations, with the sensors as a random effect."""
+"""Mixed model: groups and stations fixed, sensors random."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""Groups compared across stations with the sensors as a random effect, so that a station is not taken for a batch.
+"""Mixed model of groups across stations with sensors as a random effect.
 
     y = group (fixed) + station (fixed) + sensor (random, σ²θ) + run (σ²)
 
@@ -24,7 +24,7 @@ from cbsr_qa.stats.variance_components import FEWEST_REPEATS
 
 
 class Model(StrEnum):
-    """What was fitted."""
+    """The fitted model."""
 
     MIXED = "mixed: group and station fixed, sensor random"
     FIXED = "fixed: group and station, one run a sensor"
@@ -62,7 +62,7 @@ class Fit:
     freedom: float
 
     def group_difference(self, first: str, second: str) -> Contrast:
-        """Return first − second with the stations' differences taken out.
+        """Return first − second, adjusted for stations.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class Fit:
         return self._contrast(weights, f"{first} − {second}")
 
     def station_difference(self, first: str, second: str) -> Contrast:
-        """Return what station ``first`` reads above ``second``, with the groups' differences taken out.
+        """Return station ``first`` minus ``second``, adjusted for groups.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class Fit:
     def _contrast(self, weights: Array, what: str) -> Contrast:
         inner = weights[self.design.kept()]
         if not inner.any() and not weights.any():
-            raise NumericsError(f"{what}: there is nothing to compare with itself")
+            raise NumericsError(f"{what}: it cannot be compared with itself")
         freedom = self.small.freedom(inner) if self.small else self.freedom
         return checked(float(weights @ self.effects), sqrt(float(inner @ self.covariance @ inner)), freedom, what)
 
@@ -135,7 +135,7 @@ def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reduced:
-    """Response as origin + scale (X start + r), and the sums of X and r; the start changes nothing but rounding."""
+    """Response as origin + scale (X start + r), and the sums of X and r; the start affects only rounding."""
 
     sums: SensorSums
     origin: float
@@ -143,7 +143,7 @@ class _Reduced:
     start: Array
 
     def effects(self, design: Crossing, inner: Array) -> Array:
-        """Return the effects in the response's unit, zeros for the stations that are left out."""
+        """Return the effects in the response's unit, zeros for left-out stations."""
         every = np.zeros(len(design.groups) + len(design.stations))
         every[design.kept()] = self.scale * (self.start + inner)
         every[: len(design.groups)] += self.origin
@@ -154,7 +154,7 @@ def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
     origin, away = centred(array)
     scale = float(np.abs(away).max())
     if scale <= LEAST_SPREAD * float(np.abs(array).max()):
-        raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}, which leaves no variance")
+        raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}: there is no variance")
     matrix = design.columns()
     if matrix.shape[0] == matrix.shape[1]:
         raise _nothing_left(what, len(design.sensors), matrix.shape[1])
@@ -162,23 +162,23 @@ def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
     start: Array = linalg.solve(normal, right, assume_a="pos")
     rest = away / scale - matrix @ start
     if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
-        raise NumericsError(f"{what}: values do not differ within groups and stations, which leaves no variance")
+        raise NumericsError(f"{what}: values do not differ within groups and stations: there is no variance")
     return _Reduced(sensor_sums(matrix, rest, design.sensor), origin, scale, start)
 
 
 def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
     return NumericsError(
-        f"{what}: sensors are {sensors}, which leaves nothing to judge {effects} effects of groups and stations by",
+        f"{what}: {sensors} sensors are too few to judge {effects} effects of groups and stations",
         remedy="measure more sensors of each group",
     )
 
 
 def _inseparable(sums: SensorSums) -> str:
-    """Say why sensor and run cannot be told apart; empty where they can."""
+    """Say why sensor and run variance cannot be separated; empty otherwise."""
     if sums.runs == sums.total_sensors:
         return "no sensor has more than one run, so that sensors and runs cannot be told apart"
     if _repeats(sums) < 1:
-        return "the sensors' repeated runs are used up by the stations' differences: first runs only"
+        return "the stations' differences use up the repeated runs of sensors: first runs only"
     left = sums.within_rest()
     if left <= sums.runs * LEAST_SPREAD**2 or left <= 1e-12 * float(sums.products(0.0)[-1, -1]):
         return "runs of one sensor do not differ: first runs only"
@@ -234,26 +234,26 @@ def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
 
 
 def _repeats(sums: SensorSums) -> int:
-    """Degrees of freedom that runs of one sensor have, the stations' differences taken off."""
+    """Degrees of freedom of repeated runs, stations' differences subtracted."""
     return sums.runs - sums.total_sensors - sums.within_rank()
 
 
 def _notes(ratio: Ratio, repeats: int) -> tuple[str, ...]:
     notes = []
     if repeats < FEWEST_REPEATS:
-        notes.append(f"{repeats} repeated runs tell sensors from runs: how their variances share is hardly known")
+        notes.append(f"{repeats} repeated runs separate sensors from runs: their variance ratio is poorly known")
     if not ratio.value:
         notes.append("sensors differ no more than runs of one sensor do: their variance is estimated as zero")
     return tuple(notes)
 
 
 def _weaknesses(design: Crossing) -> tuple[str, ...]:
-    """Name what rests on the model more than on the design."""
+    """Name comparisons that depend more on the model than on the design."""
     notes = []
     for part in design.parts if len(design.parts) > 1 else ():
         notes.append(
             f"{', '.join(part.groups)} on {', '.join(part.stations)}: not compared with groups on other stations, "
-            "whose difference cannot be told from the stations'"
+            "whose difference cannot be separated from the stations'"
         )
     for index, name in enumerate(design.groups):
         seen = np.unique(design.station[design.group == index])

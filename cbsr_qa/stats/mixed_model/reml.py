@@ -1,4 +1,4 @@
-"""Ratio of variances θ = σ²_sensor/σ² by restricted maximum likelihood, with everything else profiled out.
+"""Variance ratio θ = σ²_sensor/σ² by restricted maximum likelihood, all other parameters profiled out.
 
 With A = XᵀH⁻¹X, R = rᵀH⁻¹r (r the generalised least-squares residuals) and f = N − p, minus twice the log likelihood
 is
@@ -96,13 +96,13 @@ class SensorSums:
         return int(self.sensors.sum())
 
     def within_rank(self) -> int:
-        """Return how many of the effects in X differ between runs of one sensor."""
+        """Return how many effects in X vary between runs of one sensor."""
         inner, _ = self._within_sensors()
         largest = float(np.diagonal(inner).max(initial=0.0))
         return int(np.linalg.matrix_rank(inner, tol=1e-9 * largest, hermitian=True)) if len(inner) else 0
 
     def within_rest(self) -> float:
-        """Return the sum of squares that runs of one sensor leave, whatever the effects between them."""
+        """Return the residual sum of squares within sensors, for any effects between them."""
         inner, right = self._within_sensors()
         fitted = float(right @ np.linalg.pinv(inner, hermitian=True) @ right) if len(inner) else 0.0
         return float(self.within[-1, -1]) - fitted
@@ -188,7 +188,7 @@ class Likelihood:
         return logs
 
     def _blocks(self, count: int) -> int:
-        """In how many parts so many θ are tried: hundreds of groups would fill the memory at once."""
+        """Number of blocks in which θ are tried; hundreds of groups at once would fill the memory."""
         return max(1, min(count, count * self.sums.within.size // _MOST_ELEMENTS))
 
     def slope(self, ratio: float) -> float:
@@ -209,7 +209,7 @@ class Likelihood:
 
 
 def variance_ratio(sums: SensorSums, *, restricted: bool = True, confidence: float = 0.95) -> Ratio:
-    """Return θ of least criterion, 0 where the likelihood falls from there on.
+    """Return the θ that minimises the criterion; 0 if the likelihood decreases from there on.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def variance_ratio(sums: SensorSums, *, restricted: bool = True, confidence: flo
     values = likelihood.criterion(_GRID)
     best = int(np.argmin(values))
     if best == len(_GRID) - 1:
-        raise NumericsError("sensor variance: runs of one sensor hardly differ, and its ratio to theirs has no bound")
+        raise NumericsError("sensor variance: runs of one sensor hardly differ, so its ratio to theirs is unbounded")
     low, high = float(_GRID[max(best - 1, 0)]), float(_GRID[best + 1])
     value = _root(likelihood.slope, low, high)
     least = float(likelihood.criterion(np.array([value]))[0])
@@ -253,7 +253,7 @@ def _interval(likelihood: Likelihood, value: float, least: float, confidence: fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmallSample:
-    """Covariances over σ² of p fixed effects, and what their degrees of freedom are worked out from.
+    """Covariances of p fixed effects over σ², and the terms of their degrees of freedom.
 
     Parameters
     ----------

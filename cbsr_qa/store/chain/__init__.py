@@ -1,4 +1,4 @@
-"""The chain of digests each run is under, and its check."""
+"""The chain of digests of a run, and its verification."""
 
 from cbsr_qa import door
 

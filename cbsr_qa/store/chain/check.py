@@ -1,4 +1,4 @@
-"""The check of a stored run: every row that a reader uses is the one that was stored, or is refused by name."""
+"""Verification of a stored run: every row that is read must match its digest."""
 
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
@@ -29,7 +29,7 @@ RESULTS: Final = frozenset(
 )
 IDENTITY: Final = frozenset({"runs", "instruments"})
 ALL_KINDS: Final = frozenset({*KEYS, PHASE_END, FIGURES})
-_REMEDY: Final = "restore the database from a copy; nothing is concluded from this run as it is"
+_REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
 def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> ChainState:
@@ -54,9 +54,9 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
         select(RunRow.chain, RunRow.configuration, RunRow.configuration_digest).where(RunRow.run == run)
     ).one_or_none()
     if row is None:
-        raise StoreError(f"there is no run {run[:64]!r} in this database")
+        raise StoreError(f"no run {run[:64]!r} in this database")
     if hashlib.sha256(row.configuration.encode()).hexdigest() != row.configuration_digest:
-        raise _broken(run, "its configuration is not the one it was begun with: the digest in its row does not fit")
+        raise _broken(run, "its configuration is not the one it was begun with: the digest in its row does not match")
     links = _links(connection, run, kinds)
     if row.chain is None:
         if links:
@@ -87,7 +87,7 @@ def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence
 
 
 def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: SigningKey | None) -> None:
-    """Raise StoreError where a link was moved or changed, or is not signed as the run says."""
+    """Raise StoreError if a link was moved or changed, or its signature does not match the run's state."""
     what = f"link {link.number} in run_links, of {shown(link.kind, link.document)}"
     if link.number and link.before is None:
         raise _broken(run, f"link {link.number - 1} in run_links is missing")
@@ -100,7 +100,7 @@ def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: Signing
 
 
 def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked: dict[tuple[str, str], str]) -> None:
-    """Raise StoreError where rows were changed, added or removed."""
+    """Raise StoreError if rows were changed, added or removed."""
     figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
     try:
         of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
@@ -110,7 +110,7 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
                 if said is None:
                     raise _broken(run, f"{shown(kind, document)} was added: no link covers it")
                 if said != content:
-                    raise _broken(run, f"{shown(kind, document)} was changed: it does not fit its digest")
+                    raise _broken(run, f"{shown(kind, document)} was changed: it does not match its digest")
             for kind, document in links:
                 raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
     except (KeyError, TypeError, ValueError) as error:  # a value that its column cannot hold
@@ -118,7 +118,7 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
 
 
 def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield kind, key and content digest of what is stored of a run."""
+    """Yield kind, key and content digest of the stored documents of a run."""
     for table in (one for one in tables() if one.name in kinds):
         # Every number but 0 is read as true: what stands there is wanted.
         columns = (
@@ -144,7 +144,7 @@ def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]
 
 
 def _of_run(table: Table, run: str) -> Any:
-    """Say which rows of a table are a run's: by their run, their analysis or their calibration."""
+    """Condition that selects a run's rows of a table: by run, analysis or calibration."""
     if "run" in table.columns:
         return table.c.run == run
     (name,) = KEYS[table.name]

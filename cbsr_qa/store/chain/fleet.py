@@ -1,4 +1,4 @@
-"""The check of many runs at once: what a comparison reads of them, against the links that cover it."""
+"""Verification of many runs at once: the rows a comparison reads against their links."""
 
 from array import array
 from collections import defaultdict
@@ -29,7 +29,7 @@ Known = tuple[str, str, str]
 
 
 class Figures:
-    """Measurements as columns: which analysis (−1: none of those asked for), what is said of it, value.
+    """Measurements as columns: analysis (−1: not requested), attributes, value.
 
     What is said is counted where it is first met: an index into ``sayings``.
     """
@@ -54,7 +54,7 @@ class Figures:
 
 
 def figures_query() -> Select[*tuple[Any, ...]]:
-    """Ask for analysis, value, joined words, lower and upper limit of measurements."""
+    """Query analysis, value, joined words, lower and upper limit of measurements."""
     m = MeasurementRow
     return select(m.analysis, m.value, words(), m.lower_limit, m.upper_limit)
 
@@ -65,7 +65,7 @@ def check_figures(
     known: Sequence[Known | None],
     figures: Figures,
 ) -> None:
-    """Check what was read of runs against their chains.
+    """Check rows read from runs against their chains.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, t
 
 
 def _in_order(connection: Connection, analyses: Sequence[str]) -> Figures:
-    """Measurements of some analyses, each one's in the order of their numbers."""
+    """Measurements of some analyses, each in the order of their numbers."""
     m = MeasurementRow
     query = figures_query().where(m.analysis.in_(analyses)).order_by(m.analysis, m.number)
     return Figures(connection, query, {analysis: place for place, analysis in enumerate(analyses)})
@@ -119,7 +119,7 @@ def check_analyses(connection: Connection, analyses: Sequence[str]) -> None:
 
 
 def _linked(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -> dict[str, tuple[str, str]]:
-    """Return analysis → run and content digest of every link that follows from the one before and is well signed."""
+    """Return analysis → run and content digest of every link that follows from its predecessor and is well signed."""
     link, before, a = LinkRow, aliased(LinkRow), AnalysisRow
     query = (
         select(a.analysis, RunRow.run, RunRow.chain, link.content_sha256, link.sha256, link.mac, before.sha256)

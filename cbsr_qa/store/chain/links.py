@@ -21,7 +21,7 @@ _REMEDY: Final = f"set {VARIABLE} to a key of at least {_LEAST} characters, or t
 
 
 class SigningKey:
-    """A key for HMAC-SHA256. ``key_id`` (12 hexadecimal digits) names it without telling anything of it."""
+    """A key for HMAC-SHA256. ``key_id`` (12 hexadecimal digits) names it without revealing it."""
 
     def __init__(self, secret: bytes) -> None:
         self._secret = secret
@@ -29,7 +29,7 @@ class SigningKey:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Self | None:
-        """Return the key that is set; None where none is.
+        """Return the configured key, or None.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class SigningKey:
         return self._mac(f"cbsr-qa link\n{run}\n{link}")
 
     def signed(self, run: str, link: str, mac: str) -> bool:
-        """Whether a signature is this key's."""
+        """Whether a signature was made with this key."""
         return hmac.compare_digest(self.sign(run, link), mac)
 
     def _mac(self, text: str) -> str:
@@ -83,29 +83,29 @@ _NEWEST: Final = (
 
 
 def signing_key(connection: Connection) -> SigningKey | None:
-    """Return the key that is set; None where none is."""
+    """Return the configured key, or None."""
     key: SigningKey | None = connection.get_execution_options().get(KEY_OPTION)
     return key
 
 
 def new_chain(connection: Connection) -> str:
-    """Return what a run that begins now notes of its chain: its kind, and which key signs it."""
+    """Return the chain entry of a new run: its kind and signing key."""
     key = signing_key(connection)
     return _PLAIN if key is None else f"{_SIGNED}{key.key_id}"
 
 
 def key_id_of(chain: str) -> str:
-    """Return which key signs a chain; empty where none does."""
+    """Return the key that signs a chain; empty if unsigned."""
     return chain.removeprefix(_SIGNED) if chain.startswith(_SIGNED) else ""
 
 
 def link_digest(before: str, kind: str, document: str, content: str) -> str:
-    """Return the digest of a link, of the digest of the one before (empty for the first)."""
+    """Return the digest of a link, from the previous link's digest (empty for the first)."""
     return sha256(before, kind, document, content)
 
 
 def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Insert rows of a run, and link every document among them; rows of one document come together.
+    """Insert rows of a run and link every document among them; rows of one document must be adjacent.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
 
 
 def key_to_continue(connection: Connection, run: str, chain: str | None) -> SigningKey | None:
-    """Return the key that a run's further links are signed with; None where it is not signed.
+    """Return the key for a run's further links; None if it is not signed.
 
     Raises
     ------
@@ -156,12 +156,12 @@ def key_to_continue(connection: Connection, run: str, chain: str | None) -> Sign
             return None
         raise StoreError(
             f"run {run} {'has no chain' if chain is None else 'is not signed'}, and a signing key is set: nothing is"
-            " added to it",
-            remedy=f"unset {VARIABLE} to go on with this run, knowing that no key vouches for its rows",
+            " appended",
+            remedy=f"unset {VARIABLE} to continue this run without signatures",
         )
     if key is None or key.key_id != needed:
-        found = "no key is set" if key is None else f"the key that is set is {key.key_id}"
+        found = "no key is set" if key is None else f"the key set here is {key.key_id}"
         raise StoreError(
-            f"run {run} is signed with key {needed}, and {found}", remedy=f"set {VARIABLE} to the key it began with"
+            f"run {run} is signed with key {needed}, and {found}", remedy=f"set {VARIABLE} to the run's key"
         )
     return key

@@ -1,4 +1,4 @@
-"""What the chain of a run covers: rows as canonical text, alike on every database, and the digests over it.
+"""What the chain of a run covers: rows as canonical text, identical on every database, and their digests.
 
 A document is the rows of one table that share a key. Columns come from the tables themselves, so that one that is
 added later is covered. A column without a value is left out, so that a nullable one changes no digest of before.
@@ -99,7 +99,7 @@ def _real(value: Any) -> bool:
 
 
 def _foreign(value: Any) -> Any:
-    """Stand for a value that is none of its column's kind, which a reader would round or parse: like no other."""
+    """Stand for a value of a foreign type, which a reader would round or parse: it equals nothing else."""
     return [type(value).__name__, repr(value)]
 
 
@@ -116,7 +116,7 @@ _CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
 
 
 def tables() -> Iterator[Table]:
-    """Yield the tables under the chain."""
+    """Yield the tables covered by the chain."""
     return (Base.metadata.tables[name] for name in KEYS)
 
 
@@ -164,12 +164,12 @@ def phase_end(phase: int, ended_s: float | None) -> tuple[str, str, str]:
 
 
 def shown(kind: str, key: str) -> str:
-    """Name a document for people: its table and the columns that find it."""
+    """Name a document for messages: its table and key columns."""
     if kind == PHASE_END:
         return f"phases.ended_s (phase {key})"
     names = ("analysis",) if kind == FIGURES else KEYS.get(kind, ("document",))
     found = ", ".join(f"{name} {value}" for name, value in zip(names, key.split("/"), strict=False))
-    return f"{'figures of runs and measurements' if kind == FIGURES else kind}{f' ({found})' if names else ''}"
+    return f"{'run and measurement values' if kind == FIGURES else kind}{f' ({found})' if names else ''}"
 
 
 #: Stands between words that the database joins: no text has it.
@@ -193,13 +193,13 @@ Saying = tuple[str, float | None, float | None]
 
 
 def words() -> ColumnElement[str]:
-    """Join what is said of a value in the database: each column takes its time."""
+    """Join texts in the database: each column takes its time."""
     first, *others = (getattr(MeasurementRow, name) for name in JOINED)
     return reduce(lambda joined, one: joined.concat(BETWEEN).concat(one), others, first)
 
 
 def facts(run: Row[*tuple[Any, ...]], analysis: str, outcome: str, software: Sequence[Sequence[str]]) -> str:
-    """Return what is compared by as text, from a row with :data:`RUN_COLUMNS` and the run's analysis."""
+    """Return the identifying facts as text, from a row with :data:`RUN_COLUMNS` and the run's analysis."""
     of_run = run.run, run.serial, run.batch, run.material, run.station, run.recipe, run.operator
     when = run.started_at.astimezone(UTC).isoformat()
     return canonical([*of_run, when, run.simulated, analysis, outcome, software])
@@ -239,7 +239,7 @@ def contents(
 
 
 def stored_figures(connection: Connection, analysis: str) -> str:
-    """Return the digest of one analysis as it is stored."""
+    """Return the stored digest of one analysis."""
     a, m = AnalysisRow, MeasurementRow
     query = select(*RUN_COLUMNS, a.outcome, a.software).join(a, a.run == RunRow.run).where(a.analysis == analysis)
     run = connection.execute(query).one()

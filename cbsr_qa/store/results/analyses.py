@@ -1,4 +1,4 @@
-"""Analyses of runs: added beside the earlier ones, never changed."""
+"""Analyses of runs: appended, never changed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ def save_result(
     analysed_at: datetime,
     software: Sequence[tuple[str, str]],
 ) -> None:
-    """Store what was concluded from a run, its calibration included, in one transaction.
+    """Store the results of a run, its calibration included, in one transaction.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def save_result(
 
 
 def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
-    """Return every analysis of a run, the latest first. StoreError if the run is not what was stored."""
+    """Return every analysis of a run, the latest first. StoreError if stored rows were changed."""
     with reading(engine) as connection:
         if run_row(connection, run) is not None:
             check_run(connection, run, RESULTS)
@@ -147,7 +147,7 @@ def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
 
 
 def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
-    """Return the outcome that a row of analyses states. StoreError if it is none."""
+    """Return the outcome in a row of analyses. StoreError if it is invalid."""
     return stored(Outcome, row.outcome, "analyses.outcome", f"analysis {row.analysis}")
 
 

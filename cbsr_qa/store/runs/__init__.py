@@ -1,4 +1,4 @@
-"""Runs as they are stored, read and resumed."""
+"""Runs: stored, read and resumed."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""Sensor type, material and indenter as JSON within a run's row: a stored run needs no configuration file.
+"""Sensor type, material and indenter as JSON in a run's row, so a stored run needs no configuration file.
 
 Blocks of frames and samples as rows, and back with their digest checked.
 """
@@ -87,7 +87,7 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
         If a sample is not a finite number.
     """
     if not (np.isfinite(block.values).all() and np.isfinite(block.time_s).all()):
-        raise StoreError(f"a sample of {block.channel} is not a finite number and is not stored")
+        raise StoreError(f"a sample of {block.channel} is not a finite number; it is not stored")
     parts = packed(block.time_s), packed(block.values)
     return {
         "channel": block.channel,
@@ -114,7 +114,7 @@ def _frame_header(shape: tuple[int, ...], unit: str, current_A: float | None) ->
 
 def _damaged(what: str, run: str, phase: int, block: int) -> StoreError:
     return StoreError(
-        f"{what} block {block} of phase {phase} of run {run} is not what was measured: its digest does not fit",
+        f"{what} block {block} of phase {phase} of run {run} is not what was measured: its digest does not match",
         remedy="restore the database from a copy; this run is not analysed",
     )
 

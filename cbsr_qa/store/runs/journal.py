@@ -1,4 +1,4 @@
-"""The journal: every document of a run is committed before anybody else sees it.
+"""The journal: commits every event of a run before anyone else sees it.
 
 Documents of a resumed session on the clock of the whole run.
 
@@ -183,7 +183,7 @@ class Journal:
     def _(self, event: RunStarted, connection: Connection) -> None:
         identity = event.identity
         if hashlib.sha256(self._configuration.encode()).hexdigest() != identity.configuration_digest:
-            raise StoreError(f"run {identity.run}: the configuration does not fit the identity's digest")
+            raise StoreError(f"run {identity.run}: the configuration does not match the identity's digest")
         stored = run_row(connection, identity.run)
         if stored is None:
             begin_run(connection, identity, self._configuration, self._setting)
@@ -191,10 +191,10 @@ class Journal:
         elif stored.configuration_digest != identity.configuration_digest:
             raise StoreError(
                 f"run {identity.run} was begun with another configuration",
-                remedy="resume it without changes, or begin a new run",
+                remedy="resume it with its own configuration, or start a new run",
             )
         elif current_state(connection, identity.run).end == EndReason.FINISHED:
-            raise StoreError(f"run {identity.run} is finished", remedy="begin a new run")
+            raise StoreError(f"run {identity.run} is finished", remedy="start a new run")
         else:
             self._offset_s = on_tick(last_time_s(connection, identity.run))
         self._run = identity.run

@@ -1,9 +1,4 @@
-"""The outcome of a run, looked up by whoever needs nothing else of the store.
-
-Earlier runs of one sensor, each checked against its chain, and the seeds they had.
-
-Whether a SQLite file is whole, seen as the next program will see it.
-"""
+"""Quick look-ups: outcome of a run, earlier runs of a sensor, and whether a SQLite file is intact."""
 
 import json
 from datetime import UTC, datetime
@@ -23,7 +18,7 @@ from cbsr_qa.store.types import made_at
 
 
 def latest_outcome(url: str, run: str) -> Outcome | None:
-    """Return the outcome of a run's latest analysis; None where there is none.
+    """Return the outcome of a run's latest analysis, or None.
 
     Raises
     ------
@@ -33,7 +28,7 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
     parsed = parsed_url(url)
     file = sqlite_file(parsed)
     if file is not None and not file.exists():  # SQLite would make an empty one
-        raise StoreError(f"{shown(parsed)} is not there")
+        raise StoreError(f"{shown(parsed)} does not exist")
     engine = open_engine(parsed)
     try:
         with reading(engine) as connection:
@@ -121,7 +116,7 @@ _COMPARED: Final = 2_000_000_000
 
 
 def look_afresh(engine: Engine) -> None:
-    """Close what is open: the log goes into the file, and what is read next comes from there, not from memory.
+    """Close connections: the log is merged into the file, and the next read is from disk.
 
     A connection keeps the pages it wrote, and goes on with them whatever becomes of the log on the disk.
     """
@@ -147,20 +142,20 @@ def whole_run(engine: Engine, run: str) -> RunRecord:
         of_file = error.reason.startswith(shown(engine.url))  # says again what the check of the file said
         of_run = "" if of_file else f": {error.reason}"
         raise StoreError(
-            f"{problem}, and this run with it{of_run}",
-            remedy="restore the database from a copy; what was measured after that copy is lost",
+            f"{problem}, including this run{of_run}",
+            remedy="restore the database from a copy; data measured after that copy is lost",
         ) from error
     if problem:
         file = address(engine.url)
         raise StoreError(
-            f"{problem}; every row and frame of this run was checked and is whole",
+            f"{problem}; every row and frame of this run was checked and is intact",
             remedy=f"restore the database from a copy, or recover the file: sqlite3 {file} .recover | sqlite3 NEW",
         )
     return record
 
 
 def _problem(engine: Engine) -> str:
-    """Say which file has a problem, and the first one found; empty where there is none, and for other databases."""
+    """Name the damaged file and its first problem; empty if intact, and for other databases."""
     file = sqlite_file(engine.url)
     if file is None:
         return ""

@@ -1,4 +1,4 @@
-"""Rows of a run: begun once, looked up by everybody."""
+"""Rows of a run: inserted at its start, and look-ups."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -45,12 +45,12 @@ def begin_run(connection: Connection, identity: RunIdentity, configuration: str,
 
 
 def run_row(connection: Connection, run: str) -> Row[Any] | None:
-    """Return a run's row, or None where there is no such run."""
+    """Return a run's row, or None."""
     return connection.execute(select(*RunRow.__table__.columns).where(RunRow.run == run)).one_or_none()
 
 
 def current_state(connection: Connection, run: str) -> Row[Any]:
-    """Return how a run stands: the last of its states. StoreError if its end is none."""
+    """Return the last state of a run. StoreError if its end is invalid."""
     states = select(*RunStateRow.__table__.columns).where(RunStateRow.run == run)
     row = connection.execute(states.order_by(RunStateRow.number.desc()).limit(1)).one_or_none()
     if row is None:

@@ -1,4 +1,4 @@
-"""Stored runs: loaded whole for analysis, or looked up."""
+"""Stored runs: loaded in full for analysis, or looked up."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -100,7 +100,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
 
 
 def identity(engine: Engine, run: str) -> RunIdentity:
-    """Return what traces a run, without its frames. StoreError if it is not there, or not what was stored."""
+    """Return the identity of a run, without frames. StoreError if it does not exist or was changed."""
     with reading(engine) as connection:
         check_run(connection, run, IDENTITY)
         return identity_of(connection, _known(connection, run))
@@ -179,7 +179,7 @@ def resolve(engine: Engine, run_or_serial: str) -> str:
     if found is None:
         raise StoreError(
             f"there is no run and no sensor {run_or_serial[:64]!r} in this database",
-            remedy="cbsr-qa db status shows which database is used; --database names another",
+            remedy="cbsr-qa db status shows the database in use; --database selects another",
         )
     return str(found)
 

@@ -1,4 +1,4 @@
-"""Sessions of a run, and what of each counts: a load that was cut off and pressed again is evidence, no more.
+"""Sessions of a run, and which loads count: an interrupted load that was repeated does not.
 
 Runs that were begun and did not finish: what a power cut, a fault or an operator leaves behind.
 """

@@ -1,4 +1,4 @@
-"""The tables."""
+"""Tables of the database."""
 
 from cbsr_qa import door
 

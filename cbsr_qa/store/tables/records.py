@@ -1,4 +1,4 @@
-"""The table of links: the chain of digests each run is under. Rows are added and never changed.
+"""Table of links: the chain of digests of each run. Rows are appended, never changed.
 
 Tables of what people changed: files of a known name, and verdicts. Rows are never changed.
 
@@ -35,7 +35,7 @@ class ConfigurationChangeRow(Base):
 
 
 class VerdictOverrideRow(Base):
-    """Somebody's decision against the verdict of an analysis; the latest of an analysis holds."""
+    """An operator's decision that overrides an analysis's verdict; the latest one counts."""
 
     __tablename__ = "verdict_overrides"
     __table_args__ = (Index(None, "run"),)

@@ -1,4 +1,4 @@
-"""Tables of what was concluded: analyses with their measurements, and calibrations with their rows.
+"""Tables of results: analyses with measurements, and calibrations.
 
 Judging a run again adds an analysis beside the earlier ones. The one cell that is ever filled in later is
 ``calibrations.superseded_by``, and only while it is empty.
@@ -125,7 +125,7 @@ class CalibrationRow(Base):
 
 
 class ForceRow(Base):
-    """How readings become newtons: what was learned of the sensor, on the lattice of the head's templates.
+    """Force model of a sensor, on the lattice of the head's templates.
 
     The templates themselves follow from sensor type, head, reference and merging.
     """

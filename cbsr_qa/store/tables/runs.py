@@ -1,4 +1,4 @@
-"""Tables of what happened: sensors, runs, phases, frames, samples, presses.
+"""Tables of runs: sensors, runs, phases, frames, samples, presses.
 
 Rows are added and never changed, but for one cell: a phase gets its end time, once.
 """
@@ -87,7 +87,7 @@ class RunStateRow(Base):
 
 
 class InstrumentRow(Base):
-    """What was on the bench."""
+    """An instrument on the bench."""
 
     __tablename__ = "instruments"
 

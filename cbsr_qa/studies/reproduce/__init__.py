@@ -1,4 +1,4 @@
-"""A publication's tables beside simulated sensors."""
+"""Reproduction of a publication's tables with simulated sensors."""
 
 from cbsr_qa import door
 

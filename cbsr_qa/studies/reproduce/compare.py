@@ -1,11 +1,4 @@
-"""Why a simulated sensor differs from the paper's, and what of the paper contradicts itself, in words.
-
-A publication's numbers beside ours: what is compared, by which rule, and why they differ.
-
-Rules by which a number agrees with a printed one; each is a comparison of numbers and nothing else.
-
-One printed number held against one of ours, by the rule that what is printed allows.
-"""
+"""Comparison of the paper's numbers with simulated ones: rules of agreement, and known reasons for differences."""
 
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,4 +1,4 @@
-"""A publication beside simulated sensors: one section a table, with figures where pictures say more.
+"""Report of the reproduction: one section per table, with figures.
 
 Printed numbers and ours as words.
 """
@@ -29,7 +29,7 @@ from cbsr_qa.studies.reproduce.compare import ComparedTable, Comparison, Kind, O
 
 
 def printed_text(printed: Printed) -> str:
-    """Write what is printed, as it is printed: ``18.1 ± 9.8``, ``0.6``, or both ranges."""
+    """Format a printed number as in the paper: ``18.1 ± 9.8``, ``0.6``, or both ranges."""
     if printed.ranges:
         return " / ".join(f"{low:g}–{high:g}" for _, low, high in printed.ranges)
     if printed.value is None:
@@ -41,7 +41,7 @@ def printed_text(printed: Printed) -> str:
 
 
 def ours_text(ours: Ours) -> str:
-    """Write our number with its uncertainty; ``–`` where there is none, ``≥`` before a lower bound."""
+    """Format our number with its uncertainty; ``–`` if missing, ``≥`` for a lower bound."""
     if ours.value is None:
         return "–"
     sign = "≥ " if ours.at_least else ""

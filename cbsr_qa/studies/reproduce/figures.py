@@ -1,4 +1,4 @@
-"""What a simulated run comes to, in the few figures that a publication's tables need."""
+"""Values of a simulated run that the publication's tables need."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

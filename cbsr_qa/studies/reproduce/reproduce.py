@@ -1,4 +1,4 @@
-"""The paper's tables beside simulated sensors: simulated, compared, written as JSON or as a page."""
+"""Reproduction of the paper's tables: simulation, comparison, JSON or page."""
 
 import multiprocessing
 import tomllib
@@ -54,7 +54,7 @@ class Reproduction:
 
     @property
     def words(self) -> str:
-        """What was simulated."""
+        """Description of the simulated runs."""
         return QUICK_WORDS if self.quick else FULL_WORDS
 
     def document(self) -> dict[str, Any]:
@@ -120,7 +120,7 @@ def reproduce_paper(
 
 
 def reproduction(figures: Figures, *, quick: bool) -> Reproduction:
-    """Compare what was simulated."""
+    """Compare the simulated values with the paper's."""
     sheets = {(job.sheet, job.percent): one for job, one in figures.items() if isinstance(one, SheetFigures)}
     strips = {job.percent: one for job, one in figures.items() if isinstance(one, StripFigures)}
     paper = published()

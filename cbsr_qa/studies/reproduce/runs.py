@@ -1,4 +1,4 @@
-"""Simulated sensors a publication is reproduced on: shipped recipes on the simulated bench, reduced to figures."""
+"""Simulated runs of the reproduction: shipped recipes on the simulated bench, reduced to values."""
 
 import copy
 import tempfile
@@ -165,7 +165,7 @@ def configuration_of(job: Job) -> Configuration:
 
 
 def _record(configuration: Configuration, plugins: Plugins) -> RunRecord:
-    """Run the recipe on the station; what is stored lies in a temporary folder, never in the user's database."""
+    """Run the recipe on the station; the database is in a temporary folder, never the user's."""
     clock = station_clock(configuration)
     bench = open_station(configuration, plugins, clock)
     try:

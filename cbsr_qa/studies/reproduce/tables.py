@@ -1,4 +1,4 @@
-"""The paper's tables row by row: what it prints, what a simulated sensor gives, by which rule they agree."""
+"""Rows of the paper's tables: printed number, simulated number, rule of agreement."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final

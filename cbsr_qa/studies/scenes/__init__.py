@@ -1,4 +1,4 @@
-"""Scenes explained, priced and recorded."""
+"""Scenes: explanation, costs and recordings."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""What the effects of a scene cost, measured on frames of its own recording."""
+"""Cost of a scene's effects, measured on frames of its own recording."""
 
 import sys
 import time
@@ -28,7 +28,7 @@ _STAND_IN: Final = SceneLoad(0.0, 0.0, 0.2, 0.0, 30.0)  # for scenes that are ma
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """What was measured.
+    """Measured costs of a scene's effects.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Costs:
 
 
 class Watched:
-    """An effect factory that keeps what it makes, and counts the time within it."""
+    """An effect factory that records the effects it makes, and the time spent in them."""
 
     def __init__(self, effect_factory: EffectFactory) -> None:
         self._factory = effect_factory
@@ -80,7 +80,7 @@ class Watched:
         return timed
 
     def within(self, work: Callable[[], object]) -> dict[str, float]:
-        """Do something and return the time spent within each effect meanwhile [s]."""
+        """Call a function and return the time spent within each effect meanwhile [s]."""
         before = dict(self.spent_s)
         work()
         return {name: spent - before.get(name, 0.0) for name, spent in self.spent_s.items()}
@@ -119,7 +119,7 @@ def measured_costs(
 
 
 def recorded_plan(setup: SceneSetup) -> ScenePlan:
-    """Return the scene's plan; for one that is made for a station with a recording and a load to stand in."""
+    """Return the scene's plan; for a station's scene, with a recording and a load to stand in."""
     plan = setup.plan
     if plan.duration_s is not None:
         return plan
@@ -131,7 +131,7 @@ def recorded_plan(setup: SceneSetup) -> ScenePlan:
 
 
 class _Bench:
-    """A scene's world, watched and not, with its loads pressed, and the frames that are taken of it."""
+    """A scene's world with its loads pressed, watched or not, and the frames taken of it."""
 
     def __init__(self, setup: SceneSetup, plan: ScenePlan, watched: Watched, effect_factory: EffectFactory) -> None:
         self._setup, self._plan, self._watched = setup, plan, watched
@@ -180,7 +180,7 @@ class _Bench:
         return 1e3 * median(self._whole_s(index) for index in self._loaded)
 
     def compute_s(self) -> float:
-        """All of the recording, as frames all over it take."""
+        """All of the recording, extrapolated from frames all over it."""
         count = self._plan.frame_count
         spread = np.unique(np.linspace(0, count - 1, 2 * _FRAMES).astype(int)).tolist()
         return self._setup_s + count * mean(self._whole_s(index) for index in spread)
@@ -237,7 +237,7 @@ def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:
 
 
 def _loaded_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
-    """A few frames in the middle of holds, else spread over the recording."""
+    """A few frames in the middle of holds, or else spread over the recording."""
     times = [press_times(load, load.strain * thickness_mm, plan.motion) for load in plan.loads]
     middles = sorted((each.down_s + each.lifts_s) / 2 for each in times)
     frames: Iterable[int] = (int(middle / plan.scene.frame_period_s) for middle in middles)

@@ -1,4 +1,4 @@
-"""Say what a scene contains: its effects, what each costs, those that are off, and what is not modelled."""
+"""Explanation of a scene: its effects, their cost, disabled effects, and what is not modelled."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from cbsr_qa.studies.scenes.setting import SceneSetup, effects_of, naming, set_u
 
 @dataclass(frozen=True, slots=True)
 class ExplainedEffect:
-    """An effect, on or off.
+    """An effect, enabled or disabled.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class ExplainedEffect:
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """What a scene contains.
+    """Content of a scene.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def explain_scene(
 def _measured(
     setup: SceneSetup, plugins: Plugins, tell: Callable[[str], None], progress: Callable[[int, int], None]
 ) -> Costs:
-    tell("measuring what effects cost")
+    tell("measuring the cost of effects")
     return measured_costs(setup, effects_of(plugins), progress=progress)
 
 
@@ -140,7 +140,7 @@ def _measured_with(setup: SceneSetup) -> str:
     if plan.sensor_type is None:
         sensor += " (the scene leaves the sensor to a station)"
     if plan.duration_s is None and not plan.loads:
-        sensor += ", one load in the middle (the scene has none)"
+        sensor += ", one central load (the scene has none)"
     return sensor
 
 

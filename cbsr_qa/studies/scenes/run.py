@@ -1,4 +1,4 @@
-"""Simulate a scene to a recording, in one or several formats.
+"""Simulation of a scene to a recording, in one or several formats.
 
 The files that a simulated scene is written to.
 """
@@ -83,8 +83,8 @@ def _check_suffix(own: Path) -> None:
     """Refuse to write HDF5 under a name that promises, to people and to other programs, something else."""
     if own.suffix.lower() in set(_SUFFIXES.values()) - {_SUFFIXES["recording"]}:
         raise RefusedError(
-            f"{own} is to be an HDF5 file, and its name says {own.suffix}",
-            remedy=f"name a .h5 file, e.g. {own.with_suffix('.h5')}; --format writes other files beside it",
+            f"{own} must be an HDF5 file; its suffix is {own.suffix}",
+            remedy=f"use .h5, e.g. {own.with_suffix('.h5')}; --format writes other files beside it",
         )
 
 
@@ -101,7 +101,7 @@ def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Wri
         written: list[Written] = []
         for target in targets:
             if os.path.lexists(target.path):  # simulating takes a while; what came meanwhile is somebody's
-                raise RefusedError(f"{target.path} has come to exist meanwhile", remedy="name another file")
+                raise RefusedError(f"{target.path} was created in the meantime", remedy="name another file")
             begun.append(target.path)
             written.append(_written(recorded, target))
     except BaseException:
@@ -132,14 +132,14 @@ def _written(recorded: RecordedScene, target: Target) -> Written:
 
 def _failed(target: Target, said: str) -> PluginError:
     return PluginError(
-        f"format {target.format!r} failed to write the scene: {said}", remedy="tell its author, or leave it out"
+        f"format {target.format!r} failed to write the scene: {said}", remedy="report it to its author, or omit it"
     )
 
 
 def _writer(name: str, plugins: Plugins) -> RecordingWriter:
     format_: Any = made(plugins, Kind.RECORDING, PluginChoice(name), "--format")
     if not isinstance(format_, RecordingWriter):
-        raise PluginError(f"format {name!r} is read only", remedy=f"can be written: {', '.join(_writable(plugins))}")
+        raise PluginError(f"format {name!r} is read-only", remedy=f"writable: {', '.join(_writable(plugins))}")
     return format_
 
 
@@ -277,7 +277,7 @@ def run_scene(
     setup = set_up(request.scene, recorded=True)
     seed = setup.plan.seed or 0 if request.seed is None else request.seed
     targets = checked_targets(setup.plan.scene.name, seed, request.output, request.formats, plugins)
-    tell("making the sheet")
+    tell("creating the sheet")
     world = made_world(setup, effects_of(plugins), seed=seed)
     with naming(setup.label):
         _rehearse(world, setup, targets)
@@ -292,7 +292,7 @@ def run_scene(
 
 
 def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, ...]) -> None:
-    """Write unloaded frames in every format: what cannot be written is refused before anybody has waited.
+    """Write unloaded frames in every format, so a format that fails is refused before the simulation.
 
     One frame, or those up to the first in which a board pauses.
     """
@@ -311,7 +311,7 @@ def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, .
 def _labelled(
     recorded: RecordedScene, world: SimulatedWorld, setup: SceneSetup, plugins: Plugins, notes: tuple[str, ...]
 ) -> RecordedScene:
-    """Say in the recording what was simulated, and with which software."""
+    """Describe the simulation and the software in the recording."""
     on = set(world.chain.names)
     theirs = {(r.distribution, r.version) for r in plugins.registrations(Kind.EFFECT) if r.name in on}
     others = sorted(theirs - {("cbsr-qa", cbsr_qa.__version__)})

@@ -1,4 +1,4 @@
-"""What the commands about scenes share: the files of a scene, and the world they make."""
+"""Files of a scene and the world they define, shared by the scene commands."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ USUAL_SENSOR_TYPE, USUAL_MATERIAL = "disc-100mm", "cbsr-8wt"
 
 #: What a scene that is to be recorded may lack → what it does not say then, and the lines to add.
 _LACKING = {
-    "sensor": ("what is simulated", f'[sensor]\nsensor_type = "{USUAL_SENSOR_TYPE}"\nmaterial = "{USUAL_MATERIAL}"'),
+    "sensor": ("what to simulate", f'[sensor]\nsensor_type = "{USUAL_SENSOR_TYPE}"\nmaterial = "{USUAL_MATERIAL}"'),
     "recording": ("for how long", "[recording]\nseed = 7\nduration_s = 60.0"),
 }
 
@@ -78,8 +78,8 @@ def _check_complete(loaded: Loaded[ScenePlan]) -> None:
         unsaid = " and ".join(_LACKING[table][0] for table in lacking)
         lines = "\n".join(_LACKING[table][1] for table in lacking)
         raise ConfigError(
-            f"{loaded.document.label} has no {named}: it does not say {unsaid}",
-            remedy=f"add lines like these, before or behind its other tables:\n{lines}",
+            f"{loaded.document.label} has no {named}: it does not state {unsaid}",
+            remedy=f"add lines like these, before or after its other tables:\n{lines}",
         )
 
 
@@ -117,7 +117,7 @@ def made_world(
 
 
 def effects_of(plugins: Plugins) -> EffectFactory:
-    """Return what finds an effect's factory by name; only what is asked for is imported."""
+    """Return a function that finds an effect's factory by name; only requested effects are imported."""
     return lambda name: plugins.factory(Kind.EFFECT, name)
 
 

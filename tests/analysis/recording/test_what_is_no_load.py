@@ -173,7 +173,7 @@ def test_loads_of_both_signs_at_once_are_two_events():
 def test_a_load_held_from_the_beginning():
     held = press(0.0, 0.5, -30, -9, 60)
     alone = analysed(counts(held))
-    assert any("held from the beginning" in w for w in alone.warnings)
+    assert any("held from the start" in w for w in alone.warnings)
     first, second = analysed(counts(held, press(0.1, -0.5, -30, 100, 130))).events
     assert (first.start_s, first.sign, second.sign) == (0.0, -1, -1)
     assert first.end_s == pytest.approx(15.0, abs=0.8)
@@ -201,7 +201,7 @@ def test_a_channel_that_stands_still_from_some_frame_on_is_stuck():
     faults = find_faults(block(voltages), ScanKind.FULL)
     assert np.argwhere(faults.stuck).tolist() == [[3, 8]]
     assert faults.stuck_from[3, 8] == 69
-    assert any("stuck from 17.2 s on: channels [3, 8]" in w for w in analysed(voltages).warnings)
+    assert any("stuck after 17.2 s: channels [3, 8]" in w for w in analysed(voltages).warnings)
 
 
 def test_quiet_channels_that_repeat_by_chance_are_not_stuck():

@@ -106,5 +106,5 @@ def test_places_are_chosen_the_farthest_first():
     line_mm = np.array([(x, 0.0) for x in (-40.0, -30.0, 0.0, 10.0, 40.0)])
     assert farthest_first(line_mm, 3) == [2, 0, 4]
     assert farthest_first(line_mm, 2, first=3) == [3, 0]
-    with pytest.raises(NumericsError, match="6 places cannot be chosen from 5"):
+    with pytest.raises(NumericsError, match="cannot choose 6 places from 5"):
         farthest_first(line_mm, 6)

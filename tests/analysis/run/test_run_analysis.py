@@ -192,5 +192,5 @@ def test_a_run_without_unloaded_frames_is_refused(run):
 
 
 def test_too_few_unloaded_frames_are_refused(run):
-    with pytest.raises(NumericsError, match="at least one more is the reference"):
+    with pytest.raises(NumericsError, match="the reference at least one more"):
         _observed(run, noise_floor_frames=20)

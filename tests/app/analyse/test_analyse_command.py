@@ -139,7 +139,7 @@ def test_several_files_give_one_document_and_the_worst_exit_code(tmp_path, capsy
     [
         (b"", "is empty"),
         (b"   \n\n", "is empty"),
-        (b"hello, world\n1,2,3\n", "in no format that is known here"),
+        (b"hello, world\n1,2,3\n", "has no known format"),
         (b"\x89HDF\r\n\x1a\n" + bytes(200), "damaged"),
         (b"MATLAB 5.0 MAT-file" + bytes(200), "cannot be read"),
         (b"time_pc [s],voltage [V],i_src [A],f [N],x [mm],y [mm],z [mm]\n", "only headers"),

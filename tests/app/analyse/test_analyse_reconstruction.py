@@ -214,7 +214,7 @@ def test_still_images_are_no_sequence_and_that_is_said(tmp_path):
     document = analyse_file(path, request).document
     (event,) = document["events"]
     assert (event["image"]["x_over_R"], event["image"]["y_over_R"]) == pytest.approx(PRESSED, abs=0.06)
-    assert any("temporal images consecutive frames; this recording has none" in w for w in document["warnings"])
+    assert any("temporal needs consecutive frames; this recording has none" in w for w in document["warnings"])
 
 
 def test_frames_are_cut_next_to_the_step_and_against_those_before():
@@ -267,8 +267,8 @@ def test_channels_of_unequal_gain_are_no_absolute_readings(tmp_path, capsys):
     refused = json.loads(out)["refused"]
     assert code == 2
     assert "absolute-gauss-newton cannot be used" in refused["reason"]
-    assert "one scale does not take these" in refused["reason"]
-    assert "reconstruction of changes" in refused["remedy"]
+    assert "single scale does not map these" in refused["reason"]
+    assert "difference reconstruction" in refused["remedy"]
     assert not (tmp_path / "var").exists()
 
 
@@ -292,14 +292,14 @@ def test_changes_that_settle_no_parameter_are_said_not_hidden(pressed):
 
     result = analyse_recording(read(pressed), Fussy(), AnalysisChoices(reconstruction=PluginChoice("fussy", {})))
     assert len(result.events) == 1
-    said = "fussy is not chosen on this recording's changes: the changes are all noise"
+    said = "cannot choose the parameter of fussy from this recording: the changes are all noise"
     assert any(said in warning for warning in result.warnings)
 
 
 @pytest.mark.parametrize(
     ("images", "error", "said"),
     [
-        (lambda values: values * np.nan, NumericsError, "not a finite number everywhere"),
+        (lambda values: values * np.nan, NumericsError, "non-finite values"),
         (lambda values: values[:, :-1], NumericsError, "images of shape"),
         (lambda values: 1 / 0, PluginError, "ZeroDivisionError"),
     ],

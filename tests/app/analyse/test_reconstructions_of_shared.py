@@ -25,7 +25,7 @@ def test_both_balls_of_phantom_b_are_apart_in_the_image(shared, name):
 def test_total_variation_says_that_a_tank_settles_no_alpha(shared):
     """No sheet explains a tank to its noise: α is that of a simulated target, and the reader is told."""
     document = analysed(shared, "total-variation", "vvAvg2").document
-    assert any("is not chosen on this recording's changes" in warning for warning in document["warnings"])
+    assert any("from this recording" in warning for warning in document["warnings"])
     assert "simulated" in document["reconstruction"]["parameter"]["reason"]
 
 

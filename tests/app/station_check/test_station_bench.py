@@ -154,7 +154,7 @@ def test_a_channel_without_samples_fails(bench):
 def test_instruments_that_make_no_bench_are_said_so(bench):
     bench.factories["load_cell"] = lambda context: ScriptedApplicator(bench.script)
     bench.look()
-    assert "is said to provide 'force', which is neither a role" in bench.lines["whole bench", "together"].said
+    assert "is configured to provide 'force', which is neither a role" in bench.lines["whole bench", "together"].said
 
 
 def test_a_real_instrument_on_a_virtual_clock_makes_no_bench(bench):

@@ -159,8 +159,8 @@ def test_noise_is_no_proof_of_equivalence(strip):
 @pytest.mark.parametrize(
     ("missing", "why"),
     [
-        ("both", "not compared: material cbsr-8wt carries no relaxation of a strip; characterise one of its batch"),
-        ("unloading", "not compared: the material file carries no relaxation of a strip in this direction"),
+        ("both", "not compared: material cbsr-8wt has no strip relaxation; characterise a strip of its batch"),
+        ("unloading", "not compared: the material file has no strip relaxation in this direction"),
     ],
 )
 def test_without_a_strip_there_is_no_value_and_the_reason(alike, strip, missing, why):
@@ -188,4 +188,4 @@ def test_the_report_draws_the_agreement_that_was_asked_for(alike, strip):
     bare = replace(alike, record=replace(alike.record, material=MATERIAL))
     (told,) = _agreements(bare, SheetAndStripRelaxation().measure_run(bare))
     assert isinstance(told, Paragraph)
-    assert "not compared, material cbsr-8wt carries no relaxation" in told.text
+    assert "not compared, material cbsr-8wt has no strip relaxation" in told.text

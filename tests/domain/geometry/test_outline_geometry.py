@@ -121,8 +121,8 @@ def test_corners_that_are_none_are_left_out_for_images():
     ("corners", "said"),
     [
         (RECTANGLE[:2], "has 2 corners; at least 3"),
-        ((*RECTANGLE, RECTANGLE[0]), "corner 5 of the outline is corner 1 again; the last edge closes"),
-        ((RECTANGLE[0], RECTANGLE[0], *RECTANGLE[1:]), "corner 2 of the outline is corner 1 again; leave one out"),
+        ((*RECTANGLE, RECTANGLE[0]), "corner 5 of the outline repeats corner 1; the last edge closes"),
+        ((RECTANGLE[0], RECTANGLE[0], *RECTANGLE[1:]), "corner 2 of the outline repeats corner 1; leave one out"),
         ((RECTANGLE[0], RECTANGLE[2], RECTANGLE[1], RECTANGLE[3]), "crosses itself"),
         ((*RECTANGLE[:3], (0.0, -40.0), RECTANGLE[3]), "crosses itself"),  # a corner touches an edge
         (((0.0, 0.0), (50.0, 0.0), (100.0, 0.0)), "turns back to 0°"),
@@ -175,7 +175,7 @@ def test_electrodes_that_fit_are_no_problem(kind):
         (ElectrodeKind.PIN, (3, (-27.0, -34.0)), 3, "overlaps electrode 0: their centres are 2 mm apart"),
         (ElectrodeKind.PIN, (3, (-22.9, -36.0)), 3, "is too close to electrode 0: between centres"),
         (ElectrodeKind.ARC, (3, (-25.999, -40.0)), 3, "is too close to electrode 0: between centres are 4.001 mm"),
-        (ElectrodeKind.ARC, (3, (30.0, 35.0)), 3, "lies 5 mm from the edge, on which"),
+        (ElectrodeKind.ARC, (3, (30.0, 35.0)), 3, "lies 5 mm from the edge, where"),
         (
             ElectrodeKind.ARC,
             (3, (-32.0, -40.0)),
@@ -205,7 +205,7 @@ def test_rings_fit_any_sheet_they_lie_in():
     arcs = ElectrodeLayout(8, ElectrodeKind.ARC, 45.0, 2.0, 0.0, True)
     ((number, what),) = placement_problems(arcs, Polygon(RECTANGLE))
     assert number is None
-    assert "each electrode needs a position" in what
+    assert "give the position of each electrode" in what
 
 
 @given(st.floats(0.2, 10), st.floats(0, 6.28))

@@ -101,11 +101,11 @@ def test_rules_name_the_pairs_they_promise():
 @pytest.mark.parametrize(
     ("rule", "count", "reason", "remedy"),
     [
-        ("opposite", 9, "none are opposite", "use 'skip-3'"),
-        ("skip-7", 16, "half way round 16 electrodes or further", "use 'skip-6' or less, or 'opposite'"),
-        ("skip-4", 9, "half way round 9", "use 'skip-3' or less"),
-        ("opposit", 16, "no pattern 'opposit'", "'skip-1', 'skip-2'"),
-        ("skip--1", 16, "no pattern", "'adjacent'"),
+        ("opposite", 9, "no two of", "use 'skip-3'"),
+        ("skip-7", 16, "half of 16 electrodes or more", "use 'skip-6' or less, or 'opposite'"),
+        ("skip-4", 9, "half of 9", "use 'skip-3' or less"),
+        ("opposit", 16, "unknown pattern 'opposit'", "'skip-1', 'skip-2'"),
+        ("skip--1", 16, "unknown pattern", "'adjacent'"),
     ],
 )
 def test_a_rule_that_does_not_suit_is_refused_with_one_that_does(rule, count, reason, remedy):
@@ -119,11 +119,11 @@ def test_a_rule_that_does_not_suit_is_refused_with_one_that_does(rule, count, re
     ("drive", "said"),
     [
         (((0, 1), (1, 2), (0, 1)), "pair 3 (0, 1) of the drive pattern repeats pair 1"),
-        (((2, 2),), "joins electrode 2 with itself"),
-        (((0, 4),), "names electrode 4; there are 0 to 3"),
+        (((2, 2),), "pairs electrode 2 with itself"),
+        (((0, 4),), "names electrode 4; allowed: 0 to 3"),
         (((-1, 0),), "names electrode -1"),
-        (((0, 1.0),), "names electrode 1.0; electrodes are counted by whole numbers"),
-        ((("0", "1"),), "names electrode '0'; electrodes are counted by whole numbers"),
+        (((0, 1.0),), "names electrode 1.0; electrodes have whole numbers"),
+        ((("0", "1"),), "names electrode '0'; electrodes have whole numbers"),
         (((0, 1, 2),), "has 3 electrodes instead of two"),
         ((), "has no pairs"),
     ],

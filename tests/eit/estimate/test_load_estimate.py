@@ -257,7 +257,7 @@ def test_quantities_follow_from_strength_and_square():
 def test_impossible_input_is_refused():
     merged = readings(60)
     good = estimator(60, known=True)
-    with pytest.raises(NumericsError, match="do not fit"):
+    with pytest.raises(NumericsError, match="do not match"):
         good.estimate(np.zeros((1, 5)))
     with pytest.raises(NumericsError, match="not a finite"):
         good.estimate(np.full((1, 208), np.nan))
@@ -267,7 +267,7 @@ def test_impossible_input_is_refused():
         merged_readings(SENSOR.pattern, USED, np.zeros(SENSOR.pattern.shape))
     with pytest.raises(NumericsError, match="independent readings"):
         merged_readings(SENSOR.pattern, USED & (np.arange(256).reshape(16, 16) < 12), np.ones(SENSOR.pattern.shape))
-    with pytest.raises(NumericsError, match="do not fit frames"):
+    with pytest.raises(NumericsError, match="do not match frames"):
         merged_readings(SENSOR.pattern, USED[:3], np.ones(SENSOR.pattern.shape))
 
 

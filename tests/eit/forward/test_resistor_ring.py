@@ -74,7 +74,7 @@ def test_a_ring_is_reciprocal_and_passive(resistances):
 
 @pytest.mark.parametrize("bad", [[1.0, 1.0], [], [[1.0, 1.0, 1.0]]])
 def test_what_is_no_ring_is_refused(bad):
-    with pytest.raises(NumericsError, match="are no ring"):
+    with pytest.raises(NumericsError, match="do not form a ring"):
         ring_impedance(bad)
 
 
@@ -82,7 +82,7 @@ def test_what_is_no_ring_is_refused(bad):
 def test_a_resistor_that_is_none_is_named(bad):
     with pytest.raises(NumericsError, match="resistor 2 of the ring has"):
         ring_impedance([1.0, 1.0, bad, 1.0])
-    with pytest.raises(NumericsError, match="3 resistors does not fit a pattern of 16"):
+    with pytest.raises(NumericsError, match="3 resistors does not match a pattern of 16"):
         ring_readings([1.0] * 3, OF.sensor_type.pattern)
 
 

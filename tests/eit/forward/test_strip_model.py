@@ -71,13 +71,13 @@ def test_contacts_in_series_hide_more():
 
 
 def test_more_than_the_strip_can_do_is_refused():
-    with pytest.raises(NumericsError, match="what lies under the head can change it by") as refused:
+    with pytest.raises(NumericsError, match="the material under the head can change it by") as refused:
         models()[0].local(np.array([0.01, 2.0]))
     assert "loose pin" in refused.value.remedy
 
 
 def test_what_is_no_strip_is_refused():
-    with pytest.raises(NumericsError, match="'disc-100mm' is no strip"):
+    with pytest.raises(NumericsError, match="'disc-100mm' is not a strip"):
         check_strip(load_sensor_type("disc-100mm").value)
     with pytest.raises(NumericsError, match="does not touch the strip"):
         StripModel(load_sensor_type("strip-40x20mm").value, Indenter(13.0), 0.2, place_mm=(60.0, 0.0))

@@ -74,7 +74,7 @@ def test_the_nearest_blob_is_the_sensed_one_not_the_heaviest():
 
 def test_a_mask_of_another_mesh_is_refused():
     image, keep = _image({0: 1.0})
-    with pytest.raises(NumericsError, match="does not fit"):
+    with pytest.raises(NumericsError, match="does not match"):
         find_blobs(image, keep[:-1])
 
 

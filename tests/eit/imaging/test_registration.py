@@ -78,9 +78,13 @@ def test_a_mirror_image_is_called_one(some, mirror):
         (np.full((4, 2), 1e9 + 0.1), NINE[:4] + 1e9, "pressed at one place"),
         (NINE, np.ones((9, 2)), "seen at one place"),
         (NINE + 1e9, np.full((9, 2), 1e9 + 0.1), "seen at one place"),
-        (np.array([[1, 0], [0, 1], [-1, 0], [0, -1.0]]), np.array([[1, 0], [-1, 0], [1, 0], [-1.0, 0]]), "no turn"),
+        (
+            np.array([[1, 0], [0, 1], [-1, 0], [0, -1.0]]),
+            np.array([[1, 0], [-1, 0], [1, 0], [-1.0, 0]]),
+            "no rotation",
+        ),
         (NINE, np.full((9, 2), np.nan), "not finite"),
-        (NINE, NINE[:5], "do not fit together"),
+        (NINE, NINE[:5], "do not match"),
     ],
 )
 def test_what_says_nothing_is_refused(nominal, seen, said):

@@ -110,8 +110,8 @@ def test_a_reading_that_never_changes_is_weighed_like_a_common_one():
     ("edit", "said"),
     [
         (lambda readings: readings[: FEWEST_FRAMES - 1], "5 unloaded frames are too few"),
-        (lambda readings: np.where(np.arange(READINGS) < 3, np.nan, readings), "3 readings are not finite"),
-        (lambda readings: np.where(np.arange(READINGS) < 1, np.inf, readings), "1 readings are not finite"),
+        (lambda readings: np.where(np.arange(READINGS) < 3, np.nan, readings), "3 readings are non-finite"),
+        (lambda readings: np.where(np.arange(READINGS) < 1, np.inf, readings), "1 readings are non-finite"),
         (lambda readings: np.broadcast_to(readings[0], readings.shape), "208 of 208 readings are the same"),
         (np.zeros_like, "208 of 208 readings are the same"),
         (lambda readings: np.where(np.arange(READINGS) < 120, 1.0, readings), "120 of 208 readings are the same"),

@@ -112,10 +112,10 @@ def test_a_raster_spans_the_sheet_whatever_its_outline(linear, pin_sensor):
 def test_what_is_no_frame_is_refused(linear, raster):
     good = readings_of(linear)
     for wrong in (good[:, :-1], good[0], np.where(good > 0, np.nan, good), np.full_like(good, np.inf)):
-        with pytest.raises(RefusedError, match=r"do not fit|not a finite number"):
+        with pytest.raises(RefusedError, match=r"do not match|not a finite number"):
             raster.images(wrong)
     for wrong in (good, good[0, :-1], np.full(208, np.nan)):
-        with pytest.raises(RefusedError, match=r"do not fit|not a finite number"):
+        with pytest.raises(RefusedError, match=r"do not match|not a finite number"):
             raster.image(wrong)
     with pytest.raises(NumericsError, match="0 pixels"):
         pixel_imaging(linear, 0)

@@ -133,7 +133,7 @@ def spoilt(change):
 
 MISTAKES = {
     "counted from one": (lambda n, t: (n, t + 1), "names nodes", "say first=1"),
-    "not a number": (lambda n, t: (np.where(n == n[3], np.nan, n), t), "is at a place that is not a finite", ""),
+    "not a number": (lambda n, t: (np.where(n == n[3], np.nan, n), t), "has a non-finite position", ""),
     "in space": (lambda n, t: (np.column_stack([n, n[:, 0]]), t), "not at least three places (x, y) in a plane", ""),
     "squares": (lambda n, t: (n, np.hstack([t, t[:, :1]])), "rows of three nodes are needed", ""),
     "fractions": (lambda n, t: (n, t + 0.5), "rows of three nodes are needed, by number", ""),
@@ -224,10 +224,10 @@ def test_a_damaged_file_is_refused(tmp_path, content, said):
 
 def test_a_file_is_never_executed_and_must_hold_the_arrays(tmp_path):
     np.savez(tmp_path / "objects.npz", nodes_mm=np.array([print], dtype=object), elements=np.zeros((1, 3)))
-    with pytest.raises(NumericsError, match=r"no \.npz file of numbers"):
+    with pytest.raises(NumericsError, match=r"not an \.npz file of numbers"):
         read_mesh(tmp_path / "objects.npz")
     np.savez(tmp_path / "other.npz", points=np.zeros((3, 2)))
-    with pytest.raises(NumericsError, match="holds no nodes_mm") as caught:
+    with pytest.raises(NumericsError, match="has no array nodes_mm") as caught:
         read_mesh(tmp_path / "other.npz")
     assert "write_mesh" in caught.value.remedy
     with pytest.raises(NumericsError, match="there is no mesh file") as caught:
@@ -241,8 +241,8 @@ def test_a_file_is_never_executed_and_must_hold_the_arrays(tmp_path):
         (lambda nodes: nodes + 1j, "nodes are of type complex128, not real numbers"),
         (lambda nodes: nodes.astype(str), "not real numbers"),
         (lambda nodes: [[0.0, 1.0], [2.0]], "rows of different lengths"),
-        (lambda nodes: nodes * 1e150, "is no sheet's; allowed are 1e-09 to 1e"),
-        (lambda nodes: nodes * 1e-150, "is no sheet's; allowed are 1e-09 to 1e"),
+        (lambda nodes: nodes * 1e150, "from its origin; allowed are 1e-09 to 1e"),
+        (lambda nodes: nodes * 1e-150, "from its origin; allowed are 1e-09 to 1e"),
     ],
 )
 def test_places_that_are_no_places_are_refused_not_cast(change, said):
@@ -336,7 +336,7 @@ def test_a_sensor_type_file_takes_its_mesh_in_by_content(tmp_path):
     [
         ("radius_mm = 50.0", "sensor_type.radius_mm does not apply where mesh is given"),
         ('[electrodes]\nkind = "pin"', "electrodes does not apply where mesh is given: the mesh carries them"),
-        ("[pattern]\ndrive = [[0, 10]]", "pattern.drive[1] names electrode 10; there are 0 to 9"),
+        ("[pattern]\ndrive = [[0, 10]]", "pattern.drive[1] names electrode 10; allowed: 0 to 9"),
     ],
 )
 def test_what_contradicts_the_mesh_is_refused(tmp_path, more, said):

@@ -284,7 +284,7 @@ def test_contacts_that_drift_out_of_all_bounds_are_refused():
         (lambda: ReadingOffset(OF, offset_V=float("nan")), "offset_V is nan"),
         (lambda: JohnsonNoise(OF, temperature_C=-300.0), "temperature_C is -300"),
         (lambda: SourceCompliance(OF, limit_V=0.0), "limit_V is 0"),
-        (lambda: LeadResistance(OF, electrode=16, resistance_ohm=1.0), "electrodes are counted from 0 to 15"),
+        (lambda: LeadResistance(OF, electrode=16, resistance_ohm=1.0), "electrodes are numbered from 0 to 15"),
         (lambda: LeadResistance(OF, electrode=True, resistance_ohm=1.0), "electrode is True"),
         (lambda: ElectrodeShort(OF, electrodes=[3, 3]), "two different electrodes"),
         (lambda: ElectrodeShort(OF, electrodes=[3, 77]), "from 0 to 15"),

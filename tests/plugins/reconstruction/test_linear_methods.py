@@ -98,12 +98,12 @@ def test_a_sample_is_looked_at_with_its_own_readings_and_noise(pin_sensor):
     assert GaussNewtonLaplace(choose="gcv").prepare(sampled).choice.value != of_type.choice.value
 
 
-def test_without_readings_that_are_there_twice_nobody_knows_the_noise(pin_sensor):
+def test_without_repeated_readings_the_noise_is_unknown(pin_sensor):
     sensor = pin_sensor()
     once = np.triu(sensor.pattern.usable())
     plain = imaging_problem(sensor, used=once, image_size_mm=5.0)
     sampled = replace(plain, sample=evidence_of(plain).changes)
-    with pytest.raises(NumericsError, match="no readings are there twice"):
+    with pytest.raises(NumericsError, match="no reading is repeated"):
         GaussNewtonLaplace(choose="discrepancy").prepare(sampled)
     choice = GaussNewtonLaplace(choose="gcv").prepare(sampled).choice
     assert next(a for a in choice.curve.answers if a.criterion == "discrepancy").value is None
@@ -114,9 +114,9 @@ def test_without_readings_that_are_there_twice_nobody_knows_the_noise(pin_sensor
     [
         (np.zeros((3, 208)), "nothing to fit"),
         (np.full((1, 208), np.nan), "not a finite number"),
-        (np.ones((2, 207)), "does not fit 208"),
-        (np.ones(208), "does not fit 208"),
-        (np.ones((0, 208)), "does not fit 208"),
+        (np.ones((2, 207)), "does not match 208"),
+        (np.ones(208), "does not match 208"),
+        (np.ones((0, 208)), "does not match 208"),
     ],
 )
 def test_samples_that_are_none_are_refused(problem, sample, reason):
@@ -313,7 +313,7 @@ def test_readings_that_are_all_noise_are_as_good_as_missing(pin_sensor):
 
 
 def test_a_noise_figure_that_no_truncation_keeps_within_is_refused(problem):
-    with pytest.raises(NumericsError, match=r"no number of components keeps within noise figure 1e-06") as refused:
+    with pytest.raises(NumericsError, match=r"no number of components reaches noise figure 1e-06") as refused:
         Truncation(problem).within(1e-6)
     assert "bad channels" in refused.value.remedy
 

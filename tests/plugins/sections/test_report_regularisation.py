@@ -182,7 +182,7 @@ def test_a_criterion_without_an_answer_is_named_without_a_mark(problem, section_
     section = section_of(prepared)
     (table,) = blocks(section, Table)
     assert [cell.text for cell in table.rows[3]][:3] == ["discrepancy", "–", "–"]
-    assert "no readings are there twice" in table.rows[3][3].text
+    assert "no reading is repeated" in table.rows[3][3].text
     (figure,) = blocks(section, Figure)
     assert "no answer" in figure.svg
     assert "discrepancy" not in figure.alternative

@@ -266,10 +266,10 @@ def test_fleets_of_known_truth(on_all):
         (
             [(0, 0, 0), (0, 1, 0), (0, 0, 0)],
             [1.0, 2.0, 4.0],
-            "sensors are 1, which leaves nothing to judge 2",
+            "1 sensors are too few to judge 2",
         ),
         # One sensor a batch: its values do differ, and nothing is left to judge them by.
-        ([(0, 0, 0), (1, 0, 1)], [1.0, 2.0], "sensors are 2, which leaves nothing to judge 2"),
+        ([(0, 0, 0), (1, 0, 1)], [1.0, 2.0], "2 sensors are too few to judge 2"),
         ([(0, 0, 0), (0, 0, 1), (1, 0, 2)], [1.0, 1.0, 2.0], "values do not differ within groups"),
         ([(0, 0, 0), (0, 0, 1), (1, 0, 2)], [3.0, 3.0, 3.0], "all 3 values are 3"),
         ([(0, 0, 0), (0, 0, 1), (1, 0, 2)], [3.0, np.nan, 3.0], "1 of 3 values are missing"),
@@ -305,5 +305,5 @@ def test_designs_that_are_none_are_named():
         crossing(["a", "a"], ["s"], ["1", "2"])
     design = crossing(["a", "b", "a"], ["s", "s", "s"], ["1", "1", "2"])
     assert design.only(np.array([True, False, True])).groups == ("a",)
-    with pytest.raises(NumericsError, match="group 'c' has no runs that were used; those of a, b were"):
+    with pytest.raises(NumericsError, match="no used run has group 'c'; used are a, b"):
         design.index("group", "c")

@@ -30,8 +30,8 @@ def test_one_sensor_and_no_variance_are_named(url):
     document = json_of(compared(url))
     assert "41 has only one sensor, which does not show how sensors differ" in document["warnings"]
     reasons = {m["name"]: m["warnings"][0] for m in document["metrics"]}
-    assert "sensors are 2, which leaves nothing to judge 2 effects" in reasons["drift"]
-    assert "all 2 values are 0, which leaves no variance" in reasons["missed_loads"]
+    assert "2 sensors are too few to judge 2 effects" in reasons["drift"]
+    assert "all 2 values are 0: there is no variance" in reasons["missed_loads"]
 
 
 def test_missing_values_lower_bounds_and_mixed_units_are_named_and_left_out(two):
@@ -105,9 +105,9 @@ def test_an_empty_database_and_runs_that_do_not_fit_are_refused(url):
     with pytest.raises(RefusedError, match="no stored run fits"):
         compared(url)
     fleet(url, sensors=2, both=0)
-    with pytest.raises(RefusedError, match="no stored run is of recipe 'shrot'") as raised:
+    with pytest.raises(RefusedError, match="no stored run uses recipe 'shrot'") as raised:
         compared(url, choice=RunChoice(recipe="shrot"))
-    assert "did you mean 'short'? there are: short" in raised.value.remedy
+    assert "did you mean 'short'? recipes: short" in raised.value.remedy
     with pytest.raises(RefusedError, match="no stored run fits"):
         compared(url, choice=RunChoice(until=datetime(2020, 1, 1).date()))
 

@@ -207,7 +207,7 @@ def test_bias_is_held_against_reference_values(crossed, document):
     assert whys == {"stability: 2 values instead of at least 3"}
     (metric,) = document(crossed, "--recipe", "short", *given[:2])["metrics"]
     assert {line["why"].partition(";")[0] for line in metric["references"]["linearity"]} == {
-        "linearity: all readings are of one reference"
+        "linearity: all readings have one reference"
     }
 
 

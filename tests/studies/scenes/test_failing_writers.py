@@ -62,14 +62,14 @@ def returning(value):
 def test_a_file_that_came_while_the_scene_was_simulated_is_kept(tmp_path):
     (tmp_path / "second.txt").write_text("somebody's")
     targets = (target(tmp_path, "first", good), target(tmp_path, "second", good))
-    with pytest.raises(RefusedError, match=r"second\.txt has come to exist meanwhile"):
+    with pytest.raises(RefusedError, match=r"second\.txt was created in the meantime"):
         write_all(recorded(), targets)
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("second.txt", "somebody's")]
 
 
 @pytest.mark.parametrize("name", ["mine.csv", "mine.CSV", "mine.mat"])
 def test_our_own_format_is_not_written_under_the_name_of_another(tmp_path, name):
-    with pytest.raises(RefusedError, match="is to be an HDF5 file") as refused:
+    with pytest.raises(RefusedError, match="must be an HDF5 file") as refused:
         checked_targets("mine", 7, tmp_path / name, (), discover())
     assert str(tmp_path / "mine.h5") in refused.value.remedy
     for allowed in ("mine.h5", "mine.hdf5", "mine"):

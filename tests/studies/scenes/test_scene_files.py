@@ -194,7 +194,7 @@ def test_a_scene_that_cannot_be_recorded_says_which_lines_to_add(tmp_path):
         ('name = "piezoresistive"', "no effect plugin named 'piezoresistive'", "did you mean 'piezoresistivity'"),
         ('name = "load-cell-noise"\nrms_mN = 1.0', "no parameter 'rms_mN'", "did you mean 'rms_N'"),
         ('name = "residue"\nshare = 0.1\ndecay_ms = 9.0', "no parameter 'decay_ms'", "did you mean 'decay_s'"),
-        ('name = "load-cell-noise"', "lacks its parameter 'rms_N'", "rms_N"),
+        ('name = "load-cell-noise"', "lacks parameter 'rms_N'", "rms_N"),
         ('name = "conductance-relaxation"', "without 'piezoresistivity'", "add [[effects]]"),
     ],
 )

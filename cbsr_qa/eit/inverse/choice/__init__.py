@@ -1,4 +1,4 @@
-"""How much to smooth: noise figure, criteria, and what each would choose."""
+"""Choice of the hyperparameter: noise figure and data-driven criteria."""
 
 from cbsr_qa import door
 

@@ -138,7 +138,7 @@ def by_discrepancy(curves: RidgeCurves, level: float) -> float:
     """
     low, high = (float(curves.residual(end)) for end in (curves.grid[0], curves.grid[-1]))
     if not low < level < high:
-        what = "the readings are no larger than their noise" if level >= high else "there is next to no noise"
+        what = "the readings do not exceed their noise" if level >= high else "there is almost no noise"
         raise NumericsError(
             f"the discrepancy principle has no answer {_range(curves)}: {what} (residual {np.sqrt(low):.3g} to"
             f" {np.sqrt(high):.3g}, noise {np.sqrt(max(level, 0.0)):.3g})",

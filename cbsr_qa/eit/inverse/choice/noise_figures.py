@@ -1,4 +1,4 @@
-"""Noise figure of a linear imaging matrix: how much signal-to-noise ratio the image has lost.
+"""Noise figure of a linear imaging matrix: input over output signal-to-noise ratio.
 
 What a parameter is chosen on: a small central target, and changes measured or made up, with their noise.
 
@@ -59,15 +59,15 @@ def noise_figure(
     response = float(np.abs(weighted @ signal).mean())
     if not (np.isfinite(response) and response > 0):
         raise NumericsError(
-            "the noise figure is not defined: the matrix does not see the target",
+            "the noise figure is not defined: the matrix does not respond to the target",
             remedy="check the hyperparameter and which channels are masked",
         )
     level = float(np.abs(signal).mean())
     if form is NoiseFigureForm.EIDORS:
         if noise_variance is not None:
             raise NumericsError(
-                "the EIDORS form of the noise figure knows equal noise only",
-                remedy="take the form of Adler et al. 2009",
+                "the EIDORS form of the noise figure assumes equal noise on all readings",
+                remedy="use the form of Adler et al. 2009",
             )
         channel = np.std(np.eye(len(signal))[0], ddof=1)
         return level / float(channel) * float(np.std(weighted, axis=0, ddof=1).mean()) / response
@@ -132,7 +132,7 @@ def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
     count = len(problem.reference)
     if sample.ndim != 2 or sample.shape[1] != count or not len(sample):
         raise NumericsError(
-            f"a sample of shape {sample.shape} does not fit {count} used readings",
+            f"sample of shape {sample.shape} does not match {count} used readings",
             remedy=f"give frames of the used readings, (k, {count})",
         )
     if not np.isfinite(sample).all():
@@ -140,8 +140,8 @@ def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
     largest, usual = float(np.abs(sample).max()), float(np.abs(problem.reference).max())
     if largest > _MOST_CHANGED * usual:
         raise NumericsError(
-            f"a change to choose λ from is {largest:.2g}, where readings are {usual:.2g}: at most"
-            f" {_MOST_CHANGED:.0e} times as much can be",
+            f"a change to choose λ from is {largest:.2g} and readings are {usual:.2g}; a change may be at most"
+            f" {_MOST_CHANGED:.0e} times the readings",
             remedy="give changes in the unit of the reference readings",
         )
     variance, freedom = ReadingFold.of(problem).noise(sample)
@@ -203,7 +203,7 @@ def hyperparameter_for(
         raise NumericsError(
             f"noise figure {target} cannot be reached;"
             f" this sensor type allows {reached.min():.3g} to {reached.max():.3g}",
-            remedy="ask for a noise figure in that range, or give the hyperparameter itself",
+            remedy="give a noise figure in that range, or the hyperparameter itself",
         )
     # The noise figure falls with λ but for wiggles at the ends; the largest λ that reaches the target is smoothest.
     last = np.flatnonzero((reached[:-1] >= target) & (target >= reached[1:]))[-1]

@@ -1,4 +1,4 @@
-"""How much a method smooths: by which criterion, on what, and what the others would have said."""
+"""Choice of λ: the criterion, the data it used, and what the other criteria would choose."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Criterion(StrEnum):
-    """What a parameter is chosen by, without knowing the truth."""
+    """Criterion for a parameter, without knowing the truth."""
 
     NOISE_FIGURE = "noise-figure"  #: Adler et al. 2009 form; looks at the model alone
     GCV = "gcv"  #: generalised cross-validation, Golub, Heath & Wahba 1979
@@ -42,12 +42,12 @@ class ParameterSearch(Protocol):
 
     @property
     def shown(self) -> Array:
-        """Values close enough together to draw what lies between them, over the same range."""
+        """Values dense enough to draw a curve, over the same range."""
         ...
 
     @property
     def discrete(self) -> bool:
-        """Whether the parameter is a count, and ``grid`` holds all there are."""
+        """Whether the parameter is a count, and ``grid`` has all its values."""
         ...
 
     def noise_figures(self, values: Array) -> Array:
@@ -55,7 +55,7 @@ class ParameterSearch(Protocol):
         ...
 
     def for_noise_figure(self, target: float) -> float:
-        """Value with this noise figure; NumericsError with the range where there is none."""
+        """Value with this noise figure; NumericsError with the reachable range otherwise."""
         ...
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
@@ -65,7 +65,7 @@ class ParameterSearch(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Regularisation:
-    """What the options of a plugin say about its parameter.
+    """Options of a plugin for its parameter.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Regularisation:
 
     @property
     def decided_by(self) -> str:
-        """Name of what decides: a criterion, or ``"given"``."""
+        """Name of the deciding rule: a criterion, or ``"given"``."""
         return "given" if self.criterion is None else self.criterion.value
 
     def choose(

@@ -1,4 +1,4 @@
-"""GREIT: training targets, matrix, calibration of its images."""
+"""GREIT: training targets, imaging matrix, amplitude calibration."""
 
 from cbsr_qa import door
 

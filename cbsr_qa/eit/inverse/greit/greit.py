@@ -1,4 +1,4 @@
-"""GREIT: the matrix that turns the readings of training targets into the images one wants of them.
+"""GREIT: the matrix that maps readings of training targets to desired images.
 
 Each row of the matrix, one for each node of the image, is a least-squares fit of its own (Adler et al. 2009, eq. 5):
 min Σ_k W_k(x) [r(x)·y_k − d_k(x)]² + λ² |r(x)|², where W lets what is near the target count in full and the rest
@@ -76,7 +76,7 @@ class GreitRows:
         if rows is None or not np.isfinite(rows).all():
             raise NumericsError(
                 f"greit: hyperparameter {hyperparameter:.3g} is too small: the targets do not determine the image",
-                remedy=f"give a hyperparameter above {least:.1e}, or ask for a noise figure",
+                remedy=f"give a hyperparameter above {least:.1e}, or give a noise figure",
             )
         return rows
 
@@ -128,7 +128,7 @@ class GreitRows:
         return matrix
 
     def noise_figure(self, matrix: Array) -> float:
-        """Noise figure (Adler et al. 2009, equal noise on all readings, whatever they are weighted with)."""
+        """Noise figure (Adler et al. 2009, equal noise on all readings, independent of their weights)."""
         return noise_figure(matrix, self._signal, self.problem.mesh.areas_mm2)
 
 
@@ -174,5 +174,5 @@ class _Fit:
 
 
 def _weight(distance: Array) -> Array:
-    """What an error of the image counts, by the distance from the target: 1 on top, 0 from 1 on, smooth."""
+    """Weight of an image error by distance from the target: 1 on top, 0 from 1 on, smooth."""
     return np.asarray((1 - np.minimum(distance, 1) ** 4) ** 2, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""GREIT's imaging matrix: of a λ, and the λ of a noise figure. What was made last is kept.
+"""GREIT's imaging matrix for a λ, and the λ for a noise figure; the last matrix is cached.
 
 Shaping GREIT's images until masked images of targets lie where the targets do, and are as large.
 
@@ -36,7 +36,7 @@ _SMOOTH: Final = 0.6  # radii of the head over which widths are averaged
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What shaping has come to, per node of the image.
+    """State of the shaping, per node of the image.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ _MATRICES: Final = 2  # of each, 3.4 MB on the usual mesh
 
 @dataclass(frozen=True, eq=False)
 class GreitMatrix:
-    """What comes of one λ.
+    """GREIT's matrix for one λ.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: 
 
 @dataclass(frozen=True, eq=False)
 class GreitChoice:
-    """The λ of a noise figure, and what was looked at on the way: the same whatever was searched before.
+    """The λ for a noise figure, with the search steps; independent of earlier searches.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ _PROBLEMS: Final[OrderedDict[tuple[bytes, TargetDesign], _Kept]] = OrderedDict()
 
 
 def _kept(problem: ImagingProblem, design: TargetDesign) -> _Kept:
-    """What is kept of problems with the same numbers."""
+    """Cached results for problems with the same numbers."""
     variance = problem.noise_variance
     digest = blake2b(problem.used.tobytes())
     for values in (problem.mesh.nodes_mm, problem.jacobian, problem.reference):
@@ -291,7 +291,7 @@ class _Search:
             raise NumericsError(
                 f"noise figure {target} cannot be reached by greit; this problem allows"
                 f" {reached[0]:.3g} to {reached[1]:.3g}",
-                remedy="ask for a noise figure in that range, or give the hyperparameter itself",
+                remedy="give a noise figure in that range, or the hyperparameter itself",
             )
 
         low, high = (float(np.log(end)) for end in ends)
@@ -313,7 +313,7 @@ class _Search:
         return self._seen[hyperparameter]
 
     def _ends(self, target: float) -> tuple[float, float] | None:
-        """Two λ between whose noise figures the target lies; None where there are none."""
+        """Two λ whose noise figures bracket the target, or None."""
         low, high = _TYPICAL
         while self._figure(low) < target:
             if low == _LOWEST:

@@ -1,4 +1,4 @@
-"""What GREIT is trained on: round targets, the readings they cause, and the images they should become."""
+"""Training data of GREIT: round targets, their readings and their desired images."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -50,7 +50,7 @@ class TargetDesign:
     def of(
         cls, problem: ImagingProblem, head_diameter_mm: float | None, diameters_mm: tuple[float, ...] | None
     ) -> Self:
-        """Fill in what was left open: a head of 0.13 of the sheet's diameter; targets from 8/13 to 20/13 of it.
+        """Fill in defaults: a head of 0.13 of the sheet's diameter; targets from 8/13 to 20/13 of it.
 
         Raises
         ------
@@ -65,7 +65,7 @@ class TargetDesign:
         for radius in (head, *radii):
             if not 0 < radius <= largest:
                 raise NumericsError(
-                    f"greit: a target of diameter {2 * radius:.3g} mm does not fit the sheet",
+                    f"greit: a target of diameter {2 * radius:.3g} mm does not fit on the sheet",
                     remedy=f"give diameters above 0 and up to {2 * largest:.3g} mm",
                 )
         _check_resolved(problem.mesh, head, radii)
@@ -141,7 +141,7 @@ def _check_resolved(mesh: Mesh, head_mm: float, radii_mm: tuple[float, ...]) -> 
         )
     if radii_mm[0] < _SMALLEST * head_mm:
         raise NumericsError(
-            f"greit: a target of diameter {2 * radii_mm[0]:.3g} mm is a point beside a head of {2 * head_mm:.3g} mm",
+            f"greit: a target of diameter {2 * radii_mm[0]:.3g} mm is too small for a head of {2 * head_mm:.3g} mm",
             remedy=f"give diameters of at least {2 * _SMALLEST * head_mm:.3g} mm",
         )
 
@@ -165,7 +165,7 @@ def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesig
     parts = [disc_signals(white, mesh, centres, radius) for radius in design.radii_mm]
     signals, count = np.hstack(parts), len(centres)
     if not (signals != 0).any(axis=0).all():
-        raise NumericsError("greit: a target is felt by no reading that is left", remedy="mend the masked channels")
+        raise NumericsError("greit: no remaining reading responds to a target", remedy="repair the masked channels")
     radii = np.repeat(design.radii_mm, count)
     return Targets(
         mesh,

@@ -1,4 +1,4 @@
-"""Iterative Gauss–Newton for the state of a sheet: conductance and contact impedances from readings, not changes.
+"""Iterative Gauss–Newton for absolute conductance and contact impedances.
 
 Minimises Φ(θ) = Σ (V(θ) − d)²/σ² + (θ − θ₀)ᵀC⁻¹(θ − θ₀), θ the logarithms of conductance and contact impedance, σ the
 noise, C what is expected of θ before it is measured: the most probable state (Tarantola 2005, section 3.2; absolute
@@ -38,7 +38,7 @@ _LEAST_FALL: Final = 1e-4  # of the predicted one (Armijo)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SheetPrior:
-    """What is expected of a state: the covariance C of its logarithms.
+    """Prior of a state: the covariance C of its logarithms.
 
     Parameters
     ----------
@@ -110,8 +110,8 @@ def matern(mesh: Mesh, length_mm: float) -> Array:
     """
     if len(mesh.elements) > _MOST_ELEMENTS:
         raise NumericsError(
-            f"absolute images keep a dense covariance; {len(mesh.elements)} elements are more than {_MOST_ELEMENTS}",
-            remedy="image on larger elements",
+            f"absolute images use a dense covariance: {len(mesh.elements)} elements; at most {_MOST_ELEMENTS}",
+            remedy="use larger image elements",
         )
     distance = cdist(mesh.centroids_mm, mesh.centroids_mm) * (np.sqrt(3) / length_mm)
     correlation: Array = (1 + distance) * np.exp(-distance)

@@ -1,4 +1,4 @@
-"""Absolute images of a sensor: its own unloaded state first, then every frame against it."""
+"""Absolute images of a sensor: the unloaded state first, then every frame relative to it."""
 
 from dataclasses import dataclass, fields
 from typing import Final
@@ -43,7 +43,7 @@ _RANGES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What is expected of a sensor before it is measured.
+    """Prior expectations of a sensor.
 
     Parameters
     ----------
@@ -199,8 +199,8 @@ class AbsoluteImages:
         if unknown.size or self.problem.measured is None:
             electrodes = ", ".join(str(number) for number in unknown) or "all"
             raise NumericsError(
-                f"the readings do not tell the contact impedance of electrodes {electrodes}",
-                remedy="use reference readings that touch driven electrodes too",
+                f"the readings do not determine the contact impedance of electrodes {electrodes}",
+                remedy="include reference readings at driven electrodes",
             )
         contacts: Array = self.reference.contact_impedance * self.scale
         return contacts
@@ -209,7 +209,7 @@ class AbsoluteImages:
 def _usual(name: str) -> str:
     """Remedy for a number out of range: its default."""
     default = next(field.default for field in fields(Expected) if field.name == name)
-    return f"leave it out for {default:g}" if isinstance(default, int | float) else "leave it out, to have it chosen"
+    return f"leave it out for {default:g}" if isinstance(default, int | float) else "leave it out to have it chosen"
 
 
 def _reference_state(
@@ -231,7 +231,7 @@ def _reference_state(
     scale = float(wanted @ nominal.readings / (nominal.readings @ nominal.readings))
     if not scale > 0:
         raise NumericsError(
-            "the reference readings have nothing in common with the model's, or are turned in polarity",
+            "the reference readings are uncorrelated with the model's, or have the opposite polarity",
             remedy="check the electrode numbering of the sensor type and that the source was on",
         )
     found = most_probable_state(model, nominal, wanted / scale, prior, most_steps=expected.iterations)
@@ -242,7 +242,7 @@ def _reference_state(
 def _check_explained(state: FoundState, what: str) -> None:
     if state.unexplained > _UNEXPLAINED:
         raise NumericsError(
-            f"no sheet of this geometry explains {what}: {state.unexplained:.0%} of its readings is left,"
+            f"no sheet of this geometry explains {what}: {state.unexplained:.0%} of the readings remains unexplained,"
             f" {_UNEXPLAINED:.0%} is allowed",
             remedy="check geometry, electrode numbering and pattern of the sensor type, and mask bad channels",
         )
@@ -257,7 +257,7 @@ def _noise_figure(problem: ImagingProblem, model: SheetModel, before: Linearised
 
 def _said(problem: ImagingProblem, reference: FoundState) -> str:
     if problem.measured is None:
-        return "the reference is the nominal sheet, for its readings are not known"
+        return "the reference is the nominal sheet: its readings are unknown"
     return (
         f"the reference's state, found in {reference.steps} steps, leaves {reference.unexplained:.2%} of its readings"
     )

@@ -1,4 +1,4 @@
-"""Readings of a sheet whose conductance and contact impedances are both unknown, and how they change with either.
+"""Readings of a sheet with unknown conductance and contact impedances, and their derivatives.
 
 Unknowns are logarithms, so that conductance and contact impedance stay positive: ln γ of each element of the image's
 mesh and ln z of each electrode. The conductance of an element of the forward mesh is the mean over it of the image's.

@@ -1,4 +1,4 @@
-"""Images of least total variation that explain the readings: flat where nothing tells otherwise, edges stay edges.
+"""Total-variation images: piecewise flat, with sharp edges.
 
 Minimises ½‖A x − y‖² + α Σ_k l_k |x_i − x_j| over the edges k between elements i and j, l their length [mm]: the sum
 is ∫|∇x| of an image that is constant on each element (Rudin, Osher & Fatemi 1992; for impedance images Borsic,
@@ -121,12 +121,12 @@ class TotalVariation:
         )
 
     def _left(self, gap: float, apart: float) -> str:
-        """What an image lacks to be taken for the minimiser; a gap means nothing out of balance."""
+        """Why an image is not accepted as the minimiser; a duality gap is meaningless if out of balance."""
         if not (np.isfinite(gap) and np.isfinite(apart)):
-            return "the image is no longer made of finite numbers"
+            return "the image has non-finite values"
         if apart > _BALANCED:
-            return f"image and dual are out of balance by {apart:.1e}, {_BALANCED:.0e} is wanted"
-        return f"the duality gap is {gap:.1e} of the objective, {self._tolerance:.0e} is wanted"
+            return f"image and dual are out of balance by {apart:.1e}, at most {_BALANCED:.0e} is needed"
+        return f"the duality gap is {gap:.1e} of the objective, at most {self._tolerance:.0e} is needed"
 
     def _flat_image(self, readings: Array, alpha: float) -> TvImage | None:
         """Minimiser where it is certainly flat: a dual within ±α balances the residual of a constant."""
@@ -147,7 +147,7 @@ class TotalVariation:
         if not np.isfinite(found).all():
             raise NumericsError(
                 f"total variation cannot be minimised: readings are up to {np.abs(readings).max():.2g} and"
-                f" sensitivities up to {np.abs(self._rows).max():.2g} of their noise: their squares are no numbers",
+                f" sensitivities up to {np.abs(self._rows).max():.2g} of their noise: their squares overflow",
                 remedy="check the units of readings and of their noise variances",
             )
         return found
@@ -187,7 +187,7 @@ def check_alpha(alpha: float) -> None:
     if not (np.isfinite(alpha) and alpha > 0):
         raise NumericsError(
             f"hyperparameter α is {alpha}; it must be a finite number above zero",
-            remedy="give such a number, or none to have it chosen",
+            remedy="give such a number, or leave it out to have it chosen",
         )
 
 
@@ -269,7 +269,7 @@ def _direction(
 
 @dataclass(frozen=True, slots=True)
 class _Laplacian:
-    """DᵀWD factorised, with one element held by a large entry, for it leaves constants free.
+    """DᵀWD factorised, with one element pinned by a large entry, since it leaves constants free.
 
     For a right side that sums to zero the solution is the one that is zero there.
     """
@@ -330,7 +330,7 @@ class _Newton:
         self._core = linalg.lu_factor(core)
 
     def solve(self, right: Array) -> Array:
-        """Solve, and once more for what rounding has left."""
+        """Solve, with one step of iterative refinement."""
         first = self._once(right)
         left = right - self._rows.T @ (self._rows @ first)
         left -= self.jumps.T @ (self.weights * (self.jumps @ first))

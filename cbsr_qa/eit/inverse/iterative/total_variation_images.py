@@ -1,4 +1,4 @@
-"""Total variation on the readings of a problem, frame by frame.
+"""Total-variation reconstruction, frame by frame.
 
 How much total variation may cost: as much as leaves a residual of the noise's size (Morozov 1966).
 
@@ -112,9 +112,8 @@ class TotalVariationImages:
             left = np.sqrt([one.residual / (white.shape[1] * self.variance) for one in found])
             for frame in np.flatnonzero(left > _UNEXPLAINED)[:1]:
                 raise NumericsError(
-                    f"no image explains frame {frame}: what is left is {left[frame]:.0f} times the noise that was"
-                    " expected",
-                    remedy="state the noise the readings have (noise_dB), or check geometry and channels",
+                    f"no image explains frame {frame}: the residual is {left[frame]:.0f} times the expected noise",
+                    remedy="set noise_dB to the noise of the readings, or check geometry and channels",
                 )
         return found
 
@@ -221,20 +220,20 @@ def _simulated(problem: ImagingProblem) -> Evidence:
 def _by_discrepancy(problem: ImagingProblem, evidence: Evidence) -> float:
     if evidence.variance is None:
         raise NumericsError(
-            "the discrepancy principle needs the noise, and no readings are there twice to tell it",
+            "the discrepancy principle needs the noise, and no reading is repeated to estimate it from",
             remedy="give the hyperparameter itself",
         )
     changes = evidence.changes[:_FRAMES]
     largest = float(np.abs(changes).max())
     if largest < _NOTHING * np.abs(problem.reference).max():
         raise NumericsError(
-            f"the changes to choose α on are at most {largest:.2g}, and do not differ from their reference",
+            f"the changes to choose α on are at most {largest:.2g}: the same as their reference",
             remedy="choose it on readings of a load, or give the hyperparameter itself",
         )
     if evidence.variance <= (np.finfo(float).eps * largest) ** 2:
         raise NumericsError(
-            "the changes to choose α on have no noise: readings that are there twice are the same to the last digit",
-            remedy="choose it on readings as they were measured, or give the hyperparameter itself",
+            "the changes to choose α on have no noise: repeated readings are identical to the last digit",
+            remedy="choose it on readings as measured, or give the hyperparameter itself",
         )
     white = WhiteReadings.of(problem)
     search = _Search(TotalVariation(problem.mesh, white.rows), white.white(changes), evidence.variance)
@@ -254,7 +253,7 @@ class _Search:
         upper = max(self.method.flattening(one) for one in self.readings)
         if self.excess(upper) < _CLEAR * np.sqrt(2 / self.readings.size):
             raise NumericsError(
-                "the changes to choose α on are all noise: a flat image explains them",
+                "the changes to choose α on are only noise: a flat image explains them",
                 remedy="give the hyperparameter itself, or choose it on a clearer change",
             )
         lower, least = upper / _STEP, _LEAST * upper
@@ -262,7 +261,7 @@ class _Search:
             upper, lower = lower, lower / _STEP
             if lower < least:
                 raise NumericsError(
-                    "no image explains the changes to choose α on as well as the noise would allow",
+                    "no image explains the changes to choose α on to within the noise",
                     remedy="give the hyperparameter itself, or check geometry and noise",
                 )
         found = brentq(lambda log: self.excess(float(np.exp(log))), np.log(lower), np.log(upper), xtol=_EXACT)

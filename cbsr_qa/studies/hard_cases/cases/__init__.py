@@ -1,4 +1,4 @@
-"""The cases, by area."""
+"""Hard cases, by area."""
 
 from cbsr_qa import door
 

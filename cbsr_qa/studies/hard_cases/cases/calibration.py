@@ -1,4 +1,4 @@
-"""Hard cases of what a calibration rests on: lines, maps of the response, registrations, loads in the readings."""
+"""Hard cases of calibration: line fits, response maps, registration, loads in readings."""
 
 from functools import partial
 from typing import Final
@@ -128,7 +128,7 @@ def kernel(unit: float, sizes: tuple[float, ...], *, releases: bool = False) -> 
 
 
 def seat(seen_mm: Array, shift_mm: float) -> Answer:
-    """How far a sheet is said to lie off its place."""
+    """Fitted displacement of a sheet."""
     nothing = np.zeros(len(seen_mm))
     covariance = np.tile(np.diag([1e-4, 1e-2, 1e-2]), (len(seen_mm), 1, 1))
     found = seat_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
@@ -173,7 +173,7 @@ _LINES: Final = (
         "material-that-does-not-answer",
         _AREA,
         "Changes that are zero at every load: no scatter and no size to take an error from.",
-        "slope and intercept zero, with an error that is a number",
+        "slope and intercept zero, with a finite error",
         no_change,
     ),
     HardCase(
@@ -186,7 +186,7 @@ _LINES: Final = (
     HardCase(
         "one-strain",
         _AREA,
-        "Loads at a single strain hold a slope or an intercept, not both.",
+        "Loads at a single strain determine a slope or an intercept, not both.",
         "refusal",
         lambda: Answer(fit_quasi_static([0.1] * 3, [10.0, 10.1, 9.9], [0.06, 0.061, 0.059]).slope, 0.0),
         NumericsError,
@@ -202,7 +202,7 @@ _LINES: Final = (
     HardCase(
         "line-at-its-zero",
         _AREA,
-        "α ε + β is zero where the loads are: their response is a division by nothing.",
+        "α ε + β is zero at the loads: their response is a division by zero.",
         "refusal",
         gauge_factor,
         CalibrationError,
@@ -238,7 +238,7 @@ _MAPS: Final = (
     HardCase(
         "map-with-nan",
         _AREA,
-        "A load whose response is no number.",
+        "A load whose response is NaN.",
         "refusal",
         lambda: Answer(learn_response(NINE, np.full(9, np.nan), np.zeros(9), radius_mm=50.0).scatter, 0.0),
         CalibrationError,
@@ -249,22 +249,22 @@ _REGISTRATIONS: Final = (
     HardCase(
         "registration-far-from-the-origin",
         _AREA,
-        "Places that are counted from ten kilometres away, on two sides.",
-        "the turn and scale they were made with",
+        "Places with an origin ten kilometres away, on two sides.",
+        "the rotation and scale they were made with",
         far_registration,
     ),
     HardCase(
         "registration-of-places-in-a-line",
         _AREA,
-        "Places in a line say where the sheet lies along it and across, and nothing of a mirror image.",
-        "the turn and scale they were made with",
+        "Places in a line determine the sheet's pose along and across it, but not a mirror image.",
+        "the rotation and scale they were made with",
         collinear_registration,
     ),
     HardCase(
         "seat-of-a-mirror-image",
         _AREA,
         "Loads found in the order of a mirror image: no rigid motion of the sheet explains them.",
-        "the sheet is left where it is",
+        "the sheet's pose is unchanged",
         partial(seat, NINE * [1.0, -1.0], 0.0),
     ),
     HardCase(
@@ -285,7 +285,7 @@ _REGISTRATIONS: Final = (
     HardCase(
         "registration-of-a-mirror-image",
         _AREA,
-        "A sheet that lies upside down: least squares find a scale near zero, and no place is where it seems.",
+        "An upside-down sheet: least squares find a scale near zero, and no place where it was pressed.",
         "refusal",
         partial(registration, NINE, NINE * [1.0, -1.0]),
         NumericsError,
@@ -298,21 +298,21 @@ _KERNELS: Final = (
     HardCase(
         "kernel-of-values-of-1e100",
         _AREA,
-        "Relaxations in a unit that makes their numbers huge: covariances of 1e200, determinants that are none.",
+        "Relaxations in a unit that makes their numbers huge: covariances of 1e200, determinants that overflow.",
         _KERNEL,
         partial(kernel, 1e100, (0.9, 1.0, 1.1)),
     ),
     HardCase(
         "kernel-of-loads-a-million-apart",
         _AREA,
-        "Loads of which one is a million times as large as another.",
+        "One load is a million times as large as another.",
         _KERNEL,
         partial(kernel, 1.0, (1e-3, 1.0, 1e3)),
     ),
     HardCase(
         "kernel-of-releases-of-both-signs",
         _AREA,
-        "Releases whose changes sum to zero: nothing to divide their mean relaxation by.",
+        "Releases whose changes sum to zero: their mean relaxation is a division by zero.",
         _KERNEL,
         partial(kernel, 1.0, (1.0, -1.0, 2.0, -2.0), releases=True),
     ),

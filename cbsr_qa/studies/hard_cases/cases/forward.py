@@ -1,4 +1,4 @@
-"""Hard cases of the forward model: contrasts, contacts, slivers and units, against its equations in fifty digits."""
+"""Hard cases of the forward model: contrasts, contacts, slivers and units, against fifty-digit solutions."""
 
 from collections.abc import Callable
 from functools import partial
@@ -84,7 +84,7 @@ def _in_other_units(length: float, conductance: float) -> Answer:
 
 
 def _reciprocal() -> Answer:
-    """V_kl = V_lk with everything that is hard at once."""
+    """V_kl = V_lk with all difficulties combined."""
     lengths = small_model().prepared.contacts.lengths_mm
     contacts = lengths * np.geomspace(1e-4, 1e4, ELECTRODES)
     model = small_model().changed(conductance=scattered(5.0), contact_impedance=contacts)
@@ -179,7 +179,7 @@ _GEOMETRY: Final = (
     _case("slivers-of-a-millionth", "A ring of triangles a million times as long as they are high.", _sliver),
     _case(
         "sheet-of-a-nanometre",
-        "Lengths of 1e-8 mm: areas of 1e-16 mm², as when metres were written for millimetres, thrice.",
+        "Lengths of 1e-8 mm: areas of 1e-16 mm², as if metres were taken for millimetres three times.",
         partial(_in_other_units, 1e-8, 1.0),
         "V(s x, γ, s z) = V, the same sheet in millimetres",
     ),
@@ -191,13 +191,13 @@ _GEOMETRY: Final = (
     ),
     _case(
         "conductance-of-1e-14-siemens",
-        "A sheet that hardly conducts at all: no number is extreme by itself, only ratios are.",
+        "A sheet that hardly conducts: only absolute values are extreme, not ratios.",
         partial(_in_other_units, 1.0, 1e-14),
         "V(c γ, z/c) = V/c, the same sheet at 1 S",
     ),
     _case(
         "conductance-of-1e14-siemens",
-        "A sheet that conducts like nothing there is.",
+        "A sheet with a conductance beyond any material's.",
         partial(_in_other_units, 1.0, 1e14),
         "V(c γ, z/c) = V/c, the same sheet at 1 S",
     ),
@@ -229,7 +229,7 @@ _REFUSED: Final = (
     HardCase(
         "contrast-beyond-1e8",
         _AREA,
-        "A contrast of a thousand million, which no sheet has: a typing error in a material.",
+        "A contrast of 1e9, as by a typing error in a material.",
         "the refusal, by the elements and their conductances",
         partial(readings_of, partial(inclusion, 1e9)),
         refuses=ValueRangeError,

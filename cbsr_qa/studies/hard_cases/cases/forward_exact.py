@@ -1,4 +1,4 @@
-"""Hard cases of the forward model against continuous truth: Fourier series of a disc, and limits of its contacts."""
+"""Hard cases of the forward model against Fourier series of a disc, and limits of its contacts."""
 
 from collections.abc import Callable
 from functools import lru_cache, partial

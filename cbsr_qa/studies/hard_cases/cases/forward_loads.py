@@ -1,4 +1,4 @@
-"""Hard cases of loads on a sheet: changes that are solved for without factorising again, and exact limits of them."""
+"""Hard cases of loads on a sheet: local updates without refactorising, and exact limits."""
 
 from collections.abc import Callable
 from functools import partial
@@ -31,7 +31,7 @@ def _under(x_mm: float, y_mm: float, radius_mm: float) -> NDArray[np.int64]:
 
 
 def loaded(before: Callable[[], Array], factor: float) -> Answer:
-    """A load that changes what is under it by a factor, by local update, against fifty digits.
+    """A load that changes conductance by a factor, by local update, against fifty digits.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def _poor_ground() -> Array:
 
 
 def _coincident() -> Answer:
-    """Two loads a nanometre apart at once: nearly the same columns twice in what links them."""
+    """Two simultaneous loads a nanometre apart: nearly equal columns in their coupling matrix."""
     model = small_model()
     loads = [disc_coverage(model.mesh, x, -3.0, 9.0) for x in (8.0, 8.0 + 1e-6)]
     elements = np.concatenate([covered for covered, _ in loads])
@@ -160,12 +160,12 @@ CASES: Final[tuple[HardCase, ...]] = (
     ),
     _case(
         "loads-a-nanometre-apart",
-        "Two loads at the same place but for a nanometre, both pressed at once.",
+        "Two simultaneous loads a nanometre apart.",
         _coincident,
     ),
     _case(
         "contacts-become-1e7-poorer",
-        "All contacts fail at once, between two frames: a change ten million times what was there.",
+        "All contacts fail between two frames: their impedance rises ten million times.",
         _contacts_change,
     ),
     _case(
@@ -183,7 +183,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "load-that-leaves-nothing",
         _AREA,
-        "A load that takes all of the conductance away.",
+        "A load that removes all conductance.",
         "the refusal, by the element",
         _vanished,
         refuses=NumericsError,

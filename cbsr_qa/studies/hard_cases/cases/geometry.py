@@ -1,4 +1,4 @@
-"""Hard cases of areas and distances: needles, circles that touch, rims that all but coincide."""
+"""Hard cases of areas and distances: needles, tangent circles, nearly coincident edges."""
 
 from functools import partial
 from typing import Final

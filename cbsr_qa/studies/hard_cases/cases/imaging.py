@@ -112,7 +112,7 @@ def empty_image(value: float) -> Answer:
 
 
 def nan_image() -> Answer:
-    """Mask of an image that is no number anywhere."""
+    """Mask of an image of NaN."""
     return Answer(float(percentage_mask(np.full(_SIDE**2, np.nan), 0.85).sum()), 0.0, unit="elements")
 
 
@@ -138,7 +138,7 @@ def far_centre() -> Answer:
 
 
 def constant_floor() -> Answer:
-    """What is left above a floor of the images it was taken from, where all their values are the same."""
+    """Elements above the noise floor of equal images."""
     images = np.full((8, _SIDE**2), 0.1 + 0.2)
     left = floored(images[0], noise_floor(images))
     return Answer(float(np.abs(left).max()), 0.0, unit="relative conductance change")
@@ -201,7 +201,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "blob-on-the-rim",
         _AREA,
-        "A contour that runs into the sheet's edge has to be closed along it.",
+        "A contour that meets the sheet's edge must be closed along it.",
         "area by Green's theorem along the outline = sum of the triangles",
         rim_blob,
     ),
@@ -212,7 +212,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         "two loads, mirror images of each other",
         touching_blobs,
     ),
-    HardCase("all-zero-image", _AREA, "An image in which nothing happened.", "no region", partial(empty_image, 0.0)),
+    HardCase("all-zero-image", _AREA, "An image of zeros.", "no region", partial(empty_image, 0.0)),
     HardCase(
         "all-negative-image",
         _AREA,
@@ -223,7 +223,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "nan-image",
         _AREA,
-        "Every comparison with a value that is no number is false: such an image looks empty.",
+        "Every comparison with NaN is false: such an image looks empty.",
         "refusal",
         nan_image,
         NumericsError,
@@ -238,7 +238,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "centre-of-mass-far-from-the-origin",
         _AREA,
-        "A sheet whose places are counted from a kilometre away.",
+        "A sheet with an origin a kilometre away.",
         "the same image at the origin",
         far_centre,
     ),
@@ -246,7 +246,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         "noise-floor-of-identical-images",
         _AREA,
         "Unloaded images without any noise: a floor that equals every value.",
-        "nothing is left above it",
+        "no element above it",
         constant_floor,
     ),
 )

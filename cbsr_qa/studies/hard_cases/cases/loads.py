@@ -1,4 +1,4 @@
-"""Hard cases of loads in the readings, and of forces from them: symmetric places, electrodes, extreme sizes."""
+"""Hard cases of load and force estimates: symmetric places, electrodes, extreme sizes."""
 
 from functools import lru_cache, partial
 from typing import Any, Final
@@ -136,7 +136,7 @@ def impossible_strengths() -> Answer:
 
 
 def scaled_matches(size: float) -> Answer:
-    """Place and strength of frames so many times a standard error in size, against those of ordinary ones."""
+    """Place and strength from templates scaled by a factor, against unscaled ones."""
     model = force_model(0.0)
     finder = TemplateFilter(model)
     places = np.array([[0.0, 0.0], [1.3, -2.2], [-2.4, 0.7]])
@@ -199,7 +199,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         "changes-no-load-makes",
         _AREA,
         "Readings that change a million times as much as under any load.",
-        "no load, and not for want of changes",
+        "no load, although readings change",
         lambda: nothing_found(1e6 * changes_of(10.0, 0.0), "not as one round load"),
     ),
     HardCase(
@@ -212,35 +212,35 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "frames-of-1e-12-standard-errors",
         _AREA,
-        "Frames a millionth of a millionth of their noise, which still are those of a head.",
+        "Frames of a head at 1e-12 of their noise.",
         "place and strength at the usual size",
         partial(scaled_matches, 2.0**-40),
     ),
     HardCase(
         "frames-of-1e12-standard-errors",
         _AREA,
-        "Frames a millionth of a million times their noise.",
+        "Frames of a head at 1e12 times their noise.",
         "place and strength at the usual size",
         partial(scaled_matches, 2.0**40),
     ),
     HardCase(
         "templates-of-1e-12",
         _AREA,
-        "A sensor that answers with a millionth of a millionth of a standard error.",
+        "A sensor that responds with 1e-12 of a standard error.",
         "the strength that was pressed",
         partial(sized_templates, -12 * float(np.log(10))),
     ),
     HardCase(
         "templates-of-1e12",
         _AREA,
-        "A sensor that answers with 1e12 standard errors.",
+        "A sensor that responds with 1e12 standard errors.",
         "the strength that was pressed",
         partial(sized_templates, 12 * float(np.log(10))),
     ),
     HardCase(
         "nowhere-to-press",
         _AREA,
-        "A sheet on which the head fits nowhere: there is nothing to search.",
+        "A sheet on which the head fits nowhere: no place to search.",
         "refusal",
         nowhere,
         CalibrationError,
@@ -248,21 +248,21 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "force-of-no-change",
         _AREA,
-        "A strength of zero: what is left is the line's intercept.",
+        "A strength of zero leaves the line's intercept.",
         _FIFTY,
         partial(force_of, 0.0, 0.0),
     ),
     HardCase(
         "force-where-the-response-is-1e-13",
         _AREA,
-        "A place that answers with 1e-13 of what it should: a division by next to nothing.",
+        "A place with 1e-13 of the expected response: a division by almost zero.",
         _FIFTY,
         partial(force_of, 0.05, -30.0),
     ),
     HardCase(
         "force-where-the-response-is-1e13",
         _AREA,
-        "A place that answers 1e13 times as strongly as it should.",
+        "A place with 1e13 times the expected response.",
         _FIFTY,
         partial(force_of, 0.05, 30.0),
     ),
@@ -270,7 +270,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         "strengths-no-contrast-has",
         _AREA,
         "κ = 2a/(2 − a) has a pole at a strength of 2, and is negative beyond.",
-        "stronger is never less, and always a number",
+        "monotonic and finite",
         impossible_strengths,
     ),
 )

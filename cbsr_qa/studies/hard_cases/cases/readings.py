@@ -1,4 +1,4 @@
-"""Hard cases of readings: offsets a million times the signal, units, precision, and channels that say nothing."""
+"""Hard cases of readings: offsets a million times the signal, units, precision, dead channels."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -272,7 +272,7 @@ _NUMBERS: Final = (
     ),
     _case(
         "volts-of-1e-12",
-        "Frames in picovolts: readings of 1e-12 of the usual ones.",
+        "Frames whose readings are 1e-12 of the usual ones.",
         partial(_in_units, 1e-12),
         "the image of the same frames in volts",
     ),
@@ -303,7 +303,7 @@ _NUMBERS: Final = (
     ),
     _case(
         "reciprocal-readings-twelve-decades-apart",
-        "Pairs of readings that say the same, of noise variances up to twelve decades apart.",
+        "Reciprocal readings with noise variances up to twelve decades apart.",
         _folded,
         "weighted means as whole fractions",
     ),

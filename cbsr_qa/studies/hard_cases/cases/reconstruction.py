@@ -1,4 +1,4 @@
-"""Hard cases of reconstruction: next to no regularisation and nothing but, noise over twelve decades, limits."""
+"""Hard cases of reconstruction: almost no and extreme regularisation, noise over twelve decades, limits."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -79,7 +79,7 @@ def _apart(found: Array, exact: Array) -> float:
 
 
 def _adjoint() -> Answer:
-    """λ → ∞: λ² x → R⁻¹Jᵀy, and what is left over is σ₁²/λ²."""
+    """λ → ∞: λ² x → R⁻¹Jᵀy, with a remainder of σ₁²/λ²."""
     problem = usual_problem()
     weights = noser(problem.jacobian, 0.5)
     readings = _changes(problem)
@@ -237,7 +237,7 @@ _NUMBERS: Final = (
     ),
     _case(
         "every-singular-value-kept",
-        "Truncated SVD that truncates nothing: the smallest singular values decide the image.",
+        "Truncated SVD without truncation: the smallest singular values decide the image.",
         partial(ridge, "truncated-svd", "whole", 0.0),
     ),
     _case(
@@ -276,7 +276,7 @@ _NUMBERS: Final = (
     ),
     _case(
         "frame-equal-to-its-reference",
-        "Nothing has changed: an image of rounding would be a load that is not there.",
+        "Nothing has changed: an image of rounding errors would show a load.",
         lambda: _nothing(usual_problem()),
         "an image of zeros, exactly",
     ),
@@ -300,7 +300,7 @@ _NUMBERS: Final = (
     ),
     _case(
         "frames-alike-for-one",
-        "Frames that know next to nothing of each other, of signals up to 1e9 times their noise.",
+        "Almost independent frames, of signals up to 1e9 times their noise.",
         partial(_lasting, 0.05),
         "the Gaussian process of the block, solved in fifty digits",
     ),
@@ -309,7 +309,7 @@ _NUMBERS: Final = (
 _REFUSED: Final = (
     _refusal(
         "parameter-beyond-doubles",
-        "λ = 1e60, whose square leaves an image of nothing but rounding.",
+        "λ = 1e60, whose square leaves an image of rounding errors only.",
         partial(_prepare, "gauss-newton-noser", {"hyperparameter": 1e60}),
         "by λ and its range",
     ),
@@ -333,7 +333,7 @@ _REFUSED: Final = (
     ),
     _refusal(
         "noise-beyond-twelve-decades",
-        "One reading is said to be ten million million times noisier than the others.",
+        "One reading is stated to be 1e13 times noisier than the others.",
         _unequal,
         "by the reading",
     ),

@@ -1,4 +1,4 @@
-"""Hard cases of relaxation fits: time constants that are alike, lost, too slow, or in other units."""
+"""Hard cases of relaxation fits: time constants that are close, lost, too slow or in other units."""
 
 from functools import partial
 from typing import Any, Final
@@ -192,7 +192,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     ),
     _recovered(
         "zero-amplitude",
-        "A second exponential that is not there leaves its time constant undetermined.",
+        "An absent second exponential leaves its time constant undetermined.",
         partial(recovered, 1.0, (0.3,), (9.0,)),
     ),
     _recovered(
@@ -207,7 +207,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     ),
     _recovered(
         "values-of-1e-9",
-        "A trace in a unit that makes its numbers tiny: tolerances that are no shares would call it flat.",
+        "A trace in a unit that makes its numbers tiny: absolute tolerances would call it flat.",
         partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), unit=1e-9),
     ),
     _recovered(
@@ -222,7 +222,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     ),
     _recovered(
         "single-precision-trace",
-        "A trace of 24-bit numbers; condition number times the rounding of single precision is what it is held to.",
+        "A trace of 24-bit numbers; the bound is condition number times single-precision rounding.",
         partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), single=True),
     ),
     HardCase(
@@ -235,7 +235,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "trace-shorter-than-its-time-constant",
         _AREA,
-        "Of an exponential of 1000 s a minute shows a straight line, and nothing of where it ends.",
+        "One minute of a 1000 s exponential is a straight line that does not show its end.",
         "it settles later than the trace",
         slower_than_the_trace,
     ),
@@ -307,7 +307,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "trace-with-nan",
         _AREA,
-        "A value that is no number spoils every sum it is in.",
+        "A NaN spoils every sum it is in.",
         "refusal",
         partial(_fit_of, np.where(_TIME_S == 10, np.nan, 1.0)),
         NumericsError,

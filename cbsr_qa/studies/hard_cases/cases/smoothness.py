@@ -1,4 +1,4 @@
-"""Hard cases of images that are expected to be smooth: priors that say nothing of a constant, and next to no λ."""
+"""Hard cases of smoothness priors: a free constant, and almost no λ."""
 
 from functools import lru_cache, partial
 from typing import Any, Final

@@ -37,7 +37,7 @@ def variances() -> Answer:
 
 
 def one_sided(coverage: float, confidence: float, count: int) -> Answer:
-    """Confidence that mean + k s of so many values holds the share, by integration over s, against what was asked."""
+    """Confidence that mean + k s of so many values covers the share, by integration over s, less the nominal one."""
     factor = one_sided_factor(coverage, confidence, count, count - 1)
     with mpmath.workdps(20):
         z = mpmath.sqrt(2) * mpmath.erfinv(2 * mpmath.mpf(coverage) - 1)
@@ -57,7 +57,7 @@ def one_sided(coverage: float, confidence: float, count: int) -> Answer:
 
 
 def two_sided(coverage: float, confidence: float, count: int) -> Answer:
-    """Confidence that mean ± k s holds the share, by integration over the mean, against the one asked for."""
+    """Confidence that mean ± k s covers the share, by integration over the mean, less the nominal one."""
     factor, freedom = two_sided_factor(coverage, confidence, count, count - 1), count - 1
     with mpmath.workdps(20):
         usual = mpmath.sqrt(2) * mpmath.erfinv(mpmath.mpf(coverage))
@@ -167,7 +167,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "tolerance-factor-of-three-sensors",
         _AREA,
-        "Three sensors, a millionth outside, a doubt of a thousandth: a factor of 151.",
+        "Three sensors, a share of 1e-6 outside, a doubt of 1e-3: a factor of 151.",
         "the stated confidence, by integration in twenty digits",
         partial(one_sided, 0.999999, 0.999, 3),
     ),
@@ -181,7 +181,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "sensors-for-rare-failures",
         _AREA,
-        "All but 1e-12 of sensors: billions are needed, and one minus the share has four digits.",
+        "All but 1e-12 of sensors: billions are needed, and one minus the share has four digits left.",
         "the binomial law in fifty digits",
         rare_failures,
     ),

@@ -1,4 +1,4 @@
-"""Hard cases of time: stamps that repeat, step back, lie far from zero or all fall together."""
+"""Hard cases of time stamps: repeated, decreasing, far from zero, all equal."""
 
 from functools import partial
 from typing import Final
@@ -75,7 +75,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "time-stamps-that-repeat",
         _AREA,
-        "Two samples with one time stamp: at most one of them is of that time.",
+        "Two samples with one time stamp: at most one of them is right.",
         "refusal",
         partial(fitted, np.minimum(_TIME_S, 50.0)),
         NumericsError,
@@ -123,7 +123,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "frame-of-a-thousand-time-constants",
         _AREA,
-        "The mean of an exponential over a frame is a huge number times a tiny one: neither is one.",
+        "The mean of an exponential over a frame is a huge number times a tiny one: they overflow and underflow.",
         "refusal",
         long_frame,
         NumericsError,
@@ -138,7 +138,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     HardCase(
         "unloading-without-a-spike",
         _AREA,
-        "A return whose samples are all equal has no peak to begin behind.",
+        "A return of equal samples has no peak to start after.",
         "it begins at once",
         partial(spike_of, np.full(24, 0.3), 0),
     ),
@@ -146,7 +146,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         "unloading-with-a-plateau-for-a-spike",
         _AREA,
         "Three samples share the peak: ties.",
-        "it begins behind the first of them",
+        "it begins after the first of them",
         partial(spike_of, np.concatenate([[0.0, 0.5, 1.0, 1.0, 1.0], np.linspace(0.9, 0, 8), np.zeros(11)]), 3),
     ),
 )

@@ -81,9 +81,9 @@ def test_falls_as_the_image_is_smoothed(problem, spectrum, signal):
 
 def test_a_matrix_that_sees_nothing_has_no_noise_figure(problem, signal):
     nothing = np.zeros((len(problem.mesh.elements), len(signal)))
-    with pytest.raises(NumericsError, match="does not see the target"):
+    with pytest.raises(NumericsError, match="does not respond to the target"):
         noise_figure(nothing, signal, problem.mesh.areas_mm2)
-    with pytest.raises(NumericsError, match="equal noise only"):
+    with pytest.raises(NumericsError, match="assumes equal noise"):
         noise_figure(
             nothing + 1, signal, problem.mesh.areas_mm2, noise_variance=signal**2, form=NoiseFigureForm.EIDORS
         )

@@ -185,7 +185,7 @@ def test_no_weights_are_those_of_equal_noise_in_any_unit(coarse):
         ({"target_diameters_mm": [13.0, 1e-9]}, NumericsError, "diameters of at least 1.3 mm"),
         ({"target_diameters_mm": [8.0, None]}, ConfigError, "None"),
         ({"target_diameters_mm": [8.0, 10**400]}, ConfigError, "beyond 1.8e308"),
-        ({"indenter_diameter_mm": 0.0}, NumericsError, "does not fit the sheet"),
+        ({"indenter_diameter_mm": 0.0}, NumericsError, "does not fit on the sheet"),
         ({"indenter_diameter_mm": 80.0}, NumericsError, "up to 50 mm"),
         ({"target_diameters_mm": []}, ConfigError, "a list of numbers"),
         ({"target_diameters_mm": "8 mm"}, ConfigError, "a list of numbers"),

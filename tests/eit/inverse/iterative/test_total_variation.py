@@ -148,7 +148,7 @@ def test_measured_changes_choose_for_themselves(problem, noisy):
     choice = choose_alpha(replace(problem, sample=sample), given=None, noise_dB=60.0).choice
     assert "3 measured changes" in choice.how
     assert choice.value == pytest.approx(_ALPHA, rel=0.5)
-    with pytest.raises(NumericsError, match="all noise"):
+    with pytest.raises(NumericsError, match="only noise"):
         choose_alpha(replace(problem, sample=noise), given=None, noise_dB=60.0)
 
 
@@ -205,9 +205,7 @@ def test_a_frame_no_image_explains_is_refused(problem, noisy):
     prepared = TotalVariation().prepare(problem)
     prepared.images(noisy[None])
     other = np.roll(noisy, 31)  # readings of no place
-    with pytest.raises(
-        NumericsError, match=r"no image explains frame 1: what is left is \d+ times the noise"
-    ) as refused:
+    with pytest.raises(NumericsError, match=r"no image explains frame 1: the residual is \d+ times the") as refused:
         prepared.images(np.stack([noisy, 20 * other]))
     assert "noise_dB" in refused.value.remedy
     TotalVariation(hyperparameter=prepared.choice.value).prepare(problem).images(20 * other[None])  # nobody said
@@ -216,10 +214,10 @@ def test_a_frame_no_image_explains_is_refused(problem, noisy):
 @pytest.mark.parametrize(
     ("sample", "reason"),
     [
-        (np.zeros((3, 208)), "do not differ from their reference"),
-        (np.full((3, 208), 1e-300), "at most 1e-300, and do not differ"),
-        (np.full((3, 208), 1e300), r"a change to choose λ from is 1e\+300, where readings are 1?\d"),
-        (np.ones((3, 208)), "same to the last digit"),
+        (np.zeros((3, 208)), "the same as their reference"),
+        (np.full((3, 208), 1e-300), "at most 1e-300: the same as"),
+        (np.full((3, 208), 1e300), r"a change to choose λ from is 1e\+300 and readings are 1?\d"),
+        (np.ones((3, 208)), "identical to the last digit"),
     ],
     ids=["zero", "tiny", "huge", "constant"],
 )
@@ -250,7 +248,7 @@ def test_extreme_noise_variances_make_no_image_of_no_numbers(problem, noisy, var
 
 def test_readings_whose_squares_are_no_numbers_are_refused(problem, noisy):
     prepared = TotalVariation(hyperparameter=_ALPHA).prepare(problem)
-    with pytest.raises(NumericsError, match="squares are no numbers"):
+    with pytest.raises(NumericsError, match="squares overflow"):
         prepared.images(1e300 * noisy[None])
 
 
@@ -260,9 +258,9 @@ def test_what_is_said_not_to_have_converged_did_not(problem, noisy, alpha):
     white = WhiteReadings.of(problem)
     with pytest.raises(NumericsError) as refused:
         Minimise(problem.mesh, white.rows).image(white.white(noisy[None])[0], alpha)
-    said = re.search(r"(balance by|gap is) (\S+?)[, ].* (\S+) is wanted", refused.value.reason)
+    said = re.search(r"(balance by|gap is) (\S+?)[, ].* (\S+) is needed", refused.value.reason)
     assert said is None or float(said[2]) > float(said[3])
-    assert said or "no longer made of finite numbers" in refused.value.reason
+    assert said or "has non-finite values" in refused.value.reason
 
 
 def test_the_steps_that_are_allowed_are_taken(problem, noisy):
