@@ -15,8 +15,14 @@ def _gauge() -> type:
     return GaugeStudy
 
 
+def _charts() -> type:
+    from cbsr_qa.studies.charts import Charts
+
+    return Charts
+
+
 #: What each command's document is made of; loaded only for the one that is asked for.
-RESULTS: Final[dict[str, Callable[[], type]]] = {"gauge": _gauge}
+RESULTS: Final[dict[str, Callable[[], type]]] = {"charts": _charts, "gauge": _gauge}
 
 
 def schema(
