@@ -21,8 +21,14 @@ def _charts() -> type:
     return Charts
 
 
+def _limits() -> type:
+    from cbsr_qa.studies.limits import ProposedLimits
+
+    return ProposedLimits
+
+
 #: What each command's document is made of; loaded only for the one that is asked for.
-RESULTS: Final[dict[str, Callable[[], type]]] = {"charts": _charts, "gauge": _gauge}
+RESULTS: Final[dict[str, Callable[[], type]]] = {"charts": _charts, "gauge": _gauge, "limits": _limits}
 
 
 def schema(

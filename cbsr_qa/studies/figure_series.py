@@ -10,14 +10,12 @@ from typing import Final, TypeVar
 from cbsr_qa.config import echo
 from cbsr_qa.domain import RefusedError, did_you_mean, of_kind
 from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
-from cbsr_qa.report import plural
+from cbsr_qa.report import named, plural
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.limits import measuring_digest
 
 _T = TypeVar("_T")
 
-#: Names that are listed before the rest is only counted.
-_MOST_NAMED: Final = 6
 #: Runs may be stored a little out of the order they began in; beyond this a clock was wrong.
 _CLOCK_STEP: Final = timedelta(days=1)
 
@@ -110,12 +108,6 @@ def recipe_note(store: Repository, lines: Sequence[RunLine]) -> tuple[str, ...]:
         f"recipe {last.recipe}, sensor type, material or head was not the same at the first ({first.run}) and the "
         f"last ({last.run}) of these runs; a change may be theirs",
     )
-
-
-def named(names: Sequence[str]) -> str:
-    """List names; of very many the first ones."""
-    rest = len(names) - _MOST_NAMED
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _has_limit(figure: RunFigure) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
 from cbsr_qa.domain.run import ChartKind, ChartReference, ChartSettings, StandingSignal
-from cbsr_qa.report import plural
+from cbsr_qa.report import named, plural
 from cbsr_qa.stats import (
     SUM,
     Chart,
@@ -27,7 +27,7 @@ from cbsr_qa.stats import (
     moving_range,
 )
 from cbsr_qa.store import Repository
-from cbsr_qa.studies.figure_series import Series, figures_by_run, named
+from cbsr_qa.studies.figure_series import Series, figures_by_run
 
 #: Points without a signal after which one does not stand any more: what lasts signals again and again, and false
 #: alarms are shown no longer than need be.

@@ -11,11 +11,11 @@ from cbsr_qa.config import database_url, echo
 from cbsr_qa.domain import NumericsError, RefusedError, did_you_mean, of_kind
 from cbsr_qa.domain.results import RunLine
 from cbsr_qa.domain.run import ChartReference, StandingSignal
-from cbsr_qa.report import plural
+from cbsr_qa.report import named, plural
 from cbsr_qa.store import Repository, RunFilter, open_store
 from cbsr_qa.studies.charts.charting import MetricChart, metric_chart, no_chart, reference_figures, standard_of
 from cbsr_qa.studies.charts.request import FEWEST_GROUPS, FEWEST_RUNS, ChartsRequest, ReferencePeriod, check_request
-from cbsr_qa.studies.figure_series import Series, clock_notes, named, recipe_note, series_of, software_note
+from cbsr_qa.studies.figure_series import Series, clock_notes, recipe_note, series_of, software_note
 from cbsr_qa.system import RealClock
 
 # What is noted of all charts, or why a metric has none.
