@@ -27,8 +27,19 @@ def _limits() -> type:
     return ProposedLimits
 
 
+def _stability() -> type:
+    from cbsr_qa.studies.hard_cases import Stability
+
+    return Stability
+
+
 #: What each command's document is made of; loaded only for the one that is asked for.
-RESULTS: Final[dict[str, Callable[[], type]]] = {"charts": _charts, "gauge": _gauge, "limits": _limits}
+RESULTS: Final[dict[str, Callable[[], type]]] = {
+    "charts": _charts,
+    "gauge": _gauge,
+    "limits": _limits,
+    "stability": _stability,
+}
 
 
 def schema(
