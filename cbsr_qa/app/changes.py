@@ -12,9 +12,8 @@ from cbsr_qa.config import database_url, restore, validate_operator, validate_re
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.results import Outcome
 from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride
-from cbsr_qa.report import number, unit_shown
+from cbsr_qa.report import json_document, number, unit_shown
 from cbsr_qa.store import Repository, open_store
-from cbsr_qa.studies.charts import reference_document
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +26,8 @@ class ChartChange:
     def document(self) -> dict[str, Any]:
         """Return the same for ``--json``."""
         one = self.reference
-        return {
-            **reference_document(one),
-            "station": one.station,
-            "recipe": one.recipe,
-            "golden": one.golden or None,
-            "unit": one.unit,
-            "why": one.why or NO_REASON,
-            "earlier": None if self.earlier is None else reference_document(self.earlier),
-        }
+        earlier = None if self.earlier is None else json_document(self.earlier)
+        return json_document(one) | {"why": one.why or NO_REASON, "earlier": earlier}
 
     def words(self) -> Iterator[str]:
         """Say what was set, and what it was before."""
@@ -92,14 +84,14 @@ def _chart_changes(references: Iterable[ChartReference]) -> Iterator[ChartChange
     """Yield each reference with the one that it took the place of."""
     holds: dict[tuple[object, ...], ChartReference] = {}
     for one in references:
-        chart = (one.station, one.recipe, one.golden, one.key, one.settings.kind)
+        chart = (one.station, one.recipe, one.golden, one.key, one.chart)
         yield ChartChange(one, holds.get(chart))
         holds[chart] = one
 
 
 def _settings(one: ChartReference) -> str:
-    grouped = f"groups of {one.settings.subgroup}, " if one.settings.subgroup > 1 else ""
-    return f"{grouped}rules {', '.join(map(str, one.settings.rules))}"
+    grouped = f"groups of {one.subgroup}, " if one.subgroup > 1 else ""
+    return f"{grouped}rules {', '.join(map(str, one.rules))}"
 
 
 def change_row(change: ConfigurationChange) -> dict[str, Any]:

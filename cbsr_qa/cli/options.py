@@ -6,6 +6,7 @@ Options that take one of a few words.
 import re
 import tomllib
 from collections.abc import Sequence
+from datetime import date, datetime
 from difflib import get_close_matches
 from enum import StrEnum
 from typing import Any, TypeVar
@@ -30,6 +31,11 @@ def one_of(words: type[_Word], said: str, option: str) -> _Word:
     near = get_close_matches(said, allowed, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
     raise RefusedError(f"{option} {said[:64]!r} is not known", remedy=f"{hint}allowed: {', '.join(allowed)}")
+
+
+def to_day(moment: datetime | None) -> date | None:
+    """Return the day of an option that is one; None where it was not given."""
+    return None if moment is None else moment.date()
 
 
 _REMEDY = "give KEY=VALUE, e.g. noise_figure=0.5, choose=gcv or 'target_diameters_mm=[8, 13]'"

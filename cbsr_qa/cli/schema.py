@@ -21,8 +21,32 @@ def _gauge() -> type:
     return GaugeStudy
 
 
+def _charts() -> type:
+    from cbsr_qa.studies.charts import Charts
+
+    return Charts
+
+
+def _limits() -> type:
+    from cbsr_qa.studies.limits import ProposedLimits
+
+    return ProposedLimits
+
+
+def _stability() -> type:
+    from cbsr_qa.studies.hard_cases import Stability
+
+    return Stability
+
+
 #: What each command's document is made of; loaded only for the one that is asked for.
-RESULTS: Final[dict[str, Callable[[], type]]] = {"compare": _compare, "gauge": _gauge}
+RESULTS: Final[dict[str, Callable[[], type]]] = {
+    "charts": _charts,
+    "compare": _compare,
+    "gauge": _gauge,
+    "limits": _limits,
+    "stability": _stability,
+}
 
 
 def schema(

@@ -31,6 +31,7 @@ from .numbers import (
     Mask as Mask,
     array_of as array_of,
     check_encodable as check_encodable,
+    did_you_mean as did_you_mean,
     finite_numbers as finite_numbers,
     of_kind as of_kind,
     real_numbers as real_numbers,

@@ -1,5 +1,7 @@
 """Validation of numbers and text from callers."""
 
+from collections.abc import Collection
+from difflib import get_close_matches
 from numbers import Integral
 from typing import Any
 
@@ -103,6 +105,12 @@ def with_type(found: object) -> str:
     if text:
         return f"{text[:60]} ({kind})"
     return f"{'an' if kind[0].lower() in 'aeiou' else 'a'} {kind}"
+
+
+def did_you_mean(name: str, known: Collection[str], otherwise: str = "") -> str:
+    """Ask whether the nearest of the known names was meant; ``otherwise`` where none is near."""
+    near = get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else otherwise
 
 
 def of_kind(kind: str, name: str) -> str:

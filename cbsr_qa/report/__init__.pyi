@@ -37,6 +37,7 @@ from .tables import (
     fixed as fixed,
     limit_text as limit_text,
     margin_text as margin_text,
+    named as named,
     number as number,
     plain as plain,
     plural as plural,

@@ -1,5 +1,7 @@
 """An outcome as a JSON document, and the JSON Schema of it: both from the fields of its dataclass."""
 
+import json
+from datetime import date
 from functools import lru_cache
 from typing import Any
 
@@ -7,10 +9,17 @@ from pydantic import TypeAdapter
 
 
 def json_document(result: Any) -> dict[str, Any]:
-    """Return a result as JSON has it: fields by name, tuples as lists, dates as text (ISO 8601)."""
+    """Return a result as JSON has it: fields by name, tuples as lists, dates and times as text (ISO 8601)."""
     kind: type = type(result)
-    document: dict[str, Any] = _adapter(kind).dump_python(result, mode="json", by_alias=True)
+    # pydantic would write UTC as Z, which Python 3.10 and the other documents do not know
+    document: dict[str, Any] = json.loads(
+        json.dumps(_adapter(kind).dump_python(result, by_alias=True), default=_text)
+    )
     return document
+
+
+def _text(moment: date) -> str:
+    return moment.isoformat()
 
 
 def json_schema(kind: type) -> dict[str, Any]:

@@ -76,8 +76,7 @@ def write_report(path: Path, html: str) -> None:
         If the path is a folder, holds what is no page while a page is to be written, or its folder cannot be made or
         written to; names it, and leaves nothing behind.
     """
-    if path.is_dir():
-        raise RefusedError(f"the report cannot be written to {path}: that is a folder", remedy="name a file in it")
+    _check_no_folder(path)
     if html.startswith(_PAGE):
         check_replaceable(path)
     try:
@@ -92,13 +91,14 @@ def write_report(path: Path, html: str) -> None:
 
 
 def check_replaceable(path: Path) -> None:
-    """Refuse to put a page in the place of a database, a study or a device: whoever meant that lost it for good.
+    """Refuse to put a page in the place of a folder, database, study or device: whoever meant that lost it for good.
 
     Raises
     ------
     RefusedError
         If something is there that is no page, or cannot be read.
     """
+    _check_no_folder(path)
     if not path.exists():
         return
     try:
@@ -112,6 +112,11 @@ def check_replaceable(path: Path) -> None:
     raise RefusedError(
         f"{path} is there and is no page: it is not written over", remedy="name another file, for example page.html"
     )
+
+
+def _check_no_folder(path: Path) -> None:
+    if path.is_dir():
+        raise RefusedError(f"the report cannot be written to {path}: that is a folder", remedy="name a file in it")
 
 
 def report_name(*parts: str) -> str:

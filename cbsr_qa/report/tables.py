@@ -21,6 +21,9 @@ _SCALABLE: Final = frozenset({"V", "A", "S", "ohm", "Ω"})
 #: Decimals beyond which a value in this unit says nothing on this bench, unless its uncertainty says otherwise.
 _DECIMALS: Final = {"mm": 2, "mm²": 2, "mm2": 2, "%": 1, "percent": 1, "dB": 1, "s": 1, "N": 2, "kPa": 1}
 
+#: Names that are listed before the rest is only counted.
+_MOST_NAMED: Final = 6
+
 #: What a unit is written as.
 _SHOWN: Final = {"1": "", "ohm": "Ω", "percent": "%", "mm2": "mm²", "dB": "dB", "degC": "°C", "count": "counts"}
 
@@ -122,6 +125,12 @@ def plural(count: int, one: str, many: str = "") -> str:
     """Write a count with its noun: ``no loads``, ``1 load``, ``9 loads``."""
     noun = one if count == 1 else many or f"{one}s"
     return f"{count or 'no'} {noun}"
+
+
+def named(names: Sequence[str], most: int = _MOST_NAMED) -> str:
+    """List names; of very many the first ones."""
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def text_table(

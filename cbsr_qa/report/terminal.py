@@ -14,7 +14,7 @@ _INDENT: Final = "  "
 def terminal_lines(page: Page, sections: Sequence[Section]) -> Iterator[str]:
     """Lay an outcome out in lines of 100 characters; wider tables keep their width.
 
-    Folded tables and sections for the page alone are left out.
+    Folded tables, figures and sections for the page alone are left out, and sections of nothing else.
     """
     banner = page.banner
     yield from _wrapped(f"{banner.symbol} {banner.headline}", f" {banner.reason}" if banner.reason else "")
@@ -25,11 +25,9 @@ def terminal_lines(page: Page, sections: Sequence[Section]) -> Iterator[str]:
     for name, value in facts:
         yield from _hanging(f"{name:<{width}}  ", value)
     for section in sections:
-        if not section.page_only:
-            yield ""
-            yield printable(section.title)
-            for block in section.blocks:
-                yield from _block(block)
+        lines = [line for block in section.blocks for line in _block(block)]
+        if lines and not section.page_only:
+            yield from ("", printable(section.title), *lines)
 
 
 def _block(block: Block) -> Iterator[str]:

@@ -27,6 +27,14 @@ _NORMAL_MAD = 0.6745  #: median absolute deviation of a standard normal number
 _MOST_TESTED = 2500  #: the test's p-value is trustworthy up to 5000 values
 
 
+class Distribution(StrEnum):
+    """What single values are taken for."""
+
+    NORMAL = "normal"
+    LOG_NORMAL = "log-normal"
+    ANY = "any (order statistics)"
+
+
 @dataclass(frozen=True, slots=True)
 class Fit:
     """Goodness of fit of a distribution.
@@ -35,10 +43,12 @@ class Fit:
     ----------
     p_value : of the Shapiro–Wilk test.
     refuted : whether it is below the level asked for.
+    distribution : of single values.
     """
 
     p_value: float
     refuted: bool
+    distribution: Distribution = Distribution.NORMAL
 
 
 def fits_worst_of(values: Array, count: int, level: float) -> Fit:
@@ -85,14 +95,6 @@ _LARGEST_LOG = 690.0  #: its exponential is still a number
 Runs = Sequence[Sequence[float]]
 
 
-class Distribution(StrEnum):
-    """Distribution assumed for single values."""
-
-    NORMAL = "normal"
-    LOG_NORMAL = "log-normal"
-    ANY = "any (order statistics)"
-
-
 @dataclass(frozen=True, slots=True)
 class Ask:
     """Requirements on the limits.
@@ -133,6 +135,14 @@ class Scale:
 
 
 @dataclass(frozen=True, slots=True)
+class Narrower:
+    """What another distribution that is not refuted either would give."""
+
+    distribution: Distribution
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
 class Bound:
     """One proposed bound, and its basis.
 
@@ -140,26 +150,26 @@ class Bound:
     ----------
     limit : rounded outwards to a hundredth of its distance from the mean.
     distribution : of single values.
-    independent : the sensors' worst values are taken for the largest of this many independent ones: all a run has, or
-        1 where that is refuted and worst values are themselves normal, as where values of a sensor go together.
-    fits : tests of the distributions that were looked at, in order.
-    narrower : what another distribution that is not refuted either would give.
+    independent_values : the sensors' worst values are taken for the largest of this many independent ones: all a run
+        has, or 1 where that is refuted and worst values are themselves normal, as where values of a sensor go
+        together.
+    tests : of the distributions that were looked at, in order.
     scale : of ``parts``.
     parts : of the sensors' worst values on that scale.
     factor : k of mean + k deviation on that scale; None for order statistics.
-    mean, deviation : of the sensors' worst values in their own unit, deviation of a single run.
+    worst_mean, worst_deviation : of the sensors' worst values in their own unit, deviation of a single run.
     """
 
     limit: float
     distribution: Distribution
-    independent: int
-    fits: tuple[tuple[Distribution, Fit], ...]
+    independent_values: int
+    tests: tuple[Fit, ...]
     scale: Scale
     parts: Components
     factor: float | None
-    mean: float = 0.0
-    deviation: float = 0.0
-    narrower: tuple[tuple[Distribution, float], ...] = ()
+    worst_mean: float = 0.0
+    worst_deviation: float = 0.0
+    narrower: tuple[Narrower, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,14 +238,14 @@ def _nothing_to_go_by(runs: Runs) -> str:
 def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
     """Return the widest bound of the distributions that are not refuted, or the reason for none."""
     candidates: list[Bound] = []
-    fits: list[tuple[Distribution, Fit]] = []
+    fits: list[Fit] = []
     for distribution in looked_at:
         scale = Scale(sign, distribution is Distribution.LOG_NORMAL)
         laid_out = [[scale.forward(x) for x in sensor] for sensor in runs]
         means = np.array([np.mean(sensor) for sensor in laid_out])
         for independent in dict.fromkeys((values, 1)):
-            fit = fits_worst_of(means, independent, LEVEL)
-            fits.append((distribution, fit))
+            fit = replace(fits_worst_of(means, independent, LEVEL), distribution=distribution)
+            fits.append(fit)
             if not fit.refuted:
                 parts = components(laid_out)
                 factor = _factor(parts, independent, values, ask)
@@ -245,8 +255,8 @@ def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: As
     if not candidates:
         return _ordered(runs, ask, sign, fits)
     *narrower, widest = sorted(candidates, key=lambda bound: sign * bound.limit)
-    others = tuple((bound.distribution, bound.limit) for bound in narrower)
-    return _rounded(replace(widest, fits=tuple(fits), narrower=others), runs)
+    others = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
+    return _rounded(replace(widest, tests=tuple(fits), narrower=others), runs)
 
 
 def _looked_at(smallest: Runs, wanted: Distribution | None) -> tuple[Distribution, ...]:
@@ -264,7 +274,7 @@ def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float
     return parts.bound_factor((1 + ask.coverage) / 2, (1 + ask.confidence) / 2, independent)
 
 
-def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[tuple[Distribution, Fit]]) -> Bound | str:
+def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[Fit]) -> Bound | str:
     """Return the order statistic that bounds the share for any distribution; the worst run of a sensor counts."""
     worst = sorted(max(sign * x for x in sensor) for sensor in runs)
     outside = spacings_outside(len(worst), ask.coverage, ask.confidence)
@@ -276,11 +286,11 @@ def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[tuple[Distribution, Fit
     return _rounded(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, parts, None), runs)
 
 
-def _why_ordered(fits: list[tuple[Distribution, Fit]]) -> str:
+def _why_ordered(fits: list[Fit]) -> str:
     """Describe the refuted distributions, each with the better of its tests."""
     best: dict[Distribution, float] = {}
-    for name, fit in fits:
-        best[name] = max(fit.p_value, best.get(name, 0.0))
+    for fit in fits:
+        best[fit.distribution] = max(fit.p_value, best.get(fit.distribution, 0.0))
     refuted = ", nor ".join(f"{name} (p = {p_value:.2g})" for name, p_value in best.items())
     return f"the values are not {refuted}, and " if refuted else ""
 
@@ -288,7 +298,7 @@ def _why_ordered(fits: list[tuple[Distribution, Fit]]) -> str:
 def _rounded(bound: Bound, runs: Runs) -> Bound:
     raw = components(runs)
     limit = outward(bound.limit, raw.mean, bound.scale.sign)
-    return replace(bound, limit=limit, mean=raw.mean, deviation=raw.deviation)
+    return replace(bound, limit=limit, worst_mean=raw.mean, worst_deviation=raw.deviation)
 
 
 def outward(limit: float, mean: float, sign: int) -> float:

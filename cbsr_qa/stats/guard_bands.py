@@ -143,7 +143,7 @@ def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
     inside = bound.limit - scale.sign * guard
     if not u or remaining < (_LEAST_SPREAD * u) ** 2 or (scale.logarithmic and min(inside, bound.limit) <= 0):
         return None
-    true, shape, limit = sqrt(remaining), worst_of(bound.independent), scale.forward(bound.limit)
+    true, shape, limit = sqrt(remaining), worst_of(bound.independent_values), scale.forward(bound.limit)
 
     def density(y: Array) -> Array:
         return shape.density((y - parts.mean) / true) / true

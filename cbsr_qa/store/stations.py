@@ -10,11 +10,9 @@ from typing import Any
 from sqlalchemy import Connection, Engine, Row, RowMapping, insert, select
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import MetricKey
 from cbsr_qa.domain.run import (
     ChartKind,
     ChartReference,
-    ChartSettings,
     CheckOutcome,
     CheckResult,
     RingReadings,
@@ -31,10 +29,9 @@ from cbsr_qa.store.tables import (
 )
 
 _PLAIN = (
-    *("reference", "station", "recipe", "golden", "unit", "mean", "deviation", "runs", "first_run", "last_run"),
-    *("operator", "made_at", "why"),
+    *("reference", "station", "recipe", "name", "phase", "qualifier", "location", "unit", "mean", "deviation"),
+    *("runs", "first_run", "last_run", "operator", "made_at", "why"),
 )
-_KEY = ("name", "phase", "qualifier", "location")
 _SETTINGS = ("subgroup", "rules", "weight", "width", "slack", "threshold")
 
 
@@ -63,7 +60,7 @@ def current_references(engine: Engine, station: str, until: str = "") -> tuple[C
         query = query.where(ChartReferenceRow.reference <= until)
     with reading(engine) as connection:
         rows = connection.execute(query.order_by(ChartReferenceRow.reference)).all()
-    latest = {(one.recipe, one.golden, one.key, one.settings.kind): one for one in map(_reference, rows)}
+    latest = {(one.recipe, one.golden, one.key, one.chart): one for one in map(_reference, rows)}
     holding = (one for one in latest.values() if not one.retired)
     return tuple(sorted(holding, key=lambda one: one.reference))
 
@@ -78,24 +75,24 @@ def all_references(engine: Engine, station: str = "") -> tuple[ChartReference, .
 
 
 def _values(one: ChartReference) -> dict[str, Any]:
-    settings = {name: getattr(one.settings, name) for name in _SETTINGS}
+    settings = {name: getattr(one, name) for name in _SETTINGS} | {"rules": list(one.rules)}
     return {
         **{name: getattr(one, name) for name in _PLAIN},
-        **{name: getattr(one.key, name) for name in _KEY},
-        "kind": str(one.settings.kind),
+        "golden": one.golden or "",
+        "kind": str(one.chart),
         # Only where it is, so that rows of earlier versions of this program read alike.
-        "settings": settings | {"rules": list(one.settings.rules)} | ({"retired": True} if one.retired else {}),
+        "settings": settings | ({"retired": True} if one.retired else {}),
     }
 
 
 def _reference(row: Row[Any]) -> ChartReference:
     own = row._mapping
     settings = {name: own["settings"][name] for name in _SETTINGS}
-    kind = stored(ChartKind, own["kind"], "chart_references.kind", f"reference {own['reference']}")
     return ChartReference(
+        stored(ChartKind, own["kind"], "chart_references.kind", f"reference {own['reference']}"),
+        **settings | {"rules": tuple(settings["rules"])},
         **{name: own[name] for name in _PLAIN},
-        key=MetricKey(*(own[name] for name in _KEY)),
-        settings=ChartSettings(kind, **settings | {"rules": tuple(settings["rules"])}),
+        golden=own["golden"] or None,
         retired=bool(own["settings"].get("retired", False)),
     )
 

@@ -4,21 +4,18 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, timedelta
-from difflib import get_close_matches
 from itertools import pairwise
 from typing import Final, TypeVar
 
 from cbsr_qa.config import echo
-from cbsr_qa.domain import RefusedError, of_kind
+from cbsr_qa.domain import RefusedError, did_you_mean, of_kind
 from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
-from cbsr_qa.report import plural
+from cbsr_qa.report import named, plural
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.limits import measuring_digest
 
 _T = TypeVar("_T")
 
-#: Names that are listed before the rest is only counted.
-_MOST_NAMED: Final = 6
 #: Runs may be stored a little out of the order they began in; beyond this a clock was wrong.
 _CLOCK_STEP: Final = timedelta(days=1)
 
@@ -113,12 +110,6 @@ def recipe_note(store: Repository, lines: Sequence[RunLine]) -> tuple[str, ...]:
     )
 
 
-def named(names: Sequence[str], most: int = _MOST_NAMED) -> str:
-    """List names; of very many the first ones."""
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
-
-
 def _has_limit(figure: RunFigure) -> bool:
     return figure.lower is not None or figure.upper is not None
 
@@ -135,11 +126,8 @@ def _check_names(names: Sequence[str], known: Iterable[MetricKey]) -> None:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     for name in names:
         if name not in measured:
-            near = get_close_matches(name, measured, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise RefusedError(
-                f"no run of these measured {echo(name, 64)}", remedy=f"{hint}measured: {', '.join(measured)}"
-            )
+            remedy = f"{did_you_mean(name, measured)} measured: {', '.join(measured)}".lstrip()
+            raise RefusedError(f"no run of these measured {echo(name, 64)}", remedy=remedy)
 
 
 def _series(key: MetricKey, lines: Sequence[RunLine], figures: Mapping[str, RunFigure]) -> Series:

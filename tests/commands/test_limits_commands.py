@@ -32,7 +32,7 @@ def folder(tmp_path_factory):
 
 def _table(text):
     """The table of limits without its head: version and digests are of the identifiers of the runs."""
-    return " ".join(text[text.index("  sensors") :].split())
+    return " ".join(text[text.index("Limits\n") :].split())
 
 
 def test_the_page_runs_as_printed_and_prints_what_it_shows(folder):

@@ -7,8 +7,7 @@ from datetime import UTC, datetime
 import pytest
 from command import cbsr_qa
 
-from cbsr_qa.domain.results import MetricKey
-from cbsr_qa.domain.run import ChartReference, ChartSettings
+from cbsr_qa.domain.run import ChartReference
 from cbsr_qa.store import open_store
 
 pytestmark = pytest.mark.rest
@@ -21,21 +20,31 @@ def test_a_station_that_is_out_of_control_says_so_on_its_reports(tmp_path):
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
         (before,) = store.find_runs()
         measured = next(m for m in store.analyses(before.run)[0].measurements if m.name == "noise_floor")
-        of = MetricKey(measured.name, measured.phase, measured.qualifier)
         reference = ChartReference(
-            *(store.new_id(), before.station, before.recipe, "", of, measured.unit, ChartSettings()),
-            *(measured.value / 2, measured.value / 100, 30, before.run, before.run),
-            *("Zoë", datetime.now(UTC), "too low by half"),
+            reference=store.new_id(),
+            station=before.station,
+            recipe=before.recipe,
+            golden=None,
+            name=measured.name,
+            phase=measured.phase,
+            qualifier=measured.qualifier,
+            unit=measured.unit,
+            mean=measured.value / 2,
+            deviation=measured.value / 100,
+            runs=30,
+            first_run=before.run,
+            last_run=before.run,
+            operator="Zoë",
+            made_at=datetime.now(UTC),
+            why="too low by half",
         )
-        well = replace(
-            reference, reference=store.new_id(), key=replace(of, name="unknown_metric"), mean=1.0, deviation=1.0
-        )
+        well = replace(reference, reference=store.new_id(), name="unknown_metric", mean=1.0, deviation=1.0)
         store.save_chart_references([reference, well])
     cbsr_qa(tmp_path, *RUN, "--serial", "G-2", "--json")
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
         latest = store.find_runs()[0]
         warnings = store.analyses(latest.run)[0].warnings
-    said = f"noise_floor, chart i-mr, signals since run {latest.run}"
+    said = "noise_floor, chart i-mr, signals since the run of sensor G-2 on "
     assert any("station simulated is out of control" in words and said in words for words in warnings)
     (page,) = (tmp_path / "var" / "reports").glob("G-2-*.html")
     assert "The station is out of control: 1 of 2 control charts of station simulated signal." in page.read_text()

@@ -77,19 +77,19 @@ def test_limits_follow_the_unit(scale, shift):
     lot = np.random.default_rng(4).normal(0, 1, (15, 1))
     here, there = proposed(lot, NORMAL).upper, proposed(shift + scale * lot, NORMAL).upper
     assert there.factor == pytest.approx(here.factor)
-    distance = scale * abs(here.limit - here.mean)
+    distance = scale * abs(here.limit - here.worst_mean)
     assert there.limit == pytest.approx(shift + scale * here.limit, abs=0.021 * distance)  # rounded, both
 
 
 def test_of_distributions_that_are_not_refuted_the_widest_is_taken_and_the_other_named():
     lot = np.random.default_rng(5).normal(5, 1, (12, 1))
     bound = proposed(lot).upper
-    ((name, narrower),) = bound.narrower
-    assert (bound.distribution, name) == (Distribution.LOG_NORMAL, Distribution.NORMAL)
+    (narrower,) = bound.narrower
+    assert (bound.distribution, narrower.distribution) == (Distribution.LOG_NORMAL, Distribution.NORMAL)
     alone = proposed(lot, NORMAL).upper
-    assert narrower < bound.limit
-    assert alone.limit == pytest.approx(narrower, rel=0.01)
-    assert alone.limit >= narrower
+    assert narrower.limit < bound.limit
+    assert alone.limit == pytest.approx(narrower.limit, rel=0.01)
+    assert alone.limit >= narrower.limit
 
 
 def test_what_can_be_negative_is_not_log_normal():
@@ -208,7 +208,7 @@ def test_risks_agree_with_sensors_that_are_drawn():
     lot = random.normal(5, 1, (400, 1))
     bound = proposed(lot, Ask(0.9, 0.5, lower=False, upper=True, distribution=Distribution.NORMAL)).upper
     found = risks(bound, 0.3, Uncertainty(0.4, None, "stated"))
-    true = random.normal(bound.mean, sqrt(bound.deviation**2 - 0.16), 400_000)
+    true = random.normal(bound.worst_mean, sqrt(bound.worst_deviation**2 - 0.16), 400_000)
     seen = true + random.normal(0, 0.4, 400_000)
     assert found.consumer == pytest.approx(np.mean((true > bound.limit) & (seen <= bound.limit - 0.3)), abs=1e-3)
     assert found.producer == pytest.approx(np.mean((true <= bound.limit) & (seen > bound.limit - 0.3)), abs=1e-3)

@@ -1,6 +1,6 @@
 """The same store on PostgreSQL: what was told comes back, unchanged in any bit."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
@@ -15,7 +15,6 @@ from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import Measurement, Outcome, RunResult, Verdict
 from cbsr_qa.domain.run import (
     ChartReference,
-    ChartSettings,
     CheckOutcome,
     CheckResult,
     FramesTaken,
@@ -121,8 +120,11 @@ def test_figures_of_many_runs_and_references_of_charts_are_those_of_sqlite(repos
             figures = store.run_figures(lines, ["drift", "centre_of_mass_error"])
             told.append([(f.key, f.unit, f.value, f.places, f.missing, f.lower, f.upper) for f in figures])
             drift = figures[-1].key
-            limits = (drift, "%/min", ChartSettings(rules=(1, 5)), 0.05, 0.01, 2, runs[0], runs[2])
-            one = ChartReference(store.new_id(), "bench", "short", "", *limits, "Zoë", datetime.now(UTC), "")
+            of = {"station": "bench", "recipe": "short", "golden": None, "unit": "%/min", **asdict(drift)}
+            limits = {"rules": (1, 5), "mean": 0.05, "deviation": 0.01}
+            period = {"runs": 2, "first_run": runs[0], "last_run": runs[2]}
+            made = {"reference": store.new_id(), "operator": "Zoë", "made_at": datetime.now(UTC), "why": ""}
+            one = ChartReference(**of, **limits, **period, **made)
             store.save_chart_references([one])
             assert store.chart_references("bench") == (one,)
     assert [row[:2] for row in told[0]] == [row[:2] for row in told[1]]

@@ -1,24 +1,18 @@
-"""``cbsr-qa charts``: control charts of a station, and the reference period they rest on.
+"""``cbsr-qa charts``: control charts of a station, and the reference period they rest on."""
 
-The words of ``cbsr-qa charts``: how the station stands, then each chart.
-"""
-
-import textwrap
-from collections.abc import Iterator, Mapping
-from datetime import date, datetime
+from collections.abc import Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cbsr_qa.cli.output import emit_json, note, say
-from cbsr_qa.config import printable
+from cbsr_qa.cli.options import one_of, to_day
+from cbsr_qa.cli.output import check_page, show
 from cbsr_qa.domain import RefusedError
 
 if TYPE_CHECKING:
-    from cbsr_qa.domain.run import ChartKind, ChartSettings
-    from cbsr_qa.studies.charts import Charts
-
+    from cbsr_qa.domain.run import ChartSettings
 
 _DAY = ["%Y-%m-%d"]
 
@@ -57,46 +51,31 @@ def charts(
 
     Exit code 1 if a chart signals.
     """
-    from cbsr_qa.studies.charts import ChartsRequest, ReferencePeriod, Retirement, control_charts
+    from cbsr_qa.domain.run import ChartKind
+    from cbsr_qa.studies.charts import ChartsRequest, ReferencePeriod, charts_outcome, control_charts
 
-    period = None
-    if reference_runs is not None or reference_until is not None or reference_from is not None:
-        period = ReferencePeriod(
-            _day(reference_from), reference_runs, _day(reference_until), operator, why, stored=not dry_run
-        )
-    else:
+    period = ReferencePeriod(to_day(reference_from), reference_runs, to_day(reference_until))
+    new = period != ReferencePeriod(None, None, None)
+    if not new:
         of_new = {"--chart": chart, "--subgroup": subgroup, "--rules": rules, "--by-location": by_location}
         who = {} if retire is not None else {"--operator": operator, "--why": why}
         _check_stored_holds(of_new | who | {"--dry-run": dry_run})
     request = ChartsRequest(
         station=station,
         recipe=recipe,
-        golden=golden,
+        golden=golden or None,
         metrics=tuple(dict.fromkeys(metric or ())),
         by_location=by_location,
         settings=_settings(chart, subgroup, rules),
-        period=period,
-        retirement=None if retire is None else Retirement(_kind("--retire", retire), operator, why),
+        period=period if new else None,
+        dry_run=dry_run,
+        retire=None if retire is None else one_of(ChartKind, retire, "--retire"),
+        operator=operator,
+        why=why,
     )
-    if output is not None:
-        from cbsr_qa.report import check_replaceable
-
-        check_replaceable(output)  # before anything is worked out or stored
-    found = control_charts(request, database=database)
-    if output is not None:
-        from cbsr_qa.report import write_report
-        from cbsr_qa.studies.charts import charts_html
-
-        write_report(output, charts_html(found))
-        note(f"page         {output}")
-    if as_json:
-        from cbsr_qa.studies.charts import charts_document
-
-        emit_json(charts_document(found))
-    else:
-        for line in lines(found):
-            say(line)
-    raise typer.Exit(1 if found.signals else 0)
+    check_page(output)  # before anything is worked out or stored
+    found = charts_outcome(control_charts(request, database=database))
+    raise typer.Exit(show(found, output=output, as_json=as_json))
 
 
 def _check_stored_holds(of_new: Mapping[str, object]) -> None:
@@ -112,7 +91,7 @@ def _check_stored_holds(of_new: Mapping[str, object]) -> None:
 def _settings(chart: str | None, subgroup: int | None, rules: str | None) -> "ChartSettings":
     from cbsr_qa.domain.run import ChartKind, ChartSettings
 
-    kind = _kind("--chart", chart or str(ChartKind.INDIVIDUALS))
+    kind = one_of(ChartKind, chart or ChartKind.INDIVIDUALS, "--chart")
     if rules is not None and kind in (ChartKind.EWMA, ChartKind.CUSUM):
         raise RefusedError(
             f"--rules with --chart {kind}", remedy="Nelson's tests are of i-mr and xbar-r: leave it out"
@@ -123,56 +102,3 @@ def _settings(chart: str | None, subgroup: int | None, rules: str | None) -> "Ch
         raise RefusedError(f"--rules is {rules!r}", remedy="give numbers from 1 to 8, e.g. 1,2,5") from error
     default = 5 if kind is ChartKind.MEANS else 1
     return ChartSettings(kind, default if subgroup is None else subgroup, numbers)
-
-
-def _kind(option: str, given: str) -> "ChartKind":
-    from cbsr_qa.domain.run import ChartKind
-
-    kinds = [str(kind) for kind in ChartKind]
-    if given not in kinds:
-        raise RefusedError(f"{option} is {given!r}", remedy=f"allowed: {', '.join(kinds)}")
-    return ChartKind(given)
-
-
-def _day(moment: datetime | None) -> date | None:
-    return None if moment is None else moment.date()
-
-
-WIDTH = 100
-
-
-def lines(found: "Charts") -> Iterator[str]:
-    """Lay the charts out, one line after another."""
-    from cbsr_qa.report import plural
-    from cbsr_qa.studies.charts import chart_words
-
-    request = found.request
-    of = f"golden sensor {request.golden}" if request.golden else "production"
-    simulated = " (SIMULATED)" if found.simulated else ""
-    yield printable(
-        f"station  {request.station}: {plural(found.runs, 'run')} of {of}, recipe {found.recipe}{simulated}"
-    )
-    signals = found.signals
-    charted = sum(one.reference is not None for one in found.charts)
-    state = (
-        f"OUT OF CONTROL: a signal stands on {len(signals)} of {plural(charted, 'chart')}"
-        if signals
-        else f"in control on {plural(charted, 'chart')}"
-    )
-    yield f"state    {state}"
-    if found.stored:
-        yield f"stored   {plural(charted, 'reference')}"
-    for words in found.notes:
-        yield from _wrapped("note     ", printable(words))
-    for one in found.charts:
-        yield ""
-        yield printable(one.label)
-        for words in chart_words(one):
-            yield from _wrapped("    ", printable(words))
-
-
-def _wrapped(start: str, text: str) -> Iterator[str]:
-    indent = " " * len(start) if start.strip() else f"{start}  "
-    yield from textwrap.wrap(
-        text, WIDTH, initial_indent=start, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-    )

@@ -1,11 +1,12 @@
 """``cbsr-qa gauge``: how much of the variation of stored runs is the gauge's."""
 
-from datetime import date, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
+from cbsr_qa.cli.options import to_day
 from cbsr_qa.cli.output import check_page, show
 
 _DAY = ["%Y-%m-%d"]
@@ -69,8 +70,8 @@ def gauge(
             serials=_names(serials),
             recipe=recipe,
             stations=_names(stations),
-            since=_day(since),
-            until=_day(until),
+            since=to_day(since),
+            until=to_day(until),
             metrics=tuple(map(MetricWanted, dict.fromkeys(metric or ()))),
             by_location=by_location,
             appraiser=appraiser,
@@ -102,7 +103,3 @@ def _check_alone(context: typer.Context, study: Path) -> None:
 
 def _names(said: str | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(part.strip() for part in (said or "").split(",") if part.strip()))
-
-
-def _day(moment: datetime | None) -> date | None:
-    return None if moment is None else moment.date()

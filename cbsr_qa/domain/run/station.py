@@ -1,7 +1,7 @@
 """Checks and control charts of a station: check results, chart references and standing signals."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime
 from enum import StrEnum
 
@@ -132,7 +132,7 @@ class ChartSettings:
     slack, threshold : of CUSUM, in deviations.
     """
 
-    kind: ChartKind = ChartKind.INDIVIDUALS
+    chart: ChartKind = ChartKind.INDIVIDUALS
     subgroup: int = 1
     rules: tuple[int, ...] = (1, 2)
     weight: float = 0.2
@@ -141,14 +141,15 @@ class ChartSettings:
     threshold: float = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class ChartReference:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChartReference(ChartSettings):
     """Reference of a chart's limits: stored once, superseded by a new one.
 
     Parameters
     ----------
     reference : its name, time-ordered.
-    golden : serial number where only runs of this sensor are charted; empty for production runs.
+    golden : serial number where only runs of this sensor are charted; None for production runs.
+    name, phase, qualifier, location : of the metric.
     mean, deviation : of single values, in ``unit``.
     runs, first_run, last_run : the reference period (phase I).
     operator, made_at, why : who set it, when by the computer's clock, and for what reason.
@@ -158,10 +159,12 @@ class ChartReference:
     reference: str
     station: str
     recipe: str
-    golden: str
-    key: MetricKey
+    golden: str | None
+    name: str
+    phase: str = ""
+    qualifier: str = ""
+    location: str = ""
     unit: str
-    settings: ChartSettings
     mean: float
     deviation: float
     runs: int
@@ -173,10 +176,20 @@ class ChartReference:
     retired: bool = False
 
     @property
+    def key(self) -> MetricKey:
+        """The metric."""
+        return MetricKey(self.name, self.phase, self.qualifier, self.location)
+
+    @property
+    def settings(self) -> ChartSettings:
+        """How the chart is made."""
+        return ChartSettings(**{one.name: getattr(self, one.name) for one in fields(ChartSettings)})
+
+    @property
     def label(self) -> str:
         """Metric and chart for people, with the golden sensor if there is one."""
         of = f" of golden sensor {self.golden}" if self.golden else ""
-        return f"{self.key.label}{of}, chart {self.settings.kind}"
+        return f"{self.key.label}{of}, chart {self.chart}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,35 +198,41 @@ class StandingSignal:
 
     Parameters
     ----------
+    label : of the chart.
     rules : those that spoke, the earliest first.
-    since_run, since : the run at which it began, and when that began by the station's clock.
+    since_run, since_serial, since : the run at which it began, its sensor, and when by the station's clock.
     runs : how many runs there were from then on, that one included.
     at_least : it may have begun earlier than was looked back.
-    began_run, began : of a cumulative sum the run after the last at which it was zero, about when the change began;
-        empty and None of other charts.
+    began_run, began_serial, began : of a cumulative sum the run after the last at which it was zero, about when the
+        change began; None of other charts.
     """
 
-    reference: ChartReference
+    label: str
     rules: tuple[str, ...]
     since_run: str
+    since_serial: str
     since: datetime
     runs: int
     at_least: bool
-    began_run: str = ""
+    began_run: str | None = None
+    began_serial: str | None = None
     began: datetime | None = None
 
     def words(self) -> str:
         """Describe which chart signals, since when, and by which rule."""
-        when = f"{'at least ' if self.at_least else ''}{self.runs} run{'' if self.runs == 1 else 's'}"
-        return (
-            f"{self.reference.label}, signals since run {self.since_run} of {self.since:%Y-%m-%d} ({when}): "
-            f"{'; '.join(self.rules)}{self._began_words()}"
-        )
+        return f"{self.label}, {self.since_words()}"
 
-    def _began_words(self) -> str:
-        if self.began is None:
-            return ""
-        return f"; the change began about run {self.began_run} of {self.began:%Y-%m-%d}, at which the sum left zero"
+    def since_words(self) -> str:
+        """Say since when the chart signals, and by which rule."""
+        least, many = "at least " if self.at_least else "", "" if self.runs == 1 else "s"
+        rules = "; ".join(f"rule {rule}" if rule[0].isdigit() else rule for rule in self.rules)
+        began = "" if self.began is None else f"; the change began at about {_run(self.began_serial, self.began)}"
+        since = _run(self.since_serial, self.since)
+        return f"signals since {since} ({least}{self.runs} run{many}), {rules}{began}"
+
+
+def _run(serial: str | None, begun: datetime) -> str:
+    return f"the run of {of_kind('sensor', serial or '')} on {begun:%Y-%m-%d %H:%M}"
 
 
 @dataclass(frozen=True, slots=True)

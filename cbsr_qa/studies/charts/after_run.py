@@ -8,7 +8,7 @@ from cbsr_qa.domain.results import Bound, Measurement, MetricKey, RunFigure, Run
 from cbsr_qa.domain.run import ChartKind, ChartReference, RunIdentity, StandingSignal, StationCharts
 from cbsr_qa.stats import Standard
 from cbsr_qa.store import Repository, RunFilter
-from cbsr_qa.studies.charts.charting import charts_of, standing
+from cbsr_qa.studies.charts.charting import charts_of, reference_figures, standing
 from cbsr_qa.studies.figure_series import clock_notes, figures_by_run
 
 #: Runs that are looked back; an average or a sum of earlier ones says nothing of today.
@@ -38,9 +38,9 @@ def charts_after(
     for recipe, golden in dict.fromkeys((one.recipe, one.golden) for one in references):
         members = [one for one in references if (one.recipe, one.golden) == (recipe, golden)]
         lines = _lines(store, identity.station, members, until)
-        figures = _figures(store, lines, members)
+        figures = reference_figures(store, lines, members)
         notes |= dict.fromkeys(clock_notes(lines))
-        if own is not None and _belongs(identity, recipe, golden):
+        if own is not None and recipe == identity.recipe and golden in (None, identity.sensor.serial):
             lines, figures = _with_own(lines, figures, identity, own)
         for one in members:
             try:
@@ -50,17 +50,14 @@ def charts_after(
     return StationCharts(identity.station, len(references), tuple(signals), tuple(notes))
 
 
-def figures_in(run: str, measurements: Iterable[Measurement]) -> tuple[RunFigure, ...]:
+def _own(run: str, measurements: Iterable[Measurement]) -> dict[MetricKey, RunFigure]:
     """Return the figures of measurements as the store would: of all places together, and of each."""
     groups: dict[tuple[MetricKey, str], list[Measurement]] = {}
     for m in measurements:
         for location in dict.fromkeys(("", m.location)):
             groups.setdefault((MetricKey(m.name, m.phase, m.qualifier, location), m.unit), []).append(m)
-    return tuple(_figure(run, key, unit, members) for (key, unit), members in groups.items())
-
-
-def _own(run: str, measurements: Sequence[Measurement]) -> dict[MetricKey, RunFigure]:
-    return {key: of[run] for key, of in figures_by_run(figures_in(run, measurements)).items()}
+    figures = (_figure(run, key, unit, members) for (key, unit), members in groups.items())
+    return {key: of[run] for key, of in figures_by_run(figures).items()}
 
 
 def _figure(run: str, key: MetricKey, unit: str, members: Sequence[Measurement]) -> RunFigure:
@@ -71,14 +68,10 @@ def _figure(run: str, key: MetricKey, unit: str, members: Sequence[Measurement])
     return RunFigure(run, key, unit, mean, len(members), missing, bounded)
 
 
-def _belongs(identity: RunIdentity, recipe: str, golden: str) -> bool:
-    return identity.recipe == recipe and golden in ("", identity.sensor.serial)
-
-
 def _lines(store: Repository, station: str, members: Sequence[ChartReference], until: str) -> tuple[RunLine, ...]:
     """The latest runs of one recipe, of one golden sensor or of production."""
     first = members[0]
-    grouped = any(one.settings.kind is ChartKind.MEANS for one in members)
+    grouped = any(one.chart is ChartKind.MEANS for one in members)
     return store.run_lines(
         RunFilter(
             serials=(first.golden,) if first.golden else (),
@@ -92,16 +85,6 @@ def _lines(store: Repository, station: str, members: Sequence[ChartReference], u
     )
 
 
-def _figures(
-    store: Repository, lines: Sequence[RunLine], members: Sequence[ChartReference]
-) -> dict[MetricKey, dict[str, RunFigure]]:
-    found: dict[MetricKey, dict[str, RunFigure]] = {}
-    for by_location in sorted({bool(one.key.location) for one in members}):
-        names = sorted({one.key.name for one in members if bool(one.key.location) == by_location})
-        found |= figures_by_run(store.run_figures(lines, names, by_location=by_location))
-    return found
-
-
 def _with_own(
     lines: tuple[RunLine, ...],
     figures: dict[MetricKey, dict[str, RunFigure]],
@@ -109,15 +92,8 @@ def _with_own(
     own: dict[MetricKey, RunFigure],
 ) -> tuple[tuple[RunLine, ...], dict[MetricKey, dict[str, RunFigure]]]:
     """Put the run that just ended among the stored ones; one that was resumed has an earlier name than some."""
-    line = RunLine(
-        identity.run,
-        identity.sensor.serial,
-        identity.station,
-        identity.recipe,
-        identity.operator,
-        identity.started_at,
-        "",
-    )
+    named = identity.station, identity.recipe, identity.operator
+    line = RunLine(identity.run, identity.sensor.serial, *named, identity.started_at, "")
     others = tuple(one for one in lines if one.run != identity.run)
     for key, figure in own.items():
         figures.setdefault(key, {})[identity.run] = figure
@@ -130,7 +106,7 @@ def _signal(
     of = figures.get(one.key, {})
     pairs = [(line, of[line.run].value) for line in lines if line.run in of and line.run > one.last_run]
     kept = [(line, value) for line, value in pairs if value is not None and of[line.run].unit == one.unit]
-    if len(kept) < one.settings.subgroup:
+    if len(kept) < one.subgroup:
         return None
-    charts = charts_of([value for _, value in kept], one.settings, Standard(one.mean, one.deviation))
+    charts = charts_of([value for _, value in kept], one, Standard(one.mean, one.deviation))
     return standing(charts, [line for line, _ in kept], one, cut=len(lines) >= LOOK_BACK)

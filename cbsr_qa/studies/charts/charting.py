@@ -3,16 +3,17 @@
 One metric's control charts: limits from a reference, the runs it rests on, and those since.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import date
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import RunLine
+from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
 from cbsr_qa.domain.run import ChartKind, ChartReference, ChartSettings, StandingSignal
-from cbsr_qa.report import plural
+from cbsr_qa.report import named, plural
 from cbsr_qa.stats import (
     SUM,
     Chart,
@@ -25,7 +26,8 @@ from cbsr_qa.stats import (
     means_and_ranges,
     moving_range,
 )
-from cbsr_qa.studies.figure_series import Series, named
+from cbsr_qa.store import Repository
+from cbsr_qa.studies.figure_series import Series, figures_by_run
 
 #: Points without a signal after which one does not stand any more: what lasts signals again and again, and false
 #: alarms are shown no longer than need be.
@@ -67,7 +69,7 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
     count = len(values)
     single = tuple(range(count))
     rules = [RULES[number] for number in settings.rules]
-    match settings.kind:
+    match settings.chart:
         case ChartKind.INDIVIDUALS:
             first = Charted(individuals(values, reference=reference, rules=rules), single)
             if count < 2:
@@ -97,7 +99,7 @@ def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
     """
     first = charts_of(values, settings, None)[0].chart
     centre = first.centre
-    if settings.kind is ChartKind.CUSUM:
+    if settings.chart is ChartKind.CUSUM:
         centre = individuals(values).centre  # a sum's own centre is zero
     return Standard(centre, first.deviation)
 
@@ -116,25 +118,21 @@ def standing(
     cut : whether there were earlier runs that were not looked at.
     """
     found = [_standing(one) for one in charts if one.chart.name != UNCOUNTED]
-    begun = [(points[0], rules) for points, rules in found if points]
+    begun = sorted(filter(None, found), key=lambda one: one[0])
     if not begun:
         return None
-    begin = min(point for point, _ in begun)
-    rules = tuple(dict.fromkeys(rule for _, own in sorted(begun, key=lambda one: one[0]) for rule in own))
-    first = lines[begin]
-    size = reference.settings.subgroup
+    begin = begun[0][0]
     began = _sum_began(charts, begin)
-    at_least = cut and (begin < JOINED * size or began == 0)
-    grew = None if began is None else lines[began]
+    first, grew = lines[begin], None if began is None else lines[began]
     return StandingSignal(
-        reference,
-        rules,
+        reference.label,
+        tuple(dict.fromkeys(rule for _, own in begun for rule in own)),
         first.run,
+        first.serial,
         first.started_at,
         len(lines) - begin,
-        at_least,
-        began_run="" if grew is None else grew.run,
-        began=None if grew is None else grew.started_at,
+        cut and (begin < JOINED * reference.subgroup or began == 0),
+        *(() if grew is None else (grew.run, grew.serial, grew.started_at)),
     )
 
 
@@ -151,25 +149,59 @@ def _sum_began(charts: Sequence[Charted], begin: int) -> int | None:
     return None
 
 
-def _standing(one: Charted) -> tuple[list[int], tuple[str, ...]]:
-    """Values at which the standing signal spoke, earliest first, and by which rules."""
-    chart, last = one.chart, len(one.chart.points) - 1
-    points: list[int] = []
+def _standing(one: Charted) -> tuple[int, tuple[str, ...]] | None:
+    """Value at which the standing signal began, and the rules that spoke since."""
+    chart, first = one.chart, len(one.chart.points)
     for signal in reversed(chart.signals):
-        far = points[-1] - signal.index > JOINED if points else last - signal.index >= STANDS
-        if far:
+        if first - signal.index > (STANDS if first == len(chart.points) else JOINED):
             break
-        points.append(signal.index)
-    if not points:
-        return [], ()
-    first = points[-1]
+        first = signal.index
+    if first == len(chart.points):
+        return None
     of = f"{chart.name}, " if chart.name not in ("individuals", "means") else ""
     rules = dict.fromkeys(f"{of}{signal.rule}" for signal in chart.signals if signal.index >= first)
-    return [one.ends[index] for index in reversed(points)], tuple(rules)
+    return one.ends[first], tuple(rules)
 
 
-#: Below this many runs it is said how wide limits may be off.
+#: Runs that are drawn; of longer charts only the latest.
+MOST_DRAWN: Final = 400
+#: Below this many runs limits are uncertain enough to be told.
 FEW_RUNS: Final = 25
+
+# What is noted of a chart.
+_FEW: Final = "limits from {runs} runs are uncertain: false alarms may be several times as frequent"
+_DOUBTFUL: Final = "the reference period itself breaks rules, so its limits are doubtful: {rules}"
+_ANEW: Final = "{count} of the {runs} runs of the reference have a value now: some were analysed again"
+_REST: Final = "the latest {runs} do not fill a group of {size} yet, and make no point"
+
+
+@dataclass(frozen=True, slots=True)
+class PointSignal:
+    """Which rule a point breaks, by its run."""
+
+    run: str
+    rule: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChartPhase:
+    """One chart of one phase.
+
+    Parameters
+    ----------
+    phase : ``"reference"`` or ``"monitored"``.
+    runs : of each point; of a group the last.
+    points, lower, upper : alike in length, in the unit of the values.
+    """
+
+    name: str
+    phase: str
+    runs: tuple[str, ...]
+    points: tuple[float, ...]
+    centre: float
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    signals: tuple[PointSignal, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,77 +210,85 @@ class MetricChart:
 
     Parameters
     ----------
-    reference : what its limits rest on; None where ``why`` says why there are none.
-    lines, values : from the reference's first run on.
-    phase_1 : how many of them are the reference's.
-    before, after : charts of the reference period and of the runs since, which have the same limits.
+    why : why there is no reference and no chart; empty where there is.
+    reference : what the limits rest on.
+    reference_days : on which its first and its last run began (UTC).
     signal : that stands at the latest run.
+    runs, values : from the reference's first run on.
+    reference_runs : how many of them are the reference's.
+    charts : of the reference period, then of the runs since, which have the same limits.
     """
 
     label: str
     unit: str
-    reference: ChartReference | None
-    lines: tuple[RunLine, ...]
+    runs: tuple[str, ...]
     values: tuple[float, ...]
-    phase_1: int
-    before: tuple[Charted, ...]
-    after: tuple[Charted, ...]
-    signal: StandingSignal | None
-    why: str
     notes: tuple[str, ...]
-
-    def named_run(self, run: str) -> str:
-        """Return a run's name with the day it began, where it is one of the chart's."""
-        day = next((line.day for line in self.lines if line.run == run), None)
-        return run if day is None else f"{run} of {day}"
+    why: str = ""
+    reference: ChartReference | None = None
+    reference_days: tuple[date, date] | None = None
+    reference_runs: int = 0
+    signal: StandingSignal | None = None
+    charts: tuple[ChartPhase, ...] = ()
 
 
 def no_chart(series: Series, why: str) -> MetricChart:
     """Return what there is of a metric without limits, and why it has none."""
-    return MetricChart(
-        series.key.label, series.unit, None, series.lines, series.values, 0, (), (), None, why, series.notes
-    )
+    return MetricChart(series.key.label, series.unit, _names(series.lines), series.values, series.notes, why)
 
 
 def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
     """Chart a metric against a reference; no charts where the runs are in another unit."""
-    notes = list(series.notes)
     if series.unit != reference.unit:
-        return replace(no_chart(series, f"runs are in {series.unit}, the reference in {reference.unit}"))
-    count = sum(line.run <= reference.last_run for line in series.lines)
+        return no_chart(series, f"runs are in {series.unit}, the reference in {reference.unit}")
+    lines, count = series.lines, sum(line.run <= reference.last_run for line in series.lines)
     standard = Standard(reference.mean, reference.deviation)
-    before = _charts(series.values[:count], reference.settings, standard)
-    after = _charts(series.values[count:], reference.settings, standard)
-    if reference.runs < FEW_RUNS:
-        notes.append(f"limits of {reference.runs} runs are uncertain: false alarms may be several times as many")
+    before = _charts(series.values[:count], reference, standard)
+    after = _charts(series.values[count:], reference, standard)
     doubtful = dict.fromkeys(signal.rule for one in before for signal in one.chart.signals)
-    if doubtful:
-        notes.append(
-            f"the reference period gives signals itself, so that its limits are doubtful: {named(list(doubtful))}"
-        )
-    if count != reference.runs:
-        notes.append(
-            f"{count} of the {reference.runs} runs of the reference have a value now: some were analysed anew"
-        )
-    size = reference.settings.subgroup
-    rest = (len(series.values) - count) % size
-    if rest:
-        notes.append(f"the latest {plural(rest, 'run')} make no whole group of {size} yet, and no point")
-    signal = standing(after, series.lines[count:], reference, cut=False)
+    rest = (len(series.values) - count) % reference.subgroup
+    notes = (
+        _FEW.format(runs=reference.runs) if reference.runs < FEW_RUNS else "",
+        _DOUBTFUL.format(rules=named(list(doubtful))) if doubtful else "",
+        _ANEW.format(count=count, runs=reference.runs) if count != reference.runs else "",
+        _REST.format(runs=plural(rest, "run"), size=reference.subgroup) if rest else "",
+    )
     return MetricChart(
-        reference.label,
-        series.unit,
-        reference,
-        series.lines,
-        series.values,
-        count,
-        before,
-        after,
-        signal,
-        "",
-        tuple(notes),
+        label=reference.label,
+        unit=series.unit,
+        runs=_names(lines),
+        values=series.values,
+        notes=(*series.notes, *filter(None, notes)),
+        reference=reference,
+        reference_days=(lines[0].day, lines[count - 1].day) if count else None,
+        reference_runs=count,
+        signal=standing(after, lines[count:], reference, cut=False),
+        charts=(*_phases(before, lines, "reference"), *_phases(after, lines[count:], "monitored")),
     )
 
 
 def _charts(values: Sequence[float], settings: ChartSettings, standard: Standard) -> tuple[Charted, ...]:
     return charts_of(values, settings, standard) if len(values) >= settings.subgroup else ()
+
+
+def _phases(charts: Sequence[Charted], lines: Sequence[RunLine], phase: str) -> Iterator[ChartPhase]:
+    for chart, runs in ((one.chart, _names([lines[end] for end in one.ends])) for one in charts):
+        limits = tuple(chart.lower.tolist()), tuple(chart.upper.tolist())
+        signals = tuple(PointSignal(runs[signal.index], signal.rule) for signal in chart.signals)
+        yield ChartPhase(chart.name, phase, runs, tuple(chart.points.tolist()), chart.centre, *limits, signals)
+
+
+def _names(lines: Sequence[RunLine]) -> tuple[str, ...]:
+    return tuple(line.run for line in lines)
+
+
+def reference_figures(
+    store: Repository, lines: Sequence[RunLine], references: Iterable[ChartReference]
+) -> dict[MetricKey, dict[str, RunFigure]]:
+    """Return the figures of runs that references are of, by metric and run."""
+    found: dict[MetricKey, dict[str, RunFigure]] = {}
+    names = {(bool(one.location), one.name) for one in references}
+    for by_location in {each for each, _ in names}:
+        of = sorted(name for each, name in names if each == by_location)
+        found |= figures_by_run(store.run_figures(lines, of, by_location=by_location))
+    return found

@@ -20,31 +20,17 @@ _DEFAULT: Final = ChartSettings()
 
 @dataclass(frozen=True, slots=True)
 class ReferencePeriod:
-    """A reference period that is to be stored.
+    """A reference period that is to be set.
 
     Parameters
     ----------
     since : first day, UTC; None for the first run there is.
     runs, until : so many runs, or all to the end of this day; one of them.
-    operator, why : who sets it, and for what reason.
-    stored : False shows what it would give and stores nothing.
     """
 
     since: date | None
     runs: int | None
     until: date | None
-    operator: str
-    why: str = ""
-    stored: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class Retirement:
-    """Charts that are to be retired: those of one kind, by whom and for what reason."""
-
-    kind: ChartKind
-    operator: str
-    why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,21 +40,26 @@ class ChartsRequest:
     Parameters
     ----------
     recipe : of the runs; None where the station's are of one.
-    golden : only runs of this sensor; empty for production runs.
+    golden : only runs of this sensor; None for production runs.
     metrics : names; none for all with a stored reference, or (with a new period) those the recipe limits.
     by_location : a chart a location.
     period : to be set; None to chart against what is stored.
-    retirement : charts to retire before; None for none.
+    dry_run : show what a new period would give and store nothing.
+    retire : charts of this kind are retired before; None for none.
+    operator, why : who sets the period or retires charts, and for what reason.
     """
 
     station: str
     recipe: str | None = None
-    golden: str = ""
+    golden: str | None = None
     metrics: tuple[str, ...] = ()
     by_location: bool = False
     settings: ChartSettings = _DEFAULT
     period: ReferencePeriod | None = None
-    retirement: Retirement | None = None
+    dry_run: bool = False
+    retire: ChartKind | None = None
+    operator: str = ""
+    why: str = ""
 
 
 def check_request(request: ChartsRequest) -> None:
@@ -77,48 +68,40 @@ def check_request(request: ChartsRequest) -> None:
     Raises
     ------
     RefusedError
-        If rules or groups are none, or the reference period has no end, is too short, or is set by nobody.
+        If rules or the size of groups are not allowed, the reference period has no end or is too short, or nobody
+        sets it.
     """
     settings, period = request.settings, request.period
     unknown = [str(number) for number in settings.rules if number not in RULES]
     if unknown or not settings.rules:
         raise RefusedError(f"--rules names {', '.join(unknown) or 'none'}", remedy="allowed: 1 to 8, Nelson's tests")
-    grouped = settings.kind is ChartKind.MEANS
+    grouped = settings.chart is ChartKind.MEANS
     if not (2 <= settings.subgroup <= MOST if grouped else settings.subgroup == 1):
         allowed = f"2 to {MOST} with --chart xbar-r, and none with another chart"
         raise RefusedError(f"--subgroup is {settings.subgroup}", remedy=f"allowed: {allowed}")
-    _check_retirement(request)
-    if period is None:
-        return
-    if (period.runs is None) == (period.until is None):
+    validate_operator(request.operator)
+    if request.retire is not None and period is not None:
+        raise RefusedError("--retire beside a new reference period", remedy="do one after the other")
+    if request.retire is not None and not request.operator:
+        raise RefusedError("nobody retires these charts", remedy="give --operator: who retires charts is kept")
+    if period is not None:
+        _check_period(period, settings.subgroup)
+        if not (request.operator or request.dry_run):
+            remedy = "give --operator: who sets limits is kept with them (or --dry-run)"
+            raise RefusedError("nobody sets this reference", remedy=remedy)
+
+
+def _check_period(period: ReferencePeriod, size: int) -> None:
+    """Refuse a period without one end, and one that is too short or leaves runs in no group."""
+    runs = period.runs
+    if (runs is None) == (period.until is None):
         raise RefusedError(
             "the reference period has no end, or two", remedy="give --reference-runs N or --reference-until DATE"
         )
-    if period.runs is not None and period.runs < FEWEST_RUNS:
-        raise RefusedError(f"a reference period of {period.runs} runs is too short", remedy=f"at least {FEWEST_RUNS}")
-    if period.runs is not None and grouped:
-        _check_groups(period.runs, settings.subgroup)
-    validate_operator(period.operator)
-    if period.stored and not period.operator:
-        raise RefusedError(
-            "nobody sets this reference", remedy="give --operator: who sets limits is kept with them (or --dry-run)"
-        )
-
-
-def _check_retirement(request: ChartsRequest) -> None:
-    if request.retirement is None:
-        return
-    if request.period is not None:
-        raise RefusedError("--retire beside a new reference period", remedy="do one after the other")
-    validate_operator(request.retirement.operator)
-    if not request.retirement.operator:
-        raise RefusedError("nobody retires these charts", remedy="give --operator: who retires charts is kept")
-
-
-def _check_groups(runs: int, size: int) -> None:
-    """Refuse a reference period of which some runs would be in no group, or that has too few groups."""
+    if runs is not None and runs < FEWEST_RUNS:
+        raise RefusedError(f"a reference period of {runs} runs is too short", remedy=f"at least {FEWEST_RUNS}")
     least = FEWEST_GROUPS * size
-    if runs < least or runs % size:
+    if runs is not None and size > 1 and (runs < least or runs % size):
         near = sorted({max(least, runs - runs % size), max(least, runs - runs % size + size)})
         raise RefusedError(
             f"a reference period of {runs} runs is not {FEWEST_GROUPS} or more whole groups of {size}",

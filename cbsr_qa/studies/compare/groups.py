@@ -12,10 +12,10 @@ import numpy as np
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import FleetRun, Outcome
+from cbsr_qa.report import named
 from cbsr_qa.stats import Crossing, IntArray, crossing
 from cbsr_qa.studies.compare.terms import By, Period, Policy, Terms
 from cbsr_qa.studies.compare.values import BoolArray
-from cbsr_qa.studies.figure_series import named
 
 PASSED: Final = (Outcome.PASS, Outcome.MARGINAL)
 #: What a run without a batch is of.

@@ -10,12 +10,11 @@ import numpy as np
 
 from cbsr_qa.domain import Array, of_kind
 from cbsr_qa.domain.results import Banner, CommandOutcome, Page
-from cbsr_qa.report import number, plural
+from cbsr_qa.report import named, number, plural
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.differences import Estimated
 from cbsr_qa.studies.compare.tables import all_stations, amount, capital, each, others, sections, side, significant
 from cbsr_qa.studies.compare.terms import By
-from cbsr_qa.studies.figure_series import named
 
 _NOTHING: Final = 3
 _MOST_IN_HEADLINE: Final = 2

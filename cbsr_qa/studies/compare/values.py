@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import FleetTable, MetricKey, State
-from cbsr_qa.report import plural
+from cbsr_qa.report import named, plural
 from cbsr_qa.stats import LARGEST
-from cbsr_qa.studies.figure_series import named
 
 BoolArray = NDArray[np.bool_]
 

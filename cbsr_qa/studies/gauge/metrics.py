@@ -7,8 +7,9 @@ from difflib import get_close_matches
 from cbsr_qa.config import echo
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
+from cbsr_qa.report import named
 from cbsr_qa.store import Repository
-from cbsr_qa.studies.figure_series import Series, named, series_of
+from cbsr_qa.studies.figure_series import Series, series_of
 from cbsr_qa.studies.gauge.request import GaugeRequest, MetricWanted
 
 

@@ -5,10 +5,9 @@ from math import sqrt
 from typing import Final, TypeVar
 
 from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section, Table
-from cbsr_qa.report import fixed, number, plural, text_table, unit_column, unit_shown, with_uncertainty
+from cbsr_qa.report import fixed, named, number, plural, text_table, unit_column, unit_shown, with_uncertainty
 from cbsr_qa.stats import Estimate, Interval
 from cbsr_qa.stats.gauge import FEWEST_CHARTED
-from cbsr_qa.studies.figure_series import named
 from cbsr_qa.studies.gauge.references import AgainstReferences, Bias, BiasLinearity, BiasStability
 from cbsr_qa.studies.gauge.study import GaugeStudy, MetricGauge
 

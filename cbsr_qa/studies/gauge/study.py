@@ -15,7 +15,7 @@ from pydantic import Field, InstanceOf
 from cbsr_qa.config import database_url, echo
 from cbsr_qa.domain import NumericsError, RefusedError, of_kind
 from cbsr_qa.domain.results import MetricKey, RunLine
-from cbsr_qa.report import plural
+from cbsr_qa.report import named, plural
 from cbsr_qa.stats.gauge import (
     GaugeAnova,
     GaugeRange,
@@ -28,7 +28,7 @@ from cbsr_qa.stats.gauge import (
     study,
 )
 from cbsr_qa.store import Repository, RunFilter, open_store
-from cbsr_qa.studies.figure_series import clock_notes, named, recipe_note, software_note
+from cbsr_qa.studies.figure_series import clock_notes, recipe_note, software_note
 from cbsr_qa.studies.gauge.metrics import Toleranced, wanted_metrics
 from cbsr_qa.studies.gauge.references import AgainstReferences, against_references
 from cbsr_qa.studies.gauge.request import GaugeRequest, StudySource

@@ -1,2 +1,2 @@
-from .case import CaseResult as CaseResult, Ending as Ending
+from .report import stability_outcome as stability_outcome
 from .stability import Stability as Stability, examine_cases as examine_cases

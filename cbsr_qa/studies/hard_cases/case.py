@@ -80,19 +80,26 @@ class CaseResult:
 
     Parameters
     ----------
-    case : that was examined.
+    name, area, hard, truth : of the case.
     outcome : within its bound, refused as it should be, or broken.
-    answer : the number; None where it was refused or failed.
-    reason : of the refusal, or why it is broken; empty where it is in its bound.
-    remedy : what the user is told to do.
+    error, bound, unit, condition, note : of the answer; None where it was refused or failed, or is no finite number.
+    reason : of the refusal, or why it is broken; None where it is in its bound.
+    remedy : what the user is told to do; None where nothing is.
     seconds : it took.
     """
 
-    case: HardCase
+    name: str
+    area: str
+    hard: str
+    truth: str
     outcome: Ending
-    answer: Answer | None
-    reason: str
-    remedy: str
+    error: float | None
+    bound: float | None
+    unit: str | None
+    condition: float | None
+    reason: str | None
+    remedy: str | None
+    note: str | None
     seconds: float
 
 
@@ -109,11 +116,14 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
             warnings.simplefilter("error")
             answer = case.run()
     except CbsrError as refusal:
-        return _refused(case, refusal, perf_counter() - started_s)
+        expected = case.refuses is not None and isinstance(refusal, case.refuses)
+        outcome = Ending.REFUSED if expected and refusal.reason else Ending.BROKEN
+        reason = refusal.reason if expected else f"refused without need: {refusal.reason}"
+        return _result(case, outcome, started_s, reason=reason, remedy=refusal.remedy)
     except Exception as error:  # noqa: BLE001  # whatever it is: a broken case is shown, not the end of the table
-        seconds = perf_counter() - started_s
-        return CaseResult(case, Ending.BROKEN, None, f"{type(error).__name__}: {error}", "", seconds)
-    return _answered(case, answer, perf_counter() - started_s)
+        return _result(case, Ending.BROKEN, started_s, reason=f"{type(error).__name__}: {error}")
+    reason = _why_broken(case, answer)
+    return _result(case, Ending.BROKEN if reason else Ending.OK, started_s, answer, reason)
 
 
 @contextmanager
@@ -135,19 +145,42 @@ def _within(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _refused(case: HardCase, refusal: CbsrError, seconds: float) -> CaseResult:
-    expected = case.refuses is not None and isinstance(refusal, case.refuses)
-    outcome = Ending.REFUSED if expected and refusal.reason else Ending.BROKEN
-    reason = refusal.reason if expected else f"refused without need: {refusal.reason}"
-    return CaseResult(case, outcome, None, reason, refusal.remedy, seconds)
-
-
-def _answered(case: HardCase, answer: Answer, seconds: float) -> CaseResult:
+def _why_broken(case: HardCase, answer: Answer) -> str:
+    """Say why an answer breaks its case; empty where it is within its bound."""
     if case.refuses is not None:
-        reason = f"a number where {case.refuses.__name__} was to be raised"
-        return CaseResult(case, Ending.BROKEN, answer, reason, "", seconds)
-    finite = math.isfinite(answer.error) and math.isfinite(answer.bound)
-    within = finite and 0 <= answer.error <= answer.bound
-    said = f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
-    reason = "" if within else said if finite else "its error or its bound is no finite number"
-    return CaseResult(case, Ending.OK if within else Ending.BROKEN, answer, reason, "", seconds)
+        return f"a number where {case.refuses.__name__} was to be raised"
+    if not (math.isfinite(answer.error) and math.isfinite(answer.bound)):
+        return "its error or its bound is no finite number"
+    within = 0 <= answer.error <= answer.bound
+    return "" if within else f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
+
+
+def _result(
+    case: HardCase,
+    outcome: Ending,
+    started_s: float,
+    answer: Answer | None = None,
+    reason: str = "",
+    remedy: str = "",
+) -> CaseResult:
+    given = answer or Answer(math.nan, math.nan)
+    return CaseResult(
+        name=case.name,
+        area=case.area,
+        hard=case.hard,
+        truth=case.truth,
+        outcome=outcome,
+        error=_finite(given.error),
+        bound=_finite(given.bound),
+        unit=given.unit if answer else None,
+        condition=_finite(given.condition),
+        reason=reason or None,
+        remedy=remedy or None,
+        note=given.note or None,
+        seconds=round(perf_counter() - started_s, 3),
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    """Return a number, or None where there is none: JSON knows no NaN."""
+    return float(value) if value is not None and math.isfinite(value) else None

@@ -1,21 +1,15 @@
-"""Numerically hard cases, run and held against truth: as a document or a page.
-
-All numerically hard cases, by area.
-"""
+"""All numerically hard cases, by area, run and held against truth."""
 
 import multiprocessing
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from difflib import get_close_matches
 from os import cpu_count
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.report import render_sections, write_report
-from cbsr_qa.studies.hard_cases.case import CaseResult, Ending, HardCase, examine
+from cbsr_qa.studies.hard_cases.case import CaseResult, HardCase, examine
 from cbsr_qa.studies.hard_cases.cases import (
     calibration as calibration_cases,
     forward as forward_cases,
@@ -29,7 +23,6 @@ from cbsr_qa.studies.hard_cases.cases import (
     statistics as statistics_cases,
     time as time_cases,
 )
-from cbsr_qa.studies.hard_cases.page import stability_page, stability_sections
 from cbsr_qa.studies.sweep import begin_worker
 
 #: Every case, in order of area.
@@ -83,46 +76,11 @@ def _nearest(what: str, asked: str, there: Sequence[str]) -> str:
     return f"cbsr-qa stability --area {AREAS[0]!r} lists the {what}s of an area; areas are: {', '.join(AREAS)}"
 
 
-def case_named(name: str) -> HardCase:
-    """Return the case of a name that :func:`chosen_cases` knows."""
-    return next(case for case in CASES if case.name == name)
-
-
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """How hard cases came out.
+    """How hard cases came out, in the order of the catalogue."""
 
-    Parameters
-    ----------
-    results : in the order of the catalogue.
-    """
-
-    results: tuple[CaseResult, ...]
-
-    @property
-    def counts(self) -> dict[Ending, int]:
-        """How many ended in which way."""
-        counted = Counter(result.outcome for result in self.results)
-        return {ending: counted[ending] for ending in Ending}
-
-    @property
-    def exit_code(self) -> int:
-        """0, or 1 where a case is broken."""
-        return 1 if self.counts[Ending.BROKEN] else 0
-
-    def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
-        return {"cases": [_case_document(result) for result in self.results]}
-
-    def write(self, path: Path) -> None:
-        """Write a page that stands by itself.
-
-        Raises
-        ------
-        RefusedError
-            If its folder cannot be written to.
-        """
-        write_report(path, render_sections(stability_page(self.results), stability_sections(self.results)))
+    cases: tuple[CaseResult, ...]
 
 
 def examine_cases(
@@ -150,7 +108,7 @@ def examine_cases(
     found: dict[str, CaseResult] = {}
     progress(0, len(cases))
     for result in _examined([case.name for case in cases], count):
-        found[result.case.name] = result
+        found[result.name] = result
         progress(len(found), len(cases))
     return Stability(tuple(found[case.name] for case in cases))
 
@@ -158,50 +116,17 @@ def examine_cases(
 def _examined(names: Sequence[str], processes: int) -> Iterator[CaseResult]:
     """Results as they come. Processes are given names: functions of cases need not be picklable."""
     if processes < 2:
-        for name in names:
-            yield examine(case_named(name))
+        yield from map(_examine_named, names)
         return
     with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin_worker) as pool:
-        waiting = {pool.submit(_bare, name): name for name in names}
+        waiting = [pool.submit(_examine_named, name) for name in names]
         try:
             for future in as_completed(waiting):
-                yield replace(future.result(), case=case_named(waiting[future]))
+                yield future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)  # what has not begun never does
             raise
 
 
-def _bare(name: str) -> CaseResult:
-    """Result of a case, without what cannot leave its process."""
-    result = examine(case_named(name))
-    return replace(result, case=replace(result.case, run=_gone, refuses=None))
-
-
-def _gone() -> Any:
-    raise AssertionError("the case has been run in another process")
-
-
-def _case_document(result: CaseResult) -> dict[str, Any]:
-    case, answer = result.case, result.answer
-    return {
-        "name": case.name,
-        "area": case.area,
-        "hard": case.hard,
-        "truth": case.truth,
-        "outcome": str(result.outcome),
-        "error": _number(answer.error if answer else None),
-        "bound": _number(answer.bound if answer else None),
-        "unit": answer.unit if answer else None,
-        "condition": _number(answer.condition if answer else None),
-        "reason": result.reason or None,
-        "remedy": result.remedy or None,
-        "note": (answer.note or None) if answer else None,
-        "seconds": round(result.seconds, 3),
-    }
-
-
-def _number(value: float | None) -> float | None:
-    """Return a number, or None where there is none: JSON knows no NaN."""
-    if value is None or not abs(value) < float("inf"):
-        return None
-    return float(value)
+def _examine_named(name: str) -> CaseResult:
+    return examine(next(case for case in CASES if case.name == name))

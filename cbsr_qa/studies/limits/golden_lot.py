@@ -6,19 +6,19 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from pydantic import Field, InstanceOf
 
 from cbsr_qa.config import canonical_json, echo, validate_serial
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import RefusedError, did_you_mean
 from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.report import named
 from cbsr_qa.store import Repository
 from cbsr_qa.store.results import StoredAnalysis
 from cbsr_qa.store.runs import RunSummary
 
-#: Names that are listed in a message before the rest is only counted.
-_MOST_NAMED = 6
 #: Tables of a recipe that change what is judged or shown, but no number.
 _NOT_MEASURING = ("limits", "limits_version", "report")
 _GOOD = (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)
@@ -75,34 +75,35 @@ class LotRun:
     analysis: StoredAnalysis
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Lot:
     """A golden lot.
 
     Parameters
     ----------
-    words : how it was chosen.
+    chosen : how, in words.
     sensors : serial → its runs, oldest first; sensors by serial.
+    software : (distribution, version) of the first run's analysis.
     left_out : sensors left out by name.
-    mixed, not_good : what was accepted although it is not alike, or not good; in words.
+    not_good, mixed : what was accepted although it is not good, or not alike; in words.
     simulated : what was simulated; empty for real benches.
+    analysed : the same runs with their analyses.
     """
 
-    words: str
-    sensors: Mapping[str, tuple[LotRun, ...]]
+    chosen: str
+    sensors: dict[str, tuple[str, ...]]
+    stations: tuple[str, ...]
+    software: tuple[tuple[str, str], ...]
     left_out: tuple[str, ...]
-    mixed: tuple[str, ...]
     not_good: tuple[str, ...]
+    mixed: tuple[str, ...]
     simulated: tuple[str, ...]
+    analysed: Annotated[InstanceOf[dict[str, tuple[LotRun, ...]]], Field(exclude=True)]
 
     @property
     def runs(self) -> tuple[LotRun, ...]:
         """Every run of every sensor."""
-        return tuple(run for runs in self.sensors.values() for run in runs)
-
-    def stations(self) -> tuple[str, ...]:
-        """Names of the stations, sorted."""
-        return tuple(sorted({run.summary.station for run in self.runs}))
+        return tuple(run for runs in self.analysed.values() for run in runs)
 
     def data_sha256(self) -> str:
         """SHA-256 of every measurement of the lot, whatever order it is read in."""
@@ -172,16 +173,19 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
     if not runs:
         raise RefusedError("no run of the lot has measurements", remedy="choose runs that were finished and analysed")
     mixed = _mixed(store, runs, choice)
+    analysed: dict[str, tuple[LotRun, ...]] = {}
+    for run in sorted(runs, key=lambda one: one.summary.serial):
+        analysed[run.summary.serial] = (*analysed.get(run.summary.serial, ()), run)
     return Lot(
-        words=choice.words(),
-        sensors={
-            serial: tuple(run for run in runs if run.summary.serial == serial)
-            for serial in sorted({run.summary.serial for run in runs})
-        },
+        chosen=choice.words(),
+        sensors={serial: tuple(run.summary.run for run in of) for serial, of in analysed.items()},
+        stations=tuple(sorted({run.summary.station for run in runs})),
+        software=tuple(next(iter(analysed.values()))[0].analysis.software),
         left_out=tuple(sorted({run.serial for run in chosen} & set(choice.without))),
-        mixed=mixed,
         not_good=not_good,
+        mixed=mixed,
         simulated=_simulated(store, runs),
+        analysed=analysed,
     )
 
 
@@ -198,11 +202,8 @@ def _analysed(run: RunSummary) -> bool:
 def _check_known(noun: str, names: Iterable[str], known: set[str]) -> None:
     for name in names:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            raise RefusedError(
-                f"there is no {noun} {echo(name, 64)} in this database",
-                remedy=f"did you mean {near[0]!r}?" if near else "cbsr-qa db status shows which database is used",
-            )
+            remedy = did_you_mean(name, known, "cbsr-qa db status shows which database is used")
+            raise RefusedError(f"there is no {noun} {echo(name, 64)} in this database", remedy=remedy)
 
 
 def _nothing_fits(choice: LotChoice, stored: Sequence[RunSummary]) -> RefusedError:
@@ -212,8 +213,7 @@ def _nothing_fits(choice: LotChoice, stored: Sequence[RunSummary]) -> RefusedErr
         ("recipe", choice.recipe, {run.recipe for run in stored}),
     ):
         if name is not None and name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"stored: {_named(sorted(known)) or 'no runs at all'}"
+            hint = did_you_mean(name, known, f"stored: {named(sorted(known)) or 'no runs at all'}")
             return RefusedError(f"no stored run is of {noun} {echo(name, 64)}", remedy=hint)
     return RefusedError(
         f"no stored run fits the golden lot ({choice.words()})",
@@ -226,7 +226,7 @@ def _not_good(runs: Sequence[RunSummary], choice: LotChoice) -> tuple[str, ...]:
     said = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
     if bad and not choice.include_failed:
         raise RefusedError(
-            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {_named(said)}",
+            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {named(said)}",
             remedy="leave those sensors out by --without, choose other days, or take them in by --include-failed",
         )
     return said
@@ -243,7 +243,7 @@ def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tupl
     recipes = _shared_by((run, _recipe_words(run, store.configuration(run.summary.run))) for run in runs)
     software = _shared_by((run, _software_words(run, runs)) for run in runs)
     found = tuple(
-        f"{noun}: {'; '.join(f'{what} ({_named(serials)})' for what, serials in groups.items())}"
+        f"{noun}: {'; '.join(f'{what} ({named(serials)})' for what, serials in groups.items())}"
         for noun, groups in (("recipes", recipes), ("software versions", software))
         if len(groups) > 1
     )
@@ -297,9 +297,3 @@ def _software_words(run: LotRun, runs: Sequence[LotRun]) -> str:
     common = set(runs[0].analysis.software).intersection(*(other.analysis.software for other in runs))
     own = [f"{name} {version}" for name, version in run.analysis.software if (name, version) not in common]
     return ", ".join(own) or "no other"
-
-
-def _named(names: Sequence[str]) -> str:
-    """List names; of very many the first ones."""
-    rest = len(names) - _MOST_NAMED
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {rest} more" if rest > 0 else "")

@@ -2,10 +2,9 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 from cbsr_qa.config import echo
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import RefusedError, did_you_mean
 from cbsr_qa.domain.results import Bound, Limit, Measurement
 from cbsr_qa.studies.limits.golden_lot import Lot, LotRun
 
@@ -30,12 +29,6 @@ class Group:
     qualifier: str
     sensors: Mapping[str, tuple[tuple[Measurement, ...], ...]]
     present: Limit | None
-
-    @property
-    def label(self) -> str:
-        """Name with phase and qualifier, as a reader would say it."""
-        detail = ", ".join(part for part in (self.phase, self.qualifier) if part)
-        return f"{self.name} ({detail})" if detail else self.name
 
     @property
     def values(self) -> int:
@@ -77,17 +70,14 @@ def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, 
     RefusedError
         If nobody measured a name (with the nearest one), or one measurement has several units.
     """
-    runs = {serial: tuple(_by_key(run) for run in members) for serial, members in lot.sensors.items()}
+    runs = {serial: tuple(_by_key(run) for run in members) for serial, members in lot.analysed.items()}
     latest = _by_key(max(lot.runs, key=lambda run: run.summary.started_at))
     keys = dict.fromkeys((*latest, *(key for members in runs.values() for run in members for key in run)))
     known = sorted({name for name, _, _ in keys})
     for name in names:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise RefusedError(
-                f"no run of the lot measured {echo(name, 64)}", remedy=f"{hint}measured: {', '.join(known)}"
-            )
+            remedy = f"{did_you_mean(name, known)} measured: {', '.join(known)}".lstrip()
+            raise RefusedError(f"no run of the lot measured {echo(name, 64)}", remedy=remedy)
     groups = [_group(key, runs, latest) for key in keys if not names or key[0] in names]
     limited = [group for group in groups if group.present is not None]
     return tuple(groups if names or everything or not limited else limited)

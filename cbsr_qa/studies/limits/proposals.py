@@ -1,18 +1,13 @@
-"""Proposed limits as a file that a recipe takes in by ``limits_from``, or that is pasted into one.
+"""From a golden lot to proposed limits: bounds, guard bands, risks, and what they would do to the lot itself."""
 
-From a golden lot to proposed limits: bounds, guard bands, risks, and what they would do to the lot itself.
-"""
-
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from difflib import get_close_matches
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from math import sqrt
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from cbsr_qa.config import echo, limits_digest, one_line, toml_value
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Limit, Measurement, Outcome
+from cbsr_qa.config import echo
+from cbsr_qa.domain import RefusedError, did_you_mean
+from cbsr_qa.domain.results import Limit, Measurement, MetricKey, Outcome
 from cbsr_qa.stats import (
     FEWEST_REPEATS,
     Ask,
@@ -29,12 +24,6 @@ from cbsr_qa.stats import (
 )
 from cbsr_qa.studies.limits.golden_lot import Lot
 from cbsr_qa.studies.limits.groups import Group
-from cbsr_qa.system import written_whole
-
-RULE: Final = (
-    "a value beyond a limit fails; one inside by less than the guard band passes marginally, because its uncertainty"
-    " reaches beyond the limit; any other passes (JCGM 106:2012, 8.3.2)"
-)
 
 _DISTRIBUTIONS: Final = {
     "auto": None,
@@ -42,6 +31,16 @@ _DISTRIBUTIONS: Final = {
     "log-normal": Distribution.LOG_NORMAL,
     "any": Distribution.ANY,
 }
+
+# Why there is no guard band, or nothing is known of the risks.
+_NOTHING_LEFT: Final = "guard bands of {width:.3g} {unit} would leave nothing between the limits: measure better"
+_UNSTATED: Final = "{few}, and {silent} of {values} values state no uncertainty"
+_NEVER_TWICE: Final = "no sensor was run twice"
+_FEW_REPEATS: Final = "{repeats} of the runs repeat a sensor, and {least} are needed"
+_NO_SPREAD: Final = "repeated runs agree to the last digit, which is no measure of their uncertainty"
+_NO_UNCERTAINTY: Final = "no uncertainty is known"
+_NO_DISTRIBUTION: Final = "no distribution is known"
+_ALL_UNCERTAIN: Final = "the uncertainty of a run explains all of the lot's spread"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,97 +77,168 @@ class Terms:
         if not 0 <= guard_factor <= 10:
             raise RefusedError(f"the guard factor is {guard_factor:g}; allowed: 0 to 10")
         if distribution not in _DISTRIBUTIONS:
-            near = get_close_matches(distribution, _DISTRIBUTIONS, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise RefusedError(
-                f"there is no distribution {echo(distribution)}", remedy=f"{hint}allowed: {', '.join(_DISTRIBUTIONS)}"
-            )
+            remedy = f"{did_you_mean(distribution, _DISTRIBUTIONS)} allowed: {', '.join(_DISTRIBUTIONS)}".lstrip()
+            raise RefusedError(f"there is no distribution {echo(distribution)}", remedy=remedy)
         return cls(coverage_percent / 100, confidence_percent / 100, guard_factor, _DISTRIBUTIONS[distribution])
 
 
 @dataclass(frozen=True, slots=True)
-class Proposal:
-    """What is proposed for one measurement, or why nothing is.
+class RunUncertainty:
+    """How well one run measures, in the measurement's unit.
 
     Parameters
     ----------
-    found : bounds, distribution, sensors far from the others.
-    mean : of all values, every sensor alike; None where there are none.
-    far_out : serials that lie far from the others; they are in the lot all the same.
-    without_far_out : what the bounds would be without them; None where none lies far out.
-    limit : as a recipe would hold it; None where none is proposed.
-    uncertainty : of one run; None where ``no_guard`` says why there is no guard band.
-    risks : of all sensors, where marginal passes are accepted and where they are not; None where ``no_risks`` says
-        why nobody can tell.
-    failed_now, failed, marginal : serials of the lot that fail the present limit, that fail the proposed one, and
-        that pass it marginally.
+    standard, coverage_factor, expanded : u, k and k u; None where ``source`` says why there is no guard band.
+    degrees_of_freedom : None where it was stated and not found from repeats.
     """
 
-    group: Group
-    found: LotLimits
-    mean: float | None = None
+    standard: float | None
+    coverage_factor: float | None
+    expanded: float | None
+    degrees_of_freedom: int | None
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class ProposedRisks:
+    """Risks of all sensors, where marginal passes are accepted and where they are not."""
+
+    marginal_accepted: Risks
+    marginal_refused: Risks
+
+
+@dataclass(frozen=True, slots=True)
+class BareLimits:
+    """Limits alone; None on a side that is not limited, and on both where ``why`` says why there are none."""
+
+    lower: float | None
+    upper: float | None
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class NoLimit:
+    """A measurement without a proposed limit, and why.
+
+    Parameters
+    ----------
+    far_out : serials that lie far from the others.
+    """
+
+    measurement: str
+    unit: str
+    phase: str
+    qualifier: str
+    why: str
     far_out: tuple[str, ...] = ()
-    without_far_out: LotLimits | None = None
-    limit: Limit | None = None
-    uncertainty: Uncertainty | None = None
-    no_guard: str = ""
-    risks: tuple[Risks, Risks] | None = None
-    no_risks: str = ""
-    failed_now: tuple[str, ...] = ()
-    failed: tuple[str, ...] = ()
-    marginal: tuple[str, ...] = ()
 
     @property
-    def bounds(self) -> tuple[Bound, ...]:
-        """The proposed bounds, lower first."""
-        return tuple(bound for bound in (self.found.lower, self.found.upper) if bound is not None)
-
-    @property
-    def always_positive(self) -> bool:
-        """Whether no value of the lot is zero or negative."""
-        return all(
-            m.value is None or m.value > 0 for runs in self.group.sensors.values() for run in runs for m in run
-        )
+    def label(self) -> str:
+        """Name with phase and qualifier, as a reader would say it."""
+        return MetricKey(self.measurement, self.phase, self.qualifier).label
 
 
-def propose(group: Group, lot: Lot, terms: Terms, version: str) -> Proposal:
-    """Propose a limit for what one limit judges.
+@dataclass(frozen=True, slots=True)
+class ProposedLimit:
+    """A limit that is proposed.
 
     Parameters
     ----------
-    version : name of the limits' version.
-
-    Returns
-    -------
-    A proposal, or the reason why there is none in its ``found.why``.
+    sensors, values : how many sensors have it, and how many values a run has.
+    sides : which are limited, in words.
+    mean : of all values, every sensor alike.
+    lower, upper, marginal : the limit and its guard band, in ``unit``.
+    bounds : what each side rests on.
+    positive : whether no value of the lot is zero or negative.
+    risks : None where ``no_risks`` says why nobody can tell.
+    far_out : serials that lie far from the others; they are in the lot all the same.
+    without_far_out : what the limits would be without them; None where none lies far out.
+    present : the limit that the recipe has now; None where it has none.
+    lot_fails_present, lot_fails, lot_marginal : serials of the lot that fail the present limit, that fail the
+        proposed one, and that pass it marginally.
     """
+
+    measurement: str
+    unit: str
+    phase: str
+    qualifier: str
+    sensors: int
+    values: int
+    sides: str
+    mean: float
+    lower: float | None
+    upper: float | None
+    marginal: float
+    bounds: dict[str, Bound]
+    positive: bool
+    uncertainty: RunUncertainty
+    risks: ProposedRisks | None
+    no_risks: str
+    far_out: tuple[str, ...]
+    without_far_out: BareLimits | None
+    present: Limit | None
+    lot_fails_present: tuple[str, ...] | None
+    lot_fails: tuple[str, ...]
+    lot_marginal: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """Name with phase and qualifier, as a reader would say it."""
+        return MetricKey(self.measurement, self.phase, self.qualifier).label
+
+    def limit(self, version: str) -> Limit:
+        """Return it as a recipe would hold it."""
+        ends = self.lower, self.upper, self.marginal
+        return Limit(self.measurement, self.unit, *ends, self.phase, self.qualifier, version)
+
+
+def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
+    """Propose a limit for what one limit judges, or say why there is none."""
+    identity = group.name, group.unit, group.phase, group.qualifier
     if why := group.why_not():
-        return Proposal(group, LotLimits(why=why), failed_now=_failing(group, group.present))
-    smallest, largest = _worst(group, min), _worst(group, max)
-    ask = _ask(group, terms)
-    found = lot_limits(smallest, largest, group.values, ask)
-    serials = list(group.sensors)
-    far_out = tuple(serials[index] for index in found.far_out)
-    proposal = Proposal(
-        group,
-        found,
-        mean=_mean(group),
-        far_out=far_out,
-        without_far_out=_without(found, smallest, largest, group.values, ask),
-        failed_now=_failing(group, group.present),
-    )
-    return proposal if found.why else _guarded(proposal, lot, terms, version)
-
-
-def _ask(group: Group, terms: Terms) -> Ask:
-    """Bound the sides that are bounded now; both where nobody has said which matters."""
-    present = group.present
-    return Ask(
+        return NoLimit(*identity, why)
+    present, smallest, largest = group.present, _worst(group, min), _worst(group, max)
+    ask = Ask(
         terms.coverage,
         terms.confidence,
         lower=present is None or present.lower is not None,
         upper=present is None or present.upper is not None,
         distribution=terms.distribution,
+    )
+    found = lot_limits(smallest, largest, group.values, ask)
+    serials = list(group.sensors)
+    far_out = tuple(serials[index] for index in found.far_out)
+    if found.why:
+        return NoLimit(*identity, found.why, far_out)
+    bounds = {side: bound for side, bound in (("lower", found.lower), ("upper", found.upper)) if bound is not None}
+    uncertainty, width, source = _guard(group, bounds, lot, terms)
+    of_run = RunUncertainty(None, None, None, None, source)
+    if uncertainty is not None:
+        known = uncertainty.standard, uncertainty.coverage_factor, uncertainty.expanded, uncertainty.freedom
+        of_run = RunUncertainty(*known, source)
+    lower, upper = _ends(found)
+    limit = Limit(group.name, group.unit, lower, upper, width, group.phase, group.qualifier)
+    found_risks = None if uncertainty is None else _risks(bounds.values(), width, uncertainty)
+    return ProposedLimit(
+        *identity,
+        sensors=len(group.sensors),
+        values=group.values,
+        sides="both, because the recipe sets no limit" if present is None else "those of the present limit",
+        mean=_mean(group),
+        lower=lower,
+        upper=upper,
+        marginal=width,
+        bounds=bounds,
+        positive=all(value > 0 for runs in group.sensors.values() for run in runs for value in _values(run)),
+        uncertainty=of_run,
+        risks=found_risks,
+        no_risks="" if found_risks else _why_no_risks(bounds.values(), uncertainty),
+        far_out=far_out,
+        without_far_out=_without(found, smallest, largest, group.values, ask),
+        present=present,
+        lot_fails_present=None if present is None else _failing(group, present),
+        lot_fails=_failing(group, limit),
+        lot_marginal=_failing(group, limit, Outcome.MARGINAL),
     )
 
 
@@ -185,166 +255,77 @@ def _mean(group: Group) -> float:
     return sum(sum(values) / len(values) for values in sensors) / len(sensors)
 
 
-def _without(found: LotLimits, smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimits | None:
+def _ends(found: LotLimits) -> tuple[float | None, float | None]:
+    lower, upper = (None if bound is None else bound.limit for bound in (found.lower, found.upper))
+    return lower, upper
+
+
+def _without(found: LotLimits, smallest: Runs, largest: Runs, values: int, ask: Ask) -> BareLimits | None:
     if not found.far_out:
         return None
     kept = [index for index in range(len(largest)) if index not in found.far_out]
-    return lot_limits([smallest[index] for index in kept], [largest[index] for index in kept], values, ask)
+    other = lot_limits([smallest[index] for index in kept], [largest[index] for index in kept], values, ask)
+    return BareLimits(*_ends(other), other.why)
 
 
-def _guarded(proposal: Proposal, lot: Lot, terms: Terms, version: str) -> Proposal:
-    """Add guard band, limit, risks, and what the limit does to the lot."""
-    group, found = proposal.group, proposal.found
-    uncertainty, why = _uncertainty(proposal, lot)
-    width = 0.0 if uncertainty is None else terms.guard_factor * uncertainty.expanded
-    lower = None if found.lower is None else found.lower.limit
-    upper = None if found.upper is None else found.upper.limit
-    if lower is not None and upper is not None and 2 * width >= upper - lower:
-        why = f"guard bands of {width:.3g} {group.unit} would leave nothing between the limits: measure better"
-        uncertainty, width = None, 0.0
-    width = outward(width, 0.0, +1) if width else 0.0
-    limit = Limit(group.name, group.unit, lower, upper, width, group.phase, group.qualifier, version)
-    found_risks = None if uncertainty is None else _risks(proposal.bounds, width, uncertainty)
-    return replace(
-        proposal,
-        limit=limit,
-        uncertainty=uncertainty,
-        no_guard=why,
-        risks=found_risks,
-        no_risks=_why_no_risks(proposal.bounds, uncertainty) if found_risks is None else "",
-        failed=_failing(group, limit),
-        marginal=_failing(group, limit, Outcome.MARGINAL),
-    )
+def _guard(group: Group, bounds: dict[str, Bound], lot: Lot, terms: Terms) -> tuple[Uncertainty | None, float, str]:
+    """Return how well one run measures, the guard band, and where both come from or why there are none."""
+    uncertainty, source = _uncertainty(group, bounds, lot)
+    if uncertainty is None:
+        return None, 0.0, source
+    width = terms.guard_factor * uncertainty.expanded
+    if len(bounds) > 1 and 2 * width >= bounds["upper"].limit - bounds["lower"].limit:
+        return None, 0.0, _NOTHING_LEFT.format(width=width, unit=group.unit)
+    return uncertainty, outward(width, 0.0, +1) if width else 0.0, source
 
 
-def _uncertainty(proposal: Proposal, lot: Lot) -> tuple[Uncertainty | None, str]:
+def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncertainty | None, str]:
     """Find how well one run measures: from repeated runs, else from what the measurements state of themselves."""
-    group, found = proposal.group, proposal.found
-    sides = [_worst(group, pick) for pick, bound in ((min, found.lower), (max, found.upper)) if bound is not None]
+    picks = [min if side == "lower" else max for side in bounds]
     repeats = sum(len(runs) - 1 for runs in group.sensors.values())
-    source = f"repeatability of {repeats} repeated runs{_over_stations(lot)}"
-    repeated = [u for u in (repeatability(runs, source) for runs in sides) if u is not None]
-    if repeated:
-        return max(repeated, key=lambda u: u.standard), ""
-    stated = [
-        pick(run, key=lambda m: m.value or 0.0).uncertainty
-        for pick, bound in ((min, found.lower), (max, found.upper))
-        for runs in group.sensors.values()
-        for run in runs
-        if bound is not None
-    ]
+    moved = any(len({run.summary.station for run in runs}) > 1 for runs in lot.analysed.values())
+    over = f", at stations {', '.join(lot.stations)}" if moved else ""
+    source = f"repeatability of {repeats} repeated runs{over}"
+    repeated = [repeatability(_worst(group, pick), source) for pick in picks]
+    widest = max(filter(None, repeated), key=lambda u: u.standard, default=None)
+    if widest is not None:
+        return widest, source
+    runs = [run for runs in group.sensors.values() for run in runs]
+    stated = [pick(run, key=lambda m: m.value or 0.0).uncertainty for pick in picks for run in runs]
     known = [u for u in stated if u]
     if len(known) == len(stated):
-        return Uncertainty(sqrt(sum(u * u for u in known) / len(known)), None, "stated by the measurements"), ""
-    few = _too_few(repeats)
-    return None, f"{few}, and {len(stated) - len(known)} of {len(stated)} values state no uncertainty"
+        source = "stated by the measurements"
+        return Uncertainty(sqrt(sum(u * u for u in known) / len(known)), None, source), source
+    few = _NEVER_TWICE if not repeats else _NO_SPREAD
+    if 0 < repeats < FEWEST_REPEATS:
+        few = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
+    return None, _UNSTATED.format(few=few, silent=len(stated) - len(known), values=len(stated))
 
 
-def _too_few(repeats: int) -> str:
-    if not repeats:
-        return "no sensor was run twice"
-    if repeats < FEWEST_REPEATS:
-        return f"{repeats} of the runs repeat a sensor, and {FEWEST_REPEATS} are needed"
-    return "repeated runs agree to the last digit, which is no measure of their uncertainty"
-
-
-def _over_stations(lot: Lot) -> str:
-    moved = any(len({run.summary.station for run in runs}) > 1 for runs in lot.sensors.values())
-    return f", at stations {', '.join(lot.stations())}" if moved else ""
-
-
-def _risks(bounds: Sequence[Bound], width: float, uncertainty: Uncertainty) -> tuple[Risks, Risks] | None:
-    """Return the risks where marginal passes are accepted and where they are not, of all bounds together."""
-    sums = []
-    for guard in (0.0, width):
-        each = [risks(bound, guard, uncertainty) for bound in bounds]
-        total = Risks(0.0, 0.0)
-        for one in each:
+def _risks(bounds: Iterable[Bound], width: float, uncertainty: Uncertainty) -> ProposedRisks | None:
+    """Return the risks of all bounds together."""
+    sums = [Risks(0.0, 0.0), Risks(0.0, 0.0)]
+    for bound in bounds:
+        for place, guard in enumerate((0.0, width)):
+            one = risks(bound, guard, uncertainty)
             if one is None:
                 return None
-            total += one
-        sums.append(total)
-    return sums[0], sums[1]
+            sums[place] += one
+    return ProposedRisks(*sums)
 
 
-def _why_no_risks(bounds: Sequence[Bound], uncertainty: Uncertainty | None) -> str:
+def _why_no_risks(bounds: Iterable[Bound], uncertainty: Uncertainty | None) -> str:
     if uncertainty is None:
-        return "no uncertainty is known"
-    if any(bound.distribution is Distribution.ANY for bound in bounds):
-        return "no distribution is known"
-    return "the uncertainty of a run explains all of the lot's spread"
+        return _NO_UNCERTAINTY
+    ordered = any(bound.distribution is Distribution.ANY for bound in bounds)
+    return _NO_DISTRIBUTION if ordered else _ALL_UNCERTAIN
 
 
-def _failing(group: Group, limit: Limit | None, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:
+def _failing(group: Group, limit: Limit, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:
     """Name the sensors whose worst outcome over all their runs is this one."""
-    if limit is None:
-        return ()
     found = []
     for serial, runs in group.sensors.items():
         outcomes = {limit.judge(m.value, m.bound) for run in runs for m in run}
         if outcome in outcomes and (outcome is Outcome.FAIL or Outcome.FAIL not in outcomes):
             found.append(serial)
     return tuple(found)
-
-
-def limit_table(limit: Limit) -> dict[str, Any]:
-    """Return a limit as a recipe's table; what it does not have is left out."""
-    table = {
-        "measurement": limit.measurement,
-        "unit": limit.unit,
-        "lower": limit.lower,
-        "upper": limit.upper,
-        "marginal": limit.marginal or None,
-        "phase": limit.phase or None,
-        "qualifier": limit.qualifier or None,
-        "version": limit.version or None,
-    }
-    return {key: value for key, value in table.items() if value is not None}
-
-
-def limits_toml(header: Mapping[str, Any], limits: Sequence[Limit], remarks: Iterable[str]) -> str:
-    """Write a file of limits.
-
-    Parameters
-    ----------
-    header : keys of ``[limits_version]``; the limits' own digest is added.
-    remarks : comments at the top, one a line.
-    """
-    tables = [limit_table(limit) for limit in limits]
-    sealed = {**header, "limits_sha256": limits_digest(tables)}
-    lines = [f"# {one_line(remark)}" for remark in remarks]
-    lines += ["", "[limits_version]", *_keys(sealed)]
-    for table in tables:
-        lines += ["", "[[limits]]", *_keys(table)]
-    return "\n".join(lines) + "\n"
-
-
-def write_new(path: Path, text: str) -> None:
-    """Write a file that is not there yet, whole or not at all.
-
-    Raises
-    ------
-    RefusedError
-        If it exists, or its folder cannot be written to.
-    """
-    refuse_existing(path)
-    try:
-        with written_whole(path) as file:
-            file.write(text.encode())
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
-
-
-def refuse_existing(path: Path) -> None:
-    """Refuse to write over a file: limits that runs were judged by stay as they were."""
-    try:
-        there = path.exists()
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
-    if there:
-        raise RefusedError(f"{path} exists already", remedy="name another file: versions of limits are kept")
-
-
-def _keys(table: Mapping[str, Any]) -> Iterator[str]:
-    for key, value in table.items():
-        yield f"{key} = {toml_value(value)}"

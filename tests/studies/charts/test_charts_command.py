@@ -161,8 +161,9 @@ def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
         (signal,) = found.signals
         assert (signal.since_run, signal.runs) == (run, 1)
         (warning,) = found.warnings()
-        assert f"station {STATION} is out of control: force_gain, chart i-mr, signals since run {run}" in warning
-        assert "1: one point beyond 3σ" in warning
+        assert f"station {STATION} is out of control: force_gain, chart i-mr, signals since" in warning
+        assert "sensor S-900 on 2026-11-2" in warning
+        assert "rule 1: one point beyond 3σ" in warning
         blocks = chart_blocks(found)
         assert "1 of 1 control chart" in blocks[0].text
         assert "1: one point beyond 3σ" in blocks[1].text
@@ -294,33 +295,33 @@ def test_groups_of_a_reference_are_whole_and_what_is_left_is_said(shifted, comma
     asked = ("--reference-until", until, "--operator", "Zoë", "--dry-run", "--chart", "xbar-r")
     (chart,) = document(path, *asked)["charts"]
     assert (chart["reference"]["runs"], chart["reference"]["last_run"]) == (20, runs[19])
-    assert "the last 2 runs of the reference period make no whole group of 5: taken as after it" in chart["notes"]
+    assert "the last 2 runs of the reference period do not fill a group of 5: taken as after it" in chart["notes"]
     (chart,) = document(path, *asked, "--subgroup", 6)["charts"]
-    assert "the latest 4 runs make no whole group of 6 yet, and no point" in chart["notes"]
+    assert "the latest 4 runs do not fill a group of 6 yet, and make no point" in chart["notes"]
     code, _, err = command(path, "--station", STATION, *asked, "--subgroup", 8)
     assert code == 2
     assert "22 runs in the reference period make 2 whole groups of 8 instead of 3" in err
 
 
 def test_a_reference_period_is_named_by_its_days(shifted, command):
-    path, runs = shifted
+    path, _ = shifted
     first = identity("x").started_at.date()
     out = command(path, "--station", STATION, *NEW, "--dry-run")[1]
     said = " ".join(out.split())
     assert f"the reference period begins with the first run of all, of {first}: see --reference-from" in said
-    assert f"from 30 runs ({runs[0]} of {first} to {runs[29]} of {first + timedelta(days=29)})" in said
+    assert f"30 runs, {first} to {first + timedelta(days=29)} 10 signals since {first + timedelta(days=30)}" in said
     later = command(path, "--station", STATION, *NEW, "--reference-from", first + timedelta(days=5), "--dry-run")[1]
     assert "first run of all" not in later
-    assert f"({runs[5]} of {first + timedelta(days=5)}" in " ".join(later.split())
+    assert f"30 runs, {first + timedelta(days=5)} to" in " ".join(later.split())
 
 
 def test_the_page_draws_the_charts(shifted, command, tmp_path):
     code, out, _ = command(shifted[0], "--station", STATION, *NEW, "--dry-run", "--output", tmp_path / "page.html")
     assert code == 1
     page = (tmp_path / "page.html").read_text()
-    assert "1 chart out of control" in page
+    assert "a signal stands on 1 of 1 chart of" in page
     assert "moving range" in page
-    assert "OUT OF CONTROL: a signal stands on 1 of 1 chart\n" in out
+    assert out.startswith("✗ Out of control: a signal stands on 1 of 1 chart of station bench-a; the first: force")
     until = (identity("x").started_at + timedelta(days=29)).date()
     other = command(shifted[0], "--station", STATION, "--reference-until", until, "--dry-run")[1]
-    assert "from 30 runs" in other
+    assert "30 runs, " in other

@@ -39,7 +39,7 @@ def test_a_sum_says_when_the_change_began(tmp_path, command, sign):
     day = (identity("x").started_at + timedelta(days=40)).date()
     assert signal["began"].startswith(f"{day}T")
     said = command(tmp_path / "runs.db", *asked)[1]
-    assert f"the change began about run {runs[40]} of {day}, at which the sum left zero" in said
+    assert f"the change began at about the run of sensor S-040 on {day} " in said
     other = json.loads(command(tmp_path / "runs.db", *NEW, "--dry-run", "--json")[1])["charts"][0]["signal"]
     assert other is None or (other["began_run"], other["began"]) == (None, None)
 
@@ -53,10 +53,10 @@ def test_a_sum_that_was_never_zero_began_with_the_first_run(tmp_path, command):
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("i-mr", "Limits are three deviations away from the mean (i-mr);"),
-        ("xbar-r", "Limits are three deviations of a mean away (xbar-r);"),
-        ("ewma", "Limits are 3 deviations of the average away (ewma);"),
-        ("cusum", "Limits are 5 deviations of single runs away from zero (cusum);"),
+        ("i-mr", "Limits are three deviations from the mean (i-mr);"),
+        ("xbar-r", "Limits are three deviations of a group&#39;s mean from the mean (xbar-r);"),
+        ("ewma", "Limits are 3 deviations of the average from the mean (ewma);"),
+        ("cusum", "Limits are 5 deviations from zero (cusum);"),
     ],
 )
 def test_the_page_says_where_limits_are_and_whose(tmp_path, command, kind, words):
@@ -66,9 +66,9 @@ def test_the_page_says_where_limits_are_and_whose(tmp_path, command, kind, words
     )[1]
     page = (tmp_path / "page.html").read_text()
     assert words in page
-    assert "Orange: a rule speaks" in page
-    assert "set by nobody named on" in out
-    assert " N/V, deviation " in out
+    assert "Orange: points that break a rule" in page
+    assert f"{kind} set on " in out
+    assert f"force_gain, chart {kind} N/V " in out
 
 
 def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, command, capsys):
@@ -82,7 +82,7 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
     assert "retired by Ada: force_gain, chart cusum; a new reference begins them anew" in out
     assert "a signal stands on 1 of 1 chart" in out
     with open_store(f"sqlite:///{path}") as store:
-        assert [str(one.settings.kind) for one in store.chart_references(STATION)] == ["i-mr"]
+        assert [str(one.chart) for one in store.chart_references(STATION)] == ["i-mr"]
         first, _, last = store.all_chart_references(STATION)
         assert (first.retired, last.retired, last.operator, last.why) == (False, True, "Ada", "one chart is enough")
         # What held before holds for what was made before.
@@ -91,7 +91,7 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
     assert "retired: nothing is charted against these limits from here on" in capsys.readouterr().out
     page = tmp_path / "page.html"
     assert command(path, "--retire", "i-mr", "--operator", "Ada", "--output", page)[0] == 0
-    assert "Nothing is charted here now." in page.read_text()
+    assert "Nothing is charted now." in page.read_text()
     with open_store(f"sqlite:///{path}") as store:
         assert charts_after(store, store.identity(store.find_runs()[0].run)) is None
     assert "no reference period is stored" in command(path)[2]
@@ -105,7 +105,7 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
         (("--retire", "cusum", "--operator", "Ada"), "no chart cusum of these metrics holds on this station"),
         (("--retire", "cusum", "--operator", "Ada"), "charts that hold are i-mr"),
         (("--retire", "i-mr"), "nobody retires these charts"),
-        (("--retire", "pie", "--operator", "Ada"), "--retire is 'pie' allowed: i-mr, xbar-r, ewma, cusum"),
+        (("--retire", "pie", "--operator", "Ada"), "--retire 'pie' is not known allowed: i-mr, xbar-r, ewma, cusum"),
         (("--retire", "i-mr", *NEW), "--retire beside a new reference period"),
         (("--retire", "i-mr", "--operator", "Ada", "--dry-run"), "--dry-run without a new reference period"),
     ],

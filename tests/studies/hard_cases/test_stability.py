@@ -4,11 +4,11 @@ import json
 import math
 import re
 import warnings
+from dataclasses import replace
 
 import pytest
 
 from cbsr_qa.cli import guarded
-from cbsr_qa.cli.studies import stability as command
 from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.studies.hard_cases import stability, stability as catalogue
 from cbsr_qa.studies.hard_cases.case import Answer, Ending, HardCase, conditioned_bound, examine
@@ -102,21 +102,20 @@ def test_no_number_is_none_not_nan(catalogued, capsys):
     assert (second["error"], second["bound"]) == (1e-3, None)
 
 
-def test_the_table_fits_a_page_and_says_why(catalogued, capsys):
+def test_the_terminal_says_how_many_are_broken_and_why(catalogued, capsys):
     catalogued((*_GOOD, *_BROKEN))
     assert guarded(["stability"]) == 1
-    said = capsys.readouterr().out
-    assert max(len(line) for line in said.splitlines()) <= command.WIDTH
+    said = " ".join(capsys.readouterr().out.split())
     assert "an error of 0.002 where 0.001 is allowed" in said
     assert "ZeroDivisionError" in said
     assert "overflow encountered" in said
-    assert said.splitlines()[-1] == "11 cases: 2 within their bound, 1 refused by name, 8 broken"
+    assert "11 cases: 2 within their bound, 1 refused by name, 8 broken" in said
 
 
 def test_areas_and_names_choose_cases(catalogued):
     catalogued(_GOOD)
-    assert [r.case.name for r in examine_cases(areas=["readings"]).results] == ["refused"]
-    assert [r.case.name for r in examine_cases(areas=["readings"], names=["exact"]).results] == ["exact", "refused"]
+    assert [r.name for r in examine_cases(areas=["readings"]).cases] == ["refused"]
+    assert [r.name for r in examine_cases(areas=["readings"], names=["exact"]).cases] == ["exact", "refused"]
     with pytest.raises(ConfigError, match="no area 'weather'") as refused:
         examine_cases(areas=["weather"])
     assert "forward model, readings" in refused.value.remedy
@@ -156,12 +155,7 @@ def test_progress_counts_every_case(catalogued):
 def test_two_processes_find_what_one_finds():
     names = [case.name for case in catalogue.CASES[:2]]
     one, two = (examine_cases(names=names, processes=count) for count in (1, 2))
-    assert [line.split("refused")[0] for line in command.lines(one)] == [
-        line.split("refused")[0] for line in command.lines(two)
-    ]
-    assert [(r.case.name, r.answer, r.outcome) for r in one.results] == [
-        (r.case.name, r.answer, r.outcome) for r in two.results
-    ]
+    assert [replace(case, seconds=0) for case in one.cases] == [replace(case, seconds=0) for case in two.cases]
 
 
 def test_names_of_cases_are_unique():

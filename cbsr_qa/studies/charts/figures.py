@@ -1,0 +1,67 @@
+"""Control charts over runs: points, centre line and limits, the reference period, and what signals."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import MaxNLocator
+
+from cbsr_qa.report import unit_column
+from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, fit_left, light_grid, svg_of
+from cbsr_qa.studies.charts.charting import MOST_DRAWN, ChartPhase, MetricChart
+
+
+def control_charts_svg(one: MetricChart) -> str:
+    """Draw charts below each other: one row a name (individuals above their moving range), both phases side by side.
+
+    Returns
+    -------
+    The ``<svg>`` element.
+    """
+    rows = list(dict.fromkeys(part.name for part in one.charts))
+    numbers = {run: number for number, run in enumerate(one.runs, start=1)}
+    first = max(0, len(one.runs) - MOST_DRAWN) + 1
+
+    def build() -> Canvas:
+        height = 0.75 + 1.55 * len(rows)
+        figure = canvas(height)
+        grid = figure.add_gridspec(
+            len(rows), 1, left=0.09, right=0.985, bottom=0.45 / height, top=1 - 0.25 / height, hspace=0.3
+        )
+        labelled = [figure.add_subplot(grid[row]) for row in range(len(rows))]
+        for name, axes in zip(rows, labelled, strict=True):
+            for part in one.charts:
+                if part.name == name:
+                    _draw(axes, part, numbers, first)
+            if one.reference_runs >= first:
+                axes.axvspan(first - 0.5, one.reference_runs + 0.5, color=FAINT, alpha=0.25, linewidth=0)
+            axes.set_ylabel(unit_column(name, one.unit))
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            axes.tick_params(labelbottom=axes is labelled[-1])
+        labelled[-1].set_xlabel("run, in the order they were made")
+        fit_left(figure, grid, labelled)
+        return figure
+
+    return svg_of(build)
+
+
+def _draw(axes: Axes, part: ChartPhase, numbers: Mapping[str, int], first: int) -> None:
+    runs = np.array([numbers[run] for run in part.runs])
+    kept = runs >= first
+    if not kept.any():
+        return
+    light_grid(axes)
+    across, points = runs[kept], np.array(part.points)[kept]
+    flagged = np.isin(across, [numbers[signal.run] for signal in part.signals])
+    axes.plot(across, points, "-", color=FAINT, linewidth=0.6)
+    size = 2.6 if len(across) < 200 else 1.5
+    for flags, colour in ((~flagged, BLUE), (flagged, VERMILION)):
+        axes.plot(across[flags], points[flags], "o", color=colour, markersize=size)
+    edges = np.array([across[0] - 0.5, across[-1] + 0.5])
+    axes.plot(edges, [part.centre] * 2, color=QUIET, linewidth=0.7)
+    for limits in (part.lower, part.upper):
+        # Points stand in the middle of their step, so that limits that vary follow each point.
+        steps = np.array(limits)[kept]
+        across_steps, heights = np.append(across - 0.5, edges[1]), np.append(steps, steps[-1])
+        axes.step(across_steps, heights, where="post", color=INK, linewidth=0.7, linestyle="--")

@@ -1,0 +1,153 @@
+"""What a person reads of a station's control charts: how each stands, then those that signal, drawn and in words."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from cbsr_qa.domain import of_kind
+from cbsr_qa.domain.results import (
+    Banner,
+    Block,
+    Cell,
+    CommandOutcome,
+    Figure,
+    Outcome,
+    Page,
+    Paragraph,
+    Section,
+    Table,
+)
+from cbsr_qa.domain.run import ChartKind, ChartReference
+from cbsr_qa.report import number, plural, text_table, unit_shown
+from cbsr_qa.studies.charts.charting import MOST_DRAWN, STANDS, ChartPhase, MetricChart
+from cbsr_qa.studies.charts.charts import Charts
+
+_NONE: Final = "–"
+_COLUMNS: Final = ("chart", "unit", "mean", "deviation", "limits", "latest", "reference", "runs since", "state")
+
+_READING: Final = (
+    "A chart compares each run with limits from a reference period, in which the station was known to be well. "
+    "{limits} They say nothing about whether a sensor is good. A signal says that the station, its surroundings or "
+    "the material has changed. Measure a golden sensor first: a new batch of material signals too.",
+    f"A signal stands until {STANDS} runs in a row gave none. While one stands, every report of the station says so. "
+    "Once the cause is found and repaired, set a new reference period; the old limits stay stored.",
+)
+_AWAY: Final = "Limits are {kinds}; a deviation is that of single runs from one to the next."
+_LIMITS: Final = {
+    ChartKind.INDIVIDUALS: "three deviations from the mean (i-mr)",
+    ChartKind.MEANS: "three deviations of a group's mean from the mean (xbar-r)",
+    ChartKind.EWMA: "{width:g} deviations of the average from the mean (ewma)",
+    ChartKind.CUSUM: "{threshold:g} deviations from zero (cusum)",
+}
+_NOTHING: Final = "Nothing is charted now."
+
+# Sentences, in the order they are read.
+_SIGNALS: Final = "a signal stands on {signals} of {charts} of {station}; the first: {words}"
+_WELL: Final = "no signal stands on {charts} of {station}"
+_RETIRED: Final = "all charts of {station} and this recipe are retired"
+_SET: Final = "{chart} set{by} on {day}{why}{rules}"
+_CAPTION: Final = "Mean, deviation, limits and latest point of each chart, in its unit."
+_FIGURE: Final = "{label}. Grey: the reference period. Dashed: limits. Orange: points that break a rule.{cut}"
+_CUT: Final = f" Only the latest {MOST_DRAWN} runs are drawn."
+_ALTERNATIVE: Final = "Control charts of {label}; the table and the sentences above say how it stands."
+_NO_CHART: Final = "No chart: {why}."
+
+
+def charts_outcome(found: Charts) -> CommandOutcome[Charts]:
+    """Lay charts out; the exit code is 1 where a signal stands."""
+    sections = [Section("How to read this page", tuple(_reading(found)), page_only=True)]
+    sections += [Section("Charts", (_table(found),))] if found.charts else []
+    sections += [Section(one.label, tuple(_blocks(one))) for one in found.charts]
+    return CommandOutcome(found, _page(found), tuple(sections), 0 if found.in_control else 1)
+
+
+def _page(found: Charts) -> Page:
+    charted = [one.reference for one in found.charts if one.reference is not None]
+    facts = (
+        ("Station", found.station),
+        ("Recipe", found.recipe),
+        ("Charted", f"golden sensor {found.golden}" if found.golden else "production runs"),
+        ("Runs", str(found.runs)),
+        *(("Limits", text) for text in dict.fromkeys(map(_set, charted))),
+        *((("Stored", plural(len(charted), "new reference")),) if found.stored else ()),
+    )
+    simulated = ("the runs charted here",) if found.simulated else ()
+    return Page("Control charts", found.station, _banner(found, len(charted)), facts, simulated, found.notes)
+
+
+def _banner(found: Charts, charted: int) -> Banner:
+    here, charts = of_kind("station", found.station), plural(charted, "chart")
+    if not found.in_control:
+        first = min(found.signals, key=lambda signal: signal.since).words()
+        reason = _SIGNALS.format(signals=len(found.signals), charts=charts, station=here, words=first)
+        return Banner("fail", "✗", "Out of control", reason)
+    if not charted:
+        return Banner("plain", _NONE, "Nothing is charted", _RETIRED.format(station=here))
+    return Banner("pass", "✓", "In control", _WELL.format(charts=charts, station=here))
+
+
+def _set(limits: ChartReference) -> str:
+    """Say who set limits when and why."""
+    by = f" by {limits.operator}" if limits.operator else ""
+    why = f" ({limits.why})" if limits.why else ""
+    ruled = limits.chart in (ChartKind.INDIVIDUALS, ChartKind.MEANS)
+    rules = f"; Nelson's rules {', '.join(map(str, limits.rules))}" if ruled else ""
+    return _SET.format(chart=limits.chart, by=by, day=f"{limits.made_at:%Y-%m-%d}", why=why, rules=rules)
+
+
+def _reading(found: Charts) -> Iterator[Paragraph]:
+    limits = [one.reference for one in found.charts if one.reference is not None]
+    kinds = dict.fromkeys(_LIMITS[one.chart].format(width=one.width, threshold=one.threshold) for one in limits)
+    away = _AWAY.format(kinds=" or ".join(kinds)) if kinds else _NOTHING
+    yield from (Paragraph(text.format(limits=away)) for text in _READING)
+
+
+def _table(found: Charts) -> Table:
+    return text_table(_CAPTION, _COLUMNS, [_row(one) for one in found.charts], (2, 3, 4, 5, 7))
+
+
+def _row(one: MetricChart) -> tuple[str | Cell, ...]:
+    limits = one.reference
+    if limits is None:
+        return one.label, unit_shown(one.unit), *[_NONE] * 6, Cell("no chart", Outcome.NOT_MEASURED)
+    days = " to ".join(map(str, one.reference_days)) if one.reference_days else _NONE
+    state = Cell("in control", Outcome.PASS)
+    if one.signal is not None:
+        state = Cell(f"signals since {one.signal.since:%Y-%m-%d} ({plural(one.signal.runs, 'run')})", Outcome.FAIL)
+    latest = _latest(one)
+    return (
+        one.label,
+        unit_shown(one.unit),
+        number(limits.mean, 4),
+        number(limits.deviation),
+        f"{number(latest.lower[-1], 4)} to {number(latest.upper[-1], 4)}" if latest else _NONE,
+        number(latest.points[-1], 4) if latest else _NONE,
+        f"{plural(limits.runs, 'run')}, {days}",
+        str(len(one.values) - one.reference_runs),
+        state,
+    )
+
+
+def _latest(one: MetricChart) -> ChartPhase | None:
+    """Return the chart of the latest points; of a pair the first."""
+    return next((part for part in reversed(one.charts) if part.name == one.charts[0].name), None)
+
+
+def _blocks(one: MetricChart) -> Iterator[Block]:
+    if one.reference is None:
+        yield Paragraph(_NO_CHART.format(why=one.why), "warning")
+    if one.signal is not None:
+        yield Paragraph(f"S{one.signal.since_words()[1:]}.", "warning")
+    yield from (Paragraph(f"{note[0].upper()}{note[1:]}.", "note") for note in one.notes)
+    if one.charts:
+        yield _figure(one)
+
+
+def _figure(one: MetricChart) -> Figure:
+    def draw() -> str:
+        # matplotlib is loaded only where something is drawn
+        from cbsr_qa.studies.charts.figures import control_charts_svg
+
+        return control_charts_svg(one)
+
+    cut = _CUT if len(one.runs) > MOST_DRAWN else ""
+    return Figure(_FIGURE.format(label=one.label, cut=cut), _ALTERNATIVE.format(label=one.label), draw)

@@ -1,0 +1,201 @@
+"""What a person reads of proposed limits: a table of limits, what each rests on, guard bands and risks."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Limit, Page, Paragraph, Section, Table
+from cbsr_qa.report import named, number, plural, text_table, unit_shown
+from cbsr_qa.stats import Bound, Risks
+from cbsr_qa.studies.limits.proposals import ProposedLimit
+from cbsr_qa.studies.limits.propose import SIZELESS, ProposedLimits, far_from_others, lot_words
+
+_NONE: Final = "–"
+_LEAST_SHARE: Final = 1e-6  #: smaller risks say nothing: no distribution is known that far out
+
+# Sentences, in the order they are read.
+_EACH: Final = "each holds {coverage:g} % of good sensors, with {confidence:g} % confidence{together}; {fails}"
+_TOGETHER: Final = "; all {count} together may fail up to {percent:.3g} %"
+_LOT_FAILS: Final = "of this lot {failing} of {sensors} sensors fail{names}"
+_LIMITS: Final = (
+    "Mean of all values, deviation of the sensors' worst values, limits with guard band; how many of the lot fail "
+    "now → then, and pass marginally then."
+)
+_BASIS: Final = (
+    "What each limit rests on: the worst value of each run, its distribution, the factor k on the deviation, and the "
+    "limits by other distributions that are not refuted."
+)
+_GUARD: Final = (
+    "Guard band = {factor:g} × k × standard uncertainty u of one run; consumer's and producer's risk (C, P) where "
+    "marginal passes are accepted, and where they are refused."
+)
+_NO_GUARD: Final = "{label}: no guard band: {why}."
+_NO_RISKS: Final = "{label}: no risks: {why}."
+_NEGATIVE: Final = (
+    "{label}: the lower limit is not above 0, as all values are: it fails nothing that cannot be negative."
+)
+_BOTH: Final = "{label}: limited on both sides, because the recipe sets no limit."
+_FAR: Final = "{label}: {serials} far from the others, and in the lot; without: {limits}."
+_NOT_PROPOSED: Final = "{label}: no limit is proposed: {why}{far}."
+
+
+def limits_outcome(found: ProposedLimits) -> CommandOutcome[ProposedLimits]:
+    """Lay proposed limits out."""
+    guarded = [one for one in found.limits if one.uncertainty.standard is not None]
+    blocks: list[Block] = [_limits(found), _basis(found.limits)]
+    blocks += [_guards(guarded, found.guard_factor)] if guarded else []
+    sections = [Section("Limits", tuple(blocks))]
+    notes = tuple(_notes(found))
+    sections += [Section("Notes", notes)] if notes else []
+    return CommandOutcome(found, _page(found), tuple(sections))
+
+
+def _page(found: ProposedLimits) -> Page:
+    lot, count, failing = found.lot, len(found.limits), found.lot_fails_any
+    together = min(100 * count * (1 - found.coverage), 100.0)
+    fails = _LOT_FAILS.format(
+        failing=len(failing), sensors=len(lot.sensors), names=f": {named(failing)}" if failing else ""
+    )
+    reason = _EACH.format(
+        coverage=100 * found.coverage,
+        confidence=100 * found.confidence,
+        together=_TOGETHER.format(count=count, percent=together) if count > 1 else "",
+        fails=fails,
+    )
+    facts = [("Golden lot", lot_words(lot)), ("Version", f"{found.version}, data SHA-256 {found.data_sha256[:16]}…")]
+    facts += [("Rule", found.rule)]
+    facts += [("Left out", ", ".join(lot.left_out))] if lot.left_out else []
+    facts += [("File", found.output)] if found.output else []
+    warnings = (*(f"not good: {words}" for words in lot.not_good), *(f"mixed {words}" for words in lot.mixed))
+    warnings += tuple(SIZELESS.format(label=label) for label in found.without_size)
+    banner = Banner("plain", _NONE, f"{plural(count, 'limit')} proposed", reason)
+    return Page("Proposed limits", found.version, banner, tuple(facts), lot.simulated, warnings)
+
+
+def _limits(found: ProposedLimits) -> Table:
+    columns = (
+        "measurement",
+        "unit",
+        "sensors",
+        "mean",
+        "deviation",
+        "taken for",
+        "lower",
+        "upper",
+        "guard",
+        "present",
+    )
+    rows = []
+    for one in found.limits:
+        taken = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in one.bounds.values())
+        now = _NONE if one.lot_fails_present is None else len(one.lot_fails_present)
+        rows.append(
+            (
+                one.label,
+                unit_shown(one.unit),
+                f"{one.sensors} × {one.values}" if one.values > 1 else str(one.sensors),
+                number(one.mean, 4),
+                number(max(bound.worst_deviation for bound in one.bounds.values()), 4),
+                next(iter(taken)) if len(taken) == 1 else "see below",
+                _exact(one.lower),
+                _exact(one.upper),
+                number(one.marginal) if one.marginal else "none",
+                _limit_words(one.present),
+                f"{now} → {len(one.lot_fails)} of {one.sensors}",
+                str(len(one.lot_marginal)),
+            )
+        )
+    return text_table(_LIMITS, (*columns, "fail", "marginal"), rows, (2, 3, 4, 6, 7, 8, 11))
+
+
+def _basis(limits: tuple[ProposedLimit, ...]) -> Table:
+    columns = ("measurement", "side", "value of a run", "distribution", "p", "k", "mean", "deviation", "others")
+    rows = [(one.label, side, *_rests_on(bound, one.values)) for one in limits for side, bound in one.bounds.items()]
+    return text_table(_BASIS, (*columns, "refuted (p)"), rows, (4, 5, 6, 7))
+
+
+def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
+    worst = "largest" if bound.scale.sign > 0 else "smallest"
+    best: dict[str, float] = {}
+    for fit in bound.tests:
+        best[fit.distribution] = max(fit.p_value, best.get(fit.distribution, 0.0))
+    possible = {fit.distribution for fit in bound.tests if not fit.refuted}
+    refuted = [f"{name} ({p_value:.2g})" for name, p_value in best.items() if name not in possible]
+    itself = "" if values in (1, bound.independent_values) else ", itself"
+    logs = " of log" if bound.scale.logarithmic else ""
+    return (
+        f"{worst} of {values}{itself}" if values > 1 else "single",
+        str(bound.distribution),
+        _NONE if bound.factor is None else f"{best[bound.distribution]:.2g}",
+        _NONE if bound.factor is None else f"{bound.factor:.3f}{logs}",
+        number(bound.worst_mean, 4),
+        number(bound.worst_deviation, 4),
+        ", ".join(f"{one.distribution} {number(one.limit, 4)}" for one in bound.narrower) or _NONE,
+        ", ".join(refuted) or _NONE,
+    )
+
+
+def _guards(guarded: list[ProposedLimit], factor: float) -> Table:
+    risks = ("C accepted", "P accepted", "C refused", "P refused")
+    rows = []
+    for one in guarded:
+        found, shares = one.uncertainty, [_NONE] * 4
+        assert found.standard is not None
+        assert found.coverage_factor is not None
+        if one.risks is not None:
+            shares = [*_shares(one.risks.marginal_accepted), *_shares(one.risks.marginal_refused)]
+        freedom = _NONE if found.degrees_of_freedom is None else str(found.degrees_of_freedom)
+        known = (
+            f"{found.coverage_factor:.2f}",
+            number(found.standard, 4),
+            unit_shown(one.unit),
+            found.source,
+            freedom,
+        )
+        rows.append((one.label, *known, *shares))
+    columns = ("measurement", "k", "u", "unit", "source", "degrees of freedom", *risks)
+    return text_table(_GUARD.format(factor=factor), columns, rows, (1, 2, 5, 6, 7, 8, 9))
+
+
+def _notes(found: ProposedLimits) -> Iterator[Paragraph]:
+    for one in found.limits:
+        label = one.label
+        if one.far_out:
+            bare = one.without_far_out
+            limits = "none" if bare is None else bare.why or _sides(bare.lower, bare.upper)
+            yield Paragraph(_FAR.format(label=label, serials=", ".join(one.far_out), limits=limits), "warning")
+        if one.uncertainty.standard is None:
+            yield Paragraph(_NO_GUARD.format(label=label, why=one.uncertainty.source), "note")
+        elif one.risks is None:
+            yield Paragraph(_NO_RISKS.format(label=label, why=one.no_risks), "note")
+        if one.lower is not None and one.lower <= 0 and one.positive:
+            yield Paragraph(_NEGATIVE.format(label=label), "note")
+        if one.present is None:
+            yield Paragraph(_BOTH.format(label=label), "note")
+    for none in found.not_proposed:
+        text = _NOT_PROPOSED.format(label=none.label, why=none.why, far=far_from_others(none))
+        yield Paragraph(text, "warning")
+
+
+def _shares(risks: Risks) -> tuple[str, str]:
+    return _share(risks.consumer), _share(risks.producer)
+
+
+def _share(share: float) -> str:
+    return f"{100 * share:.2g} %" if share >= _LEAST_SHARE else f"< {100 * _LEAST_SHARE:g} %"
+
+
+def _limit_words(limit: Limit | None) -> str:
+    if limit is None:
+        return "none"
+    if limit.lower is not None and limit.upper is not None:
+        return f"{_exact(limit.lower)} to {_exact(limit.upper)}"
+    return _sides(limit.lower, limit.upper)
+
+
+def _sides(lower: float | None, upper: float | None) -> str:
+    return " ".join(f"{sign} {_exact(end)}" for sign, end in (("≥", lower), ("≤", upper)) if end is not None)
+
+
+def _exact(value: float | None) -> str:
+    """Write a limit as it is proposed: it is rounded already."""
+    return _NONE if value is None else f"{value:.9g}".replace("-", "\N{MINUS SIGN}")
