@@ -31,13 +31,13 @@ def test_what_stdout_cannot_encode_is_escaped(monkeypatch, encoding):
 
 @pytest.mark.parametrize("name", ["name", "unit", "phase", "location", "qualifier", "how"])
 def test_a_measurement_is_refused(name):
-    with pytest.raises(RefusedError, match=r"holds 'a\\udcffb'"):
+    with pytest.raises(RefusedError, match=r"is 'a\\udcffb'"):
         Measurement(**{"name": "force", "value": 1.0, "unit": "N", name: HALF})
 
 
 @pytest.mark.parametrize("texts", [(HALF, "N"), ("force", HALF)])
 def test_a_channel_is_refused(texts):
-    with pytest.raises(RefusedError, match=r"holds 'a\\udcffb'"):
+    with pytest.raises(RefusedError, match=r"is 'a\\udcffb'"):
         SampleBlock(*texts, np.zeros(1), np.zeros(1))
 
 

@@ -226,7 +226,7 @@ def test_an_unknown_run_is_refused_and_nothing_is_made(tmp_path):
     assert "with the same --database" in refused["remedy"]
     cbsr_qa(tmp_path, "db", "upgrade")
     refused = document(cbsr_qa(tmp_path, "run", "--resume", "no-such-run", "--json", check=False))["refused"]
-    assert "there is no run 'no-such-run' in this database" in refused["reason"]
+    assert "no run 'no-such-run' in this database" in refused["reason"]
     assert "cbsr-qa db status" in refused["remedy"]
     assert "with the same --database" in refused["remedy"]
     assert [path.name for path in (tmp_path / "var").iterdir()] == ["cbsr-qa.db"]

@@ -216,7 +216,7 @@ def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
     [
         ({'measurement = "centre_of_mass_error"': 'measurement = "centre_of_mass_eror"'}, "did you mean 'centre_of"),
         ({'unit = "mm"': 'unit = "µm"'}, "is in 'µm'; it is measured in 'mm'"),
-        ({"exponent = 0.25": "exponent = 1e9"}, "not in 0"),
+        ({"exponent = 0.25": "exponent = 1e9"}, "must lie between 0"),
         ({"exponent = 0.25": "exponant = 0.25"}, "did you mean 'exponent'"),
         ({"noise_figure = 1.0": "noise_figure = 1e6"}, "allows"),
         ({"noise_floor_frames = 8": "noise_floor_frames = 50"}, "takes 30 unloaded frames"),
@@ -226,7 +226,7 @@ def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
                 "exponent = 0.25": "#",
                 'weighting = "equal"': 'weighting = "measured"',
             },
-            "'linear-back-projection' lets all readings count alike",
+            "'linear-back-projection' weights all readings equally",
         ),
     ],
 )

@@ -31,7 +31,7 @@ def test_prompts_are_asked_or_refused():
     ended, _, _ = run((Prompt("turn the sheet"), *cycle(0)), ask=asked.append)
     assert ended.end is EndReason.FINISHED
     assert asked == ["turn the sheet"]
-    with pytest.raises(RefusedError, match="nobody is there"):
+    with pytest.raises(RefusedError, match="no operator is present"):
         run((Prompt("turn the sheet"), *cycle(0)))
 
 
@@ -112,7 +112,7 @@ def test_roles_filled_twice_or_not_at_all_are_refused():
     frames = Mounted(spec("a", "frame_source"), by_role["frame_source"])
     head = Mounted(spec("b", "force_applicator"), by_role["force_applicator"])
     cell = Mounted(spec("c", "force"), by_role["load_cell"])
-    with pytest.raises(ConfigError, match=r"by a .* and by d"):
+    with pytest.raises(ConfigError, match=r"both a .* and d"):
         Bench([frames, head, cell, Mounted(spec("d", "frame_source"), by_role["frame_source"])])
     with pytest.raises(ConfigError, match="provides 'force_applicator'"):
         Bench([frames, cell])

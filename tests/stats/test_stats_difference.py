@@ -99,7 +99,7 @@ def test_effect_size_turns_with_its_groups(first, second):
     [
         ([1.0], [1.0, 2.0], "batch 41: 1 value instead of at least 2"),
         ([1.0, 2.0], [], "batch 42: 0 values"),
-        ([1.0, 1.0], [2.0, 2.0], r"batch 41 − batch 42: values do not differ within either group.* judge -1 by"),
+        ([1.0, 1.0], [2.0, 2.0], r"batch 41 − batch 42: values do not differ within either group.* judge -1 against"),
         ([1.0, float("nan")], [2.0, 3.0], "batch 41: 1 of 2 values are missing"),
     ],
 )

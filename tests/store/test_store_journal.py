@@ -262,7 +262,7 @@ def test_a_run_is_not_resumed_with_another_configuration(repository):
 
 def test_a_digest_that_is_not_the_configurations_is_refused(repository):
     journal = repository.journal(configuration="{}", **SETTING)
-    with pytest.raises(StoreError, match="does not fit"):
+    with pytest.raises(StoreError, match="does not match"):
         journal(RunStarted(identity("run-1")))
     assert repository.counts()["runs"] == 0
 

@@ -197,7 +197,7 @@ def test_runs_are_found_by_serial_and_by_name(repository, run):
     assert repository.resolve(run) == run
     with pytest.raises(StoreError, match="no run and no sensor"):
         repository.resolve("../../x")
-    with pytest.raises(StoreError, match="there is no run"):
+    with pytest.raises(StoreError, match="no run"):
         repository.load_run("nothing")
     assert repository.counts() == {"sensors": 1, "runs": 2, "frames": 22, "samples": 80, "loads": 2}
 

@@ -252,7 +252,7 @@ def test_water_against_water_is_no_event_and_alone_is_refused(tank, shared):
     for one, other in ((2, 1), (3, 1), (3, 2)):
         found = tank(f"ds_data_2004/homogeneous/water_{one}.txt", reference=folder / f"water_{other}.txt")
         assert found["events"] == []
-        assert "reciprocal" in found["events_why"]
+        assert "reciprocity" in found["events_why"]
     alone = tank("ds_data_2004/homogeneous/water_1.txt")
     assert alone["exit"] == 2
     assert "--reference" in alone["refused"]["remedy"]

@@ -149,7 +149,7 @@ def test_a_run_that_cannot_be_weighed_is_not_measured_and_says_what_to_do(quiet_
 
 def test_a_method_that_does_not_weigh_readings_is_refused_where_they_are_to_be_weighed(quiet_run):
     settings = replace(_RECIPE.analysis, noise_weighting="measured")
-    with pytest.raises(NumericsError, match="'linear-back-projection' lets all readings count alike"):
+    with pytest.raises(NumericsError, match="'linear-back-projection' weights all readings equally"):
         check_weighing(LinearBackProjection(), "linear-back-projection", settings)
     check_weighing(LinearBackProjection(), "linear-back-projection", _RECIPE.analysis)
     recipe = replace(_RECIPE, analysis=settings, reconstruction=PluginChoice("linear-back-projection"))

@@ -88,7 +88,7 @@ def test_holds_too_short_to_show_how_they_relax_are_refused_by_name(seen):
         for load in few.loads[1:]
     )
     bare = replace(few, loads=(replace(few.loads[0], record=_held_for(few.loads[0], 6.0)), *shorter))
-    with pytest.raises(NumericsError, match="longest holds do not say how the conductance relaxes"):
+    with pytest.raises(NumericsError, match="longest holds do not determine how the conductance relaxes"):
         learned_from(bare)
     assert "longest holds" in run_force(bare).why
 

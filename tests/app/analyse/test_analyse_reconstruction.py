@@ -162,7 +162,7 @@ def test_progress_is_told_per_event_on_stderr(pressed, capsys):
     assert "imaging event 1 of 1 with temporal" in err
     assert "imaging" not in out
     assert "temporal, λ" in out
-    assert "in its image at electrode" in out
+    assert "in its image: " in out
 
 
 def test_the_image_of_a_sum_is_not_the_sum_of_the_images_unless_the_method_says_so():
