@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from cbsr_qa.cli.output import again, emit_json, say
+from cbsr_qa.cli.output import again, emit_json, note, say
 
 
 def report(
@@ -37,6 +37,8 @@ def report(
             }
         )
     else:
+        for warning in rendered.warnings:
+            note(f"warning: {warning}")
         said = "".join(f", overridden to {one.outcome} by {one.operator}" for one in rendered.overrides[-1:])
         say(f"{rendered.report}: run {rendered.run}, {rendered.outcome}{said}")
         say(f"rows: {rendered.chain.words}")

@@ -50,6 +50,13 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
     StoreError
         If there is no such run, or something of it is not what was stored: the message names table and row.
     """
+    try:
+        return _checked(connection, run, kinds)
+    except (TypeError, AttributeError) as error:  # SQLite keeps bytes in a column of text, and text in one of numbers
+        raise _broken(run, f"a cell of it holds a value of another type than was stored: {error}") from error
+
+
+def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainState:
     row = connection.execute(
         select(RunRow.chain, RunRow.configuration, RunRow.configuration_digest).where(RunRow.run == run)
     ).one_or_none()

@@ -60,7 +60,7 @@ def _checked(connection: Connection, serial: str, run: str, recipe: str, of_chec
     try:
         chained = bool(check_run(connection, run, _READ).links)
         return _earlier(_row(connection, run), of_check=of_check, chained=chained)
-    except (StoreError, ValueError) as error:
+    except (StoreError, ValueError, TypeError, AttributeError) as error:  # a cell may hold another type of value
         changed = error.reason if isinstance(error, StoreError) else f"run {run}: {error}"
         began = made_at(run) or datetime.fromtimestamp(0, UTC)
         sensor = SensorIdentity(serial, "", "")
@@ -93,7 +93,16 @@ def seeds_of(engine: Engine, serial: str) -> tuple[int | None, ...]:
     """Return the seeds of all runs of a sensor, oldest first; None where a configuration states none."""
     query = select(RunRow.configuration).where(RunRow.serial == serial).order_by(RunRow.run)
     with reading(engine) as connection:
-        return tuple(json.loads(text).get("seed") for text in connection.scalars(query))
+        return tuple(map(_seed, connection.scalars(query)))
+
+
+def _seed(configuration: str) -> int | None:
+    """Seed of a configuration; a damaged one, which whoever reads the run refuses, states none."""
+    try:
+        seed: int | None = json.loads(configuration).get("seed")
+    except (ValueError, TypeError, AttributeError):
+        return None
+    return seed
 
 
 def _earlier(row: Any, *, of_check: bool, chained: bool) -> EarlierRun:

@@ -155,4 +155,4 @@ def test_a_method_that_does_not_weigh_readings_is_refused_where_they_are_to_be_w
     recipe = replace(_RECIPE, analysis=settings, reconstruction=PluginChoice("linear-back-projection"))
     conclusion = conclude(quiet_run, recipe, discover(), Stages())
     assert conclusion.verdict.outcome is Outcome.NOT_MEASURED
-    assert "count alike" in conclusion.verdict.reason
+    assert "weights all readings equally" in conclusion.verdict.reason

@@ -161,6 +161,9 @@ EDITS = {
     "a part of a whole number": ("update warnings set number = number + 0.25", "warnings .* was changed"),
     "an endless whole number": ("update loads set trial = 9e999", "loads .* was changed"),
     "truer than true": ("update measurements set limited = 2 where limited", "measurements .* was changed"),
+    "bytes for the chain": ("update runs set chain = x'ff006a'", "another type"),
+    "bytes for the configuration": ("update runs set configuration = x'ff006a'", "another type"),
+    "bytes for a link": ("update run_links set content_sha256 = x'ff006a' where number = 4", "another type"),
     "a date that is none": ("update runs set started_at = 'now'", "runs cannot be read"),
 }
 
