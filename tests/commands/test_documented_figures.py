@@ -122,7 +122,7 @@ def test_the_hard_cases_of_the_page_are_as_hard_as_it_says():
     assert len(rows) == 12
     cheap = [row for row in rows if not row[0].startswith("smooth-image")]
     examined = examine_cases(names=[name for name, _, _ in cheap], processes=1)
-    found = {result.case.name: result.answer for result in examined.results}
+    found = {result.name: result for result in examined.cases}
     for name, condition, error in cheap:
         assert _power(condition) == pytest.approx(found[name].condition, rel=0.05), name
         assert max(_power(error), found[name].error) < found[name].bound, name
