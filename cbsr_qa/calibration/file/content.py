@@ -48,7 +48,7 @@ class Reading:
         return value
 
     def maybe(self, path: str) -> float | None:
-        """Return a number, or None where there is none."""
+        """Return a number, or None if it is absent."""
         value = float(self._array(path, np.float64, ()))
         return None if np.isnan(value) else self.number(path)
 
@@ -73,7 +73,7 @@ class Reading:
         return values
 
     def maybes(self, path: str) -> list[float | None]:
-        """Return a list of numbers with None where there is none."""
+        """Return a list of numbers, None for absent ones."""
         return [None if np.isnan(value) else float(value) for value in self.numbers(path)]
 
     def optional(self, path: str) -> NDArray[np.float64] | None:

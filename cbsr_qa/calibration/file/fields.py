@@ -95,7 +95,7 @@ class Codec:
 
 
 def item_of(hint: Any) -> Any:
-    """Return the dataclass that a field is a list of; None where it is none."""
+    """Return the dataclass that a field is a list of, or None."""
     item, *others = getattr(hint, "__args__", (None,))
     return item if others == [...] and is_dataclass(item) else None
 
@@ -173,7 +173,7 @@ def _kept(field: KeptField, held: Any) -> Value:
 
 
 def _padded(rows: Sequence[tuple[float, ...]]) -> NDArray[np.float64]:
-    """Rows of at most two numbers as an (n, 2) array, NaN where there is none."""
+    """Rows of at most two numbers as an (n, 2) array, padded with NaN."""
     table = np.full((len(rows), 2), np.nan)
     for index, row in enumerate(rows):
         table[index, : len(row)] = row

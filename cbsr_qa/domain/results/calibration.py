@@ -31,7 +31,7 @@ _MOST_NODES: Final = 10_000
 _TEMPLATE_STEP: Final = 2.0**-22
 _SLOPE_STEP: Final = 2.0**-20
 
-_Positive = Annotated[float, Kept(least=0, most=_LARGEST)]
+_NotNegative = Annotated[float, Kept(least=0, most=_LARGEST)]
 _Count = Annotated[int, Kept(least=2, most=_MOST_NODES)]
 
 
@@ -111,15 +111,15 @@ class ForceModel:
     fits: Annotated[NDArray[np.bool_], Kept(prepared=True, dims="nodes")]
     log_response: Annotated[Array, Kept(dims="nodes", most=_LARGEST_LOG)]
     log_response_stderr: Annotated[Array, Kept(dims="nodes", least=0, most=_LARGEST_LOG)]
-    scatter: _Positive
+    scatter: _NotNegative
     stress_kPa: Annotated[tuple[float, float], Kept(most=_LARGEST)]
-    threshold: _Positive
-    misfit: _Positive
-    residue_share: _Positive
-    residue_stderr: _Positive
-    residue_strength: _Positive = 0.0
-    steady_s: _Positive = 0.0
-    place_scatter_mm: _Positive = 0.0
+    threshold: _NotNegative
+    misfit: _NotNegative
+    residue_share: _NotNegative
+    residue_stderr: _NotNegative
+    residue_strength: _NotNegative = 0.0
+    steady_s: _NotNegative = 0.0
+    place_scatter_mm: _NotNegative = 0.0
     loading: Annotated[RelaxationKernel | None, Kept(given=(("loading", True),))] = None
     unloading: Annotated[RelaxationKernel | None, Kept(given=(("loading", False),))] = None
 
@@ -247,7 +247,7 @@ class Calibration:
     noise_figure : measured on this sensor with its own matrix; None where it was not. That of the matrix on the
         nominal model is in ``reconstruction.choice``.
     force : what turns readings into newtons; None where the run's loads gave none.
-    no_force : why there is none; empty where there is one.
+    no_force : why there is no force model; empty if there is one.
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibration.file` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
     file : bytes of its file as it was issued; empty where it was read from something else.

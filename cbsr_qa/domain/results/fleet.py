@@ -160,7 +160,7 @@ class FleetTable:
     runs : (R,) in the order they were made in.
     kinds : (K,) what there are values of.
     run, kind : (N,) index of each value's run and kind.
-    value : (N,) in the kind's unit; NaN where there is none, as numpy marks what is missing.
+    value : (N,) in the kind's unit; NaN for missing values, as in numpy.
     state : (N,) of :class:`State`.
     places_mm : label of a load → where it is pressed.
     """

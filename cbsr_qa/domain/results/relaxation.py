@@ -81,7 +81,7 @@ class RelaxationKernel:
     scatter_freedom : degrees of freedom of these: how well the scatter itself is known.
     loads : how many the kernel was learned from.
     start_s : frames before this are not described by it (an unloading spike) [s].
-    why : there is none, for this reason; empty where there is one.
+    why : why there is no kernel; empty if there is one.
     """
 
     loading: Annotated[bool, FROM_ABOVE]

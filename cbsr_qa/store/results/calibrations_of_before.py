@@ -64,8 +64,8 @@ def load_calibration_of_before(
 
     Parameters
     ----------
-    reconstruction : its imaging matrix, prepared again by the same method for the same readings; None: there is none,
-        and the rows are checked alone.
+    reconstruction : its imaging matrix, prepared again by the same method for the same readings; None checks the rows
+        alone.
     prepare_force : prepares the templates of its force model.
 
     Raises
@@ -115,7 +115,7 @@ def _check_matrix(row: Any, reconstruction: LinearReconstruction) -> None:
 
 
 def _check_weighting(analysis: AnalysisRow, row: Any, reconstruction: LinearReconstruction) -> None:
-    """Raise StoreError where a matrix weighs readings otherwise; an analysis without images says nothing of it."""
+    """Raise StoreError if the matrix weights readings in another way; an analysis without images states none."""
     found = "equal" if reconstruction.problem.noise_variance is None else "measured"
     if analysis.noise_weighting not in ("", found):
         raise StoreError(

@@ -107,7 +107,7 @@ def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
 def standing(
     charts: Sequence[Charted], lines: Sequence[RunLine], reference: ChartReference, *, cut: bool
 ) -> StandingSignal | None:
-    """Return the signal that stands at the last run; None where there is none.
+    """Return the signal that stands at the last run, or None.
 
     A signal stands until so many points in a row gave none (:data:`STANDS`); it began with the first that is joined
     to the latest by others, none further apart than :data:`JOINED`.

@@ -137,7 +137,7 @@ def _retired(store: Repository, request: ChartsRequest, held: Sequence[ChartRefe
         kinds = ", ".join(sorted({str(one.chart) for one in held}))
         raise RefusedError(
             f"no chart {request.retire} of these metrics holds on this station",
-            remedy=f"charts that hold are {kinds}" if kinds else "there is none at all",
+            remedy=f"charts that hold are {kinds}" if kinds else "this station has no charts",
         )
     store.save_chart_references(rows)
     return _RETIRED.format(operator=by, charts=named([one.label for one in rows]))

@@ -144,7 +144,7 @@ class Difference(Estimated):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """The model of one metric, or why there is none.
+    """The model of one metric, or the reason for none.
 
     Parameters
     ----------

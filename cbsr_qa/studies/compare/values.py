@@ -47,7 +47,7 @@ class MetricValues:
     ----------
     title : its name in words, with phase and qualifier where another metric has the same name.
     unit : of all values that were taken.
-    lower, upper : limit of the latest run that had one; None where there is none.
+    lower, upper : limit of the latest run that had one, or None.
     mean, least, most : (R,) of each run's values; NaN where it has none, or where one is only a lower bound, infinite
         or beyond what can be squared.
     per_run : values of the run that has most.

@@ -20,8 +20,8 @@ class Toleranced:
     Parameters
     ----------
     series : its limits are those of the study where it states some, else those of the latest run's recipe.
-    tolerance : width [the metric's unit]; None where there is none.
-    of : whose tolerance it is, ``"study"`` or ``"recipe"``; empty where there is none.
+    tolerance : width, in the metric's unit, or None.
+    of : whose tolerance it is, ``"study"`` or ``"recipe"``; empty without a tolerance.
     """
 
     series: Series

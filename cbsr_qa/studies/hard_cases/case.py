@@ -182,5 +182,5 @@ def _result(
 
 
 def _finite(value: float | None) -> float | None:
-    """Return a number, or None where there is none: JSON knows no NaN."""
+    """Return a finite number, or None: JSON has no NaN."""
     return float(value) if value is not None and math.isfinite(value) else None

@@ -28,7 +28,7 @@ _CELLS: Final = {Ending.OK: Outcome.PASS, Ending.REFUSED: Outcome.NOT_JUDGED, En
 _WORDS: Final = {Ending.OK: "within its bound", Ending.REFUSED: "refused", Ending.BROKEN: "BROKEN"}
 
 # Sentences, in the order they are read.
-_COUNTS: Final = "{cases}: {ok} within their bound, {refused} refused by name, {broken} broken"
+_COUNTS: Final = "{cases}: {ok} within their bound, {refused} refused as they must be, {broken} broken"
 _ENDED: Final = "{name}, {outcome}: {reason}."
 _REMEDY: Final = " What to do: {remedy}."
 _CONDITIONS: Final = (

@@ -193,7 +193,7 @@ class ProposedLimit:
 
 
 def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
-    """Propose a limit for what one limit judges, or say why there is none."""
+    """Propose a limit for what one limit judges, or give the reason for none."""
     identity = group.name, group.unit, group.phase, group.qualifier
     if why := group.why_not():
         return NoLimit(*identity, why)
