@@ -127,12 +127,10 @@ def _chosen(result: "RecordingResult") -> str:
 
 
 def _imaged(event: "LoadEvent") -> str:
-    from cbsr_qa.domain.readings import place_in_words
-
     seen = event.imaged
     if seen is None:
         return "not in its image"
-    return f"in its image: {place_in_words(seen.electrode, seen.r_over_R)}"
+    return f"in its image: {seen.place}"
 
 
 def _said(event: "LoadEvent", *, still: bool) -> str:

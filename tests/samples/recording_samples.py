@@ -36,6 +36,7 @@ def sample_recording(events=2):
             x_over_R=0.5 * np.cos(k),
             y_over_R=0.5 * np.sin(k),
             electrode=2.0 * k,
+            electrodes=16,
             sign=-1,
             snr=20.0 + k,
             image=Image(mesh, -np.exp(-((mesh.centroids_mm - [0.5 * np.cos(k), 0.5 * np.sin(k)]) ** 2).sum(axis=1))),

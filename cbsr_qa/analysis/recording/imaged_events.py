@@ -89,7 +89,7 @@ def _imaged(
     share = float(areas[inside][values[inside] >= largest / 2].sum() / areas.sum())
     if share > _LARGEST:
         return None
-    return ImagedPlace(x, y, layout.electrode_at(x, y), event.sign * largest, share)
+    return ImagedPlace(x, y, layout.electrode_at(x, y), layout.count, event.sign * largest, share)
 
 
 def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: Together) -> str:
@@ -144,6 +144,7 @@ def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes)
         ends=(float(numbers[-1]), float(radii[-1])),
         turns=float(along[-1] - along[0]) / layout.count,
         nearest_r_over_R=float(np.hypot(*smooth.T).min()),
+        electrodes=layout.count,
     )
 
 
@@ -226,6 +227,7 @@ def _event(scene: RecordedScene, one: Sighting, values: Array) -> LoadEvent:
         x_over_R=place.x,
         y_over_R=place.y,
         electrode=scene.sheet.layout.electrode_at(place.x, place.y),
+        electrodes=scene.sheet.layout.count,
         sign=one.sign,
         snr=one.score,
         image=Image(scene.sheet.problem.mesh, values),

@@ -16,7 +16,6 @@ from .findings import (
     NoiseReport as NoiseReport,
     NoiseStep as NoiseStep,
     RecordingResult as RecordingResult,
-    place_in_words as place_in_words,
 )
 from .frames import (
     LARGEST_VALUE as LARGEST_VALUE,

@@ -13,11 +13,17 @@ _NO_TURN: Final = 0.05
 _WHOLE_TURN: Final = 0.15
 
 
-def place_in_words(electrode: float, r_over_R: float) -> str:
-    """Return a place for people: ``electrode 7.2, r/R 0.55``, or ``centre (r/R 0.07)``."""
+def place_in_words(electrode: float, r_over_R: float, electrodes: int) -> str:
+    """Return a place for people: ``electrode 7.2, r/R 0.55``, or ``centre (r/R 0.07)``.
+
+    Parameters
+    ----------
+    electrode : direction as a fractional 0-based electrode number.
+    electrodes : how many there are; just before the first one is rounded to 0.0.
+    """
     if r_over_R < _AT_CENTRE:
         return f"centre (r/R {r_over_R:.2f})"
-    return f"electrode {electrode:.1f}, r/R {r_over_R:.2f}"
+    return f"electrode {round(electrode, 1) % electrodes:.1f}, r/R {r_over_R:.2f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +103,7 @@ class ImagedPlace:
     Parameters
     ----------
     x_over_R, y_over_R : centre of mass of its region, in units of the sheet's radius.
-    electrode : its direction as a fractional 0-based electrode number.
+    electrode : its direction as a fractional 0-based electrode number, of ``electrodes``.
     largest : relative conductance change of largest size in the region.
     area_share : of the sheet, where the image is above half of that.
     """
@@ -105,6 +111,7 @@ class ImagedPlace:
     x_over_R: float
     y_over_R: float
     electrode: float
+    electrodes: int
     largest: float
     area_share: float
 
@@ -112,6 +119,11 @@ class ImagedPlace:
     def r_over_R(self) -> float:
         """Distance from the centre in units of the radius."""
         return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
+
+    @property
+    def place(self) -> str:
+        """The place in words, see :func:`place_in_words`."""
+        return place_in_words(self.electrode, self.r_over_R, self.electrodes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,18 +151,19 @@ class Motion:
     begins, ends : electrode (direction as a fractional number) and r/R of its first and last place.
     turns : round the centre, positive towards higher electrode numbers; means nothing for a way through the centre.
     nearest_r_over_R : how near it comes to the centre.
+    electrodes : how many there are.
     """
 
     begins: tuple[float, float]
     ends: tuple[float, float]
     turns: float
     nearest_r_over_R: float
+    electrodes: int
 
     @property
     def words(self) -> str:
         """Describe the path: start, end and direction."""
-        (first, first_r), (last, last_r) = self.begins, self.ends
-        places = f"from {place_in_words(first, first_r)} to {place_in_words(last, last_r)}"
+        places = "from " + " to ".join(place_in_words(*place, self.electrodes) for place in (self.begins, self.ends))
         way = self._way()
         return f"{places}, {way}" if way else places
 
@@ -174,7 +187,7 @@ class LoadEvent:
     ----------
     start_s, peak_s, end_s : on the recording's clock [s]; ``end_s`` is the last frame where it goes on to the end.
     x_over_R, y_over_R : place in units of the sheet's radius, x towards electrode 0's direction as drawn.
-    electrode : its direction as a fractional 0-based electrode number.
+    electrode : its direction as a fractional 0-based electrode number, of ``electrodes``.
     sign : +1 where the place conducts more, −1 less.
     snr : detection statistic over its noise, dimensionless.
     x_mm, y_mm : only where a sensor type was named.
@@ -193,6 +206,7 @@ class LoadEvent:
     x_over_R: float
     y_over_R: float
     electrode: float
+    electrodes: int
     sign: int
     snr: float
     image: Image
@@ -212,7 +226,7 @@ class LoadEvent:
     @property
     def place(self) -> str:
         """The place in words, see :func:`place_in_words`."""
-        return place_in_words(self.electrode, self.r_over_R)
+        return place_in_words(self.electrode, self.r_over_R, self.electrodes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,7 +33,7 @@ def _change(x_mm: float, y_mm: float, size: float = 1.0) -> np.ndarray:
 def _event_at(x_mm: float, y_mm: float, start_s: float, end_s: float, *, size=1.0, values=None) -> LoadEvent:
     image = Image(MESH, _change(x_mm, y_mm, size) if values is None else values)
     sign = 1 if size > 0 else -1
-    return LoadEvent(start_s, start_s + 1, end_s, x_mm / RADIUS_MM, y_mm / RADIUS_MM, 0.0, sign, 20.0, image)
+    return LoadEvent(start_s, start_s + 1, end_s, x_mm / RADIUS_MM, y_mm / RADIUS_MM, 0.0, 16, sign, 20.0, image)
 
 
 def _fates(*events: LoadEvent) -> list[str]:
