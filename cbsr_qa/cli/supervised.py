@@ -4,6 +4,7 @@ The parent is the process that was started. It parses the command line, forks be
 enters no plugin's code, so that no plugin can end it. See docs/decisions/0024.
 """
 
+import errno
 import io
 import json
 import os
@@ -16,7 +17,7 @@ from contextlib import suppress
 from typing import Any, ClassVar, Final
 
 from cbsr_qa.cli.output import again, claim_stdout, note, say
-from cbsr_qa.domain import BrokenRunError, CbsrError, StoreError
+from cbsr_qa.domain import BrokenRunError, CbsrError
 
 #: Signals that are handed on to the child; a run stops in order.
 _HANDED_ON: Final = tuple(
@@ -78,7 +79,7 @@ def supervise(*, judges: bool) -> int | None:
     finally:
         for end in (report[0], alive[1], echo[0]):
             os.close(end)
-    return _concluded(parent.told(), status, judges=judges)
+    return _concluded(parent.reported(), status, judges=judges)
 
 
 def end_child(code: int) -> None:
@@ -90,21 +91,30 @@ class _Child:
     """The process that enters plugins' code."""
 
     report: ClassVar[int | None] = None
+    pipe: ClassVar[os.stat_result]
     printed: ClassVar[io.TextIOWrapper]
 
     @classmethod
     def tell(cls, **message: Any) -> None:
-        """Report to the parent; a process that a plugin has forked off reports as itself, and is not believed."""
-        if cls.report is not None:
-            left = json.dumps({"pid": os.getpid(), **message}).encode() + b"\n"
-            while left:
-                left = left[os.write(cls.report, left) :]
+        """Report to the parent; a process that a plugin has forked off reports as itself, and is not believed.
+
+        OSError if a plugin has closed the pipe; another file may have its number by now, and nothing is written to it.
+        """
+        if cls.report is None:
+            return
+        if not os.path.samestat(os.fstat(cls.report), cls.pipe):
+            raise OSError(errno.EBADF, "the pipe to the parent was closed")
+        line = f"{_mark(os.getpid())}{json.dumps(message)[1:]}".encode()
+        left = b"\n" + line + b"\n"  # what a plugin has written there stays a line of its own
+        while left:
+            left = left[os.write(cls.report, left) :]
 
     @classmethod
     def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int) -> None:
         """Keep what is printed for the parent, and hear signals."""
         encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # what cannot be shown is escaped by it
-        cls.report, cls.printed = report, io.TextIOWrapper(io.BytesIO(), encoding, newline="")
+        cls.report, cls.pipe = report, os.fstat(report)
+        cls.printed = io.TextIOWrapper(io.BytesIO(), encoding, newline="")
         claim_stdout(cls.printed)
         os.set_blocking(echo, False)
         signal.set_wakeup_fd(echo, warn_on_full_buffer=False)  # C code writes every signal's number there
@@ -119,11 +129,17 @@ class _Child:
             signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)
             _name_what_runs()
             cls.printed.seek(0)
-            cls.tell(code=code, printed=cls.printed.read())
+            with suppress(OSError):  # without a report the parent says so
+                cls.tell(code=code, printed=cls.printed.read())
             if sys.stderr is not None:
                 sys.stderr.flush()
         finally:
             os._exit(code)  # neither threads nor hooks at the interpreter's end are waited for
+
+
+def _mark(child: int) -> str:
+    """Return what every message of a process begins with."""
+    return f'{{"pid": {child}, '
 
 
 def _name_what_runs() -> None:
@@ -151,19 +167,17 @@ class _Parent:
 
     def __init__(self, child: int, report: int, echo: int, mask: _Mask) -> None:
         self._child, self._report, self._echo, self._mask = child, report, echo, mask
-        self._said = bytearray()
+        self._received = bytearray()
         self._reads = True
         self._loads: threading.Thread | None = None
 
-    def told(self) -> dict[str, Any]:
-        """Return what the child reported; the last word counts."""
-        told: dict[str, Any] = {}
-        for line in self._said.splitlines():
+    def reported(self) -> dict[str, Any]:
+        """Return what the child reported, later messages over earlier ones; a plugin may have written there too."""
+        mark, reported = _mark(self._child).encode(), dict[str, Any]()
+        for line in self._received.splitlines():
             with suppress(ValueError):
-                message = json.loads(line)
-                if message["pid"] == self._child:
-                    told |= message
-        return told
+                reported |= json.loads(line) if line.startswith(mark) else {}
+        return reported
 
     def wait(self) -> int:
         """Return the status the child ended with."""
@@ -200,7 +214,7 @@ class _Parent:
 
     def _read_report(self) -> None:
         while self._reads and (more := _read(self._report)) is not None:
-            self._said += more
+            self._received += more
             self._reads = bool(more)
             if self._loads is None and b'"run":' in more:  # it has begun: its end need not wait for this
                 self._loads = threading.Thread(target=_load_the_store, daemon=True)
@@ -236,17 +250,19 @@ def _load_the_store() -> None:
     from cbsr_qa.store.runs import outcomes  # noqa: F401 - half a second
 
 
-def _concluded(told: dict[str, Any], status: int, *, judges: bool) -> int:
-    code, run, database = told.get("code"), told.get("run"), told.get("database")
+def _concluded(reported: dict[str, Any], status: int, *, judges: bool) -> int:
+    code, run, database = reported.get("code"), reported.get("run"), reported.get("database")
     why = _cut_off(status, code)
     if why:
         why = f"the process of the {'run' if judges else 'command'} {why}"
+        if judges and run is not None:
+            why += f"; {_in_database(run, database)[1]}"
     elif judges and not code:
         why = _unstored(run, database)
     if why:
         raise _broken(run, database, why, judges=judges)
-    if told["printed"]:
-        say(told["printed"].removesuffix("\n"))
+    if reported["printed"]:
+        say(reported["printed"].removesuffix("\n"))
     assert isinstance(code, int)
     return code
 
@@ -265,22 +281,32 @@ def _cut_off(status: int, code: int | None) -> str:
     """Say how the child ended, where it did not end by returning its exit code."""
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
-        return f"was killed by {next((one.name for one in signal.Signals if one == number), f'signal {number}')}"
-    found = os.WEXITSTATUS(status)
-    return "" if code == found else f"ended in the middle, with exit code {found}: a plugin ended it (os._exit)"
+        return f"was killed by {next((s.name for s in signal.Signals if s == number), f'signal {number}')}"
+    ended = os.WEXITSTATUS(status)
+    if code is None:
+        return (
+            f"ended without a report, with exit code {ended}: a plugin may have ended it (os._exit) or closed files"
+            " that are not its own"
+        )
+    return "" if code == ended else f"reported exit code {code} and ended with exit code {ended}"
 
 
 def _unstored(run: str | None, database: str | None) -> str:
     """Say why the database does not bear out that a run has passed; empty where it does."""
+    if run is None:
+        return "the process of the run ended without a verdict"
+    passed, held = _in_database(run, database)
+    return "" if passed else f"the process of the run reported success, and {held}"
+
+
+def _in_database(run: str, database: str | None) -> tuple[bool, str]:
+    """Return whether a run has passed by what is stored, and what is stored of its verdict in words."""
     from cbsr_qa.config import database_url
     from cbsr_qa.store.runs import latest_outcome
 
-    if run is None:
-        return "the process of the run ended without a verdict"
     try:
         outcome = latest_outcome(database_url(database), run)
-    except StoreError as error:
-        return f"its verdict cannot be read back: {error.reason}"
-    if outcome is None or outcome.exit_code:
-        return f"the process of the run reported success, and the database holds {outcome or 'no verdict'}"
-    return ""
+    except CbsrError as error:
+        return False, f"its verdict cannot be read back: {error.reason}"
+    held = "no verdict" if outcome is None else f"the verdict {str(outcome)!r}"
+    return outcome is not None and not outcome.exit_code, f"the database holds {held}"

@@ -1,5 +1,6 @@
 """Locks that end with the process: one writer per run, one schema change at a time, one run per seed."""
 
+import glob
 import hashlib
 import os
 import platform
@@ -33,7 +34,7 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
     """Hold the right to write a run; it is released when the process ends, also by a kill.
 
     On SQLite a locked file beside the database, on PostgreSQL an advisory lock of a connection of its own. A database
-    in memory has one process anyway.
+    in memory has one process anyway. Files of processes that were killed are removed by whoever locks next.
 
     Raises
     ------
@@ -114,16 +115,18 @@ def _acquired(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
     if engine.url.get_backend_name() == "postgresql":
         return _advisory(engine, name, who)
     file = sqlite_file(engine.url)
-    return (lambda: None) if file is None else _file_lock(engine, _lock_file(file, name), who)
+    return (lambda: None) if file is None else _file_lock(engine, file, name, who)
 
 
 def _lock_file(database: Path, name: str) -> Path:
     return database.with_name(f"{database.name}-{name}.lock")
 
 
-def _file_lock(engine: Engine, path: Path, who: str) -> Callable[[], None] | str:
+def _file_lock(engine: Engine, database: Path, name: str, who: str) -> Callable[[], None] | str:
+    for file in database.parent.glob(f"{glob.escape(database.name)}-*.lock"):
+        holder(file)  # removes it, if nobody holds it
     try:
-        return FileLock(path, who.encode(errors="replace")).release
+        return FileLock(_lock_file(database, name), who.encode(errors="replace")).release
     except HeldError as error:
         return _named(error.who)
     except OSError as error:  # a full disk will not hold the run either

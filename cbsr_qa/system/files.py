@@ -9,6 +9,7 @@ import io
 import os
 import secrets
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -38,6 +39,8 @@ else:
 _FAR: Final = 1 << 20
 _LONGEST: Final = 4096  # of what a file says about its holder [bytes]
 _TRIES: Final = 1000  # to lock a file that others remove; some file systems answer "no such file" for ever
+#: How long a holder may leave its name out: it is about to write it, or removes the file [s].
+_NAMELESS_S: Final = 0.1
 
 
 class HeldError(Exception):
@@ -63,7 +66,7 @@ class FileLock:
     Raises
     ------
     HeldError
-        If it is held.
+        If it is held, by somebody who wrote a name or has held it for :data:`_NAMELESS_S`.
     OSError
         If the file cannot be made, or ``who`` not be written in it.
     """
@@ -71,8 +74,14 @@ class FileLock:
     def __init__(self, path: Path, who: bytes, *, shared: bool = False) -> None:
         self._path = path
         self._file: int | None = None
+        begun_s = time.monotonic()
         for _ in range(_TRIES):
-            self._file = _locked(path, shared=shared)
+            try:
+                self._file = _locked(path, shared=shared)
+            except HeldError as error:
+                if error.who or time.monotonic() - begun_s > _NAMELESS_S:
+                    raise
+                time.sleep(0.001)
             if self._file is not None:
                 break
         else:

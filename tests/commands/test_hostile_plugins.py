@@ -70,8 +70,8 @@ _LEAVES = {
     "exits where a metric is made": ("factory: raise SystemExit(0)", 2, "metric 'hostile' failed: SystemExit: 0"),
     "exits in a metric": ("metric: raise SystemExit(0)", 0, "metric hostile failed and measured nothing: SystemExit"),
     "exits while measuring": ("measuring: raise SystemExit(0)", 0, "failed in cbsr_phase_finished: SystemExit: 0"),
-    "ends the process in a metric": ("metric: os._exit(0)", 3, "ended in the middle, with exit code 0"),
-    "ends the process with 1": ("metric: os._exit(1)", 3, "ended in the middle, with exit code 1"),
+    "ends the process in a metric": ("metric: os._exit(0)", 3, "without a report, with exit code 0"),
+    "ends the process with 1": ("metric: os._exit(1)", 3, "without a report, with exit code 1"),
     "ends the process while measuring": ("measuring: os._exit(0)", 3, "run --resume"),
     "ends the process at import": ("import: os._exit(0)", 3, "no run had begun"),
     "crashes": ("measuring: import ctypes; ctypes.string_at(0)", 3, "was killed by SIGSEGV"),
@@ -117,6 +117,21 @@ def test_success_is_not_believed_where_the_database_lacks_the_verdict(bench, tmp
     done = _run(bench, tmp_path, forged)
     assert done.returncode == 3
     assert "reported success, and the database holds no verdict" in document(done)["reason"]
+
+
+@pytest.mark.parametrize("place", ["import", "measuring", "metric"])
+def test_a_plugin_that_closes_all_files_ends_no_run_with_success(place, bench, tmp_path):
+    done = _run(bench, tmp_path, f"{place}: os.closerange(3, 256)")
+    assert done.returncode == 3, done.stderr
+    assert "ended without a report" in done.stdout
+
+
+@pytest.mark.parametrize("text", [b"5\n", b"[1]\n", b'{"pid": 1}\n', b"\xff{"])
+def test_what_a_plugin_writes_to_the_parent_is_no_report(text, bench, tmp_path):
+    done = _run(
+        bench, tmp_path, f"metric: from cbsr_qa.cli import supervised; os.write(supervised._Child.report, {text})"
+    )
+    assert (done.returncode, document(done)["outcome"], _verdicts(tmp_path)) == (0, "pass", ["pass"])
 
 
 def test_a_run_that_was_cut_off_goes_on_by_its_name(bench, tmp_path):
@@ -240,9 +255,9 @@ _RUN = ("run", *_FILES, "--recipe", "short.toml")
 def test_no_command_that_a_plugin_ends_is_silent(arguments, bench, tmp_path):
     done = _run(bench, tmp_path, "import: os._exit(0)", arguments=arguments)
     assert done.returncode == 3, done.stderr
-    assert "ended in the middle, with exit code 0: a plugin ended it" in done.stderr
+    assert "ended without a report, with exit code 0: a plugin may have ended it" in done.stderr
     if "--json" in arguments:
-        assert "ended in the middle" in document(done)["broken"]["reason"]
+        assert "ended without a report" in document(done)["broken"]["reason"]
     else:
         assert done.stdout == ""
 

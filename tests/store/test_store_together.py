@@ -1,6 +1,8 @@
 """Several stations that meet one database at the same moment: real processes, on SQLite and PostgreSQL."""
 
 import multiprocessing
+import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from functools import partial
@@ -99,3 +101,28 @@ def test_a_seed_is_claimed_by_one_run_at_a_time_and_of_one_sensor(database_url):
         claims = [("S-1", 7), ("S-1", 7), ("S-1", 8), ("S-2", 7)]
         claimed = [held.enter_context(store.seed_claimed(*claim)) for claim in claims]
         assert claimed == [True, False, True, True]
+
+
+CLAIM = """
+import sys
+from cbsr_qa.store import open_store
+with open_store(sys.argv[1]) as store, store.seed_claimed("S-1", 7) as claimed:
+    print(claimed, flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_the_lock_file_of_a_claim_that_was_killed_is_removed_by_the_next_run(tmp_path):
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    with subprocess.Popen(
+        [sys.executable, "-c", CLAIM, url], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "True\n"
+        with open_store(url) as store, store.seed_claimed("S-1", 7) as claimed:
+            assert not claimed
+        assert len(list(tmp_path.glob("*.lock"))) == 1
+        process.kill()
+    with open_store(url) as store, store.seed_claimed("S-2", 8) as claimed:
+        assert claimed
+        assert len(list(tmp_path.glob("*.lock"))) == 1
+    assert not list(tmp_path.glob("*.lock"))

@@ -131,6 +131,25 @@ def test_removing_locks_lets_no_two_in(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_who_only_looks_keeps_nobody_out(tmp_path):
+    path, done = tmp_path / "lock", threading.Event()
+
+    def look():
+        while not done.is_set():
+            holder(path)
+
+    threads = [threading.Thread(target=look) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(300):
+            FileLock(path, b"me").release()
+    finally:
+        done.set()
+        for thread in threads:
+            thread.join()
+
+
 @pytest.mark.parametrize("begins", ["=", "+", "-", "@", "\t", "\r"])
 def test_a_spreadsheet_takes_no_text_for_a_formula(begins):
     text = begins + 'HYPERLINK("x";1),2\n3'

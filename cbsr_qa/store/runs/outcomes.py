@@ -11,7 +11,7 @@ from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run import EarlierRun, RunRecord
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store.chain import check_run
-from cbsr_qa.store.engine import address, open_engine, parsed_url, reading, shown, sqlite_file
+from cbsr_qa.store.engine import address, open_engine, parsed_url, reading, shown, sqlite_file, stored
 from cbsr_qa.store.runs.runs import load_run
 from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, StationCheckRow, VerdictOverrideRow
 from cbsr_qa.store.types import made_at
@@ -36,7 +36,7 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
             found = connection.execute(query.order_by(AnalysisRow.analysis.desc()).limit(1)).scalar()
     finally:
         engine.dispose()
-    return None if found is None else Outcome(found)
+    return None if found is None else stored(Outcome, found, "analyses.outcome", f"run {run}")
 
 
 #: What is read of an earlier run.
