@@ -5,19 +5,21 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from cbsr_qa.domain import StoreError
 
 #: Told how many pieces of how many are done, and which was the last.
 Tell = Callable[[int, int, str], None]
 Documents = list[dict[str, Any]]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
 
 _START: Final = b'{"key": "'
 _BEGIN_AGAIN: Final = "move it away, or begin again with --fresh, which removes it"
@@ -122,26 +124,48 @@ def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) 
     left = [piece for piece in work if piece.key not in kept.found]
     done = len(work) - len(left)
     tell(done, len(work), "begun" if done == 0 else "resumed")
-    with closing(_finished(left, processes)) as finished:
-        for piece, documents in finished:
+    with closing(finished(left, _worked, processes)) as pieces:
+        for piece, documents in pieces:
             kept.keep(piece.key, documents)
             done += 1
             tell(done, len(work), piece.what)
     return {piece.key: kept.found[piece.key] for piece in work}
 
 
-def _finished(work: Sequence[Work], processes: int) -> Generator[tuple[Work, Documents], None, None]:
-    if processes <= 1 or len(work) <= 1:
-        for piece in work:
-            yield piece, piece.run()
+def _worked(piece: Work) -> Documents:
+    return piece.run()
+
+
+def finished(
+    jobs: Sequence[Job], run: Callable[[Job], Result], processes: int
+) -> Generator[tuple[Job, Result], None, None]:
+    """Run jobs in several processes, and yield each with its result as soon as it is done.
+
+    Where one raises, none is begun any more, those that have begun are finished, and its error is raised. Ctrl-C ends
+    all processes at once, without a word from them.
+
+    Parameters
+    ----------
+    jobs, run : can be pickled where there are several processes.
+    processes : at once; 1 works in this one, and what a job raises is raised at once.
+
+    Raises
+    ------
+    BrokenProcessPool
+        If a process was killed.
+    """
+    if processes <= 1 or len(jobs) <= 1:
+        for job in jobs:
+            yield job, run(job)
         return
     # Spawned: threads of numerical libraries do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_deaf) as pool:
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_worker) as pool:
         others = multiprocessing.active_children()
-        futures = {pool.submit(piece.run): piece for piece in work}
         failed: BaseException | None = None
         try:
+            with _heard_later():
+                futures = {pool.submit(run, job): job for job in jobs}
             for future in as_completed(futures):
                 if future.cancelled():
                     continue
@@ -158,17 +182,22 @@ def _finished(work: Sequence[Work], processes: int) -> Generator[tuple[Work, Doc
         raise failed
 
 
-def _begin_deaf() -> None:
-    """Leave Ctrl-C to the process that hands out the work: it stops the others."""
+@contextmanager
+def _heard_later() -> Iterator[None]:
+    """Hold Ctrl-C back while processes are started: those inherit that, and are deaf to it while they import."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the process that hands out the work, and end with it: killed, it cannot stop this one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    begin_worker()
-
-
-def begin_worker() -> None:
-    """Let a process of a pool end with its parent, which, killed, cannot stop it.
-
-    Without this it would go on with all that was handed out.
-    """
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
 
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -185,6 +186,38 @@ def test_ctrl_c_ends_a_sweep_in_the_middle_of_a_piece(tmp_path, path):
     keyboard.join()
     assert not begun.with_name("ended").exists()
     assert set(Kept(path).found) == {"square/0", "square/1"}
+
+
+@pytest.mark.parametrize(
+    ("command", "at_work_s"),
+    [(["stability"], 1.5), (["reproduce", "paper", "--quick"], 0.0)],
+    ids=["while workers work", "while they start"],
+)
+def test_ctrl_c_ends_a_command_with_workers_without_their_tracebacks(tmp_path, command, at_work_s):
+    started = subprocess.Popen(
+        [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", *command],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={**os.environ, "CBSR_QA_VAR": str(tmp_path)},
+    )  # fmt: skip
+    _until(lambda: _spawned(started.pid) >= 2)
+    time.sleep(at_work_s)
+    os.killpg(started.pid, signal.SIGINT)  # as a terminal does
+    out, err = started.communicate(timeout=60)
+    assert started.returncode == 3
+    assert out == ""
+    assert "Traceback" not in err
+    assert "plugin" not in err
+    assert err.endswith("cbsr-qa: aborted\n")
+
+
+def _spawned(group):
+    """How many processes of a group were spawned to work."""
+    count = 0
+    for entry in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            own = (entry / "stat").read_text().rpartition(")")[2].split()[2] == str(group)
+            count += own and b"spawn_main" in (entry / "cmdline").read_bytes()
+    return count
 
 
 def test_numbers_that_json_does_not_know_are_not_kept(path):

@@ -1,8 +1,7 @@
 """All numerically hard cases, by area, run and held against truth."""
 
-import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from difflib import get_close_matches
 from os import cpu_count
@@ -23,7 +22,7 @@ from cbsr_qa.studies.hard_cases.cases import (
     statistics as statistics_cases,
     time as time_cases,
 )
-from cbsr_qa.studies.sweep import begin_worker
+from cbsr_qa.studies.sweep import finished
 
 #: Every case, in order of area.
 CASES: Final[tuple[HardCase, ...]] = (
@@ -107,25 +106,12 @@ def examine_cases(
     count = min(2, cpu_count() or 1, len(cases)) if processes is None else processes
     found: dict[str, CaseResult] = {}
     progress(0, len(cases))
-    for result in _examined([case.name for case in cases], count):
-        found[result.name] = result
-        progress(len(found), len(cases))
+    # Processes are given names: functions of cases need not be picklable.
+    with closing(finished([case.name for case in cases], _examine_named, count)) as results:
+        for name, result in results:
+            found[name] = result
+            progress(len(found), len(cases))
     return Stability(tuple(found[case.name] for case in cases))
-
-
-def _examined(names: Sequence[str], processes: int) -> Iterator[CaseResult]:
-    """Results as they come. Processes are given names: functions of cases need not be picklable."""
-    if processes < 2:
-        yield from map(_examine_named, names)
-        return
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin_worker) as pool:
-        waiting = [pool.submit(_examine_named, name) for name in names]
-        try:
-            for future in as_completed(waiting):
-                yield future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)  # what has not begun never does
-            raise
 
 
 def _examine_named(name: str) -> CaseResult:

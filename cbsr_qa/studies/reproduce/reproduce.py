@@ -1,10 +1,9 @@
 """Reproduction of the paper's tables: simulation, comparison, JSON or page."""
 
-import multiprocessing
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Mapping
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass
 from importlib.resources import files
 from os import cpu_count
@@ -18,7 +17,7 @@ from cbsr_qa.studies.reproduce.draw import CentreForces, reproduction_sections
 from cbsr_qa.studies.reproduce.figures import SheetFigures, StripFigures
 from cbsr_qa.studies.reproduce.runs import FULL_WORDS, QUICK_WORDS, SEED, Job, all_jobs, not_reproduced, simulate
 from cbsr_qa.studies.reproduce.tables import centre_presses, compared_tables
-from cbsr_qa.studies.sweep import begin_worker
+from cbsr_qa.studies.sweep import finished
 
 SOURCE: Final = (
     "Ellingham et al., Algorithms and Metrics Towards an Improved an Electrical Impedance Tomography Based "
@@ -33,7 +32,7 @@ SIMULATED: Final = (
     "strip: scene strip, the material in 1D",
 )
 
-Figures = Mapping[Job, SheetFigures | StripFigures]
+Figures = SheetFigures | StripFigures
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +115,10 @@ def reproduce_paper(
     jobs = all_jobs(quick=quick)
     tell(f"simulating {len(jobs)} sensors with seed {SEED}: {', '.join(job.words for job in jobs)}")
     count = min(2, cpu_count() or 1) if processes is None else processes
-    return reproduction(dict(_simulated(jobs, count, tell)), quick=quick)
+    return reproduction(_simulated(jobs, count, tell), quick=quick)
 
 
-def reproduction(figures: Figures, *, quick: bool) -> Reproduction:
+def reproduction(figures: Mapping[Job, Figures], *, quick: bool) -> Reproduction:
     """Compare the simulated values with the paper's."""
     sheets = {(job.sheet, job.percent): one for job, one in figures.items() if isinstance(one, SheetFigures)}
     strips = {job.percent: one for job, one in figures.items() if isinstance(one, StripFigures)}
@@ -142,32 +141,17 @@ def reproduction(figures: Figures, *, quick: bool) -> Reproduction:
     return Reproduction(compared_tables(paper, sheets, strips), quick, SEED, presses, station_s)
 
 
-def _simulated(
-    jobs: tuple[Job, ...], processes: int, tell: Callable[[str], None]
-) -> Iterable[tuple[Job, SheetFigures | StripFigures]]:
-    done = 0
-    if processes < 2:
-        for job in jobs:
-            figures = simulate(job)
-            done += 1
-            tell(f"{job.words}: {figures.compute_s:.0f} s ({done} of {len(jobs)})")
-            yield job, figures
-        return
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin_worker) as pool:
-        waiting = {pool.submit(simulate, job): job for job in jobs}
-        try:
-            for future in as_completed(waiting):
-                job = waiting[future]
-                try:
-                    figures = future.result()
-                except BrokenProcessPool as error:
-                    raise not_reproduced(job, "its process was killed; see whether memory ran out") from error
-                done += 1
-                tell(f"{job.words}: {figures.compute_s:.0f} s ({done} of {len(jobs)})")
-                yield job, figures
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)  # what has not begun never does
-            raise
+def _simulated(jobs: tuple[Job, ...], processes: int, tell: Callable[[str], None]) -> dict[Job, Figures]:
+    simulated: dict[Job, Figures] = {}
+    try:
+        with closing(finished(jobs, simulate, processes)) as results:
+            for job, figures in results:
+                simulated[job] = figures
+                tell(f"{job.words}: {figures.compute_s:.0f} s ({len(simulated)} of {len(jobs)})")
+    except BrokenProcessPool as error:
+        first = next(job for job in jobs if job not in simulated)
+        raise not_reproduced(first, "its process was killed; see whether memory ran out") from error
+    return simulated
 
 
 def _table_document(table: ComparedTable) -> dict[str, Any]:
