@@ -60,8 +60,7 @@ class SimulatedRing:
     def readings(self, impedance_ohm: Array) -> Array:
         """Readings per ampere of a transfer impedance: (drives, measures) [V/A]."""
         pattern = self.sensor_type.pattern
-        readings: Array = pattern.drive_currents().T @ impedance_ohm @ pattern.measure_matrix()
-        return readings
+        return pattern.drive_currents().T @ impedance_ohm @ pattern.measure_matrix()
 
     def pressed_mm2(self, place: Place) -> float:
         """Return no change: nothing is pressed."""

@@ -184,8 +184,7 @@ class RecordedScene:
 
 def planned_middles_s(plan: ScenePlan) -> Array:
     """Middles of the frames of a board that never pauses, (frames,) [s]."""
-    middles: Array = (np.arange(plan.frame_count, dtype=np.float64) + 0.5) * plan.scene.frame_period_s
-    return middles
+    return (np.arange(plan.frame_count, dtype=np.float64) + 0.5) * plan.scene.frame_period_s
 
 
 def frame_times_s(transcript: Transcript) -> tuple[Array, Array]:

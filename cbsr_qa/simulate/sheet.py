@@ -110,8 +110,7 @@ class SimulatedSheet:
         """
         places = {place: self.load_at(place) for moment in changes for place in moment}
         loads = [{load: moment.get(place, 0.0) for place, load in places.items()} for moment in changes]
-        impedances: Array = self._loaded.transfer_impedances(loads, contact_mm) / self.conductance_S
-        return impedances
+        return self._loaded.transfer_impedances(loads, contact_mm) / self.conductance_S
 
     def readings(self, impedance_ohm: Array) -> Array:
         """Readings per ampere of a transfer impedance: (drives, measures) [V/A]."""

@@ -110,8 +110,7 @@ class SymmetricProblem:
         """Readings (m,) of the same target one electrode further."""
         frame = np.zeros(self.problem.used.shape)
         frame[self.problem.used] = readings
-        turned: Array = np.roll(frame, (1, 1), axis=(0, 1))[self.problem.used]
-        return turned
+        return np.roll(frame, (1, 1), axis=(0, 1))[self.problem.used]
 
     def turn_image(self, image: Array) -> Array:
         """Image (e,) one electrode further."""
@@ -201,15 +200,13 @@ def example_problem(*, used: NDArray[np.bool_] | None = None) -> ImagingProblem:
 
 def noise_deviation(problem: ImagingProblem) -> Array:
     """Standard deviation of readings with 60 dB, (m,)."""
-    deviation: Array = _NOISE * np.abs(problem.reference)
-    return deviation
+    return _NOISE * np.abs(problem.reference)
 
 
 def noise(problem: ImagingProblem, random: np.random.Generator, frames: int) -> Array:
     """Frames of noise at 60 dB, (frames, m)."""
     deviation = noise_deviation(problem)
-    drawn: Array = deviation * random.standard_normal((frames, len(deviation)))
-    return drawn
+    return deviation * random.standard_normal((frames, len(deviation)))
 
 
 def signal(problem: ImagingProblem, at: tuple[float, float], contrast: float) -> Array:

@@ -64,13 +64,11 @@ class MergedReadings:
 
     def of_data(self, changes: Array) -> Array:
         """Rows (n, rows) of changes (n, m) of the used readings."""
-        rows: Array = changes @ self.merging.T
-        return rows
+        return changes @ self.merging.T
 
     def of_model(self, readings: Array) -> Array:
         """Rows (…, rows) of whole frames (…, drives, measures) of a reciprocal model."""
-        rows: Array = readings[..., self.drive, self.measure] * self.weight
-        return rows
+        return readings[..., self.drive, self.measure] * self.weight
 
 
 def merged_readings(pattern: DrivePattern, used: NDArray[np.bool_], variance: Array) -> MergedReadings:

@@ -238,8 +238,7 @@ def _radial(mode: float, radii: Array) -> Array:
     """I_m(κρ) / (κ I_m′(κ)) for all orders, (radii, orders); ρᵐ/m for κ = 0."""
     order = np.arange(_ORDERS + 1)
     if mode == 0:
-        radial: Array = radii[:, None] ** order / np.maximum(order, 1)
-        return radial
+        return radii[:, None] ** order / np.maximum(order, 1)
     at_wall = _log_bessel(order, np.full(order.shape, mode))
     next_order = np.exp(_log_bessel(order + 1, np.full(order.shape, mode)) - at_wall)
     inside = _log_bessel(order, mode * radii[:, None])

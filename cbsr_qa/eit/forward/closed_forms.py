@@ -50,8 +50,7 @@ class ConcentricSheet:
         own, other = self.conductance_S, self.inclusion_conductance_S
         ratio = self.inclusion_radius_mm / self.radius_mm
         seen = (own - other) / (own + other) * ratio ** (2 * order)
-        gain: Array = (1 + seen) / (1 - seen)
-        return gain
+        return (1 + seen) / (1 - seen)
 
 
 def arc_transfer_impedance(
@@ -259,8 +258,7 @@ def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePatter
             f"a ring of {len(impedance)} resistors does not match a pattern of {pattern.electrode_count} electrodes",
             remedy="give one for each pair of neighbouring electrodes",
         )
-    readings: Array = pattern.drive_currents().T @ impedance @ pattern.measure_matrix()
-    return readings
+    return pattern.drive_currents().T @ impedance @ pattern.measure_matrix()
 
 
 def lead_readings(pattern: DrivePattern) -> NDArray[np.float64]:
@@ -269,5 +267,4 @@ def lead_readings(pattern: DrivePattern) -> NDArray[np.float64]:
     A pair that is measured through a lead which carries current reads the drop over it as well: +1 where the source
     and the plus terminal, or the sink and the minus terminal, share the electrode.
     """
-    added: Array = pattern.drive_currents().T[:, None, :] * pattern.measure_matrix().T[None, :, :]
-    return added
+    return pattern.drive_currents().T[:, None, :] * pattern.measure_matrix().T[None, :, :]

@@ -190,8 +190,7 @@ class FiniteElements:
         shapes = self.shapes
         tangent = shapes.edge_slopes @ self.points_mm[self.along(edges)]  # (b, g, 2)
         lengths = np.hypot(tangent[..., 0], tangent[..., 1]) * shapes.edge_weights
-        masses: Array = (shapes.edge_values.T * lengths[:, None]) @ shapes.edge_values
-        return masses
+        return (shapes.edge_values.T * lengths[:, None]) @ shapes.edge_values
 
     @cached_property
     def _geometry(self) -> tuple[Array, Array]:
@@ -215,5 +214,4 @@ def _outer(first: Array, second: Array) -> Array:
     count, q, k, _ = first.shape
     flat = (part.transpose(0, 2, 1, 3).reshape(count, k, 2 * q) for part in (first, second))
     one, other = flat
-    product: Array = one @ other.swapaxes(1, 2)
-    return product
+    return one @ other.swapaxes(1, 2)

@@ -99,8 +99,7 @@ class InverseEntries:
         """Whole columns of K⁻¹, (n, p)."""
         load = np.zeros((len(self._place), len(nodes)))
         load[nodes, np.arange(len(nodes))] = 1
-        columns: Array = self._model.solve(load)
-        return columns
+        return self._model.solve(load)
 
     def _keep(self, nodes: Indices, columns: Array) -> None:
         """Store the entries of columns between all nodes known so far."""

@@ -88,8 +88,7 @@ class LocalUpdate:
         if isinstance(found, ForwardModel):
             return found.voltages()
         lost, own = found  # apart: what driven contacts drop costs the other readings no digits
-        voltages: Array = self._unchanged - self.model.readings(lost) + self.model.readings(own)
-        return voltages
+        return self._unchanged - self.model.readings(lost) + self.model.readings(own)
 
     def transfer_impedance(
         self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None
@@ -102,8 +101,7 @@ class LocalUpdate:
         if isinstance(found, ForwardModel):
             return found.transfer_impedance
         lost, own = found
-        changed: Array = self.model.transfer_impedance - lost + own
-        return changed
+        return self.model.transfer_impedance - lost + own
 
     def _changed(
         self, elements: Indices, change: Array, contact_impedance: Array | None

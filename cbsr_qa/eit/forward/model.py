@@ -109,16 +109,14 @@ class ForwardModel:
     def changed_conductance(self, elements: Indices, change: Array) -> Array:
         """Conductance of some elements, each named once, after a change: (m,) or (m, q, 2, 2) [S]."""
         conductance, change = _alike(self.conductance[elements], change, len(self.elements.shapes.points))
-        changed: Array = conductance + change
-        return changed
+        return conductance + change
 
     def element_matrices(self, elements: Indices) -> Array:
         """Stiffness of some elements with their conductance: (m,) int64 to (m, k, k) [S]."""
         conductance = self.conductance[elements]
         if conductance.ndim > 1:
             return self.elements.directional_stiffness(elements, conductance)
-        matrices: Array = conductance[:, None, None] * self.stiffness[elements]
-        return matrices
+        return conductance[:, None, None] * self.stiffness[elements]
 
     def solve(self, load: Array) -> Array:
         """Solve for the nodes' potentials caused by currents into nodes.
@@ -164,8 +162,7 @@ class ForwardModel:
     def readings(self, transfer_impedance: Array) -> Array:
         """Turn a transfer impedance (electrodes, electrodes) into readings (drives, measures)."""
         driven, measured = self._pairs
-        readings: Array = (transfer_impedance @ driven).T @ measured
-        return readings
+        return (transfer_impedance @ driven).T @ measured
 
     def jacobian(self) -> Array:
         """Change of every reading per change of every element's conductance.
@@ -243,16 +240,14 @@ class ForwardModel:
     @property
     def _own_impedance(self) -> Array:
         """Contribution of each electrode's contact to its own potential, (electrodes,) [Ω]."""
-        impedance: Array = self.contact_impedance / self.prepared.contacts.lengths_mm
-        return impedance
+        return self.contact_impedance / self.prepared.contacts.lengths_mm
 
     @cached_property
     def _sheet_impedance(self) -> Array:
         """Mean potentials under the electrodes per electrode current, up to a constant in each column [Ω]."""
         contacts = self.prepared.contacts
         touched = np.concatenate(contacts.nodes)
-        impedance: Array = contacts.means[touched].T @ self._fields_at(touched)
-        return impedance
+        return contacts.means[touched].T @ self._fields_at(touched)
 
     def _fields_at(self, nodes: Indices) -> Array:
         """:attr:`electrode_fields` at some nodes."""

@@ -237,8 +237,7 @@ class Factors:
 
     def solve_ordered(self, load: Array) -> Array:
         """The same, both in the order of elimination."""
-        potentials: Array = self._factors.solve(load)
-        return potentials
+        return self._factors.solve(load)
 
     def refined_ordered(self, load: Array) -> tuple[Array, Array]:
         """The same to rounding for any spread of conductances and contacts, and the rounding error.

@@ -40,8 +40,7 @@ def percentage_mask(values: NDArray[np.float64], fraction: float) -> NDArray[np.
     NumericsError
         If the fraction is outside (0, 1] or a value is not finite.
     """
-    kept: NDArray[np.bool_] = (values > 0) & (values >= threshold(values, fraction))
-    return kept
+    return (values > 0) & (values >= threshold(values, fraction))
 
 
 def threshold(values: NDArray[np.float64], fraction: float) -> float:
@@ -109,8 +108,7 @@ def floored(values: NDArray[np.float64], floor: float) -> NDArray[np.float64]:
     """
     if not 0 <= floor < float("inf"):
         raise NumericsError(f"the noise floor is {floor}; it must be a finite number of at least 0")
-    cleared: NDArray[np.float64] = np.maximum(values - floor, 0.0)
-    return cleared
+    return np.maximum(values - floor, 0.0)
 
 
 Indices = NDArray[np.int64]

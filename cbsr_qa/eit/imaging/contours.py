@@ -66,8 +66,7 @@ class ContourRegion:
     def _centre_mm(self) -> Array:
         # ∫ u x over a triangle is A/12 (Σu Σx + Σ u x).
         shared = (self._areas_mm2[:, None] * (self._sums[:, None] + self.values)).reshape(-1)
-        centre: Array = shared @ self.triangles_mm.reshape(-1, 2) / (12 * self.weight)
-        return centre
+        return shared @ self.triangles_mm.reshape(-1, 2) / (12 * self.weight)
 
     @cached_property
     def _sums(self) -> Array:
@@ -78,8 +77,7 @@ class ContourRegion:
     @cached_property
     def _areas_mm2(self) -> Array:
         one, other = (self.triangles_mm[:, k] - self.triangles_mm[:, 0] for k in (1, 2))
-        areas: Array = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
-        return areas
+        return (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
 
 
 def nodal_values(mesh: Mesh, values: Array) -> Array:
@@ -90,8 +88,7 @@ def nodal_values(mesh: Mesh, values: Array) -> Array:
     meshes; moved, it is exact for linear images and of second order in the element size for smooth ones, integral
     included. On the edge of the mesh the mean stays where it is: there the fit would be an extrapolation.
     """
-    nodal: Array = _fit_at_nodes(mesh) @ values
-    return nodal
+    return _fit_at_nodes(mesh) @ values
 
 
 def contour_regions(image: Image, fraction: float) -> tuple[ContourRegion, ...]:
@@ -220,8 +217,7 @@ class _Cut:
 
     def mask(self, corner: Indices) -> Indices:
         """Which level corners belong to."""
-        mask: Indices = corner // len(self._nodal)
-        return mask
+        return corner // len(self._nodal)
 
     def crossing(self, high: Indices, low: Indices) -> Array:
         """Where the field passes the level between corners at or above it and corners below it."""
@@ -247,8 +243,7 @@ def _all(flags: NDArray[np.bool_], nodes: Indices) -> NDArray[np.bool_]:
 
 def _turned(triangles: Indices, odd: NDArray[np.bool_]) -> Indices:
     """Turn triangles so that the one corner that is marked comes first."""
-    turned: Indices = np.take_along_axis(triangles, (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
-    return turned
+    return np.take_along_axis(triangles, (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
 
 
 def _regions(cut: _Cut) -> Iterator[tuple[int, ContourRegion]]:

@@ -45,8 +45,7 @@ class Raster:
 
     def places_mm(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Places of (row, column) pairs, which may be fractional: (k, 2) → (k, 2) of x and y [mm]."""
-        places: NDArray[np.float64] = np.asarray(self.first_mm) + self.pitch_mm * pixels[:, ::-1]
-        return places
+        return np.asarray(self.first_mm) + self.pitch_mm * pixels[:, ::-1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

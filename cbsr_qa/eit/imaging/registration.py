@@ -42,8 +42,7 @@ class Registration:
     @property
     def errors_mm(self) -> Array:
         """Residual error of each place, (n,) [mm]."""
-        errors: Array = np.hypot(self.residuals_mm[:, 0], self.residuals_mm[:, 1])
-        return errors
+        return np.hypot(self.residuals_mm[:, 0], self.residuals_mm[:, 1])
 
 
 def register(nominal_mm: Array, seen_mm: Array) -> Registration:

@@ -230,10 +230,7 @@ def overlap_area_mm2(mesh: Mesh, elements: NDArray[np.int64], footprint: Footpri
     (k,) float64 [mm²], each between 0 and the element's area.
     """
     # A whole element counts as its own area, to the last digit.
-    clipped: NDArray[np.float64] = np.minimum(
-        overlap_mm2(footprint, mesh.corners_mm[elements]), mesh.areas_mm2[elements]
-    )
-    return clipped
+    return np.minimum(overlap_mm2(footprint, mesh.corners_mm[elements]), mesh.areas_mm2[elements])
 
 
 #: The set q holds what reaches this share of the maximum; Adler et al. take a quarter.

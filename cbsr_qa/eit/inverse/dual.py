@@ -103,8 +103,7 @@ class DualSpectrum:
     def matrix(self, hyperparameter: float) -> Array:
         """Imaging matrix (e, m) of a hyperparameter; of zero only where no eigenvalue is zero."""
         check_hyperparameter(hyperparameter)
-        matrix: Array = (self.basis * self.gains(hyperparameter)) @ self.analysis
-        return matrix
+        return (self.basis * self.gains(hyperparameter)) @ self.analysis
 
 
 def dual_spectrum(jacobian: Array, prior: Prior | Array, variance: Array | None = None) -> DualSpectrum:
@@ -150,8 +149,7 @@ class _System:
 
     def normal(self) -> Array:
         """The dual system itself, (k, k) symmetric."""
-        normal: Array = self.white @ self.back
-        return normal
+        return self.white @ self.back
 
     def spectrum(self) -> DualSpectrum:
         """Eigenvectors and eigenvalues, rising."""

@@ -201,8 +201,7 @@ def high_pass(mesh: Mesh, width_mm: float) -> Prior:
         return product
 
     def covariance(columns: Array) -> Array:
-        product: Array = linalg.lu_solve(factors, half(columns))
-        return product
+        return linalg.lu_solve(factors, half(columns))
 
     return Prior(covariance, np.ones((count, 1)), half)
 

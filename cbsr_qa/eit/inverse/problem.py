@@ -169,8 +169,7 @@ def target_signal(problem: ImagingProblem, *, x_mm: float, y_mm: float, radius_m
     if not covered.elements.size:
         raise NumericsError(f"a target of radius {radius_mm} mm at ({x_mm}, {y_mm}) mm does not touch the sheet")
     change = local.voltages(covered.elements, covered.change(model.conductance, contrast)) - model.voltages()
-    signal: Array = change[problem.used]
-    return signal
+    return change[problem.used]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -73,8 +73,7 @@ class ReadingFold:
 
     def rows(self, jacobian: Array) -> Array:
         """Jacobian (g, e) of the folded readings."""
-        rows: Array = jacobian[self.first]
-        return rows
+        return jacobian[self.first]
 
     def fold(self, readings: Array) -> Array:
         """Weighted means (n, g) of readings (n, m)."""

@@ -140,8 +140,7 @@ class TemporalImages:
         """
         readings = checked_readings(changes, self.problem) @ self.spectrum.analysis.T
         found = smoothed(readings, self.spectrum.values, self.choice.value**2, self.correlation)
-        images: Array = found @ self.spectrum.basis.T
-        return images
+        return found @ self.spectrum.basis.T
 
 
 def lasting_noise_figure(

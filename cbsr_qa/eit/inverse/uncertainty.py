@@ -113,8 +113,7 @@ def _places(problem: ImagingProblem) -> Array:
     outline, centroids = problem.sensor_type.outline, problem.mesh.centroids_mm
     clear = outline.clearance_mm(centroids)
     inner = np.flatnonzero(clear >= (1 - _OUTERMOST) * clear.max())
-    chosen: Array = centroids[inner[:: max(1, len(inner) // _PLACES)]]
-    return chosen
+    return centroids[inner[:: max(1, len(inner) // _PLACES)]]
 
 
 def _bumps(problem: ImagingProblem, places: Array) -> Array:

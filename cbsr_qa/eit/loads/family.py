@@ -69,8 +69,7 @@ class Series:
         """Return f(s)."""
         if not abs(strength) <= self.reach or not strength:
             return self._exact(strength)
-        value: Array = strength * np.tensordot(polynomials(strength / self.reach), self.coefficients, 1)
-        return value
+        return strength * np.tensordot(polynomials(strength / self.reach), self.coefficients, 1)
 
 
 def polynomials(x: float | Array) -> Array:
@@ -83,8 +82,7 @@ def _transformed(values: Array) -> Array:
     order = np.arange(TERMS)
     matrix = 2 / TERMS * np.cos(np.pi * np.outer(order, order + 0.5) / TERMS)
     matrix[0] /= 2
-    transformed: Array = np.tensordot(matrix, values, 1)
-    return transformed
+    return np.tensordot(matrix, values, 1)
 
 
 class StackedSeries:
@@ -203,8 +201,7 @@ class Patch:
             linear, quadratic = self._weak
             given = np.asarray(strengths)
             both = np.concatenate([given, np.outer(given, given)[np.triu_indices(len(given))]])
-            weak: Array = np.tensordot(both, np.concatenate([linear, quadratic]), 1)
-            return weak
+            return np.tensordot(both, np.concatenate([linear, quadratic]), 1)
         return self._exact(strengths)
 
     @cached_property
@@ -229,5 +226,4 @@ class Patch:
         if not self._stacked.most(strengths) < _SAFE * self._least:
             check_change(self._model, self._elements, change)
         seen = self._stack.rim_changes(self._matrices.of(change))[0]
-        answer: Array = np.linalg.solve(np.eye(len(seen)) + seen @ self._own, seen)
-        return answer
+        return np.linalg.solve(np.eye(len(seen)) + seen @ self._own, seen)

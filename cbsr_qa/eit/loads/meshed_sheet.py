@@ -139,8 +139,7 @@ class MeshedSheet:
     @cached_property
     def _fields(self) -> Array:
         """Potentials of the electrodes' fields on the edge, (nodes, electrodes)."""
-        fields: Array = self.model.electrode_fields[self._nodes]
-        return fields
+        return self.model.electrode_fields[self._nodes]
 
     @cached_property
     def _inverse(self) -> Array:
@@ -172,15 +171,13 @@ class _Poles:
     weight: NDArray[np.floating[Any]]
 
     def fields(self, edge: Array) -> Array:
-        fields: Array = (np.swapaxes(self.mean, 1, 2) + np.swapaxes(self.load, 1, 2) @ edge) / self.weight
-        return fields
+        return (np.swapaxes(self.mean, 1, 2) + np.swapaxes(self.load, 1, 2) @ edge) / self.weight
 
     def response(self, inverse: Array) -> Array:
         count, nodes, columns = self.load.shape
         flat = np.swapaxes(self.load, 0, 1).reshape(nodes, -1)
         answer = np.swapaxes((inverse @ flat).reshape(nodes, count, columns), 0, 1)
-        response: Array = (np.swapaxes(self.load, 1, 2) @ answer - self.own) / self.weight
-        return response
+        return (np.swapaxes(self.load, 1, 2) @ answer - self.own) / self.weight
 
 
 def _parts(place_mm: Array, reach_mm: Array) -> Iterator[tuple[Complex, Array]]:

@@ -110,8 +110,7 @@ class ContactStack:
 
     def rim_changes(self, change: Array) -> Array:
         """Change of the matrix under each electrode: (g,) of 1/z [S/mm] to (g, b, b) [S]."""
-        changes: Array = change[:, None, None] * self._masses
-        return changes
+        return change[:, None, None] * self._masses
 
 
 class Patches:
@@ -174,8 +173,7 @@ class Patches:
         flat = np.concatenate(scattered)
         between = flat[:, :count]
         np.einsum("ii->i", between)[:] += 1
-        correction: Array = self._fields.T @ np.linalg.solve(between, flat[:, count:])
-        return correction
+        return self._fields.T @ np.linalg.solve(between, flat[:, count:])
 
     def _rim_changes(self, change: Array, contact_change: Array | None) -> Iterator[Array]:
         for stack, matrices, members in zip(self._patches, self._matrices, self._members, strict=True):

@@ -175,8 +175,7 @@ class PinnedDisc:
 
 
 def _inverse(values: Complex) -> Complex:
-    inverse: Complex = 1 / values
-    return inverse
+    return 1 / values
 
 
 def _powers(base: NDArray[np.inexact], count: int) -> NDArray:  # type: ignore[type-arg]

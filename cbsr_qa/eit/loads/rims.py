@@ -18,8 +18,7 @@ def seen_outside(model: ForwardModel, elements: Indices) -> NDArray[np.bool_]:
     nodes, corner = np.unique(model.elements.cells[elements], return_inverse=True)
     contacts = np.concatenate(model.prepared.contacts.nodes)
     everywhere = model.elements.elements_per_node[nodes]
-    seen: NDArray[np.bool_] = (np.bincount(corner.ravel()) < everywhere) | np.isin(nodes, contacts)
-    return seen
+    return (np.bincount(corner.ravel()) < everywhere) | np.isin(nodes, contacts)
 
 
 def connected_parts(corners: Indices) -> Iterator[Indices]:

@@ -131,8 +131,7 @@ class RoundLoadModel:
 
     def unloaded(self) -> Array:
         """Readings of the sheet without a load, (drives, measures) [V/A]."""
-        readings: Array = (self.surroundings.transfer_impedance() @ self._drive).T @ self._measure
-        return readings
+        return (self.surroundings.transfer_impedance() @ self._drive).T @ self._measure
 
     def readings(self, loads: RoundLoads) -> LoadReadings:
         """Changes of the readings, and their slopes, for each of n loads pressed alone.
@@ -193,8 +192,7 @@ class RoundLoadModel:
 
     def _reach(self, loads: RoundLoads) -> Array:
         least = _SMALLEST_REACH * self.surroundings.radius_mm
-        reach: Array = np.maximum(np.sqrt(np.abs(loads.square_mm2)), least)
-        return reach
+        return np.maximum(np.sqrt(np.abs(loads.square_mm2)), least)
 
     def _orders(self, place_mm: Array, reach_mm: Array) -> int:
         clearance = self.surroundings.clearance_mm(place_mm)
@@ -213,8 +211,7 @@ def _solved(system: Array, fields: Array) -> Array:
 
 def _gram(drive: Array, weight: NDArray[np.floating[Any]], measure: Array) -> Array:
     """Σ_m weight_m drive_m measure_m for every pair of columns: (n, drives, measures)."""
-    gram: Array = np.swapaxes(drive * weight[..., None], 1, 2) @ measure
-    return gram
+    return np.swapaxes(drive * weight[..., None], 1, 2) @ measure
 
 
 def _moved(drive: Array, step: Array, measure: Array) -> tuple[Array, Array]:

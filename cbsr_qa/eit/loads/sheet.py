@@ -163,8 +163,7 @@ class LinkedPatches:
 
 def _times(blocks: Array, rows: Array) -> Array:
     """Blocks (g, r, r) on a diagonal, times rows (g · r, n)."""
-    product: Array = (blocks @ rows.reshape(len(blocks), blocks.shape[2], -1)).reshape(rows.shape)
-    return product
+    return (blocks @ rows.reshape(len(blocks), blocks.shape[2], -1)).reshape(rows.shape)
 
 
 def _block_diagonal(spans: Sequence[slice], bases: Sequence[Array]) -> Array:
@@ -229,8 +228,7 @@ class LoadedSheet:
         if link is None:
             each = (_together(self.model, moment) for moment in loads)
             return np.array([self._local.transfer_impedance(*one, contact_impedance) for one in each])
-        changed: Array = before + own - link.corrections(loads, contact_change)
-        return changed
+        return before + own - link.corrections(loads, contact_change)
 
     def _link(self, families: tuple[LoadFamily, ...], contacts: bool) -> LinkedPatches | None:
         """Coupling of some loads, or None if the local update must be used."""

@@ -253,8 +253,7 @@ def fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float)
         stops[np.minimum(away, curve.perimeter - away) < _ON_CORNER * width] = corner
     places = np.unique(np.concatenate([corners, stops]))
     apart = np.diff(np.append(places, places[0] + curve.perimeter))
-    kept: Lengths = places[np.roll(apart, 1) > 1e-9 * curve.perimeter]
-    return kept
+    return places[np.roll(apart, 1) > 1e-9 * curve.perimeter]
 
 
 def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:

@@ -128,8 +128,7 @@ def check_shape(points: Points, corners: Indices) -> None:
 def twice_area(points: Points, corners: Indices) -> NDArray[np.float64]:
     """Twice the signed area of each element, (e,)."""
     a, b, c = (points[corners[:, k]] for k in range(3))
-    twice: NDArray[np.float64] = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    return twice
+    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
 def boundary_edges(mesh: Mesh) -> Indices:

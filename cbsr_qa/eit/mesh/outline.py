@@ -128,8 +128,7 @@ class _Frame:
         return float(np.sqrt(self.curve.area / np.pi))
 
     def into(self, points: Points) -> Points:
-        own: Points = np.round((points - self.origin) @ self.turn / self.grid) * self.grid
-        return own
+        return np.round((points - self.origin) @ self.turn / self.grid) * self.grid
 
     def out(self, mesh: Mesh) -> Mesh:
         arcs = tuple(
@@ -258,8 +257,7 @@ def _cut_edges(rings: list[Points]) -> NDArray[np.bool_]:
     joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     begins = np.cumsum([0, *(len(ring) for ring in rings)])
     edges = np.vstack([begin + _ring(len(ring)) for begin, ring in zip(begins[:-1], rings, strict=True)])
-    cut: NDArray[np.bool_] = ~np.isin(np.sort(edges, axis=1) @ [len(points), 1], joined @ [len(points), 1])
-    return cut
+    return ~np.isin(np.sort(edges, axis=1) @ [len(points), 1], joined @ [len(points), 1])
 
 
 def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:

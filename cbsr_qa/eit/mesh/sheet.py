@@ -305,8 +305,7 @@ def _ring_fitted_mesh(mesh: Mesh, centre: Array, radius: float) -> Array:
     total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2)]) * radius * turn[1]
     count = max(int(np.ceil(total[-1])), 12)
     angle = np.interp(np.arange(count) / count * total[-1], total, turn)
-    ring: Array = centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    return ring
+    return centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _triangles(nodes: Array, rims: tuple[NDArray[np.int64], ...]) -> NDArray[np.int64]:

@@ -168,15 +168,13 @@ def _smoothed(outline: Outline, points: Points, elements: Elements) -> Points:
 
 def _twice_area(points: Points, elements: Elements) -> NDArray[np.float64]:
     a, b, c = (points[elements[:, k]] for k in range(3))
-    area: NDArray[np.float64] = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    return area
+    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
 def _edge_lengths(points: Points, elements: Elements) -> NDArray[np.float64]:
     corners = points[elements]
     sides = corners - np.roll(corners, -1, axis=1)
-    lengths: NDArray[np.float64] = np.hypot(sides[..., 0], sides[..., 1])
-    return lengths
+    return np.hypot(sides[..., 0], sides[..., 1])
 
 
 def _circumcircles(points: Points, elements: Elements) -> tuple[Points, NDArray[np.float64]]:

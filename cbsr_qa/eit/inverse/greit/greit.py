@@ -124,8 +124,7 @@ class GreitRows:
         """
         nodal = self._fold.unfold(rows / np.sqrt(self._fold.variance))
         elements = self.problem.mesh.elements
-        matrix: Array = (nodal[elements[:, 0]] + nodal[elements[:, 1]] + nodal[elements[:, 2]]) / 3
-        return matrix
+        return (nodal[elements[:, 0]] + nodal[elements[:, 1]] + nodal[elements[:, 2]]) / 3
 
     def noise_figure(self, matrix: Array) -> float:
         """Noise figure (Adler et al. 2009, equal noise on all readings, independent of their weights)."""

@@ -197,8 +197,7 @@ def disc_signals(jacobian: Array, mesh: Mesh, centres_mm: Array, radius_mm: floa
     total = np.bincount(target, covered, minlength=len(centres_mm))
     share = covered / mesh.areas_mm2[element] / total[target]
     shares = sparse.csr_array((share, (target, element)), shape=(len(centres_mm), len(mesh.elements)))
-    signals: Array = np.asarray(shares @ jacobian.T).T
-    return signals
+    return np.asarray(shares @ jacobian.T).T
 
 
 def node_areas_mm2(mesh: Mesh) -> Array:

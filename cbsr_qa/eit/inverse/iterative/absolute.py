@@ -146,8 +146,7 @@ class Linearised:
 
     def matrix(self) -> Array:
         """First step from here per change of the readings, (e + electrodes, g)."""
-        matrix: Array = linalg.cho_solve(self._factor, self.back.T).T
-        return matrix
+        return linalg.cho_solve(self._factor, self.back.T).T
 
     def step(self, wanted: Array, place: "_Place") -> tuple[Array, Array, float]:
         """Step of θ and of w towards readings, and the fall of Φ it promises."""

@@ -160,8 +160,7 @@ class AbsoluteImages:
 
     def absolute(self, changes: Array) -> Array:
         """Conductances (n, e) in units of the unit model's, of the same changes."""
-        images: Array = (1 + self.images(changes)) * self.reference.conductance / self.scale
-        return images
+        return (1 + self.images(changes)) * self.reference.conductance / self.scale
 
     def states(self, changes: Array) -> list[FoundState]:
         """State of each frame, with its residual and number of steps; contacts are found anew.
@@ -202,8 +201,7 @@ class AbsoluteImages:
                 f"the readings do not determine the contact impedance of electrodes {electrodes}",
                 remedy="include reference readings at driven electrodes",
             )
-        contacts: Array = self.reference.contact_impedance * self.scale
-        return contacts
+        return self.reference.contact_impedance * self.scale
 
 
 def _usual(name: str) -> str:

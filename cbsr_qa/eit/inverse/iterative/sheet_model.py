@@ -86,8 +86,7 @@ class SolvedSheet:
 
     def readings(self) -> Array:
         """Folded readings (g,) at unit current [V/A]."""
-        readings: Array = self.model.voltages()[self.drive, self.measure]
-        return readings
+        return self.model.voltages()[self.drive, self.measure]
 
     def jacobian(self) -> Array:
         """Change of the readings per change of ln γ and ln z, (g, e + electrodes)."""

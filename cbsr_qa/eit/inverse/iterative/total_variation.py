@@ -338,5 +338,4 @@ class _Newton:
 
     def _once(self, right: Array) -> Array:
         guess = self._laplacian.solve(right)
-        solved: Array = guess - self._back @ linalg.lu_solve(self._core, self._low @ guess)
-        return solved
+        return guess - self._back @ linalg.lu_solve(self._core, self._low @ guess)

@@ -51,8 +51,7 @@ class WhiteReadings:
 
     def white(self, changes: Array) -> Array:
         """White readings (n, g) of changes (n, m)."""
-        white: Array = self.fold.fold(changes) / self.deviation
-        return white
+        return self.fold.fold(changes) / self.deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
