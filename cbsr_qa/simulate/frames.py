@@ -11,13 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import Array, ConfigError
 from cbsr_qa.domain.plan import Moment, SheetDesign, SimulatedPress
 from cbsr_qa.eit.forward import ring_impedance
 from cbsr_qa.simulate.chain import Chain
 from cbsr_qa.simulate.sheet import Place, SimulatedSheet
-
-Array = NDArray[np.float64]
 
 
 class SimulatedRing:

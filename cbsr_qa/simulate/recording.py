@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.plan import (
     PressTimes,
     SceneLoad,
@@ -134,7 +133,7 @@ def _rested(pressed: list[PressedLoad]) -> list[PressedLoad]:
     return [*rested, *pressed[-1:]]
 
 
-def head_path(plan: ScenePlan, thickness_mm: float, time_s: NDArray[np.float64]) -> tuple[SampleBlock, ...]:
+def head_path(plan: ScenePlan, thickness_mm: float, time_s: Array) -> tuple[SampleBlock, ...]:
     """Commanded position of head 1 at some times: x, y from the sheet's centre and z over the hover height [mm].
 
     As in the rig's CSV: z falls from 0, and is −hover at the nominal surface. Between presses the head goes on at
@@ -154,8 +153,6 @@ def head_path(plan: ScenePlan, thickness_mm: float, time_s: NDArray[np.float64])
         for name, along in zip(("x", "y", "z"), axes, strict=True)
     )
 
-
-Array = NDArray[np.float64]
 
 #: Samples of force and place a second: of the rig's load cell; a power of two, so that their times are exact.
 SAMPLE_RATE_HZ: Final = 8

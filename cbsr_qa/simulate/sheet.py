@@ -7,17 +7,14 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.plan import SheetDesign
 from cbsr_qa.domain.sensor import PlacedElectrodes, SensorType
 from cbsr_qa.eit.forward import Cover, ForwardModel, cover
 from cbsr_qa.eit.loads import LoadedSheet, LoadFamily, NestedCover, nested_cover
 from cbsr_qa.eit.mesh import sheet_mesh
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Place = tuple[float, float]
 
 _ORDER: Final = 2  # of the elements; the image's Jacobian is another mesh's

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.system import Clock
 
 #: Keeps these keys apart from any other use of the same hash.
@@ -54,7 +54,7 @@ class RandomStream:
         """
         return np.random.Generator(np.random.Philox(key=self._key, counter=_counter(index)))
 
-    def normal(self, index: int, shape: tuple[int, ...] = ()) -> NDArray[np.float64]:
+    def normal(self, index: int, shape: tuple[int, ...] = ()) -> Array:
         """Draw the standard normal numbers of an index: equal to ``generator(index).standard_normal(shape)``.
 
         Raises

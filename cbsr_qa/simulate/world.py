@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import Array, ConfigError
 from cbsr_qa.domain.plan import (
     CONTACT_LENGTH_MM,
     HeadPosition,
@@ -26,8 +25,6 @@ from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.simulate.chain import EffectFactory, build_chain
 from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame, SimulatedRing
 from cbsr_qa.simulate.sheet import SimulatedSheet, finest_mesh_mm
-
-Array = NDArray[np.float64]
 
 _TOUCHING: Final = 1e-9  # strain that is more than rounding
 
@@ -140,7 +137,7 @@ class SimulatedWorld:
         self.chain.record(transcript)
         return transcript
 
-    def voltages_V(self, time_s: float, index: int) -> NDArray[np.float64]:
+    def voltages_V(self, time_s: float, index: int) -> Array:
         """Readings of one frame, (drives, measures) [V]; parameters and errors as of :meth:`frame`."""
         return self.frame(time_s, index).voltages
 

@@ -3,9 +3,8 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 
 def convergence_order(errors: Sequence[float], sizes: Sequence[float]) -> float:

@@ -9,9 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain import Array, CbsrError, Mask
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction
 from cbsr_qa.eit.inverse import changes, scale_of
 from cbsr_qa.plugin import Reconstruction
@@ -29,7 +28,6 @@ from cbsr_qa.testing.targets import (
     symmetric_problem,
 )
 
-Array = NDArray[np.float64]
 Factory = Callable[[], Reconstruction]
 
 _MASKED = (2, 7, 12)  # electrodes whose readings are all left out
@@ -347,7 +345,7 @@ def elsewhere_readings(problem: ImagingProblem) -> Array:
     return readings
 
 
-def _image_with(prepared: PreparedReconstruction, masked: NDArray[np.bool_], value: float) -> Array:
+def _image_with(prepared: PreparedReconstruction, masked: Mask, value: float) -> Array:
     """Image of a target, by way of whole frames that read a value wherever they are masked."""
     problem = prepared.problem
     reference = np.where(masked, value, 0.0)

@@ -19,18 +19,16 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, Indices, Mask, RefusedError
 from cbsr_qa.domain.results import ImagingProblem, PreparedReconstruction
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Mesh, Response, SensorType, adjacent_pattern
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import imaging_problem, target_signal
 from cbsr_qa.plugin import Reconstruction
 
-Array = NDArray[np.float64]
 Factory = Callable[[], Reconstruction]
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -83,8 +81,6 @@ def answer(folder: str) -> None:
     images = [factory().prepare(problem).images(changes) for factory in factories]
     (Path(folder) / "answered").write_bytes(pickle.dumps(images))
 
-
-Indices = NDArray[np.int64]
 
 _RADIUS_MM = 50.0
 _ELECTRODES = 16
@@ -192,7 +188,7 @@ _BLOB = 0.5  # an image's blob is what exceeds this share of its maximum
 _NOISE = 1e-3  # of a reading: 60 dB
 
 
-def example_problem(*, used: NDArray[np.bool_] | None = None) -> ImagingProblem:
+def example_problem(*, used: Mask | None = None) -> ImagingProblem:
     """Return the shipped 100 mm disc on a coarse image mesh, with reference readings of an ideal sensor."""
     problem = imaging_problem(load_sensor_type("disc-100mm").value, used=used, image_size_mm=6.0)
     return replace(problem, measured=problem.reference)

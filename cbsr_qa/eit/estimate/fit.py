@@ -13,14 +13,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.eit.estimate.readings import MergedReadings
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Squared length of the last step in standard errors: a hundredth of one.
 _CLOSE_ENOUGH: Final = 1e-4
@@ -52,7 +48,7 @@ class Fits:
     covariance: Array
     misfit: Array
     empty_misfit: Array
-    steps: NDArray[np.int64]
+    steps: Indices
     converged: Mask
     held: Mask
     excess: Array
@@ -153,26 +149,26 @@ class _Run:
         if going.any():
             self._try(which[going], aim[going])
 
-    def _moves(self, which: NDArray[np.int64]) -> tuple[Array, Array]:
+    def _moves(self, which: Indices) -> tuple[Array, Array]:
         """Damped steps (k, 4), and their squared length in standard errors."""
         normal, pull, scale = self._scaled(which)
         damped = normal + self.damping[which, None, None] * np.eye(4)
         move = np.linalg.solve(damped, pull[..., None])[..., 0]
         return move / scale, (move * pull).sum(axis=1)
 
-    def _scaled(self, which: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    def _scaled(self, which: Indices) -> tuple[Array, Array, Array]:
         """Normal equations (k, 4, 4), (k, 4) of parameters scaled (k, 4) to unit diagonal; fixed ones do not move."""
         free = self.free[which]
         normal, scale = _normal(self.information[which], free)
         return normal, np.where(free, self.pull[which] / scale, 0), scale
 
-    def _finish(self, which: NDArray[np.int64], at: Array, gain: Array) -> None:
+    def _finish(self, which: Indices, at: Array, gain: Array) -> None:
         self.at[which] = at
         self.misfit[which] -= gain
         self.active[which] = False
         self.converged[which] = True
 
-    def _try(self, which: NDArray[np.int64], aim: Array) -> None:
+    def _try(self, which: Indices, aim: Array) -> None:
         rows, slopes = self.fitter.rows(aim)
         residual = self.data[which] - rows
         misfit = (residual**2).sum(axis=1)
@@ -185,7 +181,7 @@ class _Run:
         self.damping[good] *= _EASIER
         self._refuse(which[~better])
 
-    def _refuse(self, which: NDArray[np.int64]) -> None:
+    def _refuse(self, which: Indices) -> None:
         self.damping[which] *= _HARDER
         self.active[which[self.damping[which] > _LARGEST_DAMPING]] = False
 

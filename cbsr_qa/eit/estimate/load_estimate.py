@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 from scipy.stats import chi2
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import Estimated, LoadEstimate, LoadFinding
 from cbsr_qa.eit.estimate.fit import SURE, Fits, LoadFitter, spread_covariance
 from cbsr_qa.eit.estimate.readings import MergedReadings
 from cbsr_qa.eit.loads import RoundLoadModel
-
-Array = NDArray[np.float64]
 
 #: By how much a load must lower the squared residuals to be there at all. Noise alone does it in fewer than 2 of
 #: 10 000 frames (measured with 20 000, anywhere on the sheet, of any size).
@@ -60,10 +58,10 @@ class LoadFits:
     """
 
     fits: Fits
-    finding: NDArray[np.int64]
+    finding: Indices
     detectability: Array
     place_stderr_mm: Array
-    has_radius: NDArray[np.bool_]
+    has_radius: Mask
     inflation: Array
     probability: Array
 
@@ -172,7 +170,7 @@ class LoadEstimator:
         has_radius = located & (self._radius_stderr(fits, located) <= _SHARE * _SPARE * self.expected_radius_mm)
         return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability)
 
-    def _covariance(self, fits: Fits, seen: NDArray[np.int64], detectability: Array) -> Array:
+    def _covariance(self, fits: Fits, seen: Indices, detectability: Array) -> Array:
         unsure = seen[detectability[seen] < SURE]
         if not unsure.size:
             return fits.covariance
@@ -180,7 +178,7 @@ class LoadEstimator:
         spread = spread_covariance(self._fitter, chosen, detectability[unsure], square=not self.known)
         return _replaced(fits.covariance, unsure, spread)
 
-    def _radius_stderr(self, fits: Fits, located: NDArray[np.bool_]) -> Array:
+    def _radius_stderr(self, fits: Fits, located: Mask) -> Array:
         """Standard error of the radius at its expected value, (n,) [mm]; infinite if none is expected."""
         stderr = np.full(len(located), np.inf)
         which = np.flatnonzero(located)
@@ -310,11 +308,11 @@ def _unfitted(data: Array, start: Array, gain: Array) -> Fits:
     return Fits(start, covariance, empty - gain, empty, steps, no, no, np.zeros(count))
 
 
-def _with(fits: Fits, which: NDArray[np.int64], new: Fits) -> Fits:
+def _with(fits: Fits, which: Indices, new: Fits) -> Fits:
     return Fits(*(_replaced(getattr(fits, name), which, getattr(new, name)) for name in Fits.__slots__))
 
 
-def _replaced(values: NDArray, which: NDArray[np.int64], new: NDArray) -> NDArray:  # type: ignore[type-arg]
+def _replaced(values: NDArray, which: Indices, new: NDArray) -> NDArray:  # type: ignore[type-arg]
     changed = values.copy()
     changed[which] = new
     return changed

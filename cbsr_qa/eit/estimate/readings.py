@@ -8,9 +8,8 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.geometry import Disc
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, SensorType
 from cbsr_qa.eit.forward import ForwardModel
@@ -37,9 +36,6 @@ def load_model(sensor_type: SensorType) -> RoundLoadModel:
     return RoundLoadModel(MeshedSheet(model, sensor_type.radius_mm), sensor_type.pattern)
 
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 #: A load has four unknowns; with hardly more readings nothing could contradict them.
 FEWEST_ROWS = 12
 
@@ -56,7 +52,7 @@ class MergedReadings:
     weight : (rows,) by which the model's value of that reading is multiplied.
     """
 
-    used: NDArray[np.bool_]
+    used: Mask
     merging: Array
     drive: Indices
     measure: Indices
@@ -71,7 +67,7 @@ class MergedReadings:
         return readings[..., self.drive, self.measure] * self.weight
 
 
-def merged_readings(pattern: DrivePattern, used: NDArray[np.bool_], variance: Array) -> MergedReadings:
+def merged_readings(pattern: DrivePattern, used: Mask, variance: Array) -> MergedReadings:
     """Merge reciprocal readings.
 
     Parameters

@@ -13,19 +13,16 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import ive
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import DrivePattern, SensorType
 from cbsr_qa.eit.forward.coverage import cover
 from cbsr_qa.eit.forward.local import LocalUpdate
 from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.mesh import sheet_mesh
-
-Array = NDArray[np.float64]
 
 _SIZE: Final = 0.1  # edge length far from the pins, of the strip's radius: changes of readings to 5e-4
 _CHANGES: Final = np.expm1(np.linspace(-np.log(20.0), np.log(20.0), 41))  # of conductance, that are tabulated
@@ -245,7 +242,7 @@ def _radial(mode: float, radii: Array) -> Array:
     return np.exp(inside - at_wall) / (order + mode * next_order)
 
 
-def _log_bessel(order: NDArray[np.int64], argument: Array) -> Array:
+def _log_bessel(order: Indices, argument: Array) -> Array:
     """Logarithm of I_m(x); for larger m, where I_m underflows, by Debye's uniform expansion (DLMF 10.41.3)."""
     m, x = np.broadcast_arrays(order.astype(np.float64), argument)
     log = np.empty(m.shape)

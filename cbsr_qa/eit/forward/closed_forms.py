@@ -13,13 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import spherical_jn
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeLayout
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +118,7 @@ def grounded(impedance: Array) -> Array:
     return np.asarray(projected - projected.mean(axis=1, keepdims=True), dtype=np.float64)
 
 
-def _lags(angles_rad: Array) -> tuple[Array, NDArray[np.int64]]:
+def _lags(angles_rad: Array) -> tuple[Array, Indices]:
     """Different angles between electrodes, and which of them each (row, column) has: equal spacing has few."""
     apart = np.round((angles_rad[:, None] - angles_rad) % (2 * np.pi), 12) % np.round(2 * np.pi, 12)
     lags, which = np.unique(apart, return_inverse=True)
@@ -261,7 +258,7 @@ def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePatter
     return pattern.drive_currents().T @ impedance @ pattern.measure_matrix()
 
 
-def lead_readings(pattern: DrivePattern) -> NDArray[np.float64]:
+def lead_readings(pattern: DrivePattern) -> Array:
     """Contribution of each electrode's lead resistance to a reading: (drives, measures, electrodes) of −1, 0, +1.
 
     A pair that is measured through a lead which carries current reads the drop over it as well: +1 where the source

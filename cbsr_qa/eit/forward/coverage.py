@@ -4,15 +4,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.geometry import Footprint, circle_overlap_mm2, overlap_mm2
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward.elements import FiniteElements
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 #: A share above this is all of the element.
 WHOLE: Final = 1 - 1e-12

@@ -14,12 +14,9 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import Mesh
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,9 +72,6 @@ def _gauss(count: int) -> tuple[Array, Array]:
 
 #: by order
 SHAPES: Final = {1: _linear(), 2: _quadratic()}
-
-
-Indices = NDArray[np.int64]
 
 
 class FiniteElements:

@@ -3,12 +3,9 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array, Indices
 from cbsr_qa.eit.forward.model import ForwardModel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 #: More nodes than this are not kept: 2048² entries are 34 MB, and hold some seventy heads on a mesh of 2.5 mm.
 MOST_NODES: Final = 2048

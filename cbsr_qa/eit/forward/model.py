@@ -8,17 +8,13 @@ conductance, so that contact impedance is per length of an electrode's outline.
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError, real_numbers
+from cbsr_qa.domain import Array, Indices, NumericsError, real_numbers
 from cbsr_qa.domain.sensor import DrivePattern, Mesh
 from cbsr_qa.eit.forward.contacts import edge_contacts, point_contacts
 from cbsr_qa.eit.forward.elements import FiniteElements
 from cbsr_qa.eit.forward.prepared import PreparedSheet
 from cbsr_qa.eit.forward.value_range import check_contacts, check_contrast, check_values, far_apart, least_and_most
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class ForwardModel:

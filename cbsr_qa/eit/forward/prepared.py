@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward.contacts import Contacts
 from cbsr_qa.eit.forward.elements import FiniteElements
 
-Array = NDArray[np.float64]
 SparseIndices = NDArray[np.int32]
 
 _MOST_STEPS: Final = 12
@@ -119,8 +118,6 @@ def _difference(one: Array, other: Array) -> tuple[Array, Array]:
     """Rounded difference, and its rounding error."""
     return _sum(one, -other)
 
-
-Indices = NDArray[np.int64]
 
 # Supernodes are not relaxed: with the symmetric ordering SuperLU pads some of them until they cost ten times as much.
 _SYMMETRIC: Final[dict[str, Any]] = {

@@ -13,11 +13,8 @@ ranges, which no sheet comes near, values are taken for mistakes.
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 
 #: z γ/|E| of an electrode with the conductance next to it.
 CONTACT_RANGE: Final = (1e-9, 1e9)
@@ -97,7 +94,7 @@ def far_apart(least: Array, most: Array, impedance: Array, lengths_mm: Array) ->
 
 
 def check_contacts(
-    least: Array, most: Array, impedance: Array, lengths_mm: Array, beside: tuple[NDArray[np.int64], ...]
+    least: Array, most: Array, impedance: Array, lengths_mm: Array, beside: tuple[Indices, ...]
 ) -> None:
     """Refuse contacts so good or so poor that readings lose their digits.
 
@@ -137,7 +134,7 @@ def _check_ratios(low: Array, high: Array, impedance: Array, where: str, allowed
         )
 
 
-def conducts(conductance: Array) -> NDArray[np.bool_]:
+def conducts(conductance: Array) -> Mask:
     """Whether conductances (m,) or (m, q, 2, 2) are finite and positive, as matrices symmetric and definite: (m,)."""
     if conductance.ndim == 1:
         return np.asarray(np.isfinite(conductance) & (conductance > 0), dtype=np.bool_)

@@ -11,16 +11,15 @@ from collections.abc import Sequence
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import Blob, Image, Region
 
 # Two roundings stand between a value that was meant to lie on the threshold and the threshold computed here.
 _TIE: Final = 4 * np.finfo(np.float64).eps
 
 
-def percentage_mask(values: NDArray[np.float64], fraction: float) -> NDArray[np.bool_]:
+def percentage_mask(values: Array, fraction: float) -> Mask:
     """Keep the elements that reach a fraction of the image's maximum.
 
     Values on the threshold are kept, ties to within rounding included; zero and negative values never survive,
@@ -43,7 +42,7 @@ def percentage_mask(values: NDArray[np.float64], fraction: float) -> NDArray[np.
     return (values > 0) & (values >= threshold(values, fraction))
 
 
-def threshold(values: NDArray[np.float64], fraction: float) -> float:
+def threshold(values: Array, fraction: float) -> float:
     """Return the threshold of a mask: the fraction of the maximum, less rounding; 0 if no value is positive.
 
     Raises
@@ -61,7 +60,7 @@ def threshold(values: NDArray[np.float64], fraction: float) -> float:
     return fraction * float(values.max(initial=0.0)) * (1 - _TIE)
 
 
-def noise_floor(images: NDArray[np.float64]) -> float:
+def noise_floor(images: Array) -> float:
     """Return the largest value that noise alone put anywhere into the unloaded images.
 
     Per element the largest |value| over the images, then the maximum over the elements (paper, section 3.3.2).
@@ -89,7 +88,7 @@ def noise_floor(images: NDArray[np.float64]) -> float:
     return float(np.abs(images).max())
 
 
-def floored(values: NDArray[np.float64], floor: float) -> NDArray[np.float64]:
+def floored(values: Array, floor: float) -> Array:
     """Subtract the noise floor, for masks and blobs only: amplitudes are taken from un-subtracted images.
 
     Parameters
@@ -109,9 +108,6 @@ def floored(values: NDArray[np.float64], floor: float) -> NDArray[np.float64]:
     if not 0 <= floor < float("inf"):
         raise NumericsError(f"the noise floor is {floor}; it must be a finite number of at least 0")
     return np.maximum(values - floor, 0.0)
-
-
-Indices = NDArray[np.int64]
 
 
 def component_labels(count: int, first: Indices, second: Indices) -> Indices:
@@ -160,7 +156,7 @@ def _followed(label: Indices) -> Indices:
 AnyRegion = TypeVar("AnyRegion", bound=Region)
 
 
-def find_blobs(image: Image, keep: NDArray[np.bool_]) -> tuple[Blob, ...]:
+def find_blobs(image: Image, keep: Mask) -> tuple[Blob, ...]:
     """Find the connected components of kept elements over shared edges.
 
     Elements that meet in a corner only are not connected. A kept element without a positive value is dropped:
@@ -211,7 +207,7 @@ def nearest_blob(blobs: Sequence[AnyRegion], x_mm: float, y_mm: float) -> AnyReg
     return min(blobs, key=lambda blob: float(np.hypot(*(blob.centre_mm() - place))), default=None)
 
 
-def _components(image: Image, keeps: NDArray[np.bool_]) -> tuple[tuple[Blob, ...], ...]:
+def _components(image: Image, keeps: Mask) -> tuple[tuple[Blob, ...], ...]:
     """Find the blobs of several masks (m, e) in one search: a graph with a copy of the kept elements for each."""
     keeps = keeps & (image.values > 0)
     mask, element = np.nonzero(keeps)

@@ -13,16 +13,12 @@ from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.imaging.blobs import component_labels, groups, threshold
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _SPECK: Final = 1e-9  # of a mean element's area
 _ALIGNED: Final = 1e-9  # elements around a node that are more in a line than this say nothing across it
@@ -230,18 +226,18 @@ class _Cut:
         return self._levels[self.mask(corner)]
 
 
-def _any(flags: NDArray[np.bool_], nodes: Indices) -> NDArray[np.bool_]:
+def _any(flags: Mask, nodes: Indices) -> Mask:
     """Whether any of some nodes (k, …) is marked: (k,). Column by column, for speed."""
-    found: NDArray[np.bool_] = np.logical_or.reduce(flags[nodes.T])
+    found: Mask = np.logical_or.reduce(flags[nodes.T])
     return found
 
 
-def _all(flags: NDArray[np.bool_], nodes: Indices) -> NDArray[np.bool_]:
-    found: NDArray[np.bool_] = np.logical_and.reduce(flags[nodes.T])
+def _all(flags: Mask, nodes: Indices) -> Mask:
+    found: Mask = np.logical_and.reduce(flags[nodes.T])
     return found
 
 
-def _turned(triangles: Indices, odd: NDArray[np.bool_]) -> Indices:
+def _turned(triangles: Indices, odd: Mask) -> Indices:
     """Turn triangles so that the one corner that is marked comes first."""
     return np.take_along_axis(triangles, (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
 

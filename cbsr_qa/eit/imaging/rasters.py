@@ -7,10 +7,9 @@ import numpy as np
 import skimage.feature
 import skimage.measure
 import skimage.segmentation
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.imaging.blobs import percentage_mask, threshold
@@ -32,7 +31,7 @@ class Raster:
     first_mm : (x, y) of the centre of pixel [0, 0].
     """
 
-    values: NDArray[np.float64]
+    values: Array
     pitch_mm: float
     first_mm: tuple[float, float]
 
@@ -43,7 +42,7 @@ class Raster:
                 " must be two-dimensional, finite and of positive pitch"
             )
 
-    def places_mm(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    def places_mm(self, pixels: Array) -> Array:
         """Places of (row, column) pairs, which may be fractional: (k, 2) → (k, 2) of x and y [mm]."""
         return np.asarray(self.first_mm) + self.pitch_mm * pixels[:, ::-1]
 
@@ -61,18 +60,18 @@ class PixelRegion:
     start_mm, end_mm : (k, 2) straight pieces of the contour, the region to their left.
     """
 
-    pixels: NDArray[np.bool_]
-    centre: NDArray[np.float64]
+    pixels: Mask
+    centre: Array
     area_mm2: float
     weight: float
-    start_mm: NDArray[np.float64]
-    end_mm: NDArray[np.float64]
+    start_mm: Array
+    end_mm: Array
 
-    def centre_mm(self) -> NDArray[np.float64]:
+    def centre_mm(self) -> Array:
         """Centre of mass M, (2,) [mm]."""
         return self.centre
 
-    def rim_mm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def rim_mm(self) -> tuple[Array, Array]:
         """Starts and ends (k, 2) [mm] of the contour's pieces."""
         return self.start_mm, self.end_mm
 
@@ -119,7 +118,7 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     return _regions(raster, _segmentation.watershed(-smooth, markers, mask=keep), level)
 
 
-def pixel_image(raster: Raster, where: NDArray[np.bool_] | None = None) -> Image:
+def pixel_image(raster: Raster, where: Mask | None = None) -> Image:
     """Return a raster as an image on a mesh: two triangles a pixel, for figures that want areas.
 
     Parameters
@@ -144,7 +143,7 @@ def pixel_image(raster: Raster, where: NDArray[np.bool_] | None = None) -> Image
     return Image(mesh, np.repeat(raster.values[kept], 2))
 
 
-def outlines(raster: Raster, level: float) -> tuple[NDArray[np.float64], ...]:
+def outlines(raster: Raster, level: float) -> tuple[Array, ...]:
     """Closed outlines at a level, with sub-pixel accuracy (marching squares), longest first.
 
     The raster is continued with zeros, so that a region on its rim is closed too.
@@ -159,14 +158,14 @@ def outlines(raster: Raster, level: float) -> tuple[NDArray[np.float64], ...]:
     return tuple(sorted(closed, key=lambda outline: -float(np.hypot(*np.diff(outline, axis=0).T).sum())))
 
 
-def _masked(raster: Raster, fraction: float) -> tuple[NDArray[np.bool_], float]:
+def _masked(raster: Raster, fraction: float) -> tuple[Mask, float]:
     if fraction == 1:
         raise NumericsError("a contour at the maximum itself encloses nothing", remedy="use a mask below 100 %")
     keep = percentage_mask(raster.values.ravel(), fraction).reshape(raster.values.shape)
     return keep, threshold(raster.values, fraction)
 
 
-def _regions(raster: Raster, labels: NDArray[np.int64], level: float) -> tuple[PixelRegion, ...]:
+def _regions(raster: Raster, labels: Indices, level: float) -> tuple[PixelRegion, ...]:
     regions = []
     for found in _measure.regionprops(labels, intensity_image=raster.values):
         pixels = labels == found.label

@@ -6,9 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array, NumericsError
 
 _FEWEST: Final = 3  # places: two are met by any similarity exactly
 _ROUNDING: Final = 1e-12  # of squared distances

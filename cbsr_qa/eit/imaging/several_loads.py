@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.geometry import Footprint, inside_edges, overlap_mm2
 from cbsr_qa.domain.results import Blob, Image, ImagingProblem, PreparedReconstruction, Region
 from cbsr_qa.domain.run import Indenter
@@ -71,7 +70,7 @@ def _neighbours(blob: Blob) -> list[list[int]]:
     return around
 
 
-def _flooded(values: NDArray[np.float64], around: list[list[int]], depth: float) -> NDArray[np.int64]:
+def _flooded(values: Array, around: list[list[int]], depth: float) -> Indices:
     """Number of the basin, by its peak, of every element: the level falls from the highest peak to the rim.
 
     An element between basins goes to that of its highest neighbour. Where two meet, the lower one is joined to the
@@ -176,9 +175,7 @@ def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gat
     )
 
 
-def _relations(
-    regions: Sequence[Region], loads: Sequence[Footprint]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _relations(regions: Sequence[Region], loads: Sequence[Footprint]) -> tuple[Array, Mask]:
     """Distances of the regions' centres of mass from the loads' centres, and whether they cover them."""
     pressed = np.array([load.centre_mm for load in loads]).reshape(-1, 2)
     distance = np.empty((len(loads), len(regions)))
@@ -188,8 +185,6 @@ def _relations(
         covered[:, number] = inside_edges(pressed, *region.rim_mm())
     return distance, covered
 
-
-Array = NDArray[np.float64]
 
 #: Mask under which a watershed parts two loads, and how deep the valley between them must be, both of the maximum.
 WATERSHED_MASK: Final = 0.25

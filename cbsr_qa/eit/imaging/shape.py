@@ -12,15 +12,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.geometry import Footprint, RoundFootprint, overlap_mm2
 from cbsr_qa.domain.results import Blob, Image, OverlapBand, Region
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.imaging.blobs import threshold
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +153,7 @@ def _deviations_mm2(
     return deviations
 
 
-def _joined(rims: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, NDArray[np.int64]]:
+def _joined(rims: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Indices]:
     """All perimeters in a row, and where each begins."""
     start, end = (np.concatenate(parts) for parts in zip(*rims, strict=True))
     return start, end, np.cumsum([0, *(len(rim[0]) for rim in rims[:-1])])
@@ -217,7 +214,7 @@ def overlap_grade(
     return "no band"
 
 
-def overlap_area_mm2(mesh: Mesh, elements: NDArray[np.int64], footprint: Footprint) -> NDArray[np.float64]:
+def overlap_area_mm2(mesh: Mesh, elements: Indices, footprint: Footprint) -> Array:
     """Return each element's area inside a footprint, exactly, arcs included.
 
     Parameters

@@ -16,13 +16,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.eit.inverse.priors import Prior
-
-Array = NDArray[np.float64]
 
 #: Of the dual system, or of its root where that is decomposed: ten digits of what it is made of are lost.
 _MOST_CONDITION: Final = 1e10

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
 from cbsr_qa.eit.inverse.choice import (
     Criterion,
@@ -25,8 +24,6 @@ from cbsr_qa.eit.inverse.choice import (
 from cbsr_qa.eit.inverse.dual import DualSpectrum, check_hyperparameter, dual_matrix, dual_spectrum
 from cbsr_qa.eit.inverse.priors import Prior
 from cbsr_qa.eit.inverse.readings import ReadingFold
-
-Array = NDArray[np.float64]
 
 
 class OneStep:

@@ -3,15 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.sensor import Mesh
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 
 _SLIVER = 1e-12  # of a mean element's area: what is smaller has no centroid to rounding
 

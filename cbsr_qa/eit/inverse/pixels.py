@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cbsr_qa.domain import NumericsError, RefusedError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError, RefusedError
 from cbsr_qa.domain.results import LinearReconstruction
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse.overlap import overlap_pieces
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 _SAME: Final = 1e-9  # columns in proportion, and weights
 _REAL: Final = frozenset("fiu")  # kinds of numbers that readings may be
@@ -57,7 +55,7 @@ class PixelImaging:
     readings: int
 
     @property
-    def inside(self) -> NDArray[np.bool_]:
+    def inside(self) -> Mask:
         """Pixels that cover some of the sheet, (pixels, pixels)."""
         inside = np.zeros(self.pixels * self.pixels, dtype=np.bool_)
         inside[self.places] = True

@@ -13,19 +13,15 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-from cbsr_qa.domain import NumericsError, real_numbers
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError, real_numbers
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import FEWEST_INDEPENDENT, DrivePattern, Mesh, SensorType
 from cbsr_qa.eit.forward import ForwardModel, LocalUpdate, cover
 from cbsr_qa.eit.inverse.overlap import Pieces, overlap_pieces
 from cbsr_qa.eit.mesh import image_mesh, sheet_mesh
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def image_jacobian(model: ForwardModel, mesh: Mesh, drive: Indices, measure: Indices) -> Array:
@@ -83,7 +79,7 @@ MOST_MASKED: Final = 3
 def imaging_problem(
     sensor_type: SensorType,
     *,
-    used: NDArray[np.bool_] | None = None,
+    used: Mask | None = None,
     noise_variance: Array | None = None,
     image_size_mm: float = 3.0,
     sample: Array | None = None,
@@ -136,7 +132,7 @@ def imaging_problem(
     )
 
 
-def masked_electrodes(pattern: DrivePattern, used: NDArray[np.bool_]) -> tuple[int, ...]:
+def masked_electrodes(pattern: DrivePattern, used: Mask) -> tuple[int, ...]:
     """Electrodes with usable readings, (drives, measures) bool, none of which is used."""
     usable, left = (_touched(pattern, readings) for readings in (pattern.usable(), used))
     return tuple(int(electrode) for electrode in np.flatnonzero(usable & ~left))
@@ -201,7 +197,7 @@ def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
     return _Nominal(mesh, jacobian, reference)
 
 
-def _check_used(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
+def _check_used(pattern: DrivePattern, used: Mask) -> None:
     if used.shape != pattern.shape:
         raise NumericsError(
             f"mask of shape {used.shape} does not match frames of shape {pattern.shape}",
@@ -217,7 +213,7 @@ def _check_used(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
         )
 
 
-def _check_number(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
+def _check_number(pattern: DrivePattern, used: Mask) -> None:
     """Refuse too few readings; the message names the cause, the pattern or a mask."""
     independent = pattern.too_few_readings(used)
     if independent is None:
@@ -235,15 +231,15 @@ def _check_number(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
     )
 
 
-def _touched(pattern: DrivePattern, readings: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _touched(pattern: DrivePattern, readings: Mask) -> Mask:
     """Electrodes that some readings have to do with, (electrodes,)."""
     driven, measured = pattern.drive_currents() != 0, pattern.measure_matrix() != 0
-    touched: NDArray[np.bool_] = driven[:, readings.any(axis=1)].any(axis=1)
+    touched: Mask = driven[:, readings.any(axis=1)].any(axis=1)
     touched |= measured[:, readings.any(axis=0)].any(axis=1)
     return touched
 
 
-def _relative_variance(variance: Array, used: NDArray[np.bool_]) -> Array:
+def _relative_variance(variance: Array, used: Mask) -> Array:
     count = int(used.sum())
     variance = variance[used] if variance.shape == used.shape else variance
     if variance.shape != (count,):
@@ -272,7 +268,7 @@ def _relative_variance(variance: Array, used: NDArray[np.bool_]) -> Array:
     return relative
 
 
-def _check_spread(variance: Array, used: NDArray[np.bool_]) -> None:
+def _check_spread(variance: Array, used: Mask) -> None:
     """Refuse variances of which one is so far from the others that an image is of it alone, or rounding its share."""
     least, largest = int(variance.argmin()), int(variance.argmax())
     if variance[largest] / _MOST_UNEQUAL <= variance[least]:
@@ -287,12 +283,12 @@ def _check_spread(variance: Array, used: NDArray[np.bool_]) -> None:
     )
 
 
-def _pair(used: NDArray[np.bool_], reading: int) -> str:
+def _pair(used: Mask, reading: int) -> str:
     drive, measure = np.argwhere(used)[reading]
     return f"reading (drive {drive}, measure {measure})"
 
 
-def _readings(what: str, values: Array, used: NDArray[np.bool_], axes: int) -> Array:
+def _readings(what: str, values: Array, used: Mask, axes: int) -> Array:
     """Used readings of frames, or of one, which may come as such already."""
     count = int(used.sum())
     if values.shape[-2:] == used.shape and values.ndim == axes + 1:

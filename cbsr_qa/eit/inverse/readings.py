@@ -26,15 +26,11 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import digamma, polygamma
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import DrivePattern
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _SAME = 1e-6  # references of readings that are folded agree at least so well, relative to the largest
 
@@ -104,7 +100,7 @@ class ReadingFold:
         return float((left[:, repeated] ** 2 @ informed[repeated]).sum() / freedom), freedom
 
 
-def _groups(pattern: DrivePattern, used: NDArray[np.bool_]) -> tuple[Indices, Indices, Array]:
+def _groups(pattern: DrivePattern, used: Mask) -> tuple[Indices, Indices, Array]:
     """Group, first reading of each group, and sign of every used reading against it."""
     names, signs = (table[used] for table in pattern.reading_groups())
     _, at, group = np.unique(names, return_index=True, return_inverse=True)
@@ -143,7 +139,7 @@ class ReadingNoise:
     variance: Array
     common: float
     common_freedom: float
-    silent: NDArray[np.bool_]
+    silent: Mask
 
 
 def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:

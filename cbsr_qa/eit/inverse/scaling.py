@@ -3,12 +3,9 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError, real_numbers
+from cbsr_qa.domain import Array, NumericsError, real_numbers
 from cbsr_qa.domain.results import ImagingProblem
-
-Array = NDArray[np.float64]
 
 _LEAST_ALIKE: Final = 0.9  # cosine between a sensor's reference and the model's, in size
 

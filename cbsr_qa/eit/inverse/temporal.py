@@ -13,14 +13,11 @@ mean with λ²/n.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.eit.inverse.choice import central_signal
 from cbsr_qa.eit.inverse.dual import DualSpectrum
-
-Array = NDArray[np.float64]
 
 _LASTS = 8  # correlation times after which a frame is forgotten
 _LONGEST = 400  # frames a response is followed for at most

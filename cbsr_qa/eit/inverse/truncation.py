@@ -7,17 +7,13 @@ direction over another, so that cuts are made between values that differ by more
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse.choice import Criterion, Evidence, central_signal
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
 from cbsr_qa.eit.inverse.one_step import noise_level
 from cbsr_qa.eit.inverse.readings import ReadingFold
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _PAIR: Final = 0.98  # singular values closer than this ratio are kept or dropped together
 _LEAST: Final = 1e-7  # of the largest: no measurement has seven digits to tell what is below

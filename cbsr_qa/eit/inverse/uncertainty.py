@@ -4,14 +4,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse.choice import target_radius_mm
 from cbsr_qa.eit.inverse.problem import masked_electrodes
-
-Array = NDArray[np.float64]
 
 #: Places further out than this, of the radius, are the electrodes' own neighbourhood.
 _OUTERMOST: Final = 0.8

@@ -11,15 +11,11 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.eit.forward import ForwardModel, InverseEntries
 from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, check_change
 from cbsr_qa.eit.loads.rims import own_rim, seen_outside
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 #: Loads that overlap are residues where all together are no stronger than this, and are no more than so many.
 WEAK: Final = 2e-3

@@ -16,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.loads.round_load import Expansion
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Indices = NDArray[np.int64]
 
 _AT_ONCE = 8  # places whose poles are held along the whole edge
 _SOLVED_AT_ONCE = 8  # the solver slows down out of proportion with many

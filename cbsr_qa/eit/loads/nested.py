@@ -4,14 +4,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.eit.forward import WHOLE, FiniteElements, elements_near, outline_normals, shares, slopes
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _MARGIN: Final = 0.5  # how far a spread may leave [0, 1], as the best line through a step does
 

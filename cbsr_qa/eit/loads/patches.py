@@ -7,12 +7,10 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.eit.forward import ForwardModel, InverseEntries, conducts
 from cbsr_qa.eit.loads.rims import between_rims, connected_parts, filled_up, met_bases, seen_outside, spans_of
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Item = TypeVar("Item")
 
 # What reaches a patch from outside is smooth there: of the fields its rim could carry, few are ever met.
@@ -33,7 +31,7 @@ class PatchStack:
     rims : whether a node is seen from outside, for the sorted nodes of each patch.
     """
 
-    def __init__(self, model: ForwardModel, patches: Sequence[Indices], rims: Sequence[NDArray[np.bool_]]) -> None:
+    def __init__(self, model: ForwardModel, patches: Sequence[Indices], rims: Sequence[Mask]) -> None:
         self._rim = max(int(rim.sum()) for rim in rims)
         size = self._rim + max(int((~rim).sum()) for rim in rims)
         cells = model.elements.cells

@@ -15,12 +15,11 @@ from math import ceil, comb, log
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.sensor import ElectrodeKind, Electrodes
 from cbsr_qa.eit.forward import grounded
 from cbsr_qa.eit.loads.round_load import Expansion
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _CENTRAL = 1e-4  # of the radius: a pin nearer to the centre is moved so far out

@@ -3,17 +3,14 @@
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.eit.forward import ForwardModel, InverseEntries
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
-
-def seen_outside(model: ForwardModel, elements: Indices) -> NDArray[np.bool_]:
+def seen_outside(model: ForwardModel, elements: Indices) -> Mask:
     """Whether each of a patch's sorted nodes belongs to an element that does not change, or to an electrode."""
     nodes, corner = np.unique(model.elements.cells[elements], return_inverse=True)
     contacts = np.concatenate(model.prepared.contacts.nodes)

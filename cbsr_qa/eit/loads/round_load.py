@@ -20,10 +20,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.sensor import DrivePattern
-
-Array = NDArray[np.float64]
 
 _ERROR = 1e-5  # of the series if every order were as strong as the first; in fact below 1e-6
 _FEWEST, _MOST = 4, 16  # orders

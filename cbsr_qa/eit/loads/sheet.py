@@ -13,15 +13,12 @@ from collections.abc import Hashable, Mapping, Sequence
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array, Indices
 from cbsr_qa.eit.forward import ForwardModel, InverseEntries, LocalUpdate
 from cbsr_qa.eit.loads.family import TERMS, LoadFamily, Patch, polynomials
 from cbsr_qa.eit.loads.patches import ContactStack
 from cbsr_qa.eit.loads.rims import between_rims, filled_up, met_bases, spans_of
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # What of the fields at a rim is left out, over the largest. What a patch sends back of a field that it hardly meets
 # is hardly met elsewhere: readings feel the square of it.

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.geometry import ClosedCurve
 from cbsr_qa.domain.sensor import CircleArcs
 
-Points = NDArray[np.float64]
-Lengths = NDArray[np.float64]
+Points = Array
+Lengths = Array
 Size = Callable[[Points], Lengths]
 #: (least edge length, distances from where it is) → edge lengths
 Grade = Callable[[float, Lengths], Lengths]
@@ -117,8 +117,6 @@ def spread(density: Lengths, places: Lengths, *, at_least: int) -> Lengths:
     chosen: Lengths = np.interp(np.arange(count + 1) / count * total[-1], total, places)
     return chosen
 
-
-Indices = NDArray[np.int64]
 
 _ACROSS: Final = 2.5  # elements across a narrow place, at least
 #: Two places on the edge face each other where it is so much longer between them than straight.

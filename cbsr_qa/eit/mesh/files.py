@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import CbsrError, NumericsError
+from cbsr_qa.domain import CbsrError, Indices, NumericsError
 from cbsr_qa.domain.geometry import Polygon, inside_polygon, signed_area, thinned_ring
 from cbsr_qa.domain.sensor import (
     DrivePattern,
@@ -147,8 +147,6 @@ def _named_lines(found: Any) -> list[ElectrodeGiven]:
             groups.setdefault(int(called[1]), lines[physical == tag])
     return [groups[number] for number in sorted(groups)]
 
-
-Indices = NDArray[np.int64]
 
 #: A sheet's outline follows its mesh's edge to this share of the radius.
 _OUTLINE: Final = 1e-3

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import NumericsError, array_of, real_numbers
+from cbsr_qa.domain import Array, Indices, NumericsError, array_of, real_numbers
 from cbsr_qa.domain.sensor import FARTHEST_MM, Mesh
 
-Indices = NDArray[np.int64]
-Points = NDArray[np.float64]
+Points = Array
 
 _SAME: Final = 1e-9  # of the mesh's size: nodes closer together are one
 _SMALLEST_MM: Final = 1e-9  # extent of a mesh
@@ -125,7 +124,7 @@ def check_shape(points: Points, corners: Indices) -> None:
         )
 
 
-def twice_area(points: Points, corners: Indices) -> NDArray[np.float64]:
+def twice_area(points: Points, corners: Indices) -> Array:
     """Twice the signed area of each element, (e,)."""
     a, b, c = (points[corners[:, k]] for k in range(3))
     return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Indices, Mask, RefusedError
 from cbsr_qa.domain.geometry import ClosedCurve, Disc, SheetOutline, circle_curve, polygon_curve, simplified
 from cbsr_qa.domain.sensor import CircleArcs, ElectrodeKind, Mesh, SensorType, placement_problems, width_problem
 from cbsr_qa.eit.mesh.boundary import (
@@ -22,7 +21,6 @@ from cbsr_qa.eit.mesh.boundary import (
     FINEST,
     SMOOTHING,
     Edge,
-    Indices,
     Lengths,
     Points,
     SizeField,
@@ -250,7 +248,7 @@ def _followed(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tupl
     return edge, pins, sizes
 
 
-def _cut_edges(rings: list[Points]) -> NDArray[np.bool_]:
+def _cut_edges(rings: list[Points]) -> Mask:
     """Edges of closed lines that the Delaunay triangulation of all nodes lacks, one for each node."""
     points = np.vstack(rings)
     triangles = Delaunay(points).simplices

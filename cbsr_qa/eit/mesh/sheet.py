@@ -10,10 +10,9 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import Array, Indices, Mask, RefusedError
 from cbsr_qa.domain.sensor import (
     CircleArcs,
     ElectrodeKind,
@@ -41,7 +40,7 @@ from cbsr_qa.eit.mesh.files import without_holes
 from cbsr_qa.eit.mesh.outline import outline_image_mesh, outline_sheet_mesh
 from cbsr_qa.eit.mesh.triangulate import Outline, fill
 
-Points = NDArray[np.float64]
+Points = Array
 
 _COARSEST = 0.25  # largest edge length, of the radius
 
@@ -119,7 +118,7 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Boundary:
     outline: Outline
-    electrode_edges: tuple[NDArray[np.int64], ...]
+    electrode_edges: tuple[Indices, ...]
     arcs: tuple[CircleArcs, ...]
 
 
@@ -128,10 +127,10 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
     tree = cKDTree(centres)
     gap = radius - layout.ring_radius_mm - pin
 
-    def from_pin(points: Points) -> NDArray[np.float64]:
+    def from_pin(points: Points) -> Array:
         return np.asarray(tree.query(points)[0], dtype=np.float64) - pin
 
-    def clearance(points: Points) -> NDArray[np.float64]:
+    def clearance(points: Points) -> Array:
         return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
 
     if order == 1:
@@ -176,31 +175,31 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
     return _Boundary(outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius),))
 
 
-def _ring(count: int) -> NDArray[np.int64]:
+def _ring(count: int) -> Indices:
     """Edges of a closed line of n nodes."""
     return np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
 
 
-def _round(edge: Points) -> NDArray[np.int64]:
+def _round(edge: Points) -> Indices:
     """Edges of the sheet's edge counterclockwise, whichever way its stretches follow each other."""
     order = np.argsort(np.arctan2(edge[:, 1], edge[:, 0]), kind="stable")
     return np.column_stack([order, np.roll(order, -1)])
 
 
-def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_least: int = 2) -> NDArray[np.float64]:
+def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_least: int = 2) -> Array:
     """Angles along an arc, both ends included, with the wanted distances between them."""
     angles = start + np.linspace(0, span, 2001)
     density = radius / sizes(radius * _unit(angles))
     return spread(density, angles, at_least=at_least)
 
 
-def _rotated(angles: NDArray[np.float64], layout: ElectrodeLayout, radius: float) -> Points:
+def _rotated(angles: Array, layout: ElectrodeLayout, radius: float) -> Points:
     """Nodes of one electrode's stretch of the edge, repeated for every electrode, in the electrodes' order."""
     every = angles + layout.step_rad * np.arange(layout.count)[:, None]
     return radius * _unit(every.ravel())
 
 
-def _unit(angles: NDArray[np.float64]) -> Points:
+def _unit(angles: Array) -> Points:
     return np.column_stack([np.cos(angles), np.sin(angles)])
 
 
@@ -245,13 +244,11 @@ def _check_layout(name: str, layout: ElectrodeLayout, radius: float) -> None:
         )
 
 
-Array = NDArray[np.float64]
-
 _CLOSE: Final = 0.6  # nodes nearer to the circle than this share of the local edge length make way for its own
 _DENSE: Final = 4000  # points the local edge length is looked up at
 
 
-def fitted_mesh(mesh: Mesh, centre_mm: tuple[float, float], radius_mm: float) -> tuple[Mesh, NDArray[np.bool_]]:
+def fitted_mesh(mesh: Mesh, centre_mm: tuple[float, float], radius_mm: float) -> tuple[Mesh, Mask]:
     """Put a circle into a mesh.
 
     Parameters
@@ -308,7 +305,7 @@ def _ring_fitted_mesh(mesh: Mesh, centre: Array, radius: float) -> Array:
     return centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _triangles(nodes: Array, rims: tuple[NDArray[np.int64], ...]) -> NDArray[np.int64]:
+def _triangles(nodes: Array, rims: tuple[Indices, ...]) -> Indices:
     elements = Delaunay(nodes).simplices.astype(np.int64)
     hole = np.full(len(nodes), -1)
     for number, rim in enumerate(rims):
@@ -319,5 +316,5 @@ def _triangles(nodes: Array, rims: tuple[NDArray[np.int64], ...]) -> NDArray[np.
     twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     elements[twice < 0] = elements[twice < 0][:, ::-1]
     longest = ((b - a) ** 2).sum(axis=1)
-    solid: NDArray[np.int64] = elements[np.abs(twice) > 1e-9 * longest]
+    solid: Indices = elements[np.abs(twice) > 1e-9 * longest]
     return solid

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 
-Points = NDArray[np.float64]
-Elements = NDArray[np.int64]
+Points = Array
+Elements = Indices
 
 _TOO_LARGE = 1.25  # a circumradius above this many times an equilateral triangle's asks for a point
 _SPACING = 0.86  # points inserted together keep this distance, in wanted sizes
@@ -41,9 +40,9 @@ class Outline:
 
     points: Points
     hole: Elements
-    size: Callable[[Points], NDArray[np.float64]]
-    clearance: Callable[[Points], NDArray[np.float64]]
-    inside: Callable[[Points], NDArray[np.bool_]] | None = None
+    size: Callable[[Points], Array]
+    clearance: Callable[[Points], Array]
+    inside: Callable[[Points], Mask] | None = None
 
 
 def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, Elements]:
@@ -99,12 +98,12 @@ def triangulate(outline: Outline, points: Points) -> Elements:
     return solid
 
 
-def smallest_angle_deg(points: Points, elements: Elements) -> NDArray[np.float64]:
+def smallest_angle_deg(points: Points, elements: Elements) -> Array:
     """Smallest angle of each triangle, (e,) [°]."""
     lengths = np.sort(_edge_lengths(points, elements), axis=1)
     short, middle, long = lengths.T
     cosine = (middle**2 + long**2 - short**2) / (2 * middle * long)
-    angle: NDArray[np.float64] = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+    angle: Array = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
     return angle
 
 
@@ -134,7 +133,7 @@ def _check_number(points: int, on_outline: int) -> None:
         )
 
 
-def _spread(points: Points, distance: NDArray[np.float64]) -> NDArray[np.int64]:
+def _spread(points: Points, distance: Array) -> Indices:
     """Take points in order, leaving out each that is closer than its distance to one already taken."""
     near = cKDTree(points).query_ball_point(points, distance, return_sorted=True)
     dropped = np.zeros(len(points), dtype=bool)
@@ -166,18 +165,18 @@ def _smoothed(outline: Outline, points: Points, elements: Elements) -> Points:
     return moved
 
 
-def _twice_area(points: Points, elements: Elements) -> NDArray[np.float64]:
+def _twice_area(points: Points, elements: Elements) -> Array:
     a, b, c = (points[elements[:, k]] for k in range(3))
     return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
-def _edge_lengths(points: Points, elements: Elements) -> NDArray[np.float64]:
+def _edge_lengths(points: Points, elements: Elements) -> Array:
     corners = points[elements]
     sides = corners - np.roll(corners, -1, axis=1)
     return np.hypot(sides[..., 0], sides[..., 1])
 
 
-def _circumcircles(points: Points, elements: Elements) -> tuple[Points, NDArray[np.float64]]:
+def _circumcircles(points: Points, elements: Elements) -> tuple[Points, Array]:
     a, b, c = (points[elements[:, k]] for k in range(3))
     u, v = b - a, c - a
     twice = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])

@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Indices
 from cbsr_qa.simulate.instruments.clock import Fault
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.streams import Port
 
-Counts = NDArray[np.int64]
+Counts = Indices
 
 _PAIRS: Final = 16
 #: Readings away from the driven electrodes fill this much of the converter, so that loads find room.

@@ -12,12 +12,9 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from cbsr_qa.domain import NumericsError
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array, NumericsError
 
 _LOWEST: Final = 1e-6  #: λ searched, relative to the root of the largest eigenvalue
 _HIGHEST: Final = 1e3

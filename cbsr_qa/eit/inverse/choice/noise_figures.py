@@ -11,16 +11,13 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse.dual import DualSpectrum
 from cbsr_qa.eit.inverse.problem import target_signal
 from cbsr_qa.eit.inverse.readings import ReadingFold
-
-Array = NDArray[np.float64]
 
 
 class NoiseFigureForm(StrEnum):

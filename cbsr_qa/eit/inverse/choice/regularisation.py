@@ -6,14 +6,11 @@ from enum import StrEnum
 from typing import Final, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain import Array, ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterAnswer, ParameterCurve
 from cbsr_qa.eit.inverse.choice.noise_figures import SMALL_CONTRAST, Evidence, evidence_of, target_radius_mm
 from cbsr_qa.eit.inverse.options import optional_number, shown
-
-Array = NDArray[np.float64]
 
 
 class Criterion(StrEnum):

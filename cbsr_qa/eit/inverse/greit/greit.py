@@ -10,18 +10,14 @@ from contextlib import suppress
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse.choice import central_signal, noise_figure
 from cbsr_qa.eit.inverse.dual import check_hyperparameter
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, Targets, make_targets, neighbours
 from cbsr_qa.eit.inverse.readings import ReadingFold
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _NEAR: Final = 2.0  # radii of the head: up to here an error of the image counts, most on top of the target
 _FAR: Final = 0.1  # what errors count further out, against one on top

@@ -12,20 +12,16 @@ from hashlib import blake2b
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import brentq
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse.greit.greit import WIDTHS, GreitRows, combined
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, neighbours, node_areas_mm2
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _ROUNDS: Final = 10  # of shaping: offsets then are 0.02 mm on the 100 mm disc, down from 0.4 mm
 _MASK_POWER: Final = 10  # of an image's values: of 8 to 18 the one whose centres are nearest to those of an 85 % mask

@@ -6,19 +6,15 @@ from math import log
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.geometry import circle_overlap_mm2
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse.choice import target_radius_mm
 from cbsr_qa.eit.inverse.readings import ReadingFold
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 #: The contour of a target's image that is to be its outline: the percentage mask that decides.
 CONTOUR: Final = 0.85
@@ -99,7 +95,7 @@ class Targets:
     centres_mm: Array
     variance_mm2: Array
     head_variance_mm2: float
-    of_head: NDArray[np.bool_]
+    of_head: Mask
     signals: Array
 
     @cached_property

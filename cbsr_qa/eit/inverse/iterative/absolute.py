@@ -14,16 +14,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 from scipy.spatial.distance import cdist
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward import ValueRangeError
 from cbsr_qa.eit.inverse.iterative.sheet_model import SheetModel, SolvedSheet
-
-Array = NDArray[np.float64]
 
 #: Steps allowed; three to six do it.
 MOST_STEPS: Final = 20

@@ -4,9 +4,8 @@ from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.eit.inverse.choice import central_signal, noise_figure
 from cbsr_qa.eit.inverse.iterative.absolute import (
@@ -20,8 +19,6 @@ from cbsr_qa.eit.inverse.iterative.absolute import (
 from cbsr_qa.eit.inverse.iterative.sheet_model import SheetModel
 from cbsr_qa.eit.inverse.one_step import RidgeSearch
 from cbsr_qa.eit.inverse.priors import Prior
-
-Array = NDArray[np.float64]
 
 _UNEXPLAINED = 0.1  # of a frame's readings; more means another sheet, or electrodes in another order
 _KNOWN = 0.5  # of its expected spread: a contact whose error is larger was not measured

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.forward import ForwardModel
@@ -18,9 +18,6 @@ from cbsr_qa.eit.inverse.overlap import overlap_fractions
 from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM
 from cbsr_qa.eit.inverse.readings import ReadingFold
 from cbsr_qa.eit.mesh import sheet_mesh
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,15 +20,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import Mesh
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 #: Duality gap, of the objective, at which an image is taken for the minimiser.
 TOLERANCE: Final = 1e-5

@@ -11,18 +11,15 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse.choice import Evidence, central_signal, evidence_of, target_radius_mm
 from cbsr_qa.eit.inverse.iterative.total_variation import TotalVariation, TvImage, check_alpha
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import ReadingFold
-
-Array = NDArray[np.float64]
 
 _UNEXPLAINED = 10.0  # residual over noise; loads that double the conductance leave 1.2, a tank's third dimension 5
 
