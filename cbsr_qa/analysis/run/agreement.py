@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -49,14 +48,17 @@ class DirectedAgreement:
         return "loading" if self.loading else "unloading"
 
 
-@lru_cache(maxsize=2)
 def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     """Compare the relaxation of the whole image with the blobs', over all loads that show both.
 
     Returns
     -------
-    Loading and unloading, as far as there are such loads. The last two answers are kept: metric and report ask.
+    Loading and unloading, as far as there are such loads. The result is kept with the run.
     """
+    return run.derived(_image_against_blobs)
+
+
+def _image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     found = []
     for loading in (True, False):
         loads = [load for load in run.loads if all(_of(load, signal, loading) for signal in ("conductance", "image"))]
@@ -67,7 +69,6 @@ def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     return tuple(found)
 
 
-@lru_cache(maxsize=2)
 def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     """Compare the relaxation of the sheet's response with a strip of its material.
 
@@ -77,8 +78,12 @@ def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
 
     Returns
     -------
-    Loading and unloading; with the reason where they cannot be compared.
+    Loading and unloading; with the reason where they cannot be compared. The result is kept with the run.
     """
+    return run.derived(_sheet_against_strip)
+
+
+def _sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     strip = run.record.material.strip_relaxation
     if strip is None:
         why = f"material {run.record.material.name} has no strip relaxation; characterise a strip of its batch"

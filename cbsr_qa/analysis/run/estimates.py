@@ -3,7 +3,6 @@
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -41,9 +40,8 @@ class EstimatedLoad:
     why: str = ""
 
 
-@lru_cache(maxsize=2)
 def estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
-    """Estimate every load of a run; the last two results are cached, since metrics and report both ask.
+    """Return an estimate of every load of a run; it is kept with the run.
 
     Parameters
     ----------
@@ -53,6 +51,10 @@ def estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimat
     -------
     By phase and index of the load within it.
     """
+    return run.derived(_estimated_loads, reference)
+
+
+def _estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
     alone = [load for load in run.loads if load.together == 1]
     try:
         model = load_model(run.record.sensor_type)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -90,18 +89,20 @@ class RunForce:
         return tuple(t.load for t in held_out if abs(t.known_N - t.measured_N) <= _BORNE_OUT * t.known_stderr_N)
 
 
-@lru_cache(maxsize=2)
 def run_force(run: RunObservation) -> RunForce:
-    """Learn the force model from the phases that calibrate, and test it on all other loads.
+    """Return a run's force model, learned from the phases that calibrate and tested on all other loads.
 
     Loads of phases that do not calibrate are held out. Where places were pressed in several trials, each trial is
-    besides left out in turn, and its loads at places of the others are tested. The last two answers are kept, since
-    metrics, report and calibration all ask.
+    besides left out in turn, and its loads at places of the others are tested. The result is kept with the run.
 
     Returns
     -------
     RunForce, without a model and with the reason where there is none.
     """
+    return run.derived(_learned_and_tested)
+
+
+def _learned_and_tested(run: RunObservation) -> RunForce:
     try:
         return _RunForce(run).result()
     except CbsrError as error:
@@ -116,7 +117,7 @@ def learned_from(run: RunObservation) -> RunForce:
     CbsrError
         If nothing can be learned; the reason is in it.
     """
-    loads = _loads_of(run)
+    loads = run.derived(_RunForce)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
     used = tuple(load for load, yes in zip(loads.loads, calibrating, strict=True) if yes)
     learned = loads.learn(calibrating)
@@ -145,14 +146,8 @@ def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[T
     CbsrError
         If the run has no load with a force, or its noise cannot be told.
     """
-    strengths = _loads_of(run).strengths()
+    strengths = run.derived(_RunForce).strengths()
     return [strengths.change(load) for load in loads]
-
-
-@lru_cache(maxsize=1)
-def _loads_of(run: RunObservation) -> "_RunForce":
-    """One run's loads, cached."""
-    return _RunForce(run)
 
 
 class _RunForce:

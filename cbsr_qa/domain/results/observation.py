@@ -3,9 +3,10 @@
 What the measurements say about one load: where, how large, how strong, and how surely.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from cbsr_qa.domain.results.image import Blob, Image, LinearReconstruction, Regi
 from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
 from cbsr_qa.domain.run import Indenter, LoadRecord, RunRecord
 from cbsr_qa.domain.sensor import Response
+
+R = TypeVar("R")
 
 
 class LoadFinding(StrEnum):
@@ -287,6 +290,23 @@ class RunObservation:
     warnings: tuple[str, ...] = ()
     timelines: tuple[MetricTimeline, ...] = ()
     loops: tuple[LoopObservation, ...] = ()
+    _derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def derived(self, compute: Callable[..., R], *args: Hashable) -> R:
+        """Return what a function makes of this run: computed on first use, and kept with the run from then on.
+
+        For what is costly and asked for more than once, by a metric, a section of the report and the calibration. A
+        run that is changed (``dataclasses.replace``) starts without any.
+
+        Parameters
+        ----------
+        compute : called with this run and the arguments.
+        """
+        key = compute, args
+        if key not in self._derived:
+            self._derived[key] = compute(self, *args)
+        result: R = self._derived[key]
+        return result
 
     @property
     def frame_period_s(self) -> float:
