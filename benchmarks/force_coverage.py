@@ -81,7 +81,7 @@ def _calibrated(seen: Observed, phases: tuple[str, ...]) -> Result:
     (least,) = detectable_forces(found.learned, run.record.indenter, np.zeros((1, 2)))
     return result | {
         "map": _map_error(seen, found),
-        "rotation_deg": found.seat.rotation_deg,
+        "rotation_deg": found.sheet_pose.rotation_deg,
         "least_force_N": least.force_N,
     }
 

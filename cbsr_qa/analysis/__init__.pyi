@@ -10,4 +10,4 @@ from .recording_files import (
 from .ring import RING as RING, check_ring as check_ring, fit_ring as fit_ring
 from .strip_cycles import characterise_run as characterise_run
 from .strip_measurements import MEASURES as MEASURES, measure_characterisation as measure_characterisation
-from .verification import Recheck as Recheck, recheck as recheck
+from .verification import Verification as Verification, verify_calibration as verify_calibration

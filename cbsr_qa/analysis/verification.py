@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cbsr_qa.analysis.run import load_window
 from cbsr_qa.calibration.fits import predict_steady
 from cbsr_qa.calibration.runtime import Calibration, Matches
-from cbsr_qa.calibration.sheet import AS_PLACED, Seat, seat_of
+from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.results import FitStatus, LoadObservation, LoadRelaxation, RelaxationFit, RunObservation
@@ -22,7 +22,7 @@ _NO_RELAXATION: Final = (FitStatus.REJECTED, FitStatus.DRIFTING)
 
 
 @dataclass(frozen=True, slots=True)
-class RecheckedLoad:
+class VerifiedLoad:
     """Force of one load by the calibration, beside the load cell's.
 
     Parameters
@@ -39,7 +39,7 @@ class RecheckedLoad:
 
 
 @dataclass(frozen=True, slots=True)
-class Recheck:
+class Verification:
     """Change of a sensor since its calibration.
 
     Parameters
@@ -50,14 +50,14 @@ class Recheck:
     noise_ratio : noise of a reading over that of the calibration.
     """
 
-    loads: tuple[RecheckedLoad, ...]
+    loads: tuple[VerifiedLoad, ...]
     sensitivity: float
     sensitivity_stderr: float
     reference_change: float
     noise_ratio: float
 
 
-def recheck(run: RunObservation, calibration: Calibration) -> Recheck:
+def verify_calibration(run: RunObservation, calibration: Calibration) -> Verification:
     """Compare a run's loads with a calibration of the same sensor.
 
     A sheet that lies otherwise than it should is read where it lies. The run's own unloaded frames are the
@@ -79,7 +79,7 @@ def recheck(run: RunObservation, calibration: Calibration) -> Recheck:
             "no load of the run was pressed alone, with its force recorded, where the calibration reaches"
         )
     sensitivity, stderr = _sensitivity(loads)
-    return Recheck(loads, sensitivity, stderr, reader.reference_change(), reader.noise_ratio())
+    return Verification(loads, sensitivity, stderr, reader.reference_change(), reader.noise_ratio())
 
 
 def _check(run: RunObservation, calibration: Calibration) -> None:
@@ -106,9 +106,9 @@ class _Reader:
         self._used = calibration.issued.reconstruction.problem.used
         current_A = run.unloaded.current_A
         self._per_A = calibration.issued.current_A / current_A if current_A else 1.0
-        self.seat = self._seat()
+        self.sheet_pose = self._sheet_pose()
 
-    def _seat(self) -> Seat:
+    def _sheet_pose(self) -> SheetPose:
         """Current registration of the sheet."""
         rows, noise, places = [], [], []
         for load in self._run.loads:
@@ -121,7 +121,7 @@ class _Reader:
             places.append((load.record.load.x_mm, load.record.load.y_mm))
         if not rows:
             return AS_PLACED
-        return seat_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
+        return sheet_pose_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
 
     def reference_change(self) -> float:
         """Of the unloaded readings, relative."""
@@ -137,12 +137,12 @@ class _Reader:
         left = rows - q @ (q.T @ rows)
         return float(np.sqrt((left**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
 
-    def load(self, load: LoadObservation) -> RecheckedLoad | None:
+    def load(self, load: LoadObservation) -> VerifiedLoad | None:
         """Evaluate one load; None if it was not alone, has no force, or is out of reach."""
         record, model = load.record, self._calibration.model
         phase = self._run.record.phase(load.phase)
         cell = phase.channel("force")
-        place = self.seat.places_mm(np.array([[record.load.x_mm, record.load.y_mm]]))[0]
+        place = self.sheet_pose.places_mm(np.array([[record.load.x_mm, record.load.y_mm]]))[0]
         if load.together > 1 or cell is None or load.force_N is None or phase.frames is None:
             return None
         held = phase.frames.between(record.hold_start_s, record.release_start_s)
@@ -159,7 +159,7 @@ class _Reader:
         if not np.isfinite(estimated[0]):
             return None
         measured = self._relaxed_N(cell.between(record.hold_start_s + _SETTLED_S, record.release_start_s), load)
-        return RecheckedLoad(load, measured, float(estimated[0]), float(error[0]))
+        return VerifiedLoad(load, measured, float(estimated[0]), float(error[0]))
 
     def _rows(self, voltages: Array) -> Array:
         rows: Array = (
@@ -204,7 +204,7 @@ def _level(fit: RelaxationFit, time_s: Array) -> Array:
     return found
 
 
-def _sensitivity(loads: tuple[RecheckedLoad, ...]) -> tuple[float, float]:
+def _sensitivity(loads: tuple[VerifiedLoad, ...]) -> tuple[float, float]:
     """Slope through zero of estimated against measured force; not surer than the loads agree."""
     measured = np.array([one.measured_N for one in loads])
     estimated = np.array([one.estimated_N for one in loads])

@@ -12,7 +12,7 @@ from cbsr_qa.calibration.file import (
     json_document,
     read_calibration,
     read_json_calibration,
-    verify_calibration,
+    verify_calibration_file,
     write_calibration,
 )
 from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolated, least_force_N, map_tables
@@ -34,7 +34,7 @@ def show_calibration(path: Path) -> dict[str, Any]:
         If the file is not sound; nothing of an unsound file is shown.
     """
     verified, calibration = read_untrusted(
-        path, lambda: (verify_calibration(path), read_calibration(path)), refusal=CalibrationError
+        path, lambda: (verify_calibration_file(path), read_calibration(path)), refusal=CalibrationError
     )
     return {
         "file": str(path),
@@ -172,7 +172,7 @@ def verify_file(path: Path) -> dict[str, Any]:
     CalibrationError
         If the file is not sound, saying what is wrong with it.
     """
-    verified = read_untrusted(path, lambda: verify_calibration(path), refusal=CalibrationError)
+    verified = read_untrusted(path, lambda: verify_calibration_file(path), refusal=CalibrationError)
     return {
         "file": str(path),
         "sound": True,

@@ -55,7 +55,7 @@ def analyse(
         sensor_type=sensor_type,
         dataset=dataset,
         reference=None if reference is None else _reference(reference, files[0]),
-        correct_memory=memory_correction,
+        correct_carry_over=memory_correction,
         report=not no_report,
         reconstruction=reconstruction,
         options=plugin_options(option or ()),

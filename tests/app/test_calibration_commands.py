@@ -9,7 +9,7 @@ import pytest
 from calibration_samples import sample_calibration
 from typer.testing import CliRunner
 
-from cbsr_qa.calibration.file import stamped, verify_calibration, write_calibration
+from cbsr_qa.calibration.file import stamped, verify_calibration_file, write_calibration
 from cbsr_qa.cli import app
 from cbsr_qa.domain import CalibrationError
 
@@ -43,7 +43,7 @@ def test_show_as_json_is_one_document(issued):
     document = json.loads(_run("show", str(issued), "--json").stdout)
     assert document["identity"]["serial"] == "S-001 ü"
     assert document["baseline_conductance"][1]["value"] is None
-    assert document["digest"] == verify_calibration(issued).digest
+    assert document["digest"] == verify_calibration_file(issued).digest
     assert document["record_digest"] == stamped(sample_calibration()).record_digest
     assert document["against_stress"]["covariance"] == -1.5e-8
     assert (document["image"]["noise_figure_nominal"], document["image"]["noise_figure_measured"]) == (1.02, 1.17)

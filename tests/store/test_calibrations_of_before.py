@@ -10,7 +10,7 @@ from calibration_samples import assert_same, sample_force
 from calibrations_of_before import store_as_rows
 from stored_runs import MATERIAL, calibration, journalled, reconstruction, short_run
 
-from cbsr_qa.calibration.file import stamped, verify_calibration, write_calibration
+from cbsr_qa.calibration.file import stamped, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError, StoreError
 from cbsr_qa.domain.results import BaselineConductance, Outcome, ParameterChoice, RunResult, Validity, Verdict
 from cbsr_qa.store import open_store
@@ -106,7 +106,7 @@ def test_a_matrix_prepared_again_elsewhere_keeps_the_record_and_is_exported(repo
     back = repository.calibration_of_before(issued.calibration, there, unused)
     assert back.reconstruction.choice == issued.reconstruction.choice
     assert write_calibration(tmp_path / "exported.h5", back) != issued.digest
-    assert verify_calibration(tmp_path / "exported.h5").record_digest == issued.record_digest
+    assert verify_calibration_file(tmp_path / "exported.h5").record_digest == issued.record_digest
 
 
 @pytest.mark.parametrize(

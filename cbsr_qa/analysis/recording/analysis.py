@@ -41,12 +41,12 @@ class AnalysisChoices:
 
     Parameters
     ----------
-    correct_memory : True or False; None to correct where the estimate is significant and makes reciprocity better.
+    correct_carry_over : None to correct where the estimate is significant and makes reciprocity better.
     sensor_type : what was measured; None for the nominal disc, and then nothing is said in millimetres.
     reconstruction : name and options of what images the events; they are said with the result.
     """
 
-    correct_memory: bool | None = None
+    correct_carry_over: bool | None = None
     sensor_type: SensorType | None = None
     reconstruction: PluginChoice = field(default_factory=lambda: PluginChoice(DEFAULT_RECONSTRUCTION))
 
@@ -76,7 +76,7 @@ def analyse_recording(
     choices = choices or AnalysisChoices()
     spent: dict[str, float] = {}
     pattern = None if choices.sensor_type is None else choices.sensor_type.pattern
-    ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_memory, pattern))
+    ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_carry_over, pattern))
     rate_hz = frame_rate_hz(recording)
     searched = _timed(spent, "events", lambda: _searched(recording, ready, choices, rate_hz))
     imaged = _timed(spent, "images", lambda: _imaged(searched, reconstruction, choices.reconstruction, tell))
@@ -190,8 +190,9 @@ def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) ->
     if recording.problems and recording.rows_rejected:
         rows = "row was" if recording.rows_rejected == 1 else "rows were"
         said.append(f"{recording.rows_rejected} {rows} rejected, see the list of problems")
-    if ready.memory is not None and ready.memory.worth_correcting and not ready.corrected:
-        said.append(f"readings carry over {ready.memory.share:.0%} of the previous one; not corrected, as requested")
+    carry_over = ready.carry_over
+    if carry_over is not None and carry_over.worth_correcting and not ready.corrected:
+        said.append(f"readings carry over {carry_over.share:.0%} of the previous one; not corrected, as requested")
     said += [*ready.remarks(), *searched.remarks]
     if searched.sightings and searched.why:
         said.append(searched.why)

@@ -166,7 +166,7 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
 
     Parameters
     ----------
-    block : (n, drives, measures), raw: reading memory not taken out.
+    block : (n, drives, measures), raw: carry-over not taken out.
     """
     missing = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
     present = block.voltages[:, ~missing]

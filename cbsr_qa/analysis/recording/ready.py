@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from cbsr_qa.analysis.recording.channels import ChannelFaults, find_faults
 from cbsr_qa.analysis.recording.noise import channel_noise
 from cbsr_qa.domain.readings import (
+    CarryOver,
     ChannelReport,
     FrameBlock,
-    MemoryEstimate,
     Recording,
     ScanKind,
     VoltageUnit,
-    correct_memory,
-    estimate_memory,
+    correct_carry_over,
+    estimate_carry_over,
     offset_of,
     reciprocity_error,
     scan_order,
@@ -48,7 +48,7 @@ def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mas
 
     Parameters
     ----------
-    voltages : (n, drives, measures), reading memory taken out.
+    voltages : (n, drives, measures), carry-over taken out.
     usable : (drives, measures) bool, channels to mend; the others are left as they are.
     counts : whether the values are whole counts.
 
@@ -100,11 +100,11 @@ class ReadyReadings:
 
     Parameters
     ----------
-    block : frames, reading memory taken out where ``corrected``, spikes replaced.
+    block : frames, carry-over taken out where ``corrected``, spikes replaced.
     reference : (drives, measures) mean of the reference frames, treated alike; None where there are none.
     faults : of the raw frames.
     used : (drives, measures) bool, sound readings that touch no driven electrode.
-    memory : estimate; None where none was made.
+    carry_over : estimate; None where none was made.
     corrected : whether it was taken out of ``block``.
     error : reciprocity error of ``block``; None for one-row scans.
     offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
@@ -115,7 +115,7 @@ class ReadyReadings:
     reference: Array | None
     faults: ChannelFaults
     used: Mask
-    memory: MemoryEstimate | None
+    carry_over: CarryOver | None
     corrected: bool
     error: float | None
     offset: bool
@@ -166,7 +166,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
 
     Parameters
     ----------
-    wanted : whether to correct reading memory; None to do it where the estimate is worth it.
+    wanted : whether to correct carry-over; None to do it where the estimate is worth it.
     pattern : of the named sensor type; None for the same adjacent pairs driven and measured. Where other pairs are
         measured than driven no two readings are reciprocal, and what is judged by that is left out.
     """
@@ -174,21 +174,25 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     faults = find_faults(block, recording.scan)
     used = _usable(recording, pattern) & ~faults.bad
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
-    memory = None
+    carry_over = None
     scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
     mending = scanned and recording.reference is None
     offset = has_offset(recording)
     if scanned:
         # One absurd reading must not decide how the whole frame is corrected.
         calm = despiked(block.voltages, used, counts=offset)[0] if mending else block.voltages
-        memory = estimate_memory(replace(block, voltages=calm), used)
-    apply = memory is not None and (memory.worth_correcting if wanted is None else wanted) and memory.share < 1
+        carry_over = estimate_carry_over(replace(block, voltages=calm), used)
+    apply = (
+        carry_over is not None
+        and (carry_over.worth_correcting if wanted is None else wanted)
+        and carry_over.share < 1
+    )
     reference = None if recording.reference is None else recording.reference.voltages
     voltages = block.voltages
-    if apply and memory is not None:
+    if apply and carry_over is not None:
         order = scan_order(block)
-        voltages = correct_memory(voltages, memory.share, order)
-        reference = None if reference is None else correct_memory(reference, memory.share, order)
+        voltages = correct_carry_over(voltages, carry_over.share, order)
+        reference = None if reference is None else correct_carry_over(reference, carry_over.share, order)
     spikes = np.zeros(voltages.shape, dtype=bool)
     if mending:
         voltages, spikes = despiked(voltages, used, counts=offset)
@@ -199,7 +203,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         None if reference is None else reference.mean(axis=0),
         faults,
         used,
-        memory,
+        carry_over,
         bool(apply),
         error,
         offset,
@@ -210,16 +214,16 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
 
 def channel_report(ready: ReadyReadings) -> ChannelReport:
     """Report the state of the channels."""
-    memory = ready.memory
+    carry_over = ready.carry_over
     return ChannelReport(
         saturated=_pairs(ready.faults.saturated),
         stuck=_pairs(ready.faults.stuck),
         not_connected=ready.faults.not_connected,
         used=int(ready.used.sum()) if ready.used.shape[0] > 1 else 0,
         snr_db=_snr_db(ready),
-        reciprocity_error=memory.error if memory is not None else ready.error,
-        reading_memory=memory.share if memory is not None else None,
-        reciprocity_error_corrected=memory.error_corrected if memory is not None else None,
+        reciprocity_error=carry_over.error if carry_over is not None else ready.error,
+        reading_memory=carry_over.share if carry_over is not None else None,
+        reciprocity_error_corrected=carry_over.error_corrected if carry_over is not None else None,
         memory_corrected=ready.corrected,
     )
 

@@ -101,7 +101,7 @@ class _Loads:
         assert learned is not None
         responds = np.isfinite(learned.ratio)
         used = [load for load, yes in zip(found.used, responds, strict=True) if yes]
-        self._places = found.seat.places_mm(places_mm(used))
+        self._places = found.sheet_pose.places_mm(places_mm(used))
         self._log = np.log(learned.ratio[responds]) + _by_the_line(run, found, used)
         self._variance = (learned.ratio_stderr[responds] / learned.ratio[responds]) ** 2
         self._scatter = learned.model.scatter

@@ -20,7 +20,7 @@ from cbsr_qa.calibration.force import (
     unlearned_model,
 )
 from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables, scattered
-from cbsr_qa.calibration.sheet import AS_PLACED, Seat, seat_of
+from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.domain import CbsrError, NumericsError
 from cbsr_qa.domain.results import ForceModel, LoadObservation, RunObservation
 from cbsr_qa.eit.estimate import load_model, merged_readings
@@ -74,14 +74,14 @@ class RunForce:
     used : loads it was learned from, in order of ``learned.refused``; of a hold that was predicted with the force of
         the time it was predicted to.
     tests : of loads that were not used: held out, or of a trial that was left out at places of the other trials.
-    seat : how the sheet lies; places of the map, and of all loads, are on the sheet.
+    sheet_pose : how the sheet lies; places of the map, and of all loads, are on the sheet.
     """
 
     learned: LearnedForce | None
     used: tuple[LoadObservation, ...]
     tests: tuple[ForceTest, ...]
     why: str = ""
-    seat: Seat = AS_PLACED
+    sheet_pose: SheetPose = AS_PLACED
 
     def confirmed(self) -> tuple[LoadObservation, ...]:
         """Held-out loads whose force came out within three standard errors, the place known."""
@@ -123,7 +123,7 @@ def learned_from(run: RunObservation) -> RunForce:
     learned = loads.learn(calibrating)
     steady_s = learned.model.steady_s if loads.at_s is None else loads.at_s
     learned = replace(learned, model=replace(learned.model, steady_s=steady_s))
-    return RunForce(learned, used, (), seat=loads.seat)
+    return RunForce(learned, used, (), sheet_pose=loads.sheet_pose)
 
 
 def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
@@ -167,7 +167,7 @@ class _RunForce:
         self.bank: TemplateBank = template_bank(model, readings, self.head)
         pressed = [load for load in run.loads if load.force_N is not None and load.together == 1]
         self.loads = tuple(pressed)
-        self.data, self.seat = self._seated(self._data())
+        self.data, self.sheet_pose = self._seated(self._data())
         self.at_s: float | None = None
         self.predicted = np.zeros(len(pressed), dtype=np.bool_)
         if run.settings.transients == "predicted":
@@ -209,11 +209,13 @@ class _RunForce:
             self.run, places, self.merging, TemplateFilter(unlearned_model(self.bank, self.merging))
         )
 
-    def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, Seat]:
+    def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, SheetPose]:
         """Loads at their places on the sheet: a misplaced sheet must not degrade its sensor."""
         rows, noise = data.changed()
-        seat = seat_of(data.place_mm, TemplateFilter(unlearned_model(self.bank, self.merging)).search(rows), noise)
-        return replace(data, place_mm=seat.places_mm(data.place_mm)), seat
+        pose = sheet_pose_of(
+            data.place_mm, TemplateFilter(unlearned_model(self.bank, self.merging)).search(rows), noise
+        )
+        return replace(data, place_mm=pose.places_mm(data.place_mm)), pose
 
     def _rows(self, voltages: Array) -> Array:
         rows: Array = (voltages - self.run.reference)[:, self.run.usable] @ self.merging.T
@@ -232,7 +234,7 @@ class _RunForce:
             if again.any():
                 tests += self.tests(self.learn(others), again, TRIAL_LEFT_OUT)
         used = tuple(load for load, yes in zip(self.loads, calibrating, strict=True) if yes)
-        return RunForce(learned, used, tuple(tests), seat=self.seat)
+        return RunForce(learned, used, tuple(tests), sheet_pose=self.sheet_pose)
 
     def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
         """Add the time of the hold that loads were evaluated at, and their kernels."""

@@ -134,7 +134,7 @@ class AnalyseRequest:
     sensor_type : file or shipped name; None for what the recording states, else the nominal disc.
     dataset : one of several data sets in a file.
     reference : a file, and a data set in it, that holds the unloaded domain; it is recognised by itself.
-    correct_memory : None to decide by the estimate.
+    correct_carry_over : None to decide by the estimate.
     report : whether to write one.
     reconstruction : plugin that images the events; None for the usual one.
     options : of it.
@@ -144,7 +144,7 @@ class AnalyseRequest:
     sensor_type: str | None = None
     dataset: str | None = None
     reference: tuple[Path, str | None] | None = None
-    correct_memory: bool | None = None
+    correct_carry_over: bool | None = None
     report: bool = True
     reconstruction: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -251,7 +251,7 @@ def _analysed(
     tell: Tell,
 ) -> Analysed:
     sensor_type, unknown = _sensor_type(recording, request)
-    choices = AnalysisChoices(request.correct_memory, sensor_type, request.chosen)
+    choices = AnalysisChoices(request.correct_carry_over, sensor_type, request.chosen)
     result = analyse_recording(recording, reconstruction, choices, tell=tell)
     document: dict[str, Any] = {"file": str(path), **result_document(result)}
     if datasets:
@@ -301,7 +301,7 @@ def _told_apart(path: Path, request: AnalyseRequest) -> str:
         with each.open("rb") as file:
             sha.update(hashlib.file_digest(file, "sha256").digest())
     dataset = None if request.reference is None else request.reference[1]
-    asked: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_memory)
+    asked: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_carry_over)
     if request.reconstruction is not None or request.options:
         asked = (*asked, request.chosen.name, sorted(request.options.items()))
     sha.update(repr(asked).encode())

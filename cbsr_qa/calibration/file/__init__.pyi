@@ -7,7 +7,7 @@ from .hdf5 import (
     read_calibration as read_calibration,
     read_contained as read_contained,
     stamped as stamped,
-    verify_calibration as verify_calibration,
+    verify_calibration_file as verify_calibration_file,
     write_calibration as write_calibration,
 )
 from .hdf5_content import attribute as attribute, attribute_names as attribute_names, members as members

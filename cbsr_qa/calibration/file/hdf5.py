@@ -143,7 +143,7 @@ def read_contained(path: Path) -> Calibration:
     return read_untrusted(path, lambda: read_calibration(path), refusal=CalibrationError)
 
 
-def verify_calibration(path: Path) -> VerifiedFile:
+def verify_calibration_file(path: Path) -> VerifiedFile:
     """Check digest and schema of a calibration file.
 
     Raises

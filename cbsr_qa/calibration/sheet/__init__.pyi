@@ -35,4 +35,4 @@ from .response_map import (
     learn_response as learn_response,
     sheet_places as sheet_places,
 )
-from .sheet_pose import AS_PLACED as AS_PLACED, Seat as Seat, seat_of as seat_of
+from .sheet_pose import AS_PLACED as AS_PLACED, SheetPose as SheetPose, sheet_pose_of as sheet_pose_of

@@ -12,15 +12,15 @@ Array = NDArray[np.float64]
 
 #: A place known worse than this says little about where the sheet lies [mm].
 _SURE_MM: Final = 1.5
-#: Fewest places a seat is told from, and standard errors by which it must differ from none.
+#: Fewest places a pose is told from, and standard errors by which it must differ from none.
 _FEWEST: Final = 3
 _CLEAR: Final = 4.0
-#: A seat that moves no place by more than this is left alone [mm].
+#: A pose that moves no place by more than this is left alone [mm].
 _SMALLEST_MM: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Seat:
+class SheetPose:
     """Rigid motion from where the station presses to where on the sheet that is: q = b + R(θ) p.
 
     Parameters
@@ -50,10 +50,10 @@ class Seat:
 
 
 #: A sheet that lies where it should.
-AS_PLACED: Final = Seat()
+AS_PLACED: Final = SheetPose()
 
 
-def seat_of(nominal_mm: Array, found: Matches, noise: Array) -> Seat:
+def sheet_pose_of(nominal_mm: Array, found: Matches, noise: Array) -> SheetPose:
     """Tell how a sheet lies from where its loads are found.
 
     Rigid least squares, weighted by what noise does to each place; a scale is not looked for, since an uneven sheet
@@ -67,8 +67,8 @@ def seat_of(nominal_mm: Array, found: Matches, noise: Array) -> Seat:
 
     Returns
     -------
-    Seat, which moves nothing where fewer than 3 different places are known to 1.5 mm, or it does not differ from none
-    by 4 standard errors of its own, taken from how well the places agree.
+    A pose that moves nothing where fewer than 3 different places are known to 1.5 mm, or where it differs from none
+    by less than 4 standard errors of its own, taken from how well the places agree.
     """
     variance = found.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
     sure = np.isfinite(found.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
@@ -87,7 +87,7 @@ def _without_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight
     return np.where(apart <= max(5 * float(np.median(apart)), 3.0), weight, 0.0)
 
 
-def _fitted(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Seat:
+def _fitted(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:
     total = float(weight.sum())
     middle, seen = complex(weight @ p) / total, complex(weight @ q) / total
     size = float(weight @ np.abs(p - middle) ** 2)
@@ -103,7 +103,7 @@ def _fitted(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array)
     of_shift = float(np.sqrt(variance * (1 / total + abs(middle) ** 2 / size)))
     clear = abs(shift) > _CLEAR * of_shift or abs(angle) > _CLEAR * of_angle
     furthest = float(np.abs(shift + (np.exp(1j * angle) - 1) * p).max())
-    return Seat(
+    return SheetPose(
         (shift.real, shift.imag),
         float(np.degrees(angle)),
         of_shift,

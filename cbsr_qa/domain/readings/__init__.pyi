@@ -1,8 +1,8 @@
 from .carry_over import (
     RECIPROCITY_LIMIT as RECIPROCITY_LIMIT,
-    MemoryEstimate as MemoryEstimate,
-    correct_memory as correct_memory,
-    estimate_memory as estimate_memory,
+    CarryOver as CarryOver,
+    correct_carry_over as correct_carry_over,
+    estimate_carry_over as estimate_carry_over,
     offset_of as offset_of,
     reciprocity_error as reciprocity_error,
     scan_order as scan_order,

@@ -26,7 +26,7 @@ RECIPROCITY_LIMIT = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class MemoryEstimate:
+class CarryOver:
     """Carry-over of one recording.
 
     Parameters
@@ -60,7 +60,7 @@ def scan_order(block: FrameBlock) -> NDArray[np.int64]:
     return np.argsort(np.median(own - own[:, :1], axis=0), kind="stable").astype(np.int64)
 
 
-def correct_memory(voltages: Array, share: float, order: NDArray[np.int64]) -> Array:
+def correct_carry_over(voltages: Array, share: float, order: NDArray[np.int64]) -> Array:
     """Remove the carry-over: x[n] = (s[n] − m s[n−1]) / (1 − m) along the scan, frame after frame.
 
     Parameters
@@ -94,7 +94,7 @@ def reciprocity_error(frame: Array, used: Mask, offset: float) -> float | None:
     return float(np.sqrt(np.mean((frame - frame.T)[both] ** 2))) / level
 
 
-def estimate_memory(block: FrameBlock, used: Mask) -> MemoryEstimate | None:
+def estimate_carry_over(block: FrameBlock, used: Mask) -> CarryOver | None:
     """Estimate m from reciprocity on the mean frame.
 
     Parameters
@@ -103,7 +103,7 @@ def estimate_memory(block: FrameBlock, used: Mask) -> MemoryEstimate | None:
 
     Returns
     -------
-    MemoryEstimate, or None where drives and measures are not the same pairs or the frame says nothing.
+    CarryOver, or None where drives and measures are not the same pairs or the frame says nothing.
     """
     both = used & used.T if used.shape[0] == used.shape[1] else np.zeros_like(used)
     order = scan_order(block)
@@ -121,6 +121,6 @@ def estimate_memory(block: FrameBlock, used: Mask) -> MemoryEstimate | None:
     # Every pair appears twice with opposite sign, so there are half as many residuals as entries.
     residual = own - share * last
     stderr = float(np.sqrt(residual @ residual / max(both.sum() / 2 - 1, 1) / power))
-    corrected = correct_memory(frame[None], share, order)[0] if share < 1 else frame
+    corrected = correct_carry_over(frame[None], share, order)[0] if share < 1 else frame
     mended = reciprocity_error(corrected, used, offset_of(corrected, used, counts=block.unit is VoltageUnit.COUNT))
-    return MemoryEstimate(share, stderr, error, error if mended is None else mended)
+    return CarryOver(share, stderr, error, error if mended is None else mended)

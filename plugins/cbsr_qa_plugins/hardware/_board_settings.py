@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, correct_memory
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, correct_carry_over
 from cbsr_qa.plugin import StationContext
 from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, PAIRS, Counts, scan_order
 from cbsr_qa_plugins.hardware._options import InstrumentTable
@@ -100,7 +100,7 @@ class BoardSettings:
         flags[(counts <= self.ends[0]) | (counts >= self.ends[1])] = ReadingFlag.SATURATED
         values = counts - self.zero
         if self.memory_share:
-            values = correct_memory(values, self.memory_share, self.order)
+            values = correct_carry_over(values, self.memory_share, self.order)
         times_s = np.array(ends_s) - self.period_s / 2
         # The board reads one after the other: the n-th of 256 in the middle of the n-th part of the frame.
         offsets = np.empty(counts[0].size)

@@ -48,7 +48,7 @@ def open_board(context: StationContext) -> "ErtBoardStream":
     converter's ends, where they lie elsewhere); ``zero_counts`` (the count of 0 V, taken off; default 0); ``order``
     (``"measure"`` where the voltage pair steps faster, or ``"drive"``); ``first_reading`` (where in that order a
     frame begins); ``current_mA`` (stated where it is known); ``memory_share`` (how much each reading keeps of the
-    one before, as :func:`cbsr_qa.domain.readings.estimate_memory` finds it from reciprocity: it is taken
+    one before, as :func:`cbsr_qa.domain.readings.estimate_carry_over` finds it from reciprocity: it is taken
     out of the readings. Of a saturated one the end of the range is taken, and the first reading of a call stays as
     it is).
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from cbsr_qa.analysis import Recheck, recheck
+from cbsr_qa.analysis import Verification, verify_calibration
 from cbsr_qa.analysis.run import (
     HELD_OUT,
     TRIAL_LEFT_OUT,
@@ -236,7 +236,7 @@ class CalibrationCheck:
         """Measure; without a calibration that fits, everything is without value and says why."""
         try:
             path = self._path or _latest(run.record.identity.sensor.serial)
-            found = recheck(run, Calibration(read_contained(path)))
+            found = verify_calibration(run, Calibration(read_contained(path)))
         except CbsrError as error:
             return tuple(Measurement(name, None, unit, how=error.reason) for name, unit in self.measures.items())
         return _measurements(found, f"against {path.name}")
@@ -260,7 +260,7 @@ def _serial(file: Path) -> str:
     return file.stem[:-37]
 
 
-def _measurements(found: Recheck, how: str) -> tuple[Measurement, ...]:
+def _measurements(found: Verification, how: str) -> tuple[Measurement, ...]:
     of_loads = tuple(
         Measurement(
             "calibrated_force_error",

@@ -22,7 +22,7 @@ from cbsr_qa.analysis.run import (
 )
 from cbsr_qa.calibration.force import LearnedForce, prediction_words
 from cbsr_qa.calibration.runtime import interpolated
-from cbsr_qa.calibration.sheet import Seat
+from cbsr_qa.calibration.sheet import SheetPose
 from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import Block, Cell, Figure, Paragraph, RunObservation, RunResult, Section, Table
 from cbsr_qa.report import number, observed, plural, text_table, value_cell, with_uncertainty
@@ -57,7 +57,7 @@ class Force:
             return Section(_TITLE, (Paragraph(f"No force can be told with this sensor: {found.why}.", "warning"),))
         tests = tests_of(run, found, HELD_OUT)
         blocks: list[Block] = [Paragraph(_learned_words(run, found, found.learned))]
-        blocks += [Paragraph(_seat_words(found.seat), "note")] if found.seat.moved else []
+        blocks += [Paragraph(_sheet_pose_words(found.sheet_pose), "note")] if found.sheet_pose.moved else []
         blocks += _predicted(run, found.learned)
         blocks += [Paragraph(words) for words in _tested_words(tests)]
         blocks += [_map(run, found, found.learned), Paragraph(_map_words(run, found, found.learned))]
@@ -90,11 +90,11 @@ def _predicted(run: RunObservation, learned: LearnedForce) -> list[Block]:
     return []
 
 
-def _seat_words(seat: Seat) -> str:
+def _sheet_pose_words(pose: SheetPose) -> str:
     return (
         f"The loads say that the sheet did not lie where the station takes it to lie: the station's centre is"
-        f" ({seat.shift_mm[0]:+.1f}, {seat.shift_mm[1]:+.1f}) ± {seat.shift_stderr_mm:.1f} mm from the sheet's, and"
-        f" its x axis turned by {seat.rotation_deg:+.1f} ± {seat.rotation_stderr_deg:.1f}°. Loads were placed on the"
+        f" ({pose.shift_mm[0]:+.1f}, {pose.shift_mm[1]:+.1f}) ± {pose.shift_stderr_mm:.1f} mm from the sheet's, and"
+        f" its x axis turned by {pose.rotation_deg:+.1f} ± {pose.rotation_stderr_deg:.1f}°. Loads were placed on the"
         " sheet accordingly: it costs the sensor nothing, and is for the station to mend."
     ).replace("-", "−")
 

@@ -262,7 +262,7 @@ def test_water_against_water_is_no_event_and_alone_is_refused(tank, shared):
 def test_reading_memory_can_be_forced_on_or_off_for_one_reason_only_the_places(shared, correct):
     format_ = discover().factory("recording", "ert-board-csv")()
     recording = format_.read(shared / "data" / "black_sensor" / "expABCX_150mm_8.5wt_6.csv", ReadOptions())
-    result = analyse_recording(recording, GaussNewtonNoser(), AnalysisChoices(correct_memory=correct))
+    result = analyse_recording(recording, GaussNewtonNoser(), AnalysisChoices(correct_carry_over=correct))
     assert result.channels.memory_corrected is correct
     assert len(result.events) == 3
 

@@ -9,7 +9,7 @@ from cbsr_qa.analysis.recording.analysis import analyse_recording
 from cbsr_qa.analysis.recording.channels import find_faults
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
 from cbsr_qa.analysis.recording.noise import channel_noise
-from cbsr_qa.domain.readings import FrameBlock, MemoryEstimate, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings import CarryOver, FrameBlock, Recording, ScanKind, VoltageUnit
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 
 DISC = nominal_disc(None, 16)
@@ -233,5 +233,5 @@ def test_noise_of_counts_is_not_quantised(sigma):
 
 
 def test_a_correction_that_leaves_the_readings_hardly_reciprocal_is_not_worth_it():
-    assert not MemoryEstimate(0.006, 0.001, 1.62, 0.998).worth_correcting
-    assert MemoryEstimate(0.12, 0.001, 0.9, 0.51).worth_correcting
+    assert not CarryOver(0.006, 0.001, 1.62, 0.998).worth_correcting
+    assert CarryOver(0.12, 0.001, 0.9, 0.51).worth_correcting

@@ -33,7 +33,7 @@ def a_run(places_mm, force_N, seed=1, deviation=0.2, response=None, hold_s=30.0)
         sensor_type=SimpleNamespace(radius_mm=50.0),
         material=SimpleNamespace(against_stress=line()),
     )
-    found = SimpleNamespace(learned=learned(data), used=tuple(loads), seat=AS_PLACED)
+    found = SimpleNamespace(learned=learned(data), used=tuple(loads), sheet_pose=AS_PLACED)
     return SimpleNamespace(record=record), found
 
 

@@ -15,7 +15,7 @@ from calibration_samples import (
     sparse_calibration,
 )
 
-from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.sensor import Mesh
 
@@ -88,7 +88,7 @@ def test_every_dataset_states_its_units(issued):
 def test_the_digest_can_be_recomputed_with_h5py_and_hashlib(issued):
     with h5py.File(issued) as file:
         stated = file.attrs["digest"]
-    assert plain_digest(issued) == stated == verify_calibration(issued).digest
+    assert plain_digest(issued) == stated == verify_calibration_file(issued).digest
 
 
 def test_the_digest_does_not_depend_on_the_order_of_writing(issued, tmp_path):
@@ -99,7 +99,7 @@ def test_the_digest_does_not_depend_on_the_order_of_writing(issued, tmp_path):
         for name in reversed(list(source)):
             source.copy(name, target)
     assert copy.read_bytes() != issued.read_bytes()
-    assert verify_calibration(copy).digest == verify_calibration(issued).digest
+    assert verify_calibration_file(copy).digest == verify_calibration_file(issued).digest
 
 
 def test_the_same_calibration_gives_the_same_bytes(issued, tmp_path):
@@ -149,8 +149,8 @@ def test_matrix_and_jacobian_in_single_precision_come_back_to_the_bit_and_take_l
     write_calibration(tmp_path / "double.h5", double)
     assert write_calibration(path, single) == stamped(single).digest == plain_digest(path)
     assert_same(read_calibration(path), stamped(single), "calibration")
-    assert verify_calibration(path).schema_version == 3
-    assert verify_calibration(tmp_path / "double.h5").schema_version == 2
+    assert verify_calibration_file(path).schema_version == 3
+    assert verify_calibration_file(tmp_path / "double.h5").schema_version == 2
     assert path.stat().st_size < 0.6 * (tmp_path / "double.h5").stat().st_size
     # What is not prepared again is the same record, however the rest is kept.
     assert stamped(single).record_digest == stamped(double).record_digest

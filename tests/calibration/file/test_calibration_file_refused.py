@@ -18,7 +18,7 @@ from calibration_samples import (
 )
 
 from cbsr_qa.calibration.file.digests import SCHEMA_VERSION
-from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError
 
 
@@ -61,28 +61,28 @@ def test_changed_units_are_refused(issued):
     with edited(issued) as file:
         file["validity/force"].attrs["units"] = "kN"
     with pytest.raises(CalibrationError, match="changed after it was issued"):
-        verify_calibration(issued)
+        verify_calibration_file(issued)
 
 
 def test_an_added_or_removed_dataset_is_refused(issued):
     with edited(issued) as file:
         file.create_dataset("extra", data=1.0).attrs["units"] = "1"
     with pytest.raises(CalibrationError, match="changed after it was issued"):
-        verify_calibration(issued)
+        verify_calibration_file(issued)
     with edited(issued) as file:
         del file["extra"]
-    verify_calibration(issued)
+    verify_calibration_file(issued)
     with edited(issued) as file:
         del file["image/mask"]
     with pytest.raises(CalibrationError, match="changed after it was issued"):
-        verify_calibration(issued)
+        verify_calibration_file(issued)
 
 
 def test_a_missing_digest_is_refused(issued):
     with edited(issued) as file:
         del file.attrs["digest"]
     with pytest.raises(CalibrationError, match="states no SHA-256"):
-        verify_calibration(issued)
+        verify_calibration_file(issued)
 
 
 def test_a_future_version_is_refused_by_name(issued):

@@ -16,7 +16,7 @@ from calibration_samples import (
 )
 
 from cbsr_qa.calibration.file.digests import PREPARED
-from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import ForceModel
 
@@ -80,7 +80,7 @@ def test_a_file_of_before_there_were_force_models_is_read_and_written_as_it_was(
         assert "force" not in file
     old = read_calibration(path)
     assert (old.force, old.no_force) == (None, "")
-    assert verify_calibration(path).schema_version == 1
+    assert verify_calibration_file(path).schema_version == 1
     again = tmp_path / "again.h5"
     assert write_calibration(again, old) == old.digest
     assert again.read_bytes() == path.read_bytes()
@@ -91,7 +91,7 @@ def test_a_calibration_without_a_model_says_why(tmp_path):
     back = read_calibration(tmp_path / "x.h5")
     assert back.force is None
     assert back.no_force.startswith("2 of 9 loads")
-    assert verify_calibration(tmp_path / "x.h5").schema_version == 2
+    assert verify_calibration_file(tmp_path / "x.h5").schema_version == 2
 
 
 def test_a_version_that_does_not_fit_the_content_is_refused(issued):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simulated_runs import HEAD, simulated_run
-from test_recheck import observed
+from test_verification import observed
 
 from cbsr_qa.analysis import Conclusion, calibrated
 from cbsr_qa.analysis.run import load_window

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import fit_quasi_static, learn_kernel
 from cbsr_qa.calibration.runtime import Matches
-from cbsr_qa.calibration.sheet import ResponseMap, learn_response, predicted_change, seat_of, sheet_gauge_factor
+from cbsr_qa.calibration.sheet import ResponseMap, learn_response, predicted_change, sheet_gauge_factor, sheet_pose_of
 from cbsr_qa.domain import CalibrationError, NumericsError
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
@@ -127,11 +127,11 @@ def kernel(unit: float, sizes: tuple[float, ...], *, releases: bool = False) -> 
     return Answer(error, 1e-9, note="exact but for a prior and a noise of 1e-6 of a load")
 
 
-def seat(seen_mm: Array, shift_mm: float) -> Answer:
+def sheet_pose(seen_mm: Array, shift_mm: float) -> Answer:
     """Fitted displacement of a sheet."""
     nothing = np.zeros(len(seen_mm))
     covariance = np.tile(np.diag([1e-4, 1e-2, 1e-2]), (len(seen_mm), 1, 1))
-    found = seat_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
+    found = sheet_pose_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
     moved = float(np.abs(found.places_mm(NINE) - NINE - shift_mm).max())
     return Answer(moved if np.isfinite(found.shift_stderr_mm) else 1.0, conditioned_bound(60.0), 60.0, unit="mm")
 
@@ -265,14 +265,14 @@ _REGISTRATIONS: Final = (
         _AREA,
         "Loads found in the order of a mirror image: no rigid motion of the sheet explains them.",
         "the sheet's pose is unchanged",
-        partial(seat, NINE * [1.0, -1.0], 0.0),
+        partial(sheet_pose, NINE * [1.0, -1.0], 0.0),
     ),
     HardCase(
         "seat-without-scatter",
         _AREA,
         "Loads all found exactly a millimetre off: a standard error of zero to divide by.",
         "a millimetre along both axes",
-        partial(seat, NINE + 1.0, 1.0),
+        partial(sheet_pose, NINE + 1.0, 1.0),
     ),
     HardCase(
         "registration-of-one-place",

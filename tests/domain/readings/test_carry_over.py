@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain.readings.carry_over import correct_memory, estimate_memory, reciprocity_error
+from cbsr_qa.domain.readings.carry_over import correct_carry_over, estimate_carry_over, reciprocity_error
 from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
 from cbsr_qa.domain.sensor import adjacent_pattern
 
@@ -32,14 +32,14 @@ def remembering(frames, share):
 @given(st.floats(0.0, 0.45), st.floats(-1e4, 1e4), st.integers(0, 100))
 def test_correction_inverts_the_memory_whatever_the_offset(share, offset, seed):
     frames = reciprocal_frames(3, seed, offset)
-    np.testing.assert_allclose(correct_memory(remembering(frames, share), share, ORDER), frames, atol=1e-7)
+    np.testing.assert_allclose(correct_carry_over(remembering(frames, share), share, ORDER), frames, atol=1e-7)
 
 
 def test_correction_follows_the_order_of_the_scan():
     frames = reciprocal_frames(3, 1)
     turned = remembering(frames.swapaxes(1, 2), 0.12).swapaxes(1, 2)
     order = np.arange(256).reshape(16, 16).T.ravel()
-    np.testing.assert_allclose(correct_memory(turned, 0.12, order), frames, atol=1e-9)
+    np.testing.assert_allclose(correct_carry_over(turned, 0.12, order), frames, atol=1e-9)
 
 
 def block(frames):
@@ -49,7 +49,8 @@ def block(frames):
 @pytest.mark.parametrize("share", [0.05, 0.11, 0.14, 0.25])
 def test_the_share_is_found_from_reciprocity_within_its_error(share):
     estimates = [
-        estimate_memory(block(remembering(reciprocal_frames(60, seed, 99.0), share)), USABLE) for seed in range(12)
+        estimate_carry_over(block(remembering(reciprocal_frames(60, seed, 99.0), share)), USABLE)
+        for seed in range(12)
     ]
     assert all(e.worth_correcting for e in estimates)
     pull = [(e.share - share) / e.stderr for e in estimates]
@@ -60,7 +61,7 @@ def test_the_share_is_found_from_reciprocity_within_its_error(share):
 
 def test_frames_without_memory_are_left_alone():
     for seed in range(20):
-        assert not estimate_memory(block(reciprocal_frames(60, seed, 99.0)), USABLE).worth_correcting
+        assert not estimate_carry_over(block(reciprocal_frames(60, seed, 99.0)), USABLE).worth_correcting
 
 
 def test_unrelated_numbers_are_not_reciprocal():

@@ -8,7 +8,7 @@ from simulated_runs import simulated_run
 
 from cbsr_qa.analysis.evaluate import Conclusion, calibrated
 from cbsr_qa.analysis.run import observe_run, run_force
-from cbsr_qa.analysis.verification import recheck
+from cbsr_qa.analysis.verification import verify_calibration
 from cbsr_qa.app.run import RunRequest, plan_run
 from cbsr_qa.calibration.file import write_calibration
 from cbsr_qa.calibration.runtime import Calibration
@@ -56,7 +56,7 @@ def checked():
 @pytest.mark.rest
 @pytest.mark.parametrize("gauge", [1.0, 0.8])
 def test_sensitivity_is_found_from_holds_of_fifteen_seconds(calibration, checked, gauge):
-    found = recheck(checked[gauge], calibration)
+    found = verify_calibration(checked[gauge], calibration)
     assert len(found.loads) == len(PLACES)
     assert abs(found.sensitivity / gauge - 1) < 0.05
     assert abs(found.sensitivity - gauge) < 4 * found.sensitivity_stderr
@@ -73,7 +73,7 @@ def test_a_sheet_that_conducts_more_is_said_to_and_weighs_as_before(calibration,
         reference=run.reference * 1.001,
         unloaded=replace(run.unloaded, voltages=run.unloaded.voltages * 1.001),
     )
-    assert recheck(louder, calibration).reference_change == pytest.approx(1e-3, rel=0.5)
+    assert verify_calibration(louder, calibration).reference_change == pytest.approx(1e-3, rel=0.5)
 
 
 class TestRefused:
@@ -82,20 +82,20 @@ class TestRefused:
         identity = replace(run.record.identity, sensor=SensorIdentity("T", "", "disc-100mm"))
         other = replace(run, record=replace(run.record, identity=identity))
         with pytest.raises(CalibrationError, match="is for sensor S, the run for T"):
-            recheck(other, calibration)
+            verify_calibration(other, calibration)
 
     def test_a_reading_that_is_gone(self, calibration, checked):
         run = checked[1.0]
         usable = run.usable.copy()
         usable[tuple(np.argwhere(usable)[0])] = False
         with pytest.raises(CalibrationError, match="1 readings that the calibration needs are no longer usable"):
-            recheck(replace(run, usable=usable), calibration)
+            verify_calibration(replace(run, usable=usable), calibration)
 
     def test_no_force(self, calibration, checked):
         run = checked[1.0]
         loads = tuple(replace(load, force_N=None) for load in run.loads)
         with pytest.raises(CalibrationError, match="no load of the run was pressed alone"):
-            recheck(replace(run, loads=loads), calibration)
+            verify_calibration(replace(run, loads=loads), calibration)
 
 
 class TestMetric:
