@@ -98,7 +98,7 @@ class _Child:
     def tell(cls, **message: Any) -> None:
         """Report to the parent; a process that a plugin has forked off reports as itself, and is not believed.
 
-        OSError if a plugin has closed the pipe; another file may have its number by now, and nothing is written to it.
+        OSError if a plugin has closed the pipe; another file may have its number by now, and gets nothing.
         """
         if cls.report is None:
             return

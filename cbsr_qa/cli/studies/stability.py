@@ -23,5 +23,5 @@ def stability(
     check_page(output)
     with Counting("cases") as counting:
         counting.stage("numerically hard cases")
-        found = examine_cases(areas=tuple(area or ()), names=tuple(only or ()), progress=counting.count)
-    raise typer.Exit(show(stability_outcome(found), output=output, as_json=as_json))
+        results = examine_cases(areas=tuple(area or ()), names=tuple(only or ()), progress=counting.count)
+    raise typer.Exit(show(stability_outcome(results), output=output, as_json=as_json))

@@ -1,5 +1,6 @@
 """A numerically hard case: what makes it hard, what it is held against, and how it came out."""
 
+import inspect
 import math
 import signal
 import threading
@@ -63,15 +64,54 @@ class HardCase:
     hard : what makes it hard, in a sentence for an engineer who has not read the paper.
     truth : what it is held against.
     run : gives the answer, or raises the refusal.
-    refuses : the error that is the right end of this case; None where a number is.
+    refuses : the error that is the right end of this case; None where an answer is.
     """
 
     name: str
     area: str
     hard: str
     truth: str
-    run: Callable[[], Answer]
+    run: Callable[[], Answer | None]
     refuses: type[CbsrError] | None = None
+
+
+class Area:
+    """Cases that belong together, in the order their functions are defined.
+
+    A case has the name of its function, with hyphens. The first paragraph of the docstring says what makes it hard.
+
+    Parameters
+    ----------
+    name : of the area, see :class:`HardCase`.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.cases: list[HardCase] = []
+
+    def against(self, truth: str) -> Callable[[Callable[[], Answer]], Callable[[], Answer]]:
+        """Add a case whose answer is compared with a truth."""
+
+        def add(run: Callable[[], Answer]) -> Callable[[], Answer]:
+            self._add(run, truth, None)
+            return run
+
+        return add
+
+    def refused(
+        self, error: type[CbsrError], truth: str = "refusal"
+    ) -> Callable[[Callable[[], None]], Callable[[], None]]:
+        """Add a case whose right end is an error."""
+
+        def add(run: Callable[[], None]) -> Callable[[], None]:
+            self._add(run, truth, error)
+            return run
+
+        return add
+
+    def _add(self, run: Callable[[], Answer | None], truth: str, refuses: type[CbsrError] | None) -> None:
+        hard = " ".join((inspect.getdoc(run) or "").partition("\n\n")[0].split())
+        self.cases.append(HardCase(run.__name__.replace("_", "-"), self.name, hard, truth, run, refuses))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +146,11 @@ class CaseResult:
 def conditioned_bound(condition: float, floor: float = 0.0) -> float:
     """Bound of a relative error from a condition number: 100 times it times machine precision, at least a floor."""
     return max(floor, CONDITIONING_ROOM * condition * EPSILON)
+
+
+def conditioned(error: float, condition: float, *, unit: str = "1", note: str = "") -> Answer:
+    """Answer whose error may be what its condition number makes of rounding."""
+    return Answer(error, conditioned_bound(condition), condition, unit, note)
 
 
 def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
@@ -145,10 +190,11 @@ def _within(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def _why_broken(case: HardCase, answer: Answer) -> str:
+def _why_broken(case: HardCase, answer: Answer | None) -> str:
     """Say why an answer breaks its case; empty where it is within its bound."""
     if case.refuses is not None:
         return f"a number where {case.refuses.__name__} was to be raised"
+    assert answer is not None  # of a case that answers
     if not (math.isfinite(answer.error) and math.isfinite(answer.bound)):
         return "its error or its bound is no finite number"
     within = 0 <= answer.error <= answer.bound

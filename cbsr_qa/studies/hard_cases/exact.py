@@ -1,33 +1,43 @@
-"""Truth in fifty digits: numbers and figures worked out with mpmath from the very doubles a case was given.
+"""Truth in fifty digits, worked out with mpmath from the very doubles a case was given.
 
-Images of linear problems in fifty digits, on sensors of any size: truth for what squares condition numbers.
+Areas of polygons, images of linear problems, least squares and Gaussian processes by their textbook formulas.
 
-The dual system of the usual sensor has 104 readings and 2025 elements; twenty million products are too many for
-mpmath. Products of matrices are therefore split into slices of 21 bits, whose products and sums are exact in doubles
-(Ozaki et al. 2012), and only the small system is solved in fifty digits.
-
-Least squares and Gaussian processes in fifty digits, by their textbook formulas.
+Images are of sensors of any size. The usual one has 104 readings and 2025 elements; twenty million products are too
+many for mpmath. Products of matrices are therefore split into slices of 21 bits, whose products and sums are exact in
+doubles (Ozaki et al. 2012), and only the small system is solved in fifty digits.
 """
 
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
-import mpmath
 import numpy as np
 from mpmath import mp
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.sheet import ResponseMap
 
+Array = NDArray[np.float64]
+#: In extended precision, 64 bits of mantissa.
+Long = NDArray[np.longdouble]
+
 #: Digits that truth is worked out with.
-DIGITS = 50
+DIGITS: Final = 50
+
+_BITS: Final = 21
+_SLICES: Final = 5  # 105 bits below the largest entry of a row
+_SUMMED: Final = 2048  # products of 42 bits each add up within 53 bits
+
+#: Of the model of a response: variance of every load beside its own, and scales of the priors.
+_LEAST_VARIANCE: Final = 1e-12
+_USUAL_DEVIATION: Final = 0.2
+_USUAL_SCATTER: Final = 0.02
 
 
 def relative_error(found: float, truth: Any) -> float:  # an mpmath number
     """Difference of a number from the truth over the truth's size; over 1 where the truth is zero."""
-    with mpmath.workdps(DIGITS):
+    with mp.workdps(DIGITS):
         size = abs(truth)
-        return float(abs(mpmath.mpf(float(found)) - truth) / (size if size else 1))
+        return float(abs(mp.mpf(float(found)) - truth) / (size if size else 1))
 
 
 def largest_relative_error(found: Iterable[float], truth: Iterable[Any]) -> float:
@@ -35,52 +45,45 @@ def largest_relative_error(found: Iterable[float], truth: Iterable[Any]) -> floa
     return max(relative_error(one, other) for one, other in zip(found, truth, strict=True))
 
 
+def apart(found: Array, exact: Array) -> float:
+    """‖x − x*‖/‖x*‖ of doubles."""
+    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+
+
 def polygon_area(corners: NDArray[np.float64]) -> Any:  # an mpmath number
     """Area of a counterclockwise polygon (q, 2)."""
-    with mpmath.workdps(DIGITS):
-        points = [(mpmath.mpf(float(x)), mpmath.mpf(float(y))) for x, y in corners]
+    with mp.workdps(DIGITS):
+        points = [(mp.mpf(float(x)), mp.mpf(float(y))) for x, y in corners]
         following = points[1:] + points[:1]
-        return (
-            sum((x0 * y1 - y0 * x1 for (x0, y0), (x1, y1) in zip(points, following, strict=True)), mpmath.mpf(0)) / 2
-        )
+        return sum((x0 * y1 - y0 * x1 for (x0, y0), (x1, y1) in zip(points, following, strict=True)), mp.mpf(0)) / 2
 
 
 def circle_overlap(corners: NDArray[np.float64], centre: Sequence[float], radius: float) -> Any:
     """Area of a counterclockwise polygon (q, 2) inside a circle, by Green's theorem along its sides."""
-    with mpmath.workdps(DIGITS):
-        middle = mpmath.mpc(float(centre[0]), float(centre[1]))
-        points = [mpmath.mpc(float(x), float(y)) - middle for x, y in corners]
-        r = mpmath.mpf(float(radius))
+    with mp.workdps(DIGITS):
+        middle = mp.mpc(float(centre[0]), float(centre[1]))
+        points = [mp.mpc(float(x), float(y)) - middle for x, y in corners]
+        r = mp.mpf(float(radius))
         following = points[1:] + points[:1]
-        return sum((_under_side(a, b, r) for a, b in zip(points, following, strict=True)), mpmath.mpf(0))
+        return sum((_under_side(a, b, r) for a, b in zip(points, following, strict=True)), mp.mpf(0))
 
 
 def _under_side(start: Any, end: Any, radius: Any) -> Any:
     """Signed area between the origin and a directed side, as far as it is inside a circle about the origin."""
     along = end - start
     length2 = abs(along) ** 2
-    middle = -mpmath.re(start * mpmath.conj(along)) / length2
-    under = radius**2 - mpmath.im(mpmath.conj(start) * along) ** 2 / length2
-    half = mpmath.sqrt(under / length2) if under > 0 else mpmath.mpf(0)
-    first, last = (min(max(one, mpmath.mpf(0)), mpmath.mpf(1)) for one in (middle - half, middle + half))
+    middle = -mp.re(start * mp.conj(along)) / length2
+    under = radius**2 - mp.im(mp.conj(start) * along) ** 2 / length2
+    half = mp.sqrt(under / length2) if under > 0 else mp.mpf(0)
+    first, last = (min(max(one, mp.mpf(0)), mp.mpf(1)) for one in (middle - half, middle + half))
     enters, leaves = start + first * along, start + last * along
-    turned = _angle(start, enters) if first > 0 else mpmath.mpf(0)
-    turned += _angle(leaves, end) if last < 1 else mpmath.mpf(0)
-    return (radius**2 * turned + mpmath.im(mpmath.conj(enters) * leaves)) / 2
+    turned = _angle(start, enters) if first > 0 else mp.mpf(0)
+    turned += _angle(leaves, end) if last < 1 else mp.mpf(0)
+    return (radius**2 * turned + mp.im(mp.conj(enters) * leaves)) / 2
 
 
 def _angle(one: Any, other: Any) -> Any:
-    return mpmath.arg(mpmath.conj(one) * other)
-
-
-Array = NDArray[np.float64]
-#: In extended precision, 64 bits of mantissa.
-Long = NDArray[np.longdouble]
-
-_DIGITS: Final = 50
-_BITS: Final = 21
-_SLICES: Final = 5  # 105 bits below the largest entry of a row
-_SUMMED: Final = 2048  # products of 42 bits each add up within 53 bits
+    return mp.arg(mp.conj(one) * other)
 
 
 def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance: Array, readings: Array) -> Array:
@@ -96,11 +99,11 @@ def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance
     """
     root = np.sqrt(weights.astype(np.longdouble))
     scaled = jacobian.astype(np.longdouble) / root
-    with mp.workdps(_DIGITS):
+    with mp.workdps(DIGITS):
         system = exact_gram(scaled)
         for row, own in enumerate(variance.tolist()):
             system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(own)
-        coefficients = _solved(system, [mp.mpf(float(value)) for value in readings])
+        coefficients = mp.cholesky_solve(mp.matrix(system), mp.matrix(readings.tolist()))
         split = [_in_parts(value) for value in coefficients]
     parts = np.array(split, dtype=np.longdouble)  # (m, 3), each a double of what the ones before leave
     image: Array = ((scaled.T @ parts).sum(axis=1) / root).astype(np.float64)
@@ -129,59 +132,36 @@ def exact_gram(rows: Long) -> list[list[Any]]:
     return [flat[row * len(rows) : (row + 1) * len(rows)] for row in range(len(rows))]
 
 
-def _solved(lower: list[list[Any]], right: list[Any]) -> list[Any]:
-    """Solve a symmetric system of which the lower triangle is given, by Cholesky factors."""
-    count = len(lower)
-    for j in range(count):
-        own = lower[j]
-        own[j] = mp.sqrt(own[j] - mp.fdot(own[:j], own[:j]))
-        for i in range(j + 1, count):
-            lower[i][j] = (lower[i][j] - mp.fdot(lower[i][:j], own[:j])) / own[j]
-    found = list(right)
-    for i in range(count):
-        found[i] = (found[i] - mp.fdot(lower[i][:i], found[:i])) / lower[i][i]
-    for i in reversed(range(count)):
-        above = [lower[k][i] for k in range(i + 1, count)]
-        found[i] = (found[i] - mp.fdot(above, found[i + 1 :])) / lower[i][i]
-    return found
-
-
 def _in_parts(value: Any) -> tuple[float, float, float]:
     high = float(value)
     middle = float(value - high)
     return high, middle, float(value - high - middle)
 
 
-#: Of the model of a response: variance of every load beside its own, and scales of the priors.
-_LEAST_VARIANCE: Final = 1e-12
-_USUAL_DEVIATION: Final = 0.2
-_USUAL_SCATTER: Final = 0.02
-
-
 def exact_line(x: Array, y: Array, stderr: Array) -> tuple[Any, Any]:
     """Slope and intercept of weighted least squares."""
-    with mpmath.workdps(DIGITS):
+    with mp.workdps(DIGITS):
         points = [
-            (mpmath.mpf(float(a)), mpmath.mpf(float(b)), 1 / mpmath.mpf(float(s)) ** 2)
+            (mp.mpf(float(a)), mp.mpf(float(b)), 1 / mp.mpf(float(s)) ** 2)
             for a, b, s in zip(x, y, stderr, strict=True)
         ]
-        total = mpmath.fsum(w for _, _, w in points)
-        x_mean = mpmath.fsum(w * a for a, _, w in points) / total
-        y_mean = mpmath.fsum(w * b for _, b, w in points) / total
-        size = mpmath.fsum(w * (a - x_mean) ** 2 for a, _, w in points)
-        slope = mpmath.fsum(w * (a - x_mean) * (b - y_mean) for a, b, w in points) / size
+        total = mp.fsum(w for _, _, w in points)
+        x_mean = mp.fsum(w * a for a, _, w in points) / total
+        y_mean = mp.fsum(w * b for _, b, w in points) / total
+        size = mp.fsum(w * (a - x_mean) ** 2 for a, _, w in points)
+        slope = mp.fsum(w * (a - x_mean) * (b - y_mean) for a, b, w in points) / size
         return slope, y_mean - slope * x_mean
 
 
 def line_condition(x: Array, y: Array, stderr: Array) -> float:
     """Σ |x ∂s/∂x| + Σ |y ∂s/∂y| over |s|: what small relative changes of every place and value make of a slope s."""
     slope, intercept = exact_line(x, y, stderr)
-    with mpmath.workdps(DIGITS):
-        weight = [1 / mpmath.mpf(float(one)) ** 2 for one in stderr]
-        places, values = ([mpmath.mpf(float(one)) for one in some] for some in (x, y))
-        middle = mpmath.fsum(w * a for w, a in zip(weight, places, strict=True)) / mpmath.fsum(weight)
-        size = mpmath.fsum(w * (a - middle) ** 2 for w, a in zip(weight, places, strict=True))
-        moved = mpmath.fsum(
+    with mp.workdps(DIGITS):
+        weight = [1 / mp.mpf(float(one)) ** 2 for one in stderr]
+        places, values = ([mp.mpf(float(one)) for one in some] for some in (x, y))
+        middle = mp.fsum(w * a for w, a in zip(weight, places, strict=True)) / mp.fsum(weight)
+        size = mp.fsum(w * (a - middle) ** 2 for w, a in zip(weight, places, strict=True))
+        moved = mp.fsum(
             w * (abs(a * (b - intercept - slope * a - slope * (a - middle))) + abs(b * (a - middle)))
             for w, a, b in zip(weight, places, values, strict=True)
         )
@@ -192,7 +172,7 @@ def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> fl
     """Largest condition number of the loads' covariances, over the processes of a map."""
     found = []
     for one in learned.members:
-        with mpmath.workdps(DIGITS):
+        with mp.workdps(DIGITS):
             alike = np.array(_correlations(places_mm, places_mm, one.smooth, one.length_mm), dtype=np.float64)
         noise = variance + one.scatter**2 + _LEAST_VARIANCE
         found.append(float(np.linalg.cond(one.deviation**2 * alike + np.diag(noise))))
@@ -211,33 +191,33 @@ def exact_map(
     learned : says which processes were kept; nothing else is taken from it.
     places_mm, values, variance : (n, 2), (n,), (n,) of the loads.
     """
-    with mpmath.workdps(DIGITS):
-        y = [mpmath.mpf(float(value)) for value in values]
+    with mp.workdps(DIGITS):
+        y = [mp.mpf(float(value)) for value in values]
         kinds = {(one.smooth, one.length_mm) for one in learned.members}
         alike = {kind: _correlations(places_mm, np.vstack([places_mm, wanted_mm]), *kind) for kind in kinds}
         found = []
         for one in learned.members:
-            noise = [mpmath.mpf(float(v)) + mpmath.mpf(one.scatter) ** 2 + _LEAST_VARIANCE for v in variance]
-            found.append(_process(alike[one.smooth, one.length_mm], mpmath.mpf(one.deviation), noise, y))
+            noise = [mp.mpf(float(v)) + mp.mpf(one.scatter) ** 2 + _LEAST_VARIANCE for v in variance]
+            found.append(_process(alike[one.smooth, one.length_mm], mp.mpf(one.deviation), noise, y))
         scores = [
             score
-            + mpmath.log(one.deviation)
-            - mpmath.log1p((mpmath.mpf(one.deviation) / _USUAL_DEVIATION) ** 2)
-            - mpmath.mpf(one.scatter) / _USUAL_SCATTER
+            + mp.log(one.deviation)
+            - mp.log1p((mp.mpf(one.deviation) / _USUAL_DEVIATION) ** 2)
+            - mp.mpf(one.scatter) / _USUAL_SCATTER
             for one, (score, _, _) in zip(learned.members, found, strict=True)
         ]
         top = max(scores)
-        weights = [mpmath.exp(score - top) for score in scores]
-        return _mixed([weight / mpmath.fsum(weights) for weight in weights], found)
+        weights = [mp.exp(score - top) for score in scores]
+        return _mixed([weight / mp.fsum(weights) for weight in weights], found)
 
 
 def _mixed(weights: list[Any], found: Sequence[tuple[Any, list[Any], list[Any]]]) -> tuple[list[Any], list[Any]]:
     means, variances = [], []
     for place in range(len(found[0][1])):
-        mean = mpmath.fsum(w * one[1][place] for w, one in zip(weights, found, strict=True))
+        mean = mp.fsum(w * one[1][place] for w, one in zip(weights, found, strict=True))
         parts = (w * (one[2][place] + (one[1][place] - mean) ** 2) for w, one in zip(weights, found, strict=True))
         means.append(mean)
-        variances.append(mpmath.fsum(parts))
+        variances.append(mp.fsum(parts))
     return means, variances
 
 
@@ -246,68 +226,52 @@ def _process(
 ) -> tuple[Any, list[Any], list[Any]]:
     """Logarithm of the marginal likelihood, and means and variances at the wanted places, of one process."""
     count, square = len(y), deviation**2
-    covariance = [[square * alike[i][j] + (noise[i] if i == j else 0) for j in range(count)] for i in range(count)]
-    root = _root(covariance)
-    ones, seen = (_forward(root, right) for right in ([mpmath.mpf(1)] * count, y))
-    information = _inner(ones, ones)
-    level = _inner(ones, seen) / information
+    covariance = mp.matrix([[square * entry for entry in row[:count]] for row in alike]) + mp.diag(noise)
+    root = mp.cholesky(covariance)
+    ones, seen = (_forward(root, right) for right in ([mp.mpf(1)] * count, y))
+    information = mp.fdot(ones, ones)
+    level = mp.fdot(ones, seen) / information
     left = [b - level * a for a, b in zip(ones, seen, strict=True)]
-    logarithms = mpmath.fsum(mpmath.log(root[i][i]) for i in range(count)) + mpmath.log(information) / 2
+    logarithms = mp.fsum(mp.log(root[i, i]) for i in range(count)) + mp.log(information) / 2
     means, variances = [], []
     for place in range(count, len(alike[0])):
-        towards = _forward(root, [square * alike[i][place] for i in range(count)])
-        means.append(level + _inner(towards, left))
-        free = 1 - _inner(ones, towards)
-        variances.append(square - _inner(towards, towards) + free**2 / information)
-    return -_inner(left, left) / 2 - logarithms, means, variances
+        towards = _forward(root, [square * row[place] for row in alike])
+        means.append(level + mp.fdot(towards, left))
+        free = 1 - mp.fdot(ones, towards)
+        variances.append(square - mp.fdot(towards, towards) + free**2 / information)
+    return -mp.fdot(left, left) / 2 - logarithms, means, variances
 
 
 def _correlations(one: Array, other: Array, smooth: bool, length_mm: float) -> list[list[Any]]:
     """Gaussian or Matérn 5/2 correlations of places."""
-    length = mpmath.mpf(length_mm)
+    length = mp.mpf(length_mm)
     rows = []
     for x, y in one.tolist():
-        apart = [mpmath.hypot(mpmath.mpf(x) - u, mpmath.mpf(y) - v) / length for u, v in other.tolist()]
-        far = [mpmath.sqrt(5) * r for r in apart]
-        matern = [(1 + f + f**2 / 3) * mpmath.exp(-f) for f in far]
-        rows.append([mpmath.exp(-(r**2) / 2) for r in apart] if smooth else matern)
+        apart = [mp.hypot(mp.mpf(x) - u, mp.mpf(y) - v) / length for u, v in other.tolist()]
+        far = [mp.sqrt(5) * r for r in apart]
+        matern = [(1 + f + f**2 / 3) * mp.exp(-f) for f in far]
+        rows.append([mp.exp(-(r**2) / 2) for r in apart] if smooth else matern)
     return rows
 
 
-def _root(matrix: list[list[Any]]) -> list[list[Any]]:
-    """Cholesky factor, by rows."""
-    root: list[list[Any]] = []
-    for i, row in enumerate(matrix):
-        new: list[Any] = []
-        for j in range(i):
-            new.append((row[j] - _inner(new, root[j][:j])) / root[j][j])
-        new.append(mpmath.sqrt(row[i] - _inner(new, new)))
-        root.append(new)
-    return root
-
-
-def _forward(root: list[list[Any]], right: list[Any]) -> list[Any]:
-    """Solve L z = b."""
+def _forward(root: Any, right: list[Any]) -> list[Any]:
+    """Solve L z = b with an mpmath matrix L."""
     solved: list[Any] = []
-    for row, value in zip(root, right, strict=True):
-        solved.append((value - _inner(solved, row[:-1])) / row[-1])
+    for i, value in enumerate(right):
+        solved.append((value - mp.fdot((root[i, j], known) for j, known in enumerate(solved))) / root[i, i])
     return solved
-
-
-def _inner(one: list[Any], other: list[Any]) -> Any:
-    return mpmath.fsum(a * b for a, b in zip(one, other, strict=True))
 
 
 def mean_exponential(time_s: float, tau_s: float, ramp_s: float, frame_s: float) -> tuple[Any, Any]:
     """Value, and slope by log τ, of e^(−t/τ) after a ramp and averaged over a frame."""
-    with mpmath.workdps(DIGITS):
-        ramp, frame, at = (mpmath.mpf(float(one)) for one in (ramp_s, frame_s, time_s))
+    with mp.workdps(DIGITS):
+        ramp, frame, at = (mp.mpf(float(one)) for one in (ramp_s, frame_s, time_s))
 
         def value(log_tau: Any) -> Any:
-            tau = mpmath.exp(log_tau)
-            over_ramp = tau / ramp * (1 - mpmath.exp(-ramp / tau))
-            over_frame = tau / frame * (mpmath.exp(frame / tau / 2) - mpmath.exp(-frame / tau / 2))
-            return mpmath.exp(-at / tau) * over_ramp * over_frame
+            tau = mp.exp(log_tau)
+            over_ramp = tau / ramp * (1 - mp.exp(-ramp / tau))
+            over_frame = tau / frame * (mp.exp(frame / tau / 2) - mp.exp(-frame / tau / 2))
+            return mp.exp(-at / tau) * over_ramp * over_frame
 
-        log_tau = mpmath.log(mpmath.mpf(tau_s))
-        return value(log_tau), mpmath.diff(value, log_tau)
+        log_tau = mp.log(mp.mpf(tau_s))
+        return value(log_tau), mp.diff(value, log_tau)

@@ -1,7 +1,8 @@
 """What a person reads of numerically hard cases: what came of each, by area, and how to read that."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Final
 
 from cbsr_qa.domain.results import Banner, Block, Cell, CommandOutcome, Figure, Outcome, Page, Paragraph, Section
@@ -43,72 +44,72 @@ _ERRORS: Final = (
 _ALTERNATIVE: Final = "Errors of {cases}; the tables have the numbers."
 
 
-def stability_outcome(found: Stability) -> CommandOutcome[Stability]:
+def stability_outcome(stability: Stability) -> CommandOutcome[Stability]:
     """Lay results out; the exit code is 1 where a case is broken."""
-    broken = any(one.outcome is Ending.BROKEN for one in found.cases)
-    areas = dict.fromkeys(one.area for one in found.cases)
+    cases = stability.cases
+    areas = dict.fromkeys(case.area for case in cases)
     columns = ("case", "area", "what is hard", "compared with", "note")
-    cases = text_table("Cases", columns, [(x.name, x.area, x.hard, x.truth, x.note or _NONE) for x in found.cases])
+    rows = [(case.name, case.area, case.hard, case.truth, case.note or _NONE) for case in cases]
     sections = (
-        Section("How to read this page", tuple(_how_to_read(found.cases)), page_only=True),
-        *(Section(_headed(area), tuple(_area(area, found.cases))) for area in areas),
-        Section("What is hard in each case", (cases,), page_only=True),
+        Section("How to read this page", tuple(_how_to_read(cases)), page_only=True),
+        *(Section(area.capitalize(), tuple(_area(area, cases))) for area in areas),
+        Section("What is hard in each case", (text_table("Cases", columns, rows),), page_only=True),
     )
-    return CommandOutcome(found, _page(found.cases), sections, 1 if broken else 0)
+    broken = any(case.outcome is Ending.BROKEN for case in cases)
+    return CommandOutcome(stability, _page(cases), sections, 1 if broken else 0)
 
 
 def _page(cases: Sequence[CaseResult]) -> Page:
-    counts = Counter(one.outcome for one in cases)
-    broken = [one.name for one in cases if one.outcome is Ending.BROKEN]
+    counts = Counter(case.outcome for case in cases)
+    broken = [case.name for case in cases if case.outcome is Ending.BROKEN]
     ok, refused = counts[Ending.OK], counts[Ending.REFUSED]
     reason = _COUNTS.format(cases=plural(len(cases), "case"), ok=ok, refused=refused, broken=len(broken))
     banner = Banner("pass", "✓", "No bound is broken", reason)
     if broken:
         banner = Banner("fail", "✗", f"{plural(len(broken), 'case')} broken", f"{', '.join(broken)}; {reason}")
-    facts = (("Took", f"{sum(one.seconds for one in cases):.0f} s of computing"),)
+    facts = (("Took", f"{sum(case.seconds for case in cases):.0f} s of computing"),)
     return Page("Numerical stability", "Numerically hard cases", banner, facts, (), ())
 
 
 def _how_to_read(cases: Sequence[CaseResult]) -> Iterator[Block]:
     yield from map(Paragraph, _READING)
-    if any(one.condition is not None for one in cases):
+    if any(case.condition is not None for case in cases):
+        yield _figure(_CONDITIONS, cases, _draw_conditions)
 
-        def draw() -> str:
-            # matplotlib is loaded only where something is drawn
-            from cbsr_qa.studies.hard_cases.figures import conditions_svg
 
-            return conditions_svg(cases)
+def _draw_conditions(cases: Sequence[CaseResult]) -> str:
+    from cbsr_qa.studies.hard_cases.figures import conditions_svg  # loads matplotlib
 
-        yield Figure(_CONDITIONS, _ALTERNATIVE.format(cases=plural(len(cases), "case")), draw)
+    return conditions_svg(cases)
+
+
+def _draw_errors(cases: Sequence[CaseResult]) -> str:
+    from cbsr_qa.studies.hard_cases.figures import errors_svg
+
+    return errors_svg(cases)
+
+
+def _figure(caption: str, cases: Sequence[CaseResult], draw: Callable[[Sequence[CaseResult]], str]) -> Figure:
+    return Figure(caption, _ALTERNATIVE.format(cases=plural(len(cases), "case")), partial(draw, cases))
 
 
 def _area(area: str, cases: Sequence[CaseResult]) -> Iterator[Block]:
-    own = [one for one in cases if one.area == area]
-    drawn = [one for one in own if one.unit is not None]
-    if drawn:
-
-        def draw() -> str:
-            from cbsr_qa.studies.hard_cases.figures import errors_svg
-
-            return errors_svg(drawn)
-
-        yield Figure(_ERRORS, _ALTERNATIVE.format(cases=plural(len(drawn), "case")), draw)
+    own = [case for case in cases if case.area == area]
+    answered = [case for case in own if case.unit is not None]
+    if answered:
+        yield _figure(_ERRORS, answered, _draw_errors)
     columns = ("case", "error", "bound", "unit", "condition", "outcome")
-    yield text_table(f"Cases of the area {area}", columns, [_row(one) for one in own], (1, 2, 4))
-    for one in own:
-        if one.outcome is not Ending.OK:
-            words = _ENDED.format(name=one.name, outcome=_WORDS[one.outcome], reason=one.reason)
-            words += _REMEDY.format(remedy=one.remedy) if one.remedy else ""
-            yield Paragraph(words, "warning" if one.outcome is Ending.BROKEN else "plain")
+    yield text_table(f"Cases of the area {area}", columns, [_row(case) for case in own], (1, 2, 4))
+    for case in own:
+        if case.outcome is not Ending.OK:
+            text = _ENDED.format(name=case.name, outcome=_WORDS[case.outcome], reason=case.reason)
+            text += _REMEDY.format(remedy=case.remedy) if case.remedy else ""
+            yield Paragraph(text, "warning" if case.outcome is Ending.BROKEN else "plain")
 
 
-def _row(one: CaseResult) -> tuple[str | Cell, ...]:
-    missing = _NONE if one.unit is None else "no number"
-    error, bound = (missing if value is None else number(value, 2) for value in (one.error, one.bound))
-    condition = _NONE if one.condition is None else number(one.condition, 2)
-    outcome = Cell(_WORDS[one.outcome], _CELLS[one.outcome])
-    return one.name, error, bound, unit_shown(one.unit or "1"), condition, outcome
-
-
-def _headed(area: str) -> str:
-    return f"{area[0].upper()}{area[1:]}"
+def _row(case: CaseResult) -> tuple[str | Cell, ...]:
+    missing = _NONE if case.unit is None else "no number"
+    error, bound = (missing if value is None else number(value, 2) for value in (case.error, case.bound))
+    condition = _NONE if case.condition is None else number(case.condition, 2)
+    outcome = Cell(_WORDS[case.outcome], _CELLS[case.outcome])
+    return case.name, error, bound, unit_shown(case.unit or "1"), condition, outcome

@@ -1,11 +1,8 @@
-"""The complete electrode model in fifty digits, on small meshes: truth for what rounding does to the usual one.
+"""Sheets of the hard cases: the usual sensor as a linear problem, and a small one that fifty digits can be had of.
 
-Textbook form (Vauhkonen et al. 1999): first order, the electrodes' potentials among the unknowns, stiffness from the
-corners' places. It shares no line with :mod:`cbsr_qa.eit.forward`, which eliminates those potentials in doubles.
-
-The usual sensor as a linear problem, whole and with what makes it hard, and the methods that are installed.
-
-A small sheet whose every step can be repeated in fifty digits, and the condition numbers of its readings.
+Readings of the small sheet are solved by the complete electrode model's textbook form (Vauhkonen et al. 1999): first
+order, the electrodes' potentials among the unknowns, stiffness from the corners' places. It shares no line with
+:mod:`cbsr_qa.eit.forward`, which eliminates those potentials in doubles.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,6 +26,7 @@ from cbsr_qa.domain.sensor import (
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import imaging_problem
 from cbsr_qa.plugin import Kind, Plugins, discover
+from cbsr_qa.studies.hard_cases.exact import DIGITS, apart
 
 IMAGE_MM: Final = 6.0
 
@@ -142,7 +140,7 @@ def scattered(decades: float, seed: int = 20261121) -> Array:
 def relative_error(found: Array, exact: Array, pattern: DrivePattern) -> float:
     """‖V − V*‖/‖V*‖ over the readings that touch no driven electrode."""
     used = pattern.usable()
-    return float(np.linalg.norm((found - exact)[used]) / np.linalg.norm(exact[used]))
+    return apart(found[used], exact[used])
 
 
 def reading_condition(model: ForwardModel, before: Array | None = None) -> float:
@@ -161,8 +159,6 @@ def reading_condition(model: ForwardModel, before: Array | None = None) -> float
     felt += np.abs(model.contact_jacobian()[used]) @ model.contact_impedance
     return float(np.linalg.norm(felt) / np.linalg.norm(model.voltages()[used]))
 
-
-DIGITS: Final = 50
 
 #: Symmetric matrix as rows of its entries, both triangles.
 _Rows = list[dict[int, Any]]

@@ -10,39 +10,31 @@ from typing import Final
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.studies.hard_cases.case import CaseResult, HardCase, examine
 from cbsr_qa.studies.hard_cases.cases import (
-    calibration as calibration_cases,
-    forward as forward_cases,
-    geometry as geometry_cases,
-    imaging as imaging_cases,
-    loads as load_cases,
-    readings as reading_cases,
-    reconstruction as reconstruction_cases,
-    relaxation as relaxation_cases,
-    smoothness as smoothness_cases,
-    statistics as statistics_cases,
-    time as time_cases,
+    calibration,
+    forward,
+    forward_exact,
+    forward_loads,
+    geometry,
+    imaging,
+    loads,
+    readings,
+    reconstruction,
+    relaxation,
+    smoothness,
+    statistics,
+    time,
 )
 from cbsr_qa.studies.sweep import finished
 
+_AREAS: Final = (
+    forward.AREA, forward_exact.AREA, forward_loads.AREA, readings.AREA, reconstruction.AREA, smoothness.AREA,
+    imaging.AREA, geometry.AREA, relaxation.AREA, calibration.AREA, loads.AREA, time.AREA, statistics.AREA,
+)  # fmt: skip
 #: Every case, in order of area.
-CASES: Final[tuple[HardCase, ...]] = (
-    *forward_cases.CASES,
-    *reading_cases.CASES,
-    *reconstruction_cases.CASES,
-    *smoothness_cases.CASES,
-    *imaging_cases.CASES,
-    *geometry_cases.CASES,
-    *relaxation_cases.CASES,
-    *calibration_cases.CASES,
-    *load_cases.CASES,
-    *time_cases.CASES,
-    *statistics_cases.CASES,
-)
+CASES: Final[tuple[HardCase, ...]] = tuple(case for area in _AREAS for case in area.cases)
 
 #: Areas, in the order they are shown in.
 AREAS: Final[tuple[str, ...]] = tuple(dict.fromkeys(case.area for case in CASES))
-
-
 #: Names that fit in a message.
 _FEW: Final = 10
 
@@ -55,21 +47,20 @@ def chosen_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[
     ConfigError
         If there is no such area or name.
     """
-    known = [case.name for case in CASES]
-    for what, asked, there in (("area", areas, list(AREAS)), ("case", names, known)):
-        for one in asked:
-            if one not in there:
-                raise ConfigError(f"there is no {what} {one!r}", remedy=_nearest(what, one, there))
+    for what, wanted, known in (("area", areas, AREAS), ("case", names, [case.name for case in CASES])):
+        for name in wanted:
+            if name not in known:
+                raise ConfigError(f"there is no {what} {name!r}", remedy=_nearest(what, name, known))
     if not areas and not names:
         return CASES
     return tuple(case for case in CASES if case.area in areas or case.name in names)
 
 
-def _nearest(what: str, asked: str, there: Sequence[str]) -> str:
+def _nearest(what: str, name: str, known: Sequence[str]) -> str:
     """Names that may have been meant: all of a few, of many those that look alike or hold the same word."""
-    if len(there) <= _FEW:
-        return f"there are: {', '.join(there)}"
-    near = [one for one in there if asked in one] or get_close_matches(asked, there, n=_FEW, cutoff=0.5)
+    if len(known) <= _FEW:
+        return f"there are: {', '.join(known)}"
+    near = [other for other in known if name in other] or get_close_matches(name, known, n=_FEW, cutoff=0.5)
     if near:
         return f"near are: {', '.join(near[:_FEW])}"
     return f"cbsr-qa stability --area {AREAS[0]!r} lists the {what}s of an area; areas are: {', '.join(AREAS)}"
@@ -104,14 +95,14 @@ def examine_cases(
     """
     cases = chosen_cases(areas, names)
     count = min(2, cpu_count() or 1, len(cases)) if processes is None else processes
-    found: dict[str, CaseResult] = {}
+    examined: dict[str, CaseResult] = {}
     progress(0, len(cases))
     # Processes are given names: functions of cases need not be picklable.
     with closing(finished([case.name for case in cases], _examine_named, count)) as results:
         for name, result in results:
-            found[name] = result
-            progress(len(found), len(cases))
-    return Stability(tuple(found[case.name] for case in cases))
+            examined[name] = result
+            progress(len(examined), len(cases))
+    return Stability(tuple(examined[case.name] for case in cases))
 
 
 def _examine_named(name: str) -> CaseResult:

@@ -96,7 +96,7 @@ def test_needles_of_any_width_anywhere(width, first):
 @drawn(25)
 @given(corners=st.integers(3, 20_000))
 def test_rims_ever_closer_to_the_indenters(corners):
-    within(geometry_cases.rim_at_the_indenter(corners))
+    within(geometry_cases.rim_of(corners))
 
 
 @drawn(60)

@@ -73,8 +73,8 @@ def test_a_lot_limit_rounded_inwards_is_found_out(monkeypatch):
 
 @pytest.mark.parametrize("off", [-1, 1])
 def test_one_sensor_more_or_fewer_of_billions_is_found_out(monkeypatch, off):
-    right = statistics_cases.rare_failures()
+    right = statistics_cases.sensors_for_rare_failures()
     assert right.error <= right.bound
     monkeypatch.setattr(statistics_cases, "count_needed", lambda *given: count_needed(*given) + off)
-    wrong = statistics_cases.rare_failures()
+    wrong = statistics_cases.sensors_for_rare_failures()
     assert wrong.error > wrong.bound

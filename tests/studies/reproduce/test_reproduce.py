@@ -189,7 +189,7 @@ def test_the_documented_command_writes_its_page_and_prints_tables_or_one_documen
     def by_hand(jobs, processes, tell):
         asked.append(jobs)
         figures = _figures(paper)
-        return [(job, figures[replace(job, quick=False)]) for job in jobs]
+        return {job: figures[replace(job, quick=False)] for job in jobs}
 
     monkeypatch.setattr(reproduce, "_simulated", by_hand)
     assert guarded(shlex.split(command)) == 0

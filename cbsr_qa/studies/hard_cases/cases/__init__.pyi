@@ -1,6 +1,8 @@
 from . import (
     calibration as calibration,
     forward as forward,
+    forward_exact as forward_exact,
+    forward_loads as forward_loads,
     geometry as geometry,
     imaging as imaging,
     loads as loads,

@@ -1,6 +1,5 @@
 """Hard cases of calibration: line fits, response maps, registration, loads in readings."""
 
-from functools import partial
 from typing import Final
 
 import mpmath
@@ -14,7 +13,7 @@ from cbsr_qa.domain import CalibrationError, NumericsError
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 from cbsr_qa.eit.imaging import register
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import (
     exact_line,
     exact_map,
@@ -26,7 +25,11 @@ from cbsr_qa.studies.hard_cases.exact import (
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "calibration"
+AREA: Final = Area("calibration")
+_SQUARES: Final = "weighted least squares of the same numbers in fifty digits"
+_MIXTURE: Final = "the same mixture of Gaussian processes in fifty digits, load by load"
+_TURN: Final = "the rotation and scale they were made with"
+_KERNEL: Final = "the kernel the traces were made from"
 _STRAINS: Final[Array] = np.array([0.05, 0.10, 0.15, 0.20, 0.25, 0.30])
 NINE: Final[Array] = np.array(NINE_LOCATIONS_MM)
 _SEED: Final = 20261121
@@ -36,29 +39,10 @@ _PROCESSES: Final = 12  # of a map, that are held against truth: fifty digits ta
 
 def line(x: Array, change: Array, stderr: Array | None = None) -> Answer:
     """Slope of a line through loads at six strains, against weighted least squares in fifty digits."""
-    fit = fit_quasi_static(
-        _STRAINS.tolist(), x.tolist(), change.tolist(), None if stderr is None else stderr.tolist()
-    )
-    slope, _ = exact_line(x, change, np.ones_like(x) if stderr is None else stderr)
-    condition = line_condition(x, change, np.ones_like(x) if stderr is None else stderr)
-    return Answer(relative_error(fit.slope, slope), conditioned_bound(condition), condition)
-
-
-def no_change() -> Answer:
-    """Slope and intercept of a material that does not answer at all."""
-    fit = fit_quasi_static(_STRAINS.tolist(), _STRAINS.tolist(), [0.0] * 6)
-    wrong = abs(fit.slope) + abs(fit.intercept)
-    return Answer(wrong if np.isfinite(fit.covariance).all() else 1.0, 0.0, unit="relative conductance change")
-
-
-def error_far_out() -> Answer:
-    """Standard error of a line 1e5 spreads away from where it was fitted, back at its middle."""
-    middle, spread = 1e5, 1.0
-    x = middle + spread * (_STRAINS - _STRAINS.mean()) / _STRAINS.std()
-    fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), (0.001 * x).tolist(), [0.01] * 6)
-    _, error = predicted_change(fit.as_parameters("case"), middle)
-    condition = 2 * (middle / spread) ** 2  # of the terms that cancel to their sum
-    return Answer(relative_error(error, mpmath.mpf(0.01) / mpmath.sqrt(6)), conditioned_bound(condition), condition)
+    given = None if stderr is None else stderr.tolist()
+    fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), change.tolist(), given)
+    weighted = x, change, np.ones_like(x) if stderr is None else stderr
+    return conditioned(relative_error(fit.slope, exact_line(*weighted)[0]), line_condition(*weighted))
 
 
 def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
@@ -72,48 +56,12 @@ def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
     exact_mean, exact_spread = exact_map(found, places_mm, log_response, variance, wanted)
     error = max(largest_relative_error(mean, exact_mean), largest_relative_error(spread, exact_spread))
     condition = map_condition(found, places_mm, variance)
-    return Answer(
-        error,
-        conditioned_bound(condition),
-        condition,
-        note=f"{_PROCESSES} of {len(learned.weights)} processes compared",
-    )
+    return conditioned(error, condition, note=f"{_PROCESSES} of {len(learned.weights)} processes compared")
 
 
-def alike_loads(count: int) -> Answer:
-    """Mean of a map of many loads without noise in a nanometre, all of the same response."""
-    places = 1e-6 * np.random.default_rng(_SEED).standard_normal((count, 2))
-    mean, variance = learn_response(places, np.full(count, 0.3), np.zeros(count), radius_mm=50.0).predict(places[:3])
-    error = largest_relative_error(mean, [mpmath.mpf(0.3)] * 3) if (variance >= 0).all() else 1.0
-    condition = 1 / _LEAST_VARIANCE
-    return Answer(error, conditioned_bound(condition), condition)
-
-
-def far_registration() -> Answer:
-    """Turn, scale and residuals of places ten kilometres away from the origin."""
-    first = 1e7
-    turn = 1.02 * np.exp(0.1j)
-    p = NINE[:, 0] + 1j * NINE[:, 1]
-    q = turn * p
-    near = np.column_stack([p.real, p.imag]) + first
-    far = np.column_stack([q.real, q.imag]) - 3 * first
-    found = register(near, far)
-    error = max(relative_error(found.scale, mpmath.mpf("1.02")), abs(np.radians(found.rotation_deg) - 0.1))
-    condition = 3 * first / float(np.abs(p).max())
-    return Answer(float(error), conditioned_bound(condition), condition)
-
-
-def collinear_registration() -> Answer:
-    """Turn and scale of places in a line."""
-    row = NINE[[0, 1, 2]]
-    found = register(row, np.column_stack([-row[:, 1], row[:, 0]]) * 0.9)
-    error = max(relative_error(found.scale, mpmath.mpf("0.9")), abs(found.rotation_deg / 90 - 1))
-    return Answer(float(error), conditioned_bound(1.0), 1.0)
-
-
-def registration(nominal_mm: Array, seen_mm: Array) -> Answer:
-    """Scale of a registration that says nothing."""
-    return Answer(register(nominal_mm, seen_mm).scale, 0.0)
+def _wavy(places_mm: Array, variance: Array) -> Answer:
+    """A map of a response that waves over the sheet."""
+    return response(places_mm, 0.1 * np.sin(places_mm[:, 0] / 20) + 0.05 * np.cos(places_mm[:, 1] / 15), variance)
 
 
 def kernel(unit: float, sizes: tuple[float, ...], *, releases: bool = False) -> Answer:
@@ -133,189 +81,154 @@ def sheet_pose(seen_mm: Array, shift_mm: float) -> Answer:
     covariance = np.tile(np.diag([1e-4, 1e-2, 1e-2]), (len(seen_mm), 1, 1))
     found = sheet_pose_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
     moved = float(np.abs(found.places_mm(NINE) - NINE - shift_mm).max())
-    return Answer(moved if np.isfinite(found.shift_stderr_mm) else 1.0, conditioned_bound(60.0), 60.0, unit="mm")
+    return conditioned(moved if np.isfinite(found.shift_stderr_mm) else 1.0, 60.0, unit="mm")
 
 
-def gauge_factor() -> Answer:
-    """Gauge factor from loads at whose strain the line α ε + β is zero."""
+@AREA.against(_SQUARES)
+def stresses_of_1e6_with_a_tiny_spread() -> Answer:
+    """A line through stresses that differ by a hundred-millionth of themselves: sums of squares keep none of it."""
+    return line(1e6 + 0.1 * _STRAINS, 0.6 * _STRAINS)
+
+
+@AREA.against(_SQUARES)
+def weights_twenty_four_powers_of_ten_apart() -> Answer:
+    """One strain is known 1e12 times better than the others."""
+    return line(100 * _STRAINS, 0.6 * _STRAINS + 0.01 * np.cos(40 * _STRAINS), np.array([1, 1, 1e-12, 1, 1, 1]))
+
+
+@AREA.against("slope and intercept zero, with a finite error")
+def material_that_does_not_answer() -> Answer:
+    """Changes that are zero at every load: no scatter and no size to take an error from."""
+    fit = fit_quasi_static(_STRAINS.tolist(), _STRAINS.tolist(), [0.0] * 6)
+    wrong = abs(fit.slope) + abs(fit.intercept)
+    return Answer(wrong if np.isfinite(fit.covariance).all() else 1.0, 0.0, unit="relative conductance change")
+
+
+@AREA.against("σ/√n, that of a mean of six")
+def error_of_a_line_far_from_zero() -> Answer:
+    """The error in the middle of the loads, from those of slope and intercept 1e5 spreads away, which cancel."""
+    middle, spread = 1e5, 1.0
+    x = middle + spread * (_STRAINS - _STRAINS.mean()) / _STRAINS.std()
+    fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), (0.001 * x).tolist(), [0.01] * 6)
+    _, error = predicted_change(fit.as_parameters("case"), middle)
+    condition = 2 * (middle / spread) ** 2  # of the terms that cancel to their sum
+    return conditioned(relative_error(error, mpmath.mpf(0.01) / mpmath.sqrt(6)), condition)
+
+
+@AREA.refused(NumericsError)
+def one_strain() -> None:
+    """Loads at a single strain determine a slope or an intercept, not both."""
+    fit_quasi_static([0.1] * 3, [10.0, 10.1, 9.9], [0.06, 0.061, 0.059])
+
+
+@AREA.refused(NumericsError)
+def collinear_design() -> None:
+    """Six strains, all at one stress: the two columns of the line are parallel."""
+    fit_quasi_static(_STRAINS.tolist(), [0.1 * 3] * 6, _STRAINS.tolist())
+
+
+@AREA.refused(CalibrationError)
+def line_at_its_zero() -> None:
+    """α ε + β is zero at the loads: their response is a division by zero."""
     nothing = QuasiStatic(Parameter(0.6, 0.01, "case"), Parameter(-0.06, 0.01, "case"), 0.0)
     places, strain = NINE, np.full(9, 0.1)
-    found = sheet_gauge_factor(
-        places, np.full(9, 0.05), np.full(9, 1e-4), strain, nothing, radius_mm=50.0, sheet_mm=places
-    )
-    return Answer(found.value, 0.0)
+    sheet_gauge_factor(places, np.full(9, 0.05), np.full(9, 1e-4), strain, nothing, radius_mm=50.0, sheet_mm=places)
 
 
-def _response_case(name: str, hard: str, places_mm: Array, variance: Array) -> HardCase:
-    values = 0.1 * np.sin(places_mm[:, 0] / 20) + 0.05 * np.cos(places_mm[:, 1] / 15)
-    truth = "the same mixture of Gaussian processes in fifty digits, load by load"
-    return HardCase(name, _AREA, hard, truth, partial(response, places_mm, values, variance))
+@AREA.against(_MIXTURE)
+def loads_a_picometre_apart() -> Answer:
+    """Places that differ by 1e-9 mm, without noise: rows of the covariance that are equal to twenty digits."""
+    return _wavy(np.vstack([NINE[:4], NINE[:3] + 1e-9]), np.zeros(7))
 
 
-_LINES: Final = (
-    HardCase(
-        "stresses-of-1e6-with-a-tiny-spread",
-        _AREA,
-        "A line through stresses that differ by a hundred-millionth of themselves: sums of squares keep none of it.",
-        "weighted least squares of the same numbers in fifty digits",
-        partial(line, 1e6 + 0.1 * _STRAINS, 0.6 * _STRAINS),
-    ),
-    HardCase(
-        "weights-twenty-four-powers-of-ten-apart",
-        _AREA,
-        "One strain is known 1e12 times better than the others.",
-        "weighted least squares of the same numbers in fifty digits",
-        partial(
-            line, 100 * _STRAINS, 0.6 * _STRAINS + 0.01 * np.cos(40 * _STRAINS), np.array([1, 1, 1e-12, 1, 1, 1])
-        ),
-    ),
-    HardCase(
-        "material-that-does-not-answer",
-        _AREA,
-        "Changes that are zero at every load: no scatter and no size to take an error from.",
-        "slope and intercept zero, with a finite error",
-        no_change,
-    ),
-    HardCase(
-        "error-of-a-line-far-from-zero",
-        _AREA,
-        "The error in the middle of the loads, from those of slope and intercept 1e5 spreads away, which cancel.",
-        "σ/√n, that of a mean of six",
-        error_far_out,
-    ),
-    HardCase(
-        "one-strain",
-        _AREA,
-        "Loads at a single strain determine a slope or an intercept, not both.",
-        "refusal",
-        lambda: Answer(fit_quasi_static([0.1] * 3, [10.0, 10.1, 9.9], [0.06, 0.061, 0.059]).slope, 0.0),
-        NumericsError,
-    ),
-    HardCase(
-        "collinear-design",
-        _AREA,
-        "Six strains, all at one stress: the two columns of the line are parallel.",
-        "refusal",
-        lambda: Answer(fit_quasi_static(_STRAINS.tolist(), [0.1 * 3] * 6, _STRAINS.tolist()).slope, 0.0),
-        NumericsError,
-    ),
-    HardCase(
-        "line-at-its-zero",
-        _AREA,
-        "α ε + β is zero at the loads: their response is a division by zero.",
-        "refusal",
-        gauge_factor,
-        CalibrationError,
-    ),
-)
+@AREA.against(_MIXTURE)
+def loads_in_a_tenth_of_a_millimetre() -> Answer:
+    """All loads within a thousandth of the shortest length: the covariance has one direction and rounding."""
+    return _wavy(NINE[:7] / 300, np.zeros(7))
 
-_MAPS: Final = (
-    _response_case(
-        "loads-a-picometre-apart",
-        "Places that differ by 1e-9 mm, without noise: rows of the covariance that are equal to twenty digits.",
-        np.vstack([NINE[:4], NINE[:3] + 1e-9]),
-        np.zeros(7),
-    ),
-    _response_case(
-        "loads-in-a-tenth-of-a-millimetre",
-        "All loads within a thousandth of the shortest length: the covariance has one direction and rounding.",
-        NINE[:7] / 300,
-        np.zeros(7),
-    ),
-    _response_case(
-        "loads-known-a-million-times-better",
-        "Loads whose variances differ by 1e12.",
-        NINE[:7],
-        10.0 ** np.linspace(-14, -2, 7),
-    ),
-    HardCase(
-        "a-hundred-loads-in-a-nanometre",
-        _AREA,
-        "A covariance of a hundred loads that all are one, without noise.",
-        "their common value",
-        partial(alike_loads, 100),
-    ),
-    HardCase(
-        "map-with-nan",
-        _AREA,
-        "A load whose response is NaN.",
-        "refusal",
-        lambda: Answer(learn_response(NINE, np.full(9, np.nan), np.zeros(9), radius_mm=50.0).scatter, 0.0),
-        CalibrationError,
-    ),
-)
 
-_REGISTRATIONS: Final = (
-    HardCase(
-        "registration-far-from-the-origin",
-        _AREA,
-        "Places with an origin ten kilometres away, on two sides.",
-        "the rotation and scale they were made with",
-        far_registration,
-    ),
-    HardCase(
-        "registration-of-places-in-a-line",
-        _AREA,
-        "Places in a line determine the sheet's pose along and across it, but not a mirror image.",
-        "the rotation and scale they were made with",
-        collinear_registration,
-    ),
-    HardCase(
-        "seat-of-a-mirror-image",
-        _AREA,
-        "Loads found in the order of a mirror image: no rigid motion of the sheet explains them.",
-        "the sheet's pose is unchanged",
-        partial(sheet_pose, NINE * [1.0, -1.0], 0.0),
-    ),
-    HardCase(
-        "seat-without-scatter",
-        _AREA,
-        "Loads all found exactly a millimetre off: a standard error of zero to divide by.",
-        "a millimetre along both axes",
-        partial(sheet_pose, NINE + 1.0, 1.0),
-    ),
-    HardCase(
-        "registration-of-one-place",
-        _AREA,
-        "Nine loads at one place, which rounds to places that differ.",
-        "refusal",
-        partial(registration, np.full((9, 2), 1e9 + 0.1), NINE),
-        NumericsError,
-    ),
-    HardCase(
-        "registration-of-a-mirror-image",
-        _AREA,
-        "An upside-down sheet: least squares find a scale near zero, and no place where it was pressed.",
-        "refusal",
-        partial(registration, NINE, NINE * [1.0, -1.0]),
-        NumericsError,
-    ),
-)
+@AREA.against(_MIXTURE)
+def loads_known_a_million_times_better() -> Answer:
+    """Loads whose variances differ by 1e12."""
+    return _wavy(NINE[:7], 10.0 ** np.linspace(-14, -2, 7))
 
-_KERNEL: Final = "the kernel the traces were made from"
 
-_KERNELS: Final = (
-    HardCase(
-        "kernel-of-values-of-1e100",
-        _AREA,
-        "Relaxations in a unit that makes their numbers huge: covariances of 1e200, determinants that overflow.",
-        _KERNEL,
-        partial(kernel, 1e100, (0.9, 1.0, 1.1)),
-    ),
-    HardCase(
-        "kernel-of-loads-a-million-apart",
-        _AREA,
-        "One load is a million times as large as another.",
-        _KERNEL,
-        partial(kernel, 1.0, (1e-3, 1.0, 1e3)),
-    ),
-    HardCase(
-        "kernel-of-releases-of-both-signs",
-        _AREA,
-        "Releases whose changes sum to zero: their mean relaxation is a division by zero.",
-        _KERNEL,
-        partial(kernel, 1.0, (1.0, -1.0, 2.0, -2.0), releases=True),
-    ),
-)
+@AREA.against("their common value")
+def a_hundred_loads_in_a_nanometre() -> Answer:
+    """A covariance of a hundred loads that all are one, without noise."""
+    places = 1e-6 * np.random.default_rng(_SEED).standard_normal((100, 2))
+    mean, variance = learn_response(places, np.full(100, 0.3), np.zeros(100), radius_mm=50.0).predict(places[:3])
+    error = largest_relative_error(mean, [mpmath.mpf(0.3)] * 3) if (variance >= 0).all() else 1.0
+    return conditioned(error, 1 / _LEAST_VARIANCE)
 
-CASES: Final[tuple[HardCase, ...]] = (*_LINES, *_MAPS, *_REGISTRATIONS, *_KERNELS)
+
+@AREA.refused(CalibrationError)
+def map_with_nan() -> None:
+    """A load whose response is NaN."""
+    learn_response(NINE, np.full(9, np.nan), np.zeros(9), radius_mm=50.0)
+
+
+@AREA.against(_TURN)
+def registration_far_from_the_origin() -> Answer:
+    """Places with an origin ten kilometres away, on two sides."""
+    first = 1e7
+    turn = 1.02 * np.exp(0.1j)
+    p = NINE[:, 0] + 1j * NINE[:, 1]
+    q = turn * p
+    near = np.column_stack([p.real, p.imag]) + first
+    far = np.column_stack([q.real, q.imag]) - 3 * first
+    found = register(near, far)
+    error = max(relative_error(found.scale, mpmath.mpf("1.02")), abs(np.radians(found.rotation_deg) - 0.1))
+    condition = 3 * first / float(np.abs(p).max())
+    return conditioned(float(error), condition)
+
+
+@AREA.against(_TURN)
+def registration_of_places_in_a_line() -> Answer:
+    """Places in a line determine the sheet's pose along and across it, but not a mirror image."""
+    row = NINE[[0, 1, 2]]
+    found = register(row, np.column_stack([-row[:, 1], row[:, 0]]) * 0.9)
+    error = max(relative_error(found.scale, mpmath.mpf("0.9")), abs(found.rotation_deg / 90 - 1))
+    return conditioned(float(error), 1.0)
+
+
+@AREA.against("the sheet's pose is unchanged")
+def seat_of_a_mirror_image() -> Answer:
+    """Loads found in the order of a mirror image: no rigid motion of the sheet explains them."""
+    return sheet_pose(NINE * [1.0, -1.0], 0.0)
+
+
+@AREA.against("a millimetre along both axes")
+def seat_without_scatter() -> Answer:
+    """Loads all found exactly a millimetre off: a standard error of zero to divide by."""
+    return sheet_pose(NINE + 1.0, 1.0)
+
+
+@AREA.refused(NumericsError)
+def registration_of_one_place() -> None:
+    """Nine loads at one place, which rounds to places that differ."""
+    register(np.full((9, 2), 1e9 + 0.1), NINE)
+
+
+@AREA.refused(NumericsError)
+def registration_of_a_mirror_image() -> None:
+    """An upside-down sheet: least squares find a scale near zero, and no place where it was pressed."""
+    register(NINE, NINE * [1.0, -1.0])
+
+
+@AREA.against(_KERNEL)
+def kernel_of_values_of_1e100() -> Answer:
+    """Relaxations in a unit that makes their numbers huge: covariances of 1e200, determinants that overflow."""
+    return kernel(1e100, (0.9, 1.0, 1.1))
+
+
+@AREA.against(_KERNEL)
+def kernel_of_loads_a_million_apart() -> Answer:
+    """One load is a million times as large as another."""
+    return kernel(1.0, (1e-3, 1.0, 1e3))
+
+
+@AREA.against(_KERNEL)
+def kernel_of_releases_of_both_signs() -> Answer:
+    """Releases whose changes sum to zero: their mean relaxation is a division by zero."""
+    return kernel(1.0, (1.0, -1.0, 2.0, -2.0), releases=True)

@@ -1,7 +1,7 @@
 """Hard cases of the forward model against Fourier series of a disc, and limits of its contacts."""
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.sensor import CircleArcs, Mesh, adjacent_pattern
 from cbsr_qa.eit.forward import ConcentricSheet, ForwardModel, arc_transfer_impedance
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase
+from cbsr_qa.studies.hard_cases.case import Answer, Area
 from cbsr_qa.studies.hard_cases.sheets import reading_condition, relative_error, ring_mesh
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "forward model"
+AREA: Final = Area("forward model")
 _ELECTRODES: Final = 8
 _INSIDE: Final = 0.5  # the inclusion's radius over the sheet's: rings of the mesh lie on it
 _MESHES: Final = (1, 2)  # steps between electrodes' ends, and rings: the second mesh halves the first one's edges
@@ -48,61 +48,58 @@ def _angles(model: ForwardModel) -> tuple[Array, float]:
     return middles, float(np.ptp(ends[0])) / 2
 
 
-def with_inclusion(contrast: float) -> Answer:
-    """A concentric inclusion against its Fourier series, on a mesh whose edges are half those of another."""
+def _against_series(
+    exact_sheet: ConcentricSheet, model_of: Callable[[ForwardModel], ForwardModel], contact: float, modes: int
+) -> Answer:
+    """Readings against a Fourier series, on a mesh whose edges are half those of another.
+
+    Parameters
+    ----------
+    model_of : gives the sheet of a plain disc. contact : z γ over the radius. modes : of a contact's current.
+    """
     errors = []
     for fineness in _MESHES:
-        plain = _disc(fineness)
-        inside = np.hypot(*plain.mesh.centroids_mm.T) < _INSIDE
-        model = plain.changed(conductance=np.where(inside, contrast, 1.0))
-        sheet = ConcentricSheet(1.0, 1.0, _INSIDE, contrast)
-        angles, half_width = _angles(model)
-        exact = arc_transfer_impedance(sheet, angles, half_width, _CONTACT, modes=12, harmonics=20_000)
+        model = model_of(_disc(fineness))
+        exact = arc_transfer_impedance(exact_sheet, *_angles(model), contact, modes=modes, harmonics=20_000)
         errors.append(relative_error(model.voltages(), model.readings(exact), model.pattern))
-    return _converged(errors, reading_condition(model))
-
-
-def uniform_current() -> Answer:
-    """Contacts next to open let current in evenly: the gap model's series, which has no contact impedance."""
-    errors = []
-    for fineness in _MESHES:
-        model = _disc(fineness).changed(contact_impedance=np.full(_ELECTRODES, 1e7))
-        angles, half_width = _angles(model)
-        sheet = ConcentricSheet(1.0, 1.0)
-        exact = arc_transfer_impedance(sheet, angles, half_width, 0.0, modes=1, harmonics=20_000)
-        errors.append(relative_error(model.voltages(), model.readings(exact), model.pattern))
-    return _converged(errors, reading_condition(model))
-
-
-def _converged(errors: list[float], condition: float) -> Answer:
     coarse, fine = errors
     note = f"the bound is the mesh's: a third of the {coarse:.1e} that a mesh of twice the edge length leaves"
-    return Answer(fine, coarse / _CONVERGES, condition, note=note)
+    return Answer(fine, coarse / _CONVERGES, reading_condition(model), note=note)
 
 
-def _case(name: str, hard: str, truth: str, run: Callable[[], Answer]) -> HardCase:
-    return HardCase(name, _AREA, hard, truth, run)
+def _with_inclusion(contrast: float) -> Answer:
+    """A concentric inclusion against its Fourier series."""
+
+    def model_of(disc: ForwardModel) -> ForwardModel:
+        inside = np.hypot(*disc.mesh.centroids_mm.T) < _INSIDE
+        return disc.changed(conductance=np.where(inside, contrast, 1.0))
+
+    return _against_series(ConcentricSheet(1.0, 1.0, _INSIDE, contrast), model_of, _CONTACT, 12)
 
 
 _SERIES: Final = "Fourier series of the disc with Legendre polynomials on its electrodes"
 
-CASES: Final[tuple[HardCase, ...]] = (
-    _case(
-        "disc-with-inclusion-of-1e8",
-        "A round load that conducts a hundred million times better: next to a short in the middle of the sheet.",
-        _SERIES,
-        partial(with_inclusion, 1e8),
-    ),
-    _case(
-        "disc-with-inclusion-of-1e-8",
-        "A round load that conducts a hundred millionth: next to a hole in the middle of the sheet.",
-        _SERIES,
-        partial(with_inclusion, 1e-8),
-    ),
-    _case(
-        "contacts-next-to-open-on-a-disc",
-        "Contacts ten million times poorer than the sheet, against the limit in which they let current in evenly.",
-        "Fourier series of the gap model",
-        uniform_current,
-    ),
-)
+
+@AREA.against(_SERIES)
+def disc_with_inclusion_of_1e8() -> Answer:
+    """A round load that conducts a hundred million times better: next to a short in the middle of the sheet."""
+    return _with_inclusion(1e8)
+
+
+@AREA.against(_SERIES)
+def disc_with_inclusion_of_1e_8() -> Answer:
+    """A round load that conducts a hundred millionth: next to a hole in the middle of the sheet."""
+    return _with_inclusion(1e-8)
+
+
+@AREA.against("Fourier series of the gap model")
+def contacts_next_to_open_on_a_disc() -> Answer:
+    """Contacts ten million times poorer than the sheet, against the limit in which they let current in evenly.
+
+    The gap model's series has no contact impedance.
+    """
+
+    def model_of(disc: ForwardModel) -> ForwardModel:
+        return disc.changed(contact_impedance=np.full(_ELECTRODES, 1e7))
+
+    return _against_series(ConcentricSheet(1.0, 1.0), model_of, 0.0, 1)

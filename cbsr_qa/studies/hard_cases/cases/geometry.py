@@ -1,6 +1,5 @@
 """Hard cases of areas and distances: needles, tangent circles, nearly coincident edges."""
 
-from functools import partial
 from typing import Final
 
 import mpmath
@@ -11,8 +10,9 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import PolygonFootprint, RoundFootprint, circle_overlap_mm2, overlap_mm2
 from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.imaging import Raster, contour_regions, find_regions
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.eit.imaging import Raster, find_regions
+from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.studies.hard_cases.cases.imaging import outline_error
 from cbsr_qa.studies.hard_cases.exact import (
     DIGITS,
     circle_overlap,
@@ -23,7 +23,9 @@ from cbsr_qa.studies.hard_cases.exact import (
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "imaging"
+AREA: Final = Area("imaging")
+_TRIANGLE: Final = "area and centre of the triangle in fifty digits"
+_CIRCLE: Final = "the same area by Green's theorem in fifty digits"
 _RADIUS_MM: Final = 6.5
 
 
@@ -36,7 +38,7 @@ def needle(width_mm: float, first_mm: float) -> Answer:
     # Of the rounding of places, over the width.
     condition = float(np.abs(corners).max() / (2 * exact / 100))
     error = max(relative_error(head.area_mm2, exact), largest_relative_error(head.centre_mm, middle.tolist()))
-    return Answer(error, conditioned_bound(condition), condition)
+    return conditioned(error, condition)
 
 
 def circle(corners: Array, centre: tuple[float, float]) -> Answer:
@@ -50,10 +52,10 @@ def circle(corners: Array, centre: tuple[float, float]) -> Answer:
         outline = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum()
         reach = float(np.abs(corners - np.array(centre)).max())
         condition = float(min(outline, 2 * np.pi * _RADIUS_MM) * reach / smaller)
-    return Answer(error, conditioned_bound(condition), condition)
+    return conditioned(error, condition)
 
 
-def rim_at_the_indenter(corners: int) -> Answer:
+def rim_of(corners: int) -> Answer:
     """Mean squared distance of a polygon's sides from the circle through its corners."""
     half = np.pi / corners
     angle = 2 * half * np.arange(corners)
@@ -66,11 +68,74 @@ def rim_at_the_indenter(corners: int) -> Answer:
         bent = reach * r + height**2 * mpmath.asinh(reach / height)
         truth = corners * 2 * (reach**3 / 3 + (height**2 + r**2) * reach - r * bent)
         condition = float(2 * r / (r - height))  # of the distance from the circle
-    return Answer(relative_error(float(found), truth), conditioned_bound(condition), condition)
+    return conditioned(relative_error(float(found), truth), condition)
 
 
-def needle_mesh() -> Answer:
-    """Area and centre of a contour over elements a millionth as wide as long: what a plane cuts off."""
+def _triangle(x: float, y: float = 0.0, *, long: float = 3.0) -> Array:
+    """A tip at (x, y) that points to the left."""
+    return np.array([[x, y], [x + long, y - long / 2], [x + long, y + long / 2]])
+
+
+@AREA.against(_TRIANGLE)
+def needle_of_a_nanometre() -> Answer:
+    """A head 100 mm long and a millionth of a millimetre wide."""
+    return needle(1e-6, 0.0)
+
+
+@AREA.against(_TRIANGLE)
+def needle_far_from_the_origin() -> Answer:
+    """The same a kilometre away, a thousandth wide: products of places are 1e13 times its area."""
+    return needle(1e-3, 1e6)
+
+
+@AREA.against(_CIRCLE)
+def side_tangent_to_the_circle() -> Answer:
+    """A side that touches the circle: whether it passes through is a square root of rounding."""
+    return circle(np.array([[-9.0, _RADIUS_MM], [9.0, _RADIUS_MM], [0.0, 12.0]]), (0.0, 0.0))
+
+
+@AREA.against(_CIRCLE)
+def side_within_1e_8_of_the_circle() -> Answer:
+    """A side that cuts a segment of 1e-8 mm off the circle."""
+    return circle(np.array([[-9.0, _RADIUS_MM - 1e-8], [9.0, _RADIUS_MM - 1e-8], [0.0, 12.0]]), (0.0, 0.0))
+
+
+@AREA.against(_CIRCLE)
+def tip_within_1e_8_of_the_circle() -> Answer:
+    """A corner that reaches 1e-8 mm into the circle."""
+    return circle(_triangle(_RADIUS_MM - 1e-8), (0.0, 0.0))
+
+
+@AREA.against(_CIRCLE)
+def corner_at_the_centre() -> Answer:
+    """A corner 1e-12 mm from the centre, from which sectors are counted: its direction is rounding."""
+    return circle(_triangle(1e-12, 1e-12), (0.0, 0.0))
+
+
+@AREA.against(_CIRCLE)
+def circle_within_a_huge_triangle() -> Answer:
+    """A triangle of a kilometre round a circle of 13 mm."""
+    return circle(1e6 * np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]]), (0.0, 0.0))
+
+
+@AREA.against(_CIRCLE)
+def circle_far_from_the_origin() -> Answer:
+    """Circle and triangle a kilometre from the origin."""
+    return circle(1e6 + _triangle(2.0), (1e6 + 1.0, 1e6 - 1.0))
+
+
+@AREA.against("the integral along a side in closed form and fifty digits")
+def rim_at_the_indenter() -> Answer:
+    """The outline of a blob that is the indenter's to a millionth: its deviation is a difference of cubes."""
+    return rim_of(5000)
+
+
+@AREA.against("area by Green's theorem along the outline = sum of the pieces")
+def contour_over_needles() -> Answer:
+    """Elements a millionth as wide as long.
+
+    The contour is what a plane cuts off.
+    """
     columns, width = 40, 1e-6
     x = np.repeat(np.linspace(0.0, 1.0, columns + 1), 2)
     nodes = np.column_stack([x, np.tile([0.0, width], columns + 1)])
@@ -79,116 +144,25 @@ def needle_mesh() -> Answer:
         [np.column_stack([lower, lower + 2, lower + 3]), np.column_stack([lower, lower + 3, lower + 1])]
     )
     mesh = Mesh(nodes, elements)
-    (region,) = contour_regions(Image(mesh, mesh.centroids_mm[:, 0] + 0.25), 0.5)
-    start, end = region.rim_mm()
-    one, other = start - start[0], end - start[0]
-    outlined = float((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()) / 2
-    condition = 1 / width
-    return Answer(relative_error(outlined, region.area_mm2), conditioned_bound(condition), condition)
+    error, _ = outline_error(Image(mesh, mesh.centroids_mm[:, 0] + 0.25))
+    return conditioned(error, 1 / width)
 
 
-def corner_pixel() -> Answer:
-    """Outline of one pixel in the corner of a raster, closed beyond its edge: that of a pixel in the middle."""
+@AREA.against("area of the diamond round one pixel, wherever it is")
+def pixels_in_the_corners() -> Answer:
+    """A pixel in the corner of a raster, where its outline needs neighbours that are not there.
+
+    Closed beyond the edge, it is that of a pixel in the middle.
+    """
     areas = []
     for row, column in ((0, 0), (4, 4), (0, 8), (8, 0), (8, 8)):
         values = np.zeros((9, 9))
         values[row, column] = 1.0
         areas += [region.area_mm2 for region in find_regions(Raster(values, 1.0, (0.0, 0.0)), 0.85)]
-    return Answer(largest_relative_error(areas, [mpmath.mpf("0.045")] * 5), conditioned_bound(8 / 0.15), 8 / 0.15)
+    return conditioned(largest_relative_error(areas, [mpmath.mpf("0.045")] * 5), 8 / 0.15)
 
 
-def flat_polygon() -> Answer:
-    """Area of a head whose corners all lie in a line."""
-    corners = np.array([[0.0, 0.0], [1.0, 0.1], [2.0, 0.2], [1.0, 0.1]])
-    return Answer(float(overlap_mm2(PolygonFootprint(corners), np.zeros((1, 3, 2)))[0]), 0.0)
-
-
-def _triangle(x: float, y: float = 0.0, *, long: float = 3.0) -> Array:
-    """A tip at (x, y) that points to the left."""
-    return np.array([[x, y], [x + long, y - long / 2], [x + long, y + long / 2]])
-
-
-_CIRCLE: Final = "the same area by Green's theorem in fifty digits"
-
-CASES: Final[tuple[HardCase, ...]] = (
-    HardCase(
-        "needle-of-a-nanometre",
-        _AREA,
-        "A head 100 mm long and a millionth of a millimetre wide.",
-        "area and centre of the triangle in fifty digits",
-        partial(needle, 1e-6, 0.0),
-    ),
-    HardCase(
-        "needle-far-from-the-origin",
-        _AREA,
-        "The same a kilometre away, a thousandth wide: products of places are 1e13 times its area.",
-        "area and centre of the triangle in fifty digits",
-        partial(needle, 1e-3, 1e6),
-    ),
-    HardCase(
-        "side-tangent-to-the-circle",
-        _AREA,
-        "A side that touches the circle: whether it passes through is a square root of rounding.",
-        _CIRCLE,
-        partial(circle, np.array([[-9.0, _RADIUS_MM], [9.0, _RADIUS_MM], [0.0, 12.0]]), (0.0, 0.0)),
-    ),
-    HardCase(
-        "side-within-1e-8-of-the-circle",
-        _AREA,
-        "A side that cuts a segment of 1e-8 mm off the circle.",
-        _CIRCLE,
-        partial(circle, np.array([[-9.0, _RADIUS_MM - 1e-8], [9.0, _RADIUS_MM - 1e-8], [0.0, 12.0]]), (0.0, 0.0)),
-    ),
-    HardCase(
-        "tip-within-1e-8-of-the-circle",
-        _AREA,
-        "A corner that reaches 1e-8 mm into the circle.",
-        _CIRCLE,
-        partial(circle, _triangle(_RADIUS_MM - 1e-8), (0.0, 0.0)),
-    ),
-    HardCase(
-        "corner-at-the-centre",
-        _AREA,
-        "A corner 1e-12 mm from the centre, from which sectors are counted: its direction is rounding.",
-        _CIRCLE,
-        partial(circle, _triangle(1e-12, 1e-12), (0.0, 0.0)),
-    ),
-    HardCase(
-        "circle-within-a-huge-triangle",
-        _AREA,
-        "A triangle of a kilometre round a circle of 13 mm.",
-        _CIRCLE,
-        partial(circle, 1e6 * np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]]), (0.0, 0.0)),
-    ),
-    HardCase(
-        "circle-far-from-the-origin",
-        _AREA,
-        "Circle and triangle a kilometre from the origin.",
-        _CIRCLE,
-        partial(circle, 1e6 + _triangle(2.0), (1e6 + 1.0, 1e6 - 1.0)),
-    ),
-    HardCase(
-        "rim-at-the-indenter",
-        _AREA,
-        "The outline of a blob that is the indenter's to a millionth: its deviation is a difference of cubes.",
-        "the integral along a side in closed form and fifty digits",
-        partial(rim_at_the_indenter, 5000),
-    ),
-    HardCase(
-        "contour-over-needles",
-        _AREA,
-        "Elements a millionth as wide as long.",
-        "area by Green's theorem along the outline = sum of the pieces",
-        needle_mesh,
-    ),
-    HardCase(
-        "pixels-in-the-corners",
-        _AREA,
-        "A pixel in the corner of a raster, where its outline needs neighbours that are not there.",
-        "area of the diamond round one pixel, wherever it is",
-        corner_pixel,
-    ),
-    HardCase(
-        "head-without-area", _AREA, "A head whose corners lie in a line.", "refusal", flat_polygon, NumericsError
-    ),
-)
+@AREA.refused(NumericsError)
+def head_without_area() -> None:
+    """A head whose corners lie in a line."""
+    overlap_mm2(PolygonFootprint(np.array([[0.0, 0.0], [1.0, 0.1], [2.0, 0.2], [1.0, 0.1]])), np.zeros((1, 3, 2)))

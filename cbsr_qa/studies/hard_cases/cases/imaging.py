@@ -1,6 +1,5 @@
 """Hard cases of masks, blobs and outlines: ties, single elements, plateaus, empty and extreme images."""
 
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -21,48 +20,14 @@ from cbsr_qa.eit.imaging import (
     pixel_image,
     split_touching,
 )
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import largest_relative_error, relative_error
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "imaging"
+AREA: Final = Area("imaging")
+_TRIANGLE: Final = "area, weight and centre of the triangle"
 _SIDE: Final = 12  # pixels of the square images
-
-
-def tied_mask() -> Answer:
-    """Elements kept or dropped against the exact fraction: values n/1000 of a maximum, masks of 25, 50, 75, 85 %."""
-    steps = np.arange(1, 1001)
-    wrong = 0
-    for scale in (0.1, 1 / 3, np.pi, 1e-9, 7e8):
-        for percent in (25, 50, 75, 85):
-            kept = percentage_mask(steps * scale / 1000, percent / 100)
-            wrong += int((kept != (100 * steps >= percent * 1000)).sum())
-    return Answer(float(wrong), 0.0, unit="elements", note="of 20 000 compared")
-
-
-def tied_greit_set() -> Answer:
-    """Area of GREIT's set q of an image whose outer ring has exactly a quarter of its maximum."""
-    values = np.full((_SIDE, _SIDE), 0.075)
-    values[3:-3, 3:-3] = 0.1 * 3
-    figures = greit_figures(_mesh_image(values), RoundFootprint(5.5, 5.5, 3.0))
-    resolution = 0.0 if figures is None else figures.resolution
-    return Answer(abs(resolution - 1.0), conditioned_bound(1.0), 1.0)
-
-
-def flat_raster() -> Answer:
-    """Area of the regions of a raster of equal values, parted into loads: all of it in one piece."""
-    regions = split_touching(Raster(np.full((_SIDE, _SIDE), 0.3), 1.0, (0.0, 0.0)), 0.85, 4.0)
-    pixels = sum(int(region.pixels.sum()) for region in regions)
-    return Answer(float(abs(pixels - _SIDE**2) + abs(len(regions) - 1)), 0.0, unit="pixels and regions")
-
-
-def flat_contour() -> Answer:
-    """Area and centre of the 85 % contour of an image of equal values: the whole sheet."""
-    regions = contour_regions(_mesh_image(np.full((_SIDE, _SIDE), 0.3)), 0.85)
-    found = [float(len(regions)), regions[0].area_mm2, *regions[0].centre_mm().tolist()]
-    middle = (_SIDE - 1) / 2
-    return Answer(largest_relative_error(found, [1, _SIDE**2, middle, middle]), conditioned_bound(1.0), 1.0)
 
 
 def single_element(scale: float) -> Answer:
@@ -74,31 +39,7 @@ def single_element(scale: float) -> Answer:
     found = [blob.area_mm2, blob.weight / scale, *blob.centre_mm().tolist()]
     digits = max(1.0, float(np.finfo(np.float64).tiny) / scale)  # a subnormal number has fewer digits
     error = largest_relative_error(found, [0.5, 0.5, corners[:, 0].mean(), corners[:, 1].mean()])
-    return Answer(error, conditioned_bound(digits), digits)
-
-
-def rim_blob() -> Answer:
-    """Area of a region that the sheet's edge cuts: by its outline against by its triangles."""
-    y, x = np.mgrid[:_SIDE, :_SIDE]
-    image = _mesh_image(np.exp(-(x**2 + (y - 4.3) ** 2) / 12.0))
-    (region,) = contour_regions(image, 0.5)
-    start, end = region.rim_mm()
-    one, other = start - start[0], end - start[0]
-    outlined = float((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()) / 2
-    return Answer(relative_error(outlined, region.area_mm2), conditioned_bound(len(start)), float(len(start)))
-
-
-def touching_blobs() -> Answer:
-    """Loads counted where two equal ones meet in a corner, and where their slopes run into each other."""
-    squares = np.zeros((_SIDE, _SIDE))
-    squares[2:5, 2:5] = squares[5:8, 5:8] = 1.0
-    corners = len(masked_blobs(_mesh_image(squares), (0.85,))[0])
-    y, x = np.mgrid[:40, :40]
-    slopes = sum(np.exp(-((x - at) ** 2 + (y - 20) ** 2) / 18.0) for at in (15, 24))
-    raster = Raster(np.asarray(slopes), 1.0, (0.0, 0.0))
-    parts = split_touching(raster, 0.25, 6.0)
-    apart = abs(sum(float(part.centre_mm()[0]) for part in parts) / 2 - 19.5) if len(parts) == 2 else 40.0
-    return Answer(abs(corners - 2) + abs(len(parts) - 2) + apart, conditioned_bound(20.0), 20.0, "loads and pixels")
+    return conditioned(error, digits)
 
 
 def empty_image(value: float) -> Answer:
@@ -111,142 +52,163 @@ def empty_image(value: float) -> Answer:
     return Answer(float(found), 0.0, unit="regions")
 
 
-def nan_image() -> Answer:
-    """Mask of an image of NaN."""
-    return Answer(float(percentage_mask(np.full(_SIDE**2, np.nan), 0.85).sum()), 0.0, unit="elements")
-
-
-def far_pixel() -> Answer:
-    """Area of one pixel's outline, a million pixels from the origin: 0.045 pixels at 85 %."""
-    values = np.zeros((_SIDE, _SIDE))
-    values[3, 3] = 1.0
-    first = 1e6
-    (region,) = find_regions(Raster(values, 1.0, (first, first)), 0.85)
-    condition = first / 0.15  # of the outline's place to its extent
-    return Answer(relative_error(region.area_mm2, 0.045), conditioned_bound(condition), condition)
-
-
-def far_centre() -> Answer:
-    """Centre of mass of a blob a million millimetres from the origin, from the corner of its mesh."""
-    y, x = np.mgrid[:_SIDE, :_SIDE]
-    values = 1.0 + 0.01 * x + 0.02 * y
-    first = 1e6
-    near = masked_blobs(_mesh_image(values), (0.5,))[0][0].centre_mm()
-    far = masked_blobs(pixel_image(Raster(values, 1.0, (first, first))), (0.5,))[0][0].centre_mm()
-    condition = first / float(near.min())
-    return Answer(largest_relative_error(far - first, near.tolist()), conditioned_bound(condition), condition)
-
-
-def constant_floor() -> Answer:
-    """Elements above the noise floor of equal images."""
-    images = np.full((8, _SIDE**2), 0.1 + 0.2)
-    left = floored(images[0], noise_floor(images))
-    return Answer(float(np.abs(left).max()), 0.0, unit="relative conductance change")
+def outline_error(image: Image) -> tuple[float, int]:
+    """Area by Green's theorem along the outline of the one region at half, against its pieces; and its sides."""
+    (region,) = contour_regions(image, 0.5)
+    start, end = region.rim_mm()
+    one, other = start - start[0], end - start[0]
+    outlined = float((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()) / 2
+    return relative_error(outlined, region.area_mm2), len(start)
 
 
 def _mesh_image(values: Array) -> Image:
     return pixel_image(Raster(values, 1.0, (0.0, 0.0)))
 
 
-CASES: Final[tuple[HardCase, ...]] = (
-    HardCase(
-        "values-on-the-mask",
-        _AREA,
-        "A mask at p % of the maximum is a comparison, and values that lie exactly on it round to either side.",
-        "whole numbers compared as fractions",
-        tied_mask,
-    ),
-    HardCase(
-        "values-on-the-quarter-of-greit",
-        _AREA,
-        "Elements at exactly a quarter of the maximum count for GREIT; 0.25 × (3 × 0.1) rounds to more than 0.075.",
-        "the whole sheet is in the set: resolution 1",
-        tied_greit_set,
-    ),
-    HardCase(
-        "flat-raster-parted",
-        _AREA,
-        "Where all pixels are equal there is no peak that a watershed could start from.",
-        "one region of all pixels",
-        flat_raster,
-    ),
-    HardCase(
-        "flat-image-contour",
-        _AREA,
-        "A field without slope has no place where it passes a level.",
-        "the whole sheet and its middle",
-        flat_contour,
-    ),
-    HardCase(
-        "one-element-blob",
-        _AREA,
-        "A blob of a single element.",
-        "area, weight and centre of the triangle",
-        partial(single_element, 1.0),
-    ),
-    HardCase(
-        "one-element-blob-near-underflow",
-        _AREA,
-        "A blob of a single element whose value is a subnormal number with four digits fewer.",
-        "area, weight and centre of the triangle",
-        partial(single_element, 1e-312),
-    ),
-    HardCase(
-        "one-element-blob-near-overflow",
-        _AREA,
-        "A blob of a single element whose value nearly is the largest number there is.",
-        "area, weight and centre of the triangle",
-        partial(single_element, 1e307),
-    ),
-    HardCase(
-        "blob-on-the-rim",
-        _AREA,
-        "A contour that meets the sheet's edge must be closed along it.",
-        "area by Green's theorem along the outline = sum of the triangles",
-        rim_blob,
-    ),
-    HardCase(
-        "touching-blobs",
-        _AREA,
-        "Two equal loads that touch in a corner, or whose slopes overlap: ties in every comparison.",
-        "two loads, mirror images of each other",
-        touching_blobs,
-    ),
-    HardCase("all-zero-image", _AREA, "An image of zeros.", "no region", partial(empty_image, 0.0)),
-    HardCase(
-        "all-negative-image",
-        _AREA,
-        "An image of the wrong sign has a maximum, but not one to take a share of.",
-        "no region",
-        partial(empty_image, -1e-300),
-    ),
-    HardCase(
-        "nan-image",
-        _AREA,
-        "Every comparison with NaN is false: such an image looks empty.",
-        "refusal",
-        nan_image,
-        NumericsError,
-    ),
-    HardCase(
-        "outline-far-from-the-origin",
-        _AREA,
-        "The area of 0.05 mm² is a difference of products of places, a kilometre from the origin.",
-        "area of the diamond round one pixel",
-        far_pixel,
-    ),
-    HardCase(
-        "centre-of-mass-far-from-the-origin",
-        _AREA,
-        "A sheet with an origin a kilometre away.",
-        "the same image at the origin",
-        far_centre,
-    ),
-    HardCase(
-        "noise-floor-of-identical-images",
-        _AREA,
-        "Unloaded images without any noise: a floor that equals every value.",
-        "no element above it",
-        constant_floor,
-    ),
-)
+@AREA.against("whole numbers compared as fractions")
+def values_on_the_mask() -> Answer:
+    """A mask at p % of the maximum is a comparison, and values that lie exactly on it round to either side.
+
+    Elements kept or dropped against the exact fraction: values n/1000 of a maximum, masks of 25, 50, 75, 85 %.
+    """
+    steps = np.arange(1, 1001)
+    wrong = 0
+    for scale in (0.1, 1 / 3, np.pi, 1e-9, 7e8):
+        for percent in (25, 50, 75, 85):
+            kept = percentage_mask(steps * scale / 1000, percent / 100)
+            wrong += int((kept != (100 * steps >= percent * 1000)).sum())
+    return Answer(float(wrong), 0.0, unit="elements", note="of 20 000 compared")
+
+
+@AREA.against("the whole sheet is in the set: resolution 1")
+def values_on_the_quarter_of_greit() -> Answer:
+    """Elements at exactly a quarter of the maximum count for GREIT; 0.25 × (3 × 0.1) rounds to more than 0.075.
+
+    Area of GREIT's set q of an image whose outer ring has exactly a quarter of its maximum.
+    """
+    values = np.full((_SIDE, _SIDE), 0.075)
+    values[3:-3, 3:-3] = 0.1 * 3
+    figures = greit_figures(_mesh_image(values), RoundFootprint(5.5, 5.5, 3.0))
+    resolution = 0.0 if figures is None else figures.resolution
+    return conditioned(abs(resolution - 1.0), 1.0)
+
+
+@AREA.against("one region of all pixels")
+def flat_raster_parted() -> Answer:
+    """Where all pixels are equal there is no peak that a watershed could start from.
+
+    Area of the regions of a raster of equal values, parted into loads: all of it in one piece.
+    """
+    regions = split_touching(Raster(np.full((_SIDE, _SIDE), 0.3), 1.0, (0.0, 0.0)), 0.85, 4.0)
+    pixels = sum(int(region.pixels.sum()) for region in regions)
+    return Answer(float(abs(pixels - _SIDE**2) + abs(len(regions) - 1)), 0.0, unit="pixels and regions")
+
+
+@AREA.against("the whole sheet and its middle")
+def flat_image_contour() -> Answer:
+    """A field without slope has no place where it passes a level.
+
+    Area and centre of the 85 % contour of an image of equal values: the whole sheet.
+    """
+    regions = contour_regions(_mesh_image(np.full((_SIDE, _SIDE), 0.3)), 0.85)
+    found = [float(len(regions)), regions[0].area_mm2, *regions[0].centre_mm().tolist()]
+    middle = (_SIDE - 1) / 2
+    return conditioned(largest_relative_error(found, [1, _SIDE**2, middle, middle]), 1.0)
+
+
+@AREA.against(_TRIANGLE)
+def one_element_blob() -> Answer:
+    """A blob of a single element."""
+    return single_element(1.0)
+
+
+@AREA.against(_TRIANGLE)
+def one_element_blob_near_underflow() -> Answer:
+    """A blob of a single element whose value is a subnormal number with four digits fewer."""
+    return single_element(1e-312)
+
+
+@AREA.against(_TRIANGLE)
+def one_element_blob_near_overflow() -> Answer:
+    """A blob of a single element whose value nearly is the largest number there is."""
+    return single_element(1e307)
+
+
+@AREA.against("area by Green's theorem along the outline = sum of the triangles")
+def blob_on_the_rim() -> Answer:
+    """A contour that meets the sheet's edge must be closed along it."""
+    y, x = np.mgrid[:_SIDE, :_SIDE]
+    image = _mesh_image(np.exp(-(x**2 + (y - 4.3) ** 2) / 12.0))
+    return conditioned(*outline_error(image))
+
+
+@AREA.against("two loads, mirror images of each other")
+def touching_blobs() -> Answer:
+    """Two equal loads that touch in a corner, or whose slopes overlap: ties in every comparison.
+
+    Loads counted where two equal ones meet in a corner, and where their slopes run into each other.
+    """
+    squares = np.zeros((_SIDE, _SIDE))
+    squares[2:5, 2:5] = squares[5:8, 5:8] = 1.0
+    corners = len(masked_blobs(_mesh_image(squares), (0.85,))[0])
+    y, x = np.mgrid[:40, :40]
+    slopes = sum(np.exp(-((x - at) ** 2 + (y - 20) ** 2) / 18.0) for at in (15, 24))
+    raster = Raster(np.asarray(slopes), 1.0, (0.0, 0.0))
+    parts = split_touching(raster, 0.25, 6.0)
+    apart = abs(sum(float(part.centre_mm()[0]) for part in parts) / 2 - 19.5) if len(parts) == 2 else 40.0
+    return conditioned(abs(corners - 2) + abs(len(parts) - 2) + apart, 20.0, unit="loads and pixels")
+
+
+@AREA.against("no region")
+def all_zero_image() -> Answer:
+    """An image of zeros."""
+    return empty_image(0.0)
+
+
+@AREA.against("no region")
+def all_negative_image() -> Answer:
+    """An image of the wrong sign has a maximum, but not one to take a share of."""
+    return empty_image(-1e-300)
+
+
+@AREA.refused(NumericsError)
+def nan_image() -> None:
+    """Every comparison with NaN is false: such an image looks empty."""
+    percentage_mask(np.full(_SIDE**2, np.nan), 0.85)
+
+
+@AREA.against("area of the diamond round one pixel")
+def outline_far_from_the_origin() -> Answer:
+    """The area of 0.05 mm² is a difference of products of places, a kilometre from the origin.
+
+    Area of one pixel's outline, a million pixels from the origin: 0.045 pixels at 85 %.
+    """
+    values = np.zeros((_SIDE, _SIDE))
+    values[3, 3] = 1.0
+    first = 1e6
+    (region,) = find_regions(Raster(values, 1.0, (first, first)), 0.85)
+    condition = first / 0.15  # of the outline's place to its extent
+    return conditioned(relative_error(region.area_mm2, 0.045), condition)
+
+
+@AREA.against("the same image at the origin")
+def centre_of_mass_far_from_the_origin() -> Answer:
+    """A sheet with an origin a kilometre away.
+
+    Centre of mass of a blob a million millimetres from the origin, from the corner of its mesh.
+    """
+    y, x = np.mgrid[:_SIDE, :_SIDE]
+    values = 1.0 + 0.01 * x + 0.02 * y
+    first = 1e6
+    near = masked_blobs(_mesh_image(values), (0.5,))[0][0].centre_mm()
+    far = masked_blobs(pixel_image(Raster(values, 1.0, (first, first))), (0.5,))[0][0].centre_mm()
+    condition = first / float(near.min())
+    return conditioned(largest_relative_error(far - first, near.tolist()), condition)
+
+
+@AREA.against("no element above it")
+def noise_floor_of_identical_images() -> Answer:
+    """Unloaded images without any noise: a floor that equals every value."""
+    images = np.full((8, _SIDE**2), 0.1 + 0.2)
+    left = floored(images[0], noise_floor(images))
+    return Answer(float(np.abs(left).max()), 0.0, unit="relative conductance change")

@@ -1,6 +1,6 @@
 """Hard cases of load and force estimates: symmetric places, electrodes, extreme sizes."""
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, Final
 
 import mpmath
@@ -14,12 +14,16 @@ from cbsr_qa.domain.results import ForceModel, Lattice, LoadEstimate
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merged_readings
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "calibration"
+AREA: Final = Area("calibration")
+_PLACE: Final = "the place it was pressed at"
+_USUAL: Final = "place and strength at the usual size"
+_STRENGTH: Final = "the strength that was pressed"
+_FIFTY: Final = "the formula in fifty digits"
 _RADIUS_MM: Final = 6.5
 _NOISE: Final = 2.4e-5  # of a reading at unit conductance, as the simulated 8 wt% sensor has it
 _LINE: Final = QuasiStatic(Parameter(4.5e-3, 1e-4, "case"), Parameter(-1.1e-3, 1e-4, "case"), 0.0)
@@ -44,8 +48,7 @@ def changes_of(x_mm: float, y_mm: float, contrast: float = 0.1) -> Array:
 
 def estimated(changes: Array) -> LoadEstimate:
     """Estimate one load of known size."""
-    model, readings = disc()
-    return LoadEstimator(model, readings, expected_radius_mm=_RADIUS_MM, known=True).estimate(changes)[0]
+    return LoadEstimator(*disc(), expected_radius_mm=_RADIUS_MM, known=True).estimate(changes)[0]
 
 
 def located(x_mm: float) -> Answer:
@@ -58,23 +61,14 @@ def located(x_mm: float) -> Answer:
     # The place moves by its standard error per unit of a row, and rows round by their size.
     rows = disc()[1].of_data(changes)
     condition = float(np.sqrt(np.trace(found.place_covariance_mm2)) * np.linalg.norm(rows))
-    return Answer(error, conditioned_bound(condition), condition, unit="mm")
+    return conditioned(error, condition, unit="mm")
 
 
-def nothing_found(changes: Array, said: str) -> Answer:
+def nothing_found(changes: Array, why: str) -> Answer:
     """Loads found in a frame that holds none, or another reason given than there is."""
     found = estimated(changes)
-    right = found.place_mm is None and said in found.why
+    right = found.place_mm is None and why in found.why
     return Answer(0.0 if right else 1.0, 0.0, unit="wrong statements", note=found.why)
-
-
-def merged(decades: float) -> Answer:
-    """Variance of rows of merged readings whose noise differs by so many powers of ten: one each."""
-    pattern = load_sensor_type("disc-100mm").value.pattern
-    variance = 10.0 ** np.linspace(-decades, 0, pattern.shape[0] * pattern.shape[1]).reshape(pattern.shape)
-    readings = merged_readings(pattern, pattern.usable(), variance)
-    found = (readings.merging**2 * variance[readings.used]).sum(axis=1)
-    return Answer(largest_relative_error(found, [mpmath.mpf(1)] * len(found)), conditioned_bound(1.0), 1.0)
 
 
 def force_model(log_response: float, log_size: float = 0.0) -> ForceModel:
@@ -125,14 +119,7 @@ def force_of(strength: float, log_response: float) -> Answer:
         truth = (seen - beta) / alpha * area
         condition = float((abs(seen) * (1 + abs(log_response) + 2 / (2 - a)) + abs(beta)) / abs(seen - beta))
     error = relative_error(found, truth) if np.isfinite(stderr) and stderr > 0 else 1.0
-    return Answer(error, conditioned_bound(condition), condition)
-
-
-def impossible_strengths() -> Answer:
-    """Strengths of 2 and above, which no contrast has: forces that are numbers, and never below those of less."""
-    forces = np.array([newtons(strength, 0.0) for strength in (1.0, 1.9, 2.0, 2.5, 1e12)])
-    wrong = int((~np.isfinite(forces)).sum()) + int((np.diff(forces[:, 0]) < 0).sum())
-    return Answer(float(wrong), 0.0, unit="wrong statements")
+    return conditioned(error, condition)
 
 
 def scaled_matches(size: float) -> Answer:
@@ -144,7 +131,7 @@ def scaled_matches(size: float) -> Answer:
     usual, other = finder.search(rows), finder.search(size * rows)
     away = np.abs(usual.place_mm - other.place_mm).max() / 8
     error = max(float(away), largest_relative_error(other.strength / size, usual.strength.tolist()))
-    return Answer(error, conditioned_bound(1.0), 1.0)
+    return conditioned(error, 1.0)
 
 
 def sized_templates(log_size: float) -> Answer:
@@ -153,124 +140,105 @@ def sized_templates(log_size: float) -> Answer:
     place = np.array([2.0, -1.0])
     found = finder.at(0.1 * finder.template(place[None]), place)
     condition = 1 + abs(log_size)
-    return Answer(relative_error(float(found.strength[0]), mpmath.mpf(0.1)), conditioned_bound(condition), condition)
+    return conditioned(relative_error(float(found.strength[0]), mpmath.mpf(0.1)), condition)
 
 
-def nowhere() -> Answer:
-    """Templates of a sheet on which a head fits nowhere."""
+@AREA.against(_PLACE)
+def load_at_the_exact_centre() -> Answer:
+    """A head in the middle of the sheet, where all mirror images fall together."""
+    return located(0.0)
+
+
+@AREA.against(_PLACE)
+def load_a_picometre_off_the_centre() -> Answer:
+    """A head 1e-9 mm off the middle."""
+    return located(1e-9)
+
+
+@AREA.refused(NumericsError)
+def load_on_an_electrode() -> None:
+    """A head whose centre is on a pin, where the field has a pole instead of a power series."""
+    changes_of(47.9, 0.0)
+
+
+@AREA.against("no load")
+def frame_without_any_change() -> Answer:
+    """A frame without any change: every place explains it as well as every other."""
+    return nothing_found(0 * changes_of(0.0, 0.0), "no load stands out")
+
+
+@AREA.against("no load, although readings change")
+def changes_no_load_makes() -> Answer:
+    """Readings that change a million times as much as under any load."""
+    return nothing_found(1e6 * changes_of(10.0, 0.0), "not as one round load")
+
+
+@AREA.against("rows have a variance of one")
+def noise_twelve_powers_of_ten_apart() -> Answer:
+    """Readings whose noise differs by 1e12, merged with their reciprocal ones."""
+    pattern = load_sensor_type("disc-100mm").value.pattern
+    variance = 10.0 ** np.linspace(-24.0, 0, pattern.shape[0] * pattern.shape[1]).reshape(pattern.shape)
+    readings = merged_readings(pattern, pattern.usable(), variance)
+    merged = (readings.merging**2 * variance[readings.used]).sum(axis=1)
+    return conditioned(largest_relative_error(merged, [mpmath.mpf(1)] * len(merged)), 1.0)
+
+
+@AREA.against(_USUAL)
+def frames_of_1e_12_standard_errors() -> Answer:
+    """Frames of a head at 1e-12 of their noise."""
+    return scaled_matches(2.0**-40)
+
+
+@AREA.against(_USUAL)
+def frames_of_1e12_standard_errors() -> Answer:
+    """Frames of a head at 1e12 times their noise."""
+    return scaled_matches(2.0**40)
+
+
+@AREA.against(_STRENGTH)
+def templates_of_1e_12() -> Answer:
+    """A sensor that responds with 1e-12 of a standard error."""
+    return sized_templates(-12 * float(np.log(10)))
+
+
+@AREA.against(_STRENGTH)
+def templates_of_1e12() -> Answer:
+    """A sensor that responds with 1e12 standard errors."""
+    return sized_templates(12 * float(np.log(10)))
+
+
+@AREA.refused(CalibrationError)
+def nowhere_to_press() -> None:
+    """A sheet on which the head fits nowhere: no place to search."""
     model: Any = force_model(0.0)
     object.__setattr__(model, "fits", np.zeros(_SIDE**2, dtype=np.bool_))
-    return Answer(float(len(TemplateFilter(model).templates)), 0.0)
+    TemplateFilter(model)
 
 
-_FIFTY: Final = "the formula in fifty digits"
+@AREA.against(_FIFTY)
+def force_of_no_change() -> Answer:
+    """A strength of zero leaves the line's intercept."""
+    return force_of(0.0, 0.0)
 
-CASES: Final[tuple[HardCase, ...]] = (
-    HardCase(
-        "load-at-the-exact-centre",
-        _AREA,
-        "A head in the middle of the sheet, where all mirror images fall together.",
-        "the place it was pressed at",
-        partial(located, 0.0),
-    ),
-    HardCase(
-        "load-a-picometre-off-the-centre",
-        _AREA,
-        "A head 1e-9 mm off the middle.",
-        "the place it was pressed at",
-        partial(located, 1e-9),
-    ),
-    HardCase(
-        "load-on-an-electrode",
-        _AREA,
-        "A head whose centre is on a pin, where the field has a pole instead of a power series.",
-        "refusal",
-        lambda: Answer(float(np.abs(changes_of(47.9, 0.0)).max()), 0.0),
-        NumericsError,
-    ),
-    HardCase(
-        "frame-without-any-change",
-        _AREA,
-        "A frame without any change: every place explains it as well as every other.",
-        "no load",
-        lambda: nothing_found(0 * changes_of(0.0, 0.0), "no load stands out"),
-    ),
-    HardCase(
-        "changes-no-load-makes",
-        _AREA,
-        "Readings that change a million times as much as under any load.",
-        "no load, although readings change",
-        lambda: nothing_found(1e6 * changes_of(10.0, 0.0), "not as one round load"),
-    ),
-    HardCase(
-        "noise-twelve-powers-of-ten-apart",
-        _AREA,
-        "Readings whose noise differs by 1e12, merged with their reciprocal ones.",
-        "rows have a variance of one",
-        partial(merged, 24.0),
-    ),
-    HardCase(
-        "frames-of-1e-12-standard-errors",
-        _AREA,
-        "Frames of a head at 1e-12 of their noise.",
-        "place and strength at the usual size",
-        partial(scaled_matches, 2.0**-40),
-    ),
-    HardCase(
-        "frames-of-1e12-standard-errors",
-        _AREA,
-        "Frames of a head at 1e12 times their noise.",
-        "place and strength at the usual size",
-        partial(scaled_matches, 2.0**40),
-    ),
-    HardCase(
-        "templates-of-1e-12",
-        _AREA,
-        "A sensor that responds with 1e-12 of a standard error.",
-        "the strength that was pressed",
-        partial(sized_templates, -12 * float(np.log(10))),
-    ),
-    HardCase(
-        "templates-of-1e12",
-        _AREA,
-        "A sensor that responds with 1e12 standard errors.",
-        "the strength that was pressed",
-        partial(sized_templates, 12 * float(np.log(10))),
-    ),
-    HardCase(
-        "nowhere-to-press",
-        _AREA,
-        "A sheet on which the head fits nowhere: no place to search.",
-        "refusal",
-        nowhere,
-        CalibrationError,
-    ),
-    HardCase(
-        "force-of-no-change",
-        _AREA,
-        "A strength of zero leaves the line's intercept.",
-        _FIFTY,
-        partial(force_of, 0.0, 0.0),
-    ),
-    HardCase(
-        "force-where-the-response-is-1e-13",
-        _AREA,
-        "A place with 1e-13 of the expected response: a division by almost zero.",
-        _FIFTY,
-        partial(force_of, 0.05, -30.0),
-    ),
-    HardCase(
-        "force-where-the-response-is-1e13",
-        _AREA,
-        "A place with 1e13 times the expected response.",
-        _FIFTY,
-        partial(force_of, 0.05, 30.0),
-    ),
-    HardCase(
-        "strengths-no-contrast-has",
-        _AREA,
-        "κ = 2a/(2 − a) has a pole at a strength of 2, and is negative beyond.",
-        "monotonic and finite",
-        impossible_strengths,
-    ),
-)
+
+@AREA.against(_FIFTY)
+def force_where_the_response_is_1e_13() -> Answer:
+    """A place with 1e-13 of the expected response: a division by almost zero."""
+    return force_of(0.05, -30.0)
+
+
+@AREA.against(_FIFTY)
+def force_where_the_response_is_1e13() -> Answer:
+    """A place with 1e13 times the expected response."""
+    return force_of(0.05, 30.0)
+
+
+@AREA.against("monotonic and finite")
+def strengths_no_contrast_has() -> Answer:
+    """κ = 2a/(2 − a) has a pole at a strength of 2, and is negative beyond.
+
+    Strengths of 2 and above, which no contrast has: forces that are numbers, and never below those of less.
+    """
+    forces = np.array([newtons(strength, 0.0) for strength in (1.0, 1.9, 2.0, 2.5, 1e12)])
+    wrong = int((~np.isfinite(forces)).sum()) + int((np.diff(forces[:, 0]) < 0).sum())
+    return Answer(float(wrong), 0.0, unit="wrong statements")

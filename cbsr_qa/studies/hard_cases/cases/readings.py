@@ -1,25 +1,24 @@
 """Hard cases of readings: offsets a million times the signal, units, precision, dead channels."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
-from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording import find_faults
-from cbsr_qa.domain import CbsrError, NumericsError, RefusedError
+from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse import ReadingFold, changes, imaging_problem, reading_noise, scale_doubts, scale_of
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.studies.hard_cases.exact import apart
 from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepared, usual_problem, usual_sensor, without_electrodes
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "readings"
+AREA: Final = Area("readings")
 _SEED: Final = 20261123
 _METHOD: Final = "gauss-newton-noser"
 _SIGNAL: Final = 1e-4  # a light touch, of a reading
@@ -45,8 +44,10 @@ def _change(problem: ImagingProblem, frame: Array, reference: Array, scale: floa
     )
 
 
-def _apart(found: Array, exact: Array) -> float:
-    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+def _change_condition(problem: ImagingProblem, frame: Array, reference: Array, offset: float = 0.0) -> float:
+    """What relative changes of readings on an offset make of their difference."""
+    size = np.linalg.norm((np.abs(frame) + np.abs(reference) + 2 * offset)[problem.used])
+    return float(size / np.linalg.norm((frame - reference)[problem.used]))
 
 
 def _offset(times: float) -> Answer:
@@ -57,11 +58,7 @@ def _offset(times: float) -> Answer:
     scale = scale_of(reference, problem)
     found = changes((changed + offset)[None], reference + offset, problem, scale)[0]
     exact = _change(problem, changed, reference, scale)
-    condition = float(
-        np.linalg.norm((np.abs(changed) + np.abs(reference) + 2 * offset)[problem.used])
-        / np.linalg.norm((changed - reference)[problem.used])
-    )
-    return Answer(_apart(found, exact), conditioned_bound(condition), condition)
+    return conditioned(apart(found, exact), _change_condition(problem, changed, reference, offset))
 
 
 def _in_units(factor: float) -> Answer:
@@ -72,48 +69,126 @@ def _in_units(factor: float) -> Answer:
     for unit in (1.0, factor):
         scale = scale_of(unit * reference, problem)
         images.append(method.images(changes((unit * changed)[None], unit * reference, problem, scale))[0])
-    condition = float(
-        np.linalg.norm((np.abs(changed) + np.abs(reference))[problem.used])
-        / np.linalg.norm((changed - reference)[problem.used])
-    )
-    return Answer(_apart(images[1], images[0]), conditioned_bound(condition), condition)
+    return conditioned(apart(images[1], images[0]), _change_condition(problem, changed, reference))
 
 
-def _single_precision() -> Answer:
-    """Frames of single precision against the same numbers, subtracted as whole fractions."""
+def _noise(offset: float, beginning_s: float) -> Answer:
+    """Noise of readings under an offset, and long after the clock began: both change nothing.
+
+    Noise is of whole multiples of 2⁻³⁰, so that nothing is lost where the offset is added.
+    """
+    random = np.random.default_rng(_SEED)
+    noise = np.round(random.standard_normal((30, 40)) * 2**10) / 2**30
+    time_s = np.arange(30) / 4.0
+    plain = reading_noise(noise, time_s).variance
+    found = reading_noise(noise + offset, time_s + beginning_s).variance
+    condition = offset / float(noise.std()) + beginning_s / 7.5
+    return conditioned(apart(found, plain), condition)
+
+
+_WHOLE: Final = "the same numbers, as whole fractions"
+
+
+@AREA.against(_WHOLE)
+def offset_of_1e6_signals() -> Answer:
+    """All readings lie on an offset a million times as large as what a load changes."""
+    return _offset(1e6)
+
+
+@AREA.against(_WHOLE)
+def offset_of_1e10_signals() -> Answer:
+    """All readings lie on an offset ten thousand million times the change: six digits of it are left."""
+    return _offset(1e10)
+
+
+@AREA.against("the run warns where there is an offset, and only there")
+def scale_from_an_offset_of_1e6_signals() -> Answer:
+    """The unloaded frame lies on such an offset, and changes are to be taken over its scale.
+
+    Whether references on an offset, and only these, are said to have a scale that means little.
+    """
+    problem, reference, _ = _frames()
+    offset = 1e6 * _SIGNAL * float(np.abs(reference).max())
+    wrong = [bool(scale_doubts(reference, problem)), bool(scale_doubts(-reference, problem))]
+    wrong += [not scale_doubts(reference + sign * offset, problem) for sign in (-1, 1)]
+    return Answer(float(sum(wrong)), 0.0, unit="wrong statements", note="the bound is zero")
+
+
+@AREA.against("the noise without the offset, exactly")
+def noise_under_an_offset_of_1e6() -> Answer:
+    """Noise of a microvolt on readings of a volt, whose variance is small beside their square."""
+    return _noise(1.0, 0.0)
+
+
+@AREA.against("the noise with times from zero, exactly")
+def noise_fifty_years_after_zero() -> Answer:
+    """The same with time stamps that count seconds from 1970."""
+    return _noise(1.0, 1.7e9)
+
+
+@AREA.against("the image of the same frames in volts")
+def volts_of_1e_12() -> Answer:
+    """Frames whose readings are 1e-12 of the usual ones."""
+    return _in_units(1e-12)
+
+
+@AREA.against("the image of the same frames in volts")
+def volts_of_1e12() -> Answer:
+    """Frames whose readings are 1e12 of the usual ones."""
+    return _in_units(1e12)
+
+
+@AREA.against(_WHOLE)
+def single_precision_frames() -> Answer:
+    """Frames stored in single precision: the change must be taken in double.
+
+    Frames of single precision against the same numbers, subtracted as whole fractions.
+    """
     problem, reference, changed = _frames()
     single: NDArray[Any] = changed.astype(np.float32)
     single_reference: NDArray[Any] = reference.astype(np.float32)
     scale = scale_of(reference, problem)
     found = changes(single[None], single_reference, problem, scale)[0]
     exact = _change(problem, single.astype(np.float64), single_reference.astype(np.float64), scale)
-    lost = _apart(found, _change(problem, changed, reference, scale))
+    lost = apart(found, _change(problem, changed, reference, scale))
     note = f"what the format itself has lost of the change is {lost:.1e}"
-    return Answer(_apart(found, exact), conditioned_bound(1.0), 1.0, note=note)
+    return conditioned(apart(found, exact), 1.0, note=note)
 
 
-def _counts() -> Answer:
-    """Counts at both ends of a converter of 16 bits, as the integers they come as."""
+@AREA.against("the difference of whole numbers")
+def counts_at_both_ends_of_16_bits() -> Answer:
+    """Integer counts whose difference does not fit the type they come in.
+
+    Counts at both ends of a converter of 16 bits, as the integers they come as.
+    """
     problem = usual_problem()
     low, high = np.iinfo(np.int16).min, np.iinfo(np.int16).max
     reference: NDArray[Any] = np.full(problem.used.shape, low, dtype=np.int16)
     frame: NDArray[Any] = np.full((1, *problem.used.shape), high, dtype=np.int16)
     found = changes(frame, reference, problem, 1.0)[0]
     exact = np.full(len(found), float(int(high) - int(low)))
-    return Answer(_apart(found, exact), 0.0, note="the bound is zero: whole numbers")
+    return Answer(apart(found, exact), 0.0, note="the bound is zero: whole numbers")
 
 
-def _zeros() -> Answer:
-    """A frame of nothing but zeros, as of a board that has lost its source, against −V_ref/s."""
+@AREA.against(_WHOLE)
+def frame_of_zeros() -> Answer:
+    """A frame that is all zero, as when the source is off.
+
+    A frame of nothing but zeros, as of a board that has lost its source, against −V_ref/s.
+    """
     problem, reference, _ = _frames()
     scale = scale_of(reference, problem)
     found = changes(np.zeros((1, *reference.shape)), reference, problem, scale)[0]
     exact = _change(problem, np.zeros_like(reference), reference, scale)
-    return Answer(_apart(found, exact), conditioned_bound(1.0), 1.0)
+    return conditioned(apart(found, exact), 1.0)
 
 
-def _masked_nonsense() -> Answer:
-    """Image where masked channels hold NaN, infinity and 1e300, against that where they hold zeros."""
+@AREA.against("the image with zeros in these channels")
+def nonsense_in_masked_channels() -> Answer:
+    """The channels of an open electrode hold NaN, infinity and 1e300, and are masked.
+
+    Image where masked channels hold NaN, infinity and 1e300, against that where they hold zeros.
+    """
     sensor = usual_sensor()
     used = without_electrodes(sensor, (5,))
     problem = imaging_problem(sensor, used=used, image_size_mm=IMAGE_MM)
@@ -129,22 +204,12 @@ def _masked_nonsense() -> Answer:
     return Answer(float(np.abs(images[1] - images[0]).max()), 0.0, note="the bound is zero: they are not looked at")
 
 
-def _noise(offset: float, beginning_s: float) -> Answer:
-    """Noise of readings under an offset, and long after the clock began: both change nothing.
+@AREA.against("weighted means as whole fractions")
+def reciprocal_readings_twelve_decades_apart() -> Answer:
+    """Reciprocal readings with noise variances up to twelve decades apart.
 
-    Noise is of whole multiples of 2⁻³⁰, so that nothing is lost where the offset is added.
+    Means of reciprocal readings of which one is a million times noisier, against whole fractions.
     """
-    random = np.random.default_rng(_SEED)
-    noise = np.round(random.standard_normal((30, 40)) * 2**10) / 2**30
-    time_s = np.arange(30) / 4.0
-    plain = reading_noise(noise, time_s).variance
-    found = reading_noise(noise + offset, time_s + beginning_s).variance
-    condition = offset / float(noise.std()) + beginning_s / 7.5
-    return Answer(_apart(found, plain), conditioned_bound(condition), condition)
-
-
-def _folded() -> Answer:
-    """Means of reciprocal readings of which one is a million times noisier, against whole fractions."""
     plain = usual_problem()
     decades = np.random.default_rng(_SEED).permutation(np.linspace(-5.9, 5.9, len(plain.reference)))
     problem = replace(plain, noise_variance=10**decades)
@@ -162,11 +227,15 @@ def _folded() -> Answer:
     exact = np.array([float(one / other) for one, other in zip(above, below, strict=True)])
     condition = max(float(all_ / abs(one)) for all_, one in zip(size, above, strict=True))
     error = float(np.abs(found / exact - 1).max())
-    return Answer(error, conditioned_bound(condition), condition)
+    return conditioned(error, condition)
 
 
-def _faults() -> Answer:
-    """Channels found saturated, stuck and missing among noisy ones, against those that were made so."""
+@AREA.against("the channels that were made so")
+def saturated_stuck_and_missing() -> Answer:
+    """One channel at the source's limit in every tenth frame, one that never changes, one not recorded.
+
+    Channels found saturated, stuck and missing among noisy ones, against those that were made so.
+    """
     sensor = usual_sensor()
     random = np.random.default_rng(_SEED)
     voltages = 1.0 + 1e-3 * random.standard_normal((60, *sensor.pattern.shape))
@@ -182,167 +251,53 @@ def _faults() -> Answer:
     return Answer(float((faults.bad != made).sum()), 0.0, unit="channels", note="the bound is zero")
 
 
-def _doubts() -> Answer:
-    """Whether references on an offset, and only these, are said to have a scale that means little."""
+@AREA.refused(NumericsError, "the refusal, with what to check")
+def reference_of_zeros() -> None:
+    """The unloaded frame is all zero: there is no scale to take changes over."""
     problem, reference, _ = _frames()
-    offset = 1e6 * _SIGNAL * float(np.abs(reference).max())
-    wrong = [bool(scale_doubts(reference, problem)), bool(scale_doubts(-reference, problem))]
-    wrong += [not scale_doubts(reference + sign * offset, problem) for sign in (-1, 1)]
-    return Answer(float(sum(wrong)), 0.0, unit="wrong statements", note="the bound is zero")
+    scale_of(np.zeros_like(reference), problem)
 
 
-def _scaled(frame: Callable[[Array], ArrayLike]) -> Answer:
-    """Take the scale of a frame made of the reference."""
+@AREA.refused(NumericsError, "the refusal, by the reading")
+def reference_with_nan() -> None:
+    """A reading in use is NaN."""
     problem, reference, _ = _frames()
-    scale_of(np.asarray(frame(reference)), problem)
-    return Answer(0.0, 0.0)
+    reference[0, 2] = np.nan
+    scale_of(reference, problem)
 
 
-def _with_nan(reference: Array) -> Array:
-    frame = reference.copy()
-    frame[0, 2] = np.nan
-    return frame
+@AREA.refused(NumericsError, "the refusal, by the type")
+def complex_voltages() -> None:
+    """Phasors where magnitudes are needed: a cast would drop the imaginary part."""
+    problem, reference, _ = _frames()
+    phasors: Any = reference * (1 + 1e-3j)
+    scale_of(phasors, problem)
 
 
-def _left(used: Callable[[], NDArray[np.bool_]]) -> Answer:
-    imaging_problem(usual_sensor(), used=used(), image_size_mm=IMAGE_MM)
-    return Answer(0.0, 0.0)
-
-
-def _seven_readings() -> NDArray[np.bool_]:
-    used = np.zeros(usual_sensor().pattern.shape, dtype=np.bool_)
-    used[0, 2:9] = True
-    return used
-
-
-def _block_with_nan() -> Answer:
+@AREA.refused(RefusedError, "the refusal, before it is stored")
+def frame_with_nan() -> None:
+    """A driver hands over NaN."""
     voltages = np.ones((2, 16, 16))
     voltages[1, 3, 5] = np.nan
     FrameBlock(np.arange(2.0), voltages, np.zeros(voltages.shape, dtype=np.uint8), VoltageUnit.VOLT, 1e-3)
-    return Answer(0.0, 0.0)
 
 
-def _no_noise() -> Answer:
+@AREA.refused(NumericsError, "the refusal, by how many are left and needed")
+def seven_readings_left() -> None:
+    """So many channels are masked that seven independent readings are left for two thousand elements."""
+    used = np.zeros(usual_sensor().pattern.shape, dtype=np.bool_)
+    used[0, 2:9] = True
+    imaging_problem(usual_sensor(), used=used, image_size_mm=IMAGE_MM)
+
+
+@AREA.refused(NumericsError, "the refusal, by the electrodes")
+def four_electrodes_off() -> None:
+    """Four electrodes have come off: what lies between the others would be guessed."""
+    sensor = usual_sensor()
+    imaging_problem(sensor, used=without_electrodes(sensor, (1, 5, 9, 13)), image_size_mm=IMAGE_MM)
+
+
+@AREA.refused(NumericsError, "the refusal, with what to do instead")
+def no_noise_at_all() -> None:
+    """Every reading is the same in all frames."""
     reading_noise(np.ones((30, 40)), np.arange(30.0))
-    return Answer(0.0, 0.0)
-
-
-def _case(name: str, hard: str, run: Callable[[], Answer], truth: str) -> HardCase:
-    return HardCase(name, _AREA, hard, truth, run)
-
-
-def _refusal(
-    name: str, hard: str, run: Callable[[], Answer], truth: str, refuses: type[CbsrError] = NumericsError
-) -> HardCase:
-    return HardCase(name, _AREA, hard, f"the refusal, {truth}", run, refuses=refuses)
-
-
-_WHOLE: Final = "the same numbers, as whole fractions"
-
-_NUMBERS: Final = (
-    _case(
-        "offset-of-1e6-signals",
-        "All readings lie on an offset a million times as large as what a load changes.",
-        partial(_offset, 1e6),
-        _WHOLE,
-    ),
-    _case(
-        "offset-of-1e10-signals",
-        "All readings lie on an offset ten thousand million times the change: six digits of it are left.",
-        partial(_offset, 1e10),
-        _WHOLE,
-    ),
-    _case(
-        "scale-from-an-offset-of-1e6-signals",
-        "The unloaded frame lies on such an offset, and changes are to be taken over its scale.",
-        _doubts,
-        "the run warns where there is an offset, and only there",
-    ),
-    _case(
-        "noise-under-an-offset-of-1e6",
-        "Noise of a microvolt on readings of a volt, whose variance is small beside their square.",
-        partial(_noise, 1.0, 0.0),
-        "the noise without the offset, exactly",
-    ),
-    _case(
-        "noise-fifty-years-after-zero",
-        "The same with time stamps that count seconds from 1970.",
-        partial(_noise, 1.0, 1.7e9),
-        "the noise with times from zero, exactly",
-    ),
-    _case(
-        "volts-of-1e-12",
-        "Frames whose readings are 1e-12 of the usual ones.",
-        partial(_in_units, 1e-12),
-        "the image of the same frames in volts",
-    ),
-    _case(
-        "volts-of-1e12",
-        "Frames whose readings are 1e12 of the usual ones.",
-        partial(_in_units, 1e12),
-        "the image of the same frames in volts",
-    ),
-    _case(
-        "single-precision-frames",
-        "Frames stored in single precision: the change must be taken in double.",
-        _single_precision,
-        _WHOLE,
-    ),
-    _case(
-        "counts-at-both-ends-of-16-bits",
-        "Integer counts whose difference does not fit the type they come in.",
-        _counts,
-        "the difference of whole numbers",
-    ),
-    _case("frame-of-zeros", "A frame that is all zero, as when the source is off.", _zeros, _WHOLE),
-    _case(
-        "nonsense-in-masked-channels",
-        "The channels of an open electrode hold NaN, infinity and 1e300, and are masked.",
-        _masked_nonsense,
-        "the image with zeros in these channels",
-    ),
-    _case(
-        "reciprocal-readings-twelve-decades-apart",
-        "Reciprocal readings with noise variances up to twelve decades apart.",
-        _folded,
-        "weighted means as whole fractions",
-    ),
-    _case(
-        "saturated-stuck-and-missing",
-        "One channel at the source's limit in every tenth frame, one that never changes, one not recorded.",
-        _faults,
-        "the channels that were made so",
-    ),
-)
-
-_REFUSED: Final = (
-    _refusal(
-        "reference-of-zeros",
-        "The unloaded frame is all zero: there is no scale to take changes over.",
-        partial(_scaled, np.zeros_like),
-        "with what to check",
-    ),
-    _refusal("reference-with-nan", "A reading in use is NaN.", partial(_scaled, _with_nan), "by the reading"),
-    _refusal(
-        "complex-voltages",
-        "Phasors where magnitudes are needed: a cast would drop the imaginary part.",
-        partial(_scaled, lambda frame: frame * (1 + 1e-3j)),
-        "by the type",
-    ),
-    _refusal("frame-with-nan", "A driver hands over NaN.", _block_with_nan, "before it is stored", RefusedError),
-    _refusal(
-        "seven-readings-left",
-        "So many channels are masked that seven independent readings are left for two thousand elements.",
-        partial(_left, _seven_readings),
-        "by how many are left and needed",
-    ),
-    _refusal(
-        "four-electrodes-off",
-        "Four electrodes have come off: what lies between the others would be guessed.",
-        partial(_left, lambda: without_electrodes(usual_sensor(), (1, 5, 9, 13))),
-        "by the electrodes",
-    ),
-    _refusal("no-noise-at-all", "Every reading is the same in all frames.", _no_noise, "with what to do instead"),
-)
-
-CASES: Final[tuple[HardCase, ...]] = (*_NUMBERS, *_REFUSED)

@@ -1,9 +1,7 @@
 """Hard cases of reconstruction: almost no and extreme regularisation, noise over twelve decades, limits."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from mpmath import mp
@@ -14,16 +12,17 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse import Correlation, ReadingFold, imaging_problem, noser, smoothed
 from cbsr_qa.eit.inverse.choice import RidgeCurves
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
-from cbsr_qa.studies.hard_cases.exact import exact_image
+from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.studies.hard_cases.exact import DIGITS, apart, exact_image
 from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepared, usual_problem, usual_sensor
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "reconstruction"
-_FIFTY: Final = "the normal equations, solved in fifty digits"
+AREA: Final = Area("reconstruction")
+FIFTY: Final = "the normal equations, solved in fifty digits"
+_SUMS: Final = "their sums in fifty digits"
+_PROCESS: Final = "the Gaussian process of the block, solved in fifty digits"
 _SEED: Final = 20261122
-_DIGITS: Final = 50
 
 
 def _changes(problem: ImagingProblem) -> Array:
@@ -32,7 +31,7 @@ def _changes(problem: ImagingProblem) -> Array:
     return random.standard_normal(len(problem.reference))
 
 
-def ridge(name: str, kind: str, relative: float, **options: Any) -> Answer:
+def ridge(name: str, kind: str, relative: float) -> Answer:
     """Image of a one-step method with a diagonal prior against fifty digits.
 
     Parameters
@@ -48,11 +47,11 @@ def ridge(name: str, kind: str, relative: float, **options: Any) -> Answer:
     value = relative * float(sizes[0])
     given = {"components": len(sizes)} if name == "truncated-svd" else {"hyperparameter": value}
     readings = _changes(problem)
-    found = prepared(name, problem, {**given, **options}).images(readings[None])[0]
+    found = prepared(name, problem, given).images(readings[None])[0]
     folded = fold.fold(readings[None])[0]
     exact = exact_image(rows, weights, value, fold.variance, folded)
     condition = ridge_condition(sizes, value)
-    return Answer(_apart(found, exact), conditioned_bound(condition), condition)
+    return conditioned(apart(found, exact), condition)
 
 
 def _weights(name: str, problem: ImagingProblem) -> Array:
@@ -74,48 +73,6 @@ def ridge_condition(sizes: Array, value: float) -> float:
     return float(sizes[0] * (1 / squares).max() / (sizes / squares).max())
 
 
-def _apart(found: Array, exact: Array) -> float:
-    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
-
-
-def _adjoint() -> Answer:
-    """λ → ∞: λ² x → R⁻¹Jᵀy, with a remainder of σ₁²/λ²."""
-    problem = usual_problem()
-    weights = noser(problem.jacobian, 0.5)
-    readings = _changes(problem)
-    value = 1e9 * float(linalg.norm(problem.jacobian / np.sqrt(weights), 2))
-    found = value**2 * prepared("gauss-newton-noser", problem, {"hyperparameter": value}).images(readings[None])[0]
-    fold = ReadingFold.of(problem)
-    limit = (fold.rows(problem.jacobian).T @ (fold.fold(readings[None])[0] / fold.variance)) / weights
-    condition = float(np.linalg.norm(np.abs(problem.jacobian).T @ np.abs(readings) / weights) / np.linalg.norm(limit))
-    return Answer(_apart(found, limit), conditioned_bound(condition), condition)
-
-
-def _fewer_units() -> Answer:
-    """R(cJ, cλ) y = R(J, λ) y / c: a sensor in other units gives the same image of readings in these."""
-    problem, scale = usual_problem(), 1e12
-    other = replace(problem, jacobian=scale * problem.jacobian, reference=scale * problem.reference)
-    readings = _changes(problem)
-    name, value = "gauss-newton-tikhonov", 1e-4
-    one = prepared(name, problem, {"hyperparameter": value}).images(readings[None])[0]
-    two = prepared(name, other, {"hyperparameter": scale * value}).images(scale * readings[None])[0]
-    condition = ridge_condition(linalg.svdvals(problem.jacobian), value)
-    return Answer(_apart(two, one), conditioned_bound(condition), condition)
-
-
-def _nothing(problem: ImagingProblem) -> Answer:
-    """Largest value of the images of a frame that is its reference, over all methods for differences but GREIT."""
-    names = (
-        "gauss-newton-noser", "gauss-newton-tikhonov", "gauss-newton-laplace", "gauss-newton-indenter",
-        "gauss-newton-high-pass", "temporal", "total-variation",
-    )  # fmt: skip
-    methods = [prepared(name, problem, {"hyperparameter": 1e-3}) for name in names]
-    methods += [prepared("truncated-svd", problem, {}), prepared("linear-back-projection", problem, {})]
-    none = np.zeros((2, len(problem.reference)))
-    largest = max(float(np.abs(method.images(none)).max()) for method in methods)
-    return Answer(largest, 0.0, note=f"{len(methods)} methods; the bound is zero")
-
-
 def _l_curve(relative: float) -> Answer:
     """xᵀRx of the L-curve at an extreme λ against fifty digits."""
     problem = usual_problem()
@@ -123,7 +80,7 @@ def _l_curve(relative: float) -> Answer:
     values, coefficients = sizes**2, np.random.default_rng(_SEED).standard_normal((1, len(sizes)))
     curves = RidgeCurves(values, coefficients)
     s = float(2 * np.log(relative * sizes[0]))
-    with mp.workdps(_DIGITS):
+    with mp.workdps(DIGITS):
         ridge2 = mp.exp(mp.mpf(s))
         pairs = [(mp.mpf(a), mp.mpf(b)) for a, b in zip(values.tolist(), coefficients[0].tolist(), strict=True)]
         size = mp.fsum(value / (value + ridge2) ** 2 * z**2 for value, z in pairs)
@@ -133,7 +90,7 @@ def _l_curve(relative: float) -> Answer:
             for found, truth in ((curves.size(s), size), (curves.residual(s), residual))
         ]
     condition = max(1.0, abs(s))  # of e^s
-    return Answer(float(max(errors)), conditioned_bound(condition), condition)
+    return conditioned(float(max(errors)), condition)
 
 
 def _lasting(frames: float) -> Answer:
@@ -144,7 +101,7 @@ def _lasting(frames: float) -> Answer:
     found = smoothed(readings, values, ridge2, Correlation(frames))
     exact = np.empty_like(found)
     conditions = []
-    with mp.workdps(_DIGITS):
+    with mp.workdps(DIGITS):
         between = mp.exp(-1 / mp.mpf(frames))
         for column, value in enumerate(values.tolist()):
             prior = mp.matrix(count, count)
@@ -158,191 +115,188 @@ def _lasting(frames: float) -> Answer:
             conditions.append(np.linalg.norm(felt) / np.linalg.norm(exact[:, column]))
     condition = float(max(conditions))
     error = np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)
-    return Answer(float(error.max()), conditioned_bound(condition), condition)
+    return conditioned(float(error.max()), condition)
 
 
-def _flat() -> Answer:
-    """Total variation with a weight beyond all readings: the constant that explains them best, (J1)·y / |J1|²."""
+@AREA.against(FIFTY)
+def no_regularisation_tikhonov() -> Answer:
+    """λ = 0: every reading is explained, by the image of least norm. Singular values span six decades."""
+    return ridge("gauss-newton-tikhonov", "whole", 0.0)
+
+
+@AREA.against(FIFTY)
+def no_regularisation_noser() -> Answer:
+    """λ = 0 with a prior that weighs elements by their sensitivity."""
+    return ridge("gauss-newton-noser", "whole", 0.0)
+
+
+@AREA.against(FIFTY)
+def regularisation_of_a_millionth() -> Answer:
+    """λ of a ten thousandth of the largest singular value: where the normal equations have half of the digits."""
+    return ridge("gauss-newton-noser", "whole", 1e-4)
+
+
+@AREA.against(FIFTY)
+def every_singular_value_kept() -> Answer:
+    """Truncated SVD without truncation: the smallest singular values decide the image."""
+    return ridge("truncated-svd", "whole", 0.0)
+
+
+@AREA.against(FIFTY)
+def noise_over_twelve_decades() -> Answer:
+    """Readings whose noise variances lie twelve decades apart."""
+    return ridge("gauss-newton-noser", "noisy", 1e-3)
+
+
+@AREA.against(FIFTY)
+def three_electrodes_off() -> Answer:
+    """The readings of three electrodes are missing, and λ is next to nothing."""
+    return ridge("gauss-newton-noser", "masked", 1e-5)
+
+
+@AREA.against("λ²x = R⁻¹JᵀWy in the limit, to 1e-18")
+def nothing_but_regularisation() -> Answer:
+    """λ a thousand million times the largest singular value: the image vanishes.
+
+    λ → ∞: λ² x → R⁻¹Jᵀy, with a remainder of σ₁²/λ².
+    """
     problem = usual_problem()
-    readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
-    image = prepared("total-variation", problem, {"hyperparameter": 1e200}).images(readings[None])[0]
-    with mp.workdps(_DIGITS):
-        ones = [mp.fsum(row) for row in problem.jacobian.tolist()]
-        exact = float(mp.fdot(ones, readings.tolist()) / mp.fdot(ones, ones))
-    condition = float(np.abs(problem.jacobian).sum() / np.abs(problem.jacobian.sum(axis=1)).sum())
-    return Answer(float(np.abs(image / exact - 1).max()), conditioned_bound(condition), condition)
+    weights = noser(problem.jacobian, 0.5)
+    readings = _changes(problem)
+    value = 1e9 * float(linalg.norm(problem.jacobian / np.sqrt(weights), 2))
+    found = value**2 * prepared("gauss-newton-noser", problem, {"hyperparameter": value}).images(readings[None])[0]
+    fold = ReadingFold.of(problem)
+    limit = (fold.rows(problem.jacobian).T @ (fold.fold(readings[None])[0] / fold.variance)) / weights
+    condition = float(np.linalg.norm(np.abs(problem.jacobian).T @ np.abs(readings) / weights) / np.linalg.norm(limit))
+    return conditioned(apart(found, limit), condition)
 
 
-def _greit_limit() -> Answer:
-    """GREIT's rows are scaled to the target's amplitude: for λ → ∞ they no longer depend on it, to 1/λ²."""
+@AREA.against("the image at λ = 10²⁰: the limit")
+def greit_of_nothing_but_regularisation() -> Answer:
+    """GREIT with λ = 10¹⁰: its rows vanish and are scaled back to the target's amplitude.
+
+    They no longer depend on λ then, to 1/λ².
+    """
     problem, readings = usual_problem(), _changes(usual_problem())
     one, other = (
         prepared("greit", problem, {"hyperparameter": value}).images(readings[None])[0] for value in (1e10, 1e20)
     )
     condition = float(np.linalg.norm(readings) * np.sqrt(len(one)) / np.linalg.norm(one))
-    return Answer(_apart(one, other), conditioned_bound(max(condition, 1.0)), max(condition, 1.0))
+    return conditioned(apart(one, other), max(condition, 1.0))
 
 
-def _too_little_variation() -> Answer:
+@AREA.against("the constant that explains the readings best, in fifty digits")
+def total_variation_of_nothing_but_smoothness() -> Answer:
+    """Total variation with α = 10²⁰⁰: no jump is worth its price.
+
+    That constant is (J1)·y / |J1|².
+    """
+    problem = usual_problem()
+    readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
+    image = prepared("total-variation", problem, {"hyperparameter": 1e200}).images(readings[None])[0]
+    with mp.workdps(DIGITS):
+        ones = [mp.fsum(row) for row in problem.jacobian.tolist()]
+        exact = float(mp.fdot(ones, readings.tolist()) / mp.fdot(ones, ones))
+    condition = float(np.abs(problem.jacobian).sum() / np.abs(problem.jacobian.sum(axis=1)).sum())
+    return conditioned(float(np.abs(image / exact - 1).max()), condition)
+
+
+@AREA.against("R(cJ, cλ) = R(J, λ)/c, exactly")
+def sensor_in_picovolts() -> Answer:
+    """A model whose voltages are 1e12 times those of another.
+
+    A sensor in other units gives the same image of readings in these.
+    """
+    problem, scale = usual_problem(), 1e12
+    other = replace(problem, jacobian=scale * problem.jacobian, reference=scale * problem.reference)
+    readings = _changes(problem)
+    name, value = "gauss-newton-tikhonov", 1e-4
+    one = prepared(name, problem, {"hyperparameter": value}).images(readings[None])[0]
+    two = prepared(name, other, {"hyperparameter": scale * value}).images(scale * readings[None])[0]
+    condition = ridge_condition(linalg.svdvals(problem.jacobian), value)
+    return conditioned(apart(two, one), condition)
+
+
+@AREA.against("an image of zeros, exactly")
+def frame_equal_to_its_reference() -> Answer:
+    """Nothing has changed: an image of rounding errors would show a load.
+
+    Of all methods that image differences, but for GREIT.
+    """
+    problem = usual_problem()
+    names = (
+        "gauss-newton-noser", "gauss-newton-tikhonov", "gauss-newton-laplace", "gauss-newton-indenter",
+        "gauss-newton-high-pass", "temporal", "total-variation",
+    )  # fmt: skip
+    methods = [prepared(name, problem, {"hyperparameter": 1e-3}) for name in names]
+    methods += [prepared("truncated-svd", problem, {}), prepared("linear-back-projection", problem, {})]
+    none = np.zeros((2, len(problem.reference)))
+    largest = max(float(np.abs(method.images(none)).max()) for method in methods)
+    return Answer(largest, 0.0, note=f"{len(methods)} methods; the bound is zero")
+
+
+@AREA.against(_SUMS)
+def l_curve_at_a_large_parameter() -> Answer:
+    """Size and residual of an image at λ a thousand times the largest singular value."""
+    return _l_curve(999.0)
+
+
+@AREA.against(_SUMS)
+def l_curve_at_a_small_parameter() -> Answer:
+    """Size and residual of an image at λ a millionth of the largest singular value."""
+    return _l_curve(1.01e-6)
+
+
+@AREA.against(_PROCESS)
+def frames_alike_for_ages() -> Answer:
+    """Frames that stay alike for a thousand million frames: 1 − a² is next to nothing."""
+    return _lasting(1e9)
+
+
+@AREA.against(_PROCESS)
+def frames_alike_for_one() -> Answer:
+    """Almost independent frames, of signals up to 1e9 times their noise."""
+    return _lasting(0.05)
+
+
+@AREA.refused(NumericsError, "the refusal, by λ and its range")
+def parameter_beyond_doubles() -> None:
+    """λ = 1e60, whose square leaves an image of rounding errors only."""
+    prepared("gauss-newton-noser", usual_problem(), {"hyperparameter": 1e60})
+
+
+@AREA.refused(NumericsError, "the refusal, by λ and the least that is allowed")
+def greit_without_regularisation() -> None:
+    """GREIT with λ = 0: more training targets than readings can tell apart."""
+    prepared("greit", usual_problem(), {"hyperparameter": 0.0})
+
+
+@AREA.refused(NumericsError, "the refusal, by what the image lacks")
+def total_variation_next_to_none() -> None:
+    """Total variation with α = 10⁻³⁰, below a rounding of what it is added to."""
     problem = usual_problem()
     readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
     prepared("total-variation", problem, {"hyperparameter": 1e-30}).images(readings[None])
-    return Answer(0.0, 0.0)
 
 
-def _prepare(name: str, options: Mapping[str, Any]) -> Answer:
-    prepared(name, usual_problem(), options)
-    return Answer(0.0, 0.0)
+@AREA.refused(NumericsError, "the refusal, by the counts that split no pair")
+def half_a_pair_of_singular_values() -> None:
+    """Truncation between two equal singular values, which would prefer a direction."""
+    prepared("truncated-svd", usual_problem(), {"components": 2})
 
 
-def _unequal() -> Answer:
+@AREA.refused(NumericsError, "the refusal, by the reading")
+def noise_beyond_twelve_decades() -> None:
+    """One reading is stated to be 1e13 times noisier than the others."""
     sensor = usual_sensor()
     variance = np.ones(sensor.pattern.shape)
     variance[3, 8] = 1e13
     imaging_problem(sensor, noise_variance=variance, image_size_mm=IMAGE_MM)
-    return Answer(0.0, 0.0)
 
 
-def _silent_frames() -> Answer:
-    """Choose λ by cross-validation from frames that equal their reference."""
+@AREA.refused(NumericsError, "the refusal, with what to choose by instead")
+def parameter_from_frames_without_change() -> None:
+    """λ is to be chosen by cross-validation, on frames that equal their reference."""
     problem = usual_problem()
     sampled = imaging_problem(usual_sensor(), sample=np.zeros((3, len(problem.reference))), image_size_mm=IMAGE_MM)
     prepared("gauss-newton-noser", sampled, {"choose": "gcv"})
-    return Answer(0.0, 0.0)
-
-
-def _case(name: str, hard: str, run: Callable[[], Answer], truth: str = _FIFTY) -> HardCase:
-    return HardCase(name, _AREA, hard, truth, run)
-
-
-def _refusal(name: str, hard: str, run: Callable[[], Answer], truth: str) -> HardCase:
-    return HardCase(name, _AREA, hard, f"the refusal, {truth}", run, refuses=NumericsError)
-
-
-_NUMBERS: Final = (
-    _case(
-        "no-regularisation-tikhonov",
-        "λ = 0: every reading is explained, by the image of least norm. Singular values span six decades.",
-        partial(ridge, "gauss-newton-tikhonov", "whole", 0.0),
-    ),
-    _case(
-        "no-regularisation-noser",
-        "λ = 0 with a prior that weighs elements by their sensitivity.",
-        partial(ridge, "gauss-newton-noser", "whole", 0.0),
-    ),
-    _case(
-        "regularisation-of-a-millionth",
-        "λ of a ten thousandth of the largest singular value: where the normal equations have half of the digits.",
-        partial(ridge, "gauss-newton-noser", "whole", 1e-4),
-    ),
-    _case(
-        "every-singular-value-kept",
-        "Truncated SVD without truncation: the smallest singular values decide the image.",
-        partial(ridge, "truncated-svd", "whole", 0.0),
-    ),
-    _case(
-        "noise-over-twelve-decades",
-        "Readings whose noise variances lie twelve decades apart.",
-        partial(ridge, "gauss-newton-noser", "noisy", 1e-3),
-    ),
-    _case(
-        "three-electrodes-off",
-        "The readings of three electrodes are missing, and λ is next to nothing.",
-        partial(ridge, "gauss-newton-noser", "masked", 1e-5),
-    ),
-    _case(
-        "nothing-but-regularisation",
-        "λ a thousand million times the largest singular value: the image vanishes.",
-        _adjoint,
-        "λ²x = R⁻¹JᵀWy in the limit, to 1e-18",
-    ),
-    _case(
-        "greit-of-nothing-but-regularisation",
-        "GREIT with λ = 10¹⁰: its rows vanish and are scaled back to the target's amplitude.",
-        _greit_limit,
-        "the image at λ = 10²⁰: the limit",
-    ),
-    _case(
-        "total-variation-of-nothing-but-smoothness",
-        "Total variation with α = 10²⁰⁰: no jump is worth its price.",
-        _flat,
-        "the constant that explains the readings best, in fifty digits",
-    ),
-    _case(
-        "sensor-in-picovolts",
-        "A model whose voltages are 1e12 times those of another.",
-        _fewer_units,
-        "R(cJ, cλ) = R(J, λ)/c, exactly",
-    ),
-    _case(
-        "frame-equal-to-its-reference",
-        "Nothing has changed: an image of rounding errors would show a load.",
-        lambda: _nothing(usual_problem()),
-        "an image of zeros, exactly",
-    ),
-    _case(
-        "l-curve-at-a-large-parameter",
-        "Size and residual of an image at λ a thousand times the largest singular value.",
-        partial(_l_curve, 999.0),
-        "their sums in fifty digits",
-    ),
-    _case(
-        "l-curve-at-a-small-parameter",
-        "Size and residual of an image at λ a millionth of the largest singular value.",
-        partial(_l_curve, 1.01e-6),
-        "their sums in fifty digits",
-    ),
-    _case(
-        "frames-alike-for-ages",
-        "Frames that stay alike for a thousand million frames: 1 − a² is next to nothing.",
-        partial(_lasting, 1e9),
-        "the Gaussian process of the block, solved in fifty digits",
-    ),
-    _case(
-        "frames-alike-for-one",
-        "Almost independent frames, of signals up to 1e9 times their noise.",
-        partial(_lasting, 0.05),
-        "the Gaussian process of the block, solved in fifty digits",
-    ),
-)
-
-_REFUSED: Final = (
-    _refusal(
-        "parameter-beyond-doubles",
-        "λ = 1e60, whose square leaves an image of rounding errors only.",
-        partial(_prepare, "gauss-newton-noser", {"hyperparameter": 1e60}),
-        "by λ and its range",
-    ),
-    _refusal(
-        "greit-without-regularisation",
-        "GREIT with λ = 0: more training targets than readings can tell apart.",
-        partial(_prepare, "greit", {"hyperparameter": 0.0}),
-        "by λ and the least that is allowed",
-    ),
-    _refusal(
-        "total-variation-next-to-none",
-        "Total variation with α = 10⁻³⁰, below a rounding of what it is added to.",
-        _too_little_variation,
-        "by what the image lacks",
-    ),
-    _refusal(
-        "half-a-pair-of-singular-values",
-        "Truncation between two equal singular values, which would prefer a direction.",
-        partial(_prepare, "truncated-svd", {"components": 2}),
-        "by the counts that split no pair",
-    ),
-    _refusal(
-        "noise-beyond-twelve-decades",
-        "One reading is stated to be 1e13 times noisier than the others.",
-        _unequal,
-        "by the reading",
-    ),
-    _refusal(
-        "parameter-from-frames-without-change",
-        "λ is to be chosen by cross-validation, on frames that equal their reference.",
-        _silent_frames,
-        "with what to choose by instead",
-    ),
-)
-
-CASES: Final[tuple[HardCase, ...]] = (*_NUMBERS, *_REFUSED)

@@ -1,6 +1,5 @@
 """Hard cases of relaxation fits: time constants that are close, lost, too slow or in other units."""
 
-from functools import partial
 from typing import Any, Final
 
 import mpmath
@@ -16,12 +15,14 @@ from cbsr_qa.calibration.fits import (
 )
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationFit, RelaxationKernel
-from cbsr_qa.studies.hard_cases.case import EPSILON, Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.case import EPSILON, Answer, Area, conditioned, conditioned_bound
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "relaxation"
+AREA: Final = Area("relaxation")
+_PARAMETERS: Final = "the parameters the trace was made from"
+_ROOT: Final = "root of the same curve in fifty digits"
 _TIME_S: Final[Array] = 2.5 * np.arange(25.0)  # a minute at the rig's frame rate
 _WINDOW_S: Final = 60.0
 
@@ -69,33 +70,6 @@ def recovered(
     return Answer(error, conditioned_bound(condition * rounding), condition, note=str(fit.status))
 
 
-def merged() -> Answer:
-    """Steady level and settling time of two time constants that differ by 1e-8: one is kept."""
-    taus_s = (20.0, 20.0 * (1 + 1e-8))
-    fit = fit_relaxation(_TIME_S, curve(1.0, (0.3, 0.2), taus_s))
-    settled = settling_time(fit, window_s=_WINDOW_S).value_s
-    # Both exponentials are that of the mean time constant to 1e-17.
-    truth = _mp(20) * (1 + _mp("0.4e-8")) * mpmath.log(_mp(1) / _mp("0.3"))
-    condition = fit_condition(1.0, (0.5,), (20.0,))
-    error = max(relative_error(fit.offset, _mp(1)), relative_error(settled or 0.0, truth))
-    return Answer(error, conditioned_bound(condition), condition, note=fit.why)
-
-
-def slower_than_the_trace() -> Answer:
-    """Settling of a trace whose time constant is seventeen times its length: not before its end."""
-    fit = fit_relaxation(_TIME_S, curve(1.0, (0.2,), (1000.0,)))
-    settled = settling_time(fit, window_s=_WINDOW_S)
-    wrong = 0.0 if fit.status is FitStatus.DRIFTING and settled.censored else 1.0
-    return Answer(wrong, 0.0, unit="wrong statements", note=settled.why)
-
-
-def constant_trace(level: float) -> Answer:
-    """Level of a trace that does not relax at all."""
-    fit = fit_relaxation(_TIME_S, np.full(len(_TIME_S), level))
-    flat = fit.status is FitStatus.FLAT and settling_time(fit, window_s=_WINDOW_S).value_s == 0.0
-    return Answer(relative_error(fit.offset, _mp(level)) + (not flat), conditioned_bound(1.0), 1.0)
-
-
 def settled(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Answer:
     """Settling time of a known curve, against the root of the same curve in fifty digits."""
     fit = RelaxationFit(FitStatus.TWO, 1.0, amplitudes, taus_s, 0.0, (0.0, 0.0), 1.0, "")
@@ -113,38 +87,7 @@ def settled(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Ans
             abs(a) * mpmath.exp(-truth / tau) * (1 + truth / tau) for a, tau in zip(amplitudes, taus_s, strict=True)
         )
         condition = float(of_parts / (slope * truth))
-    return Answer(relative_error(found, truth), conditioned_bound(condition), condition)
-
-
-def never_settled() -> Answer:
-    """Settling of a curve that is still outside its band at the end."""
-    fit = RelaxationFit(FitStatus.TWO, 1.0, (1.0, 0.5), (1.0, 2000.0), 0.0, (0.0, 0.0), 1.0, "")
-    found = settling_time(fit, window_s=_WINDOW_S)
-    return Answer(
-        0.0 if found.censored and found.value_s == _WINDOW_S else 1.0, 0.0, unit="wrong statements", note=found.why
-    )
-
-
-def spread_of_times() -> Answer:
-    """Deviation of settling times that agree to a ten-millionth."""
-    times = [30.0, 30.0 + 3e-7, 30.0 - 3e-7, 30.0 + 1e-7]
-    _, deviation = restricted_mean(times, [False] * 4)
-    with mpmath.workdps(DIGITS):
-        exact = [mpmath.mpf(time) for time in times]
-        mean = mpmath.fsum(exact) / 4
-        truth = mpmath.sqrt(mpmath.fsum((time - mean) ** 2 for time in exact) / 4)
-    condition = 30.0 / float(truth)
-    return Answer(relative_error(deviation, truth), conditioned_bound(condition), condition)
-
-
-def sizes_far_apart() -> Answer:
-    """Time constants shared by loads whose relaxations are a million times as large as others'."""
-    sizes = (1e-3, 1.0, 1e3)
-    common = fit_common_relaxation([(_TIME_S, size * curve(1.0, (0.3, 0.2), (5.0, 30.0))) for size in sizes])
-    found = [*common.fit.time_constants_s, *(common.scales / (0.5 * np.array(sizes)))]
-    error = largest_relative_error(found, [5, 30, 1, 1, 1]) if len(found) == 5 else 1.0
-    condition = fit_condition(1.0, (0.3, 0.2), (5.0, 30.0))
-    return Answer(error, conditioned_bound(condition), condition)
+    return conditioned(relative_error(found, truth), condition)
 
 
 def steady_without_noise(noise: float) -> Answer:
@@ -156,7 +99,7 @@ def steady_without_noise(noise: float) -> Answer:
     parts = np.exp(-time_s[:, None] / taus_s)
     design = np.column_stack([1 + parts @ weights, 0.01 * parts, 0.01 * weights * parts * time_s[:, None] / taus_s])
     condition = float(np.linalg.norm(np.linalg.pinv(design)[0]) * np.linalg.norm(design[:, 0]))
-    return Answer(relative_error(float(found.values[0]), _mp(1)), conditioned_bound(condition), condition)
+    return conditioned(relative_error(float(found.values[0]), _mp(1)), condition)
 
 
 def _deviation(amplitudes: tuple[float, float], taus_s: tuple[float, float], time_s: Any) -> Any:
@@ -170,146 +113,161 @@ def _mp(value: float | str) -> Any:
         return mpmath.mpf(value)
 
 
-def _fit_of(values: Array, time_s: Array = _TIME_S) -> Answer:
-    fit = fit_relaxation(time_s, values)
-    return Answer(abs(fit.offset), 0.0)
+@AREA.against(_PARAMETERS)
+def time_constants_a_factor_apart() -> Answer:
+    """Two exponentials of 8 and 20 s in 25 frames look like one: their sum hardly says how it is shared."""
+    return recovered(1.0, (0.3, 0.2), (8.0, 20.0))
 
 
-def _recovered(name: str, hard: str, run: Any) -> HardCase:
-    return HardCase(name, _AREA, hard, "the parameters the trace was made from", run)
+@AREA.against(_PARAMETERS)
+def small_exponential_beside_a_large_one() -> Answer:
+    """An exponential of a two-thousandth of the other's size has to be found beside it."""
+    return recovered(1.0, (1e-4, 0.2), (5.0, 30.0))
 
 
-CASES: Final[tuple[HardCase, ...]] = (
-    _recovered(
-        "time-constants-a-factor-apart",
-        "Two exponentials of 8 and 20 s in 25 frames look like one: their sum hardly says how it is shared.",
-        partial(recovered, 1.0, (0.3, 0.2), (8.0, 20.0)),
-    ),
-    _recovered(
-        "small-exponential-beside-a-large-one",
-        "An exponential of a two-thousandth of the other's size has to be found beside it.",
-        partial(recovered, 1.0, (1e-4, 0.2), (5.0, 30.0)),
-    ),
-    _recovered(
-        "zero-amplitude",
-        "An absent second exponential leaves its time constant undetermined.",
-        partial(recovered, 1.0, (0.3,), (9.0,)),
-    ),
-    _recovered(
-        "non-monotone-relaxation",
-        "Two exponentials of opposite signs overshoot.",
-        partial(recovered, 1.0, (-0.3, 0.2), (5.0, 30.0)),
-    ),
-    _recovered(
-        "relaxation-on-an-offset-of-1e6",
-        "A relaxation that is a millionth of the level it happens on: six digits are gone before the fit begins.",
-        partial(recovered, 1e6, (0.3, 0.2), (5.0, 30.0)),
-    ),
-    _recovered(
-        "values-of-1e-9",
-        "A trace in a unit that makes its numbers tiny: absolute tolerances would call it flat.",
-        partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), unit=1e-9),
-    ),
-    _recovered(
-        "values-of-1e9",
-        "A trace in a unit that makes its numbers huge.",
-        partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), unit=1e9),
-    ),
-    _recovered(
-        "times-in-milliseconds",
-        "A time axis in milliseconds: time constants of thousands.",
-        partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), second=1e3),
-    ),
-    _recovered(
-        "single-precision-trace",
-        "A trace of 24-bit numbers; the bound is condition number times single-precision rounding.",
-        partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), single=True),
-    ),
-    HardCase(
-        "time-constants-alike",
-        _AREA,
-        "Two time constants that differ by 1e-8 make the exponentials linearly dependent.",
-        "the exponential of their mean, settled where 0.5 e^(−t/τ) = 0.15",
-        merged,
-    ),
-    HardCase(
-        "trace-shorter-than-its-time-constant",
-        _AREA,
-        "One minute of a 1000 s exponential is a straight line that does not show its end.",
-        "it settles later than the trace",
-        slower_than_the_trace,
-    ),
-    HardCase(
-        "constant-trace",
-        _AREA,
-        "A trace without any variance to explain, at a level that rounds.",
-        "that level, settled at once",
-        partial(constant_trace, 0.1),
-    ),
-    HardCase(
-        "settling-of-equal-time-constants",
-        _AREA,
-        "Opposite exponentials with the same time constant: where they cancel is a division by zero.",
-        "root of the same curve in fifty digits",
-        partial(settled, (1.0, -0.5), (20.0, 20.0)),
-    ),
-    HardCase(
-        "settling-of-cancelling-exponentials",
-        _AREA,
-        "Amplitudes of ±400 000 whose time constants differ by a millionth leave a curve of size 1.",
-        "root of the same curve in fifty digits",
-        partial(settled, (-4e5, 4e5 + 0.5), (20.0, 20.0 * (1 + 1e-6))),
-    ),
-    HardCase(
-        "never-settled",
-        _AREA,
-        "A curve that is outside its band at the end of the trace.",
-        "it settles later than the trace",
-        never_settled,
-    ),
-    HardCase(
-        "settling-times-that-agree",
-        _AREA,
-        "The deviation of times that agree to 1e-8 is a small difference of large squares.",
-        "the same deviation in fifty digits",
-        spread_of_times,
-    ),
-    HardCase(
-        "loads-of-sizes-a-million-apart",
-        _AREA,
-        "Loads that share their time constants, but one is a million times as large as another.",
-        "the parameters the traces were made from",
-        sizes_far_apart,
-    ),
-    HardCase(
-        "steady-state-without-noise",
-        _AREA,
-        "Frames with a noise of 1e-12 beside a prior of 10 %: weights 1e22 apart in one system of equations.",
-        "the steady state of the curve, which the kernel describes exactly",
-        partial(steady_without_noise, 1e-12),
-    ),
-    HardCase(
-        "epoch-times",
-        _AREA,
-        "A time axis in seconds since 1970 leaves nothing of any exponential from the end of the ramp.",
-        "refusal",
-        partial(_fit_of, curve(1.0, (0.3, 0.2), (5.0, 30.0)), _TIME_S + 1.7e9),
-        NumericsError,
-    ),
-    HardCase(
-        "values-whose-squares-underflow",
-        _AREA,
-        "Sums of squares of values of 1e-200 are zero.",
-        "refusal",
-        partial(_fit_of, 1e-200 * curve(1.0, (0.3, 0.2), (5.0, 30.0))),
-        NumericsError,
-    ),
-    HardCase(
-        "trace-with-nan",
-        _AREA,
-        "A NaN spoils every sum it is in.",
-        "refusal",
-        partial(_fit_of, np.where(_TIME_S == 10, np.nan, 1.0)),
-        NumericsError,
-    ),
-)
+@AREA.against(_PARAMETERS)
+def zero_amplitude() -> Answer:
+    """An absent second exponential leaves its time constant undetermined."""
+    return recovered(1.0, (0.3,), (9.0,))
+
+
+@AREA.against(_PARAMETERS)
+def non_monotone_relaxation() -> Answer:
+    """Two exponentials of opposite signs overshoot."""
+    return recovered(1.0, (-0.3, 0.2), (5.0, 30.0))
+
+
+@AREA.against(_PARAMETERS)
+def relaxation_on_an_offset_of_1e6() -> Answer:
+    """A relaxation that is a millionth of the level it happens on: six digits are gone before the fit begins."""
+    return recovered(1e6, (0.3, 0.2), (5.0, 30.0))
+
+
+@AREA.against(_PARAMETERS)
+def values_of_1e_9() -> Answer:
+    """A trace in a unit that makes its numbers tiny: absolute tolerances would call it flat."""
+    return recovered(1.0, (0.3, 0.2), (5.0, 30.0), unit=1e-9)
+
+
+@AREA.against(_PARAMETERS)
+def values_of_1e9() -> Answer:
+    """A trace in a unit that makes its numbers huge."""
+    return recovered(1.0, (0.3, 0.2), (5.0, 30.0), unit=1e9)
+
+
+@AREA.against(_PARAMETERS)
+def times_in_milliseconds() -> Answer:
+    """A time axis in milliseconds: time constants of thousands."""
+    return recovered(1.0, (0.3, 0.2), (5.0, 30.0), second=1e3)
+
+
+@AREA.against(_PARAMETERS)
+def single_precision_trace() -> Answer:
+    """A trace of 24-bit numbers; the bound is condition number times single-precision rounding."""
+    return recovered(1.0, (0.3, 0.2), (5.0, 30.0), single=True)
+
+
+@AREA.against("the exponential of their mean, settled where 0.5 e^(−t/τ) = 0.15")
+def time_constants_alike() -> Answer:
+    """Two time constants that differ by 1e-8 make the exponentials linearly dependent.
+
+    One of them is kept.
+    """
+    taus_s = (20.0, 20.0 * (1 + 1e-8))
+    fit = fit_relaxation(_TIME_S, curve(1.0, (0.3, 0.2), taus_s))
+    settled = settling_time(fit, window_s=_WINDOW_S).value_s
+    # Both exponentials are that of the mean time constant to 1e-17.
+    truth = _mp(20) * (1 + _mp("0.4e-8")) * mpmath.log(_mp(1) / _mp("0.3"))
+    condition = fit_condition(1.0, (0.5,), (20.0,))
+    error = max(relative_error(fit.offset, _mp(1)), relative_error(settled or 0.0, truth))
+    return conditioned(error, condition, note=fit.why)
+
+
+@AREA.against("it settles later than the trace")
+def trace_shorter_than_its_time_constant() -> Answer:
+    """One minute of a 1000 s exponential is a straight line that does not show its end.
+
+    The time constant is seventeen times the trace: it does not settle before its end.
+    """
+    fit = fit_relaxation(_TIME_S, curve(1.0, (0.2,), (1000.0,)))
+    settled = settling_time(fit, window_s=_WINDOW_S)
+    wrong = 0.0 if fit.status is FitStatus.DRIFTING and settled.censored else 1.0
+    return Answer(wrong, 0.0, unit="wrong statements", note=settled.why)
+
+
+@AREA.against("that level, settled at once")
+def constant_trace() -> Answer:
+    """A trace without any variance to explain, at a level that rounds."""
+    fit = fit_relaxation(_TIME_S, np.full(len(_TIME_S), 0.1))
+    flat = fit.status is FitStatus.FLAT and settling_time(fit, window_s=_WINDOW_S).value_s == 0.0
+    return conditioned(relative_error(fit.offset, _mp(0.1)) + (not flat), 1.0)
+
+
+@AREA.against(_ROOT)
+def settling_of_equal_time_constants() -> Answer:
+    """Opposite exponentials with the same time constant: where they cancel is a division by zero."""
+    return settled((1.0, -0.5), (20.0, 20.0))
+
+
+@AREA.against(_ROOT)
+def settling_of_cancelling_exponentials() -> Answer:
+    """Amplitudes of ±400 000 whose time constants differ by a millionth leave a curve of size 1."""
+    return settled((-4e5, 4e5 + 0.5), (20.0, 20.0 * (1 + 1e-6)))
+
+
+@AREA.against("it settles later than the trace")
+def never_settled() -> Answer:
+    """A curve that is outside its band at the end of the trace."""
+    fit = RelaxationFit(FitStatus.TWO, 1.0, (1.0, 0.5), (1.0, 2000.0), 0.0, (0.0, 0.0), 1.0, "")
+    found = settling_time(fit, window_s=_WINDOW_S)
+    return Answer(
+        0.0 if found.censored and found.value_s == _WINDOW_S else 1.0, 0.0, unit="wrong statements", note=found.why
+    )
+
+
+@AREA.against("the same deviation in fifty digits")
+def settling_times_that_agree() -> Answer:
+    """The deviation of times that agree to 1e-8 is a small difference of large squares."""
+    times = [30.0, 30.0 + 3e-7, 30.0 - 3e-7, 30.0 + 1e-7]
+    _, deviation = restricted_mean(times, [False] * 4)
+    with mpmath.workdps(DIGITS):
+        exact = [mpmath.mpf(time) for time in times]
+        mean = mpmath.fsum(exact) / 4
+        truth = mpmath.sqrt(mpmath.fsum((time - mean) ** 2 for time in exact) / 4)
+    condition = 30.0 / float(truth)
+    return conditioned(relative_error(deviation, truth), condition)
+
+
+@AREA.against("the parameters the traces were made from")
+def loads_of_sizes_a_million_apart() -> Answer:
+    """Loads that share their time constants, but one is a million times as large as another."""
+    sizes = (1e-3, 1.0, 1e3)
+    common = fit_common_relaxation([(_TIME_S, size * curve(1.0, (0.3, 0.2), (5.0, 30.0))) for size in sizes])
+    found = [*common.fit.time_constants_s, *(common.scales / (0.5 * np.array(sizes)))]
+    error = largest_relative_error(found, [5, 30, 1, 1, 1]) if len(found) == 5 else 1.0
+    condition = fit_condition(1.0, (0.3, 0.2), (5.0, 30.0))
+    return conditioned(error, condition)
+
+
+@AREA.against("the steady state of the curve, which the kernel describes exactly")
+def steady_state_without_noise() -> Answer:
+    """Frames with a noise of 1e-12 beside a prior of 10 %: weights 1e22 apart in one system of equations."""
+    return steady_without_noise(1e-12)
+
+
+@AREA.refused(NumericsError)
+def epoch_times() -> None:
+    """A time axis in seconds since 1970 leaves nothing of any exponential from the end of the ramp."""
+    fit_relaxation(_TIME_S + 1.7e9, curve(1.0, (0.3, 0.2), (5.0, 30.0)))
+
+
+@AREA.refused(NumericsError)
+def values_whose_squares_underflow() -> None:
+    """Sums of squares of values of 1e-200 are zero."""
+    fit_relaxation(_TIME_S, 1e-200 * curve(1.0, (0.3, 0.2), (5.0, 30.0)))
+
+
+@AREA.refused(NumericsError)
+def trace_with_nan() -> None:
+    """A NaN spoils every sum it is in."""
+    fit_relaxation(_TIME_S, np.where(_TIME_S == 10, np.nan, 1.0))

@@ -1,6 +1,6 @@
 """Hard cases of smoothness priors: a free constant, and almost no λ."""
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -12,15 +12,15 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import Mesh, adjacent_pattern
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import dual_matrix, laplace
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
-from cbsr_qa.studies.hard_cases.cases.reconstruction import ridge_condition
+from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
+from cbsr_qa.studies.hard_cases.cases.reconstruction import FIFTY, ridge_condition
+from cbsr_qa.studies.hard_cases.exact import DIGITS, apart
 from cbsr_qa.studies.hard_cases.sheets import RADIUS_MM, prepared, ring_mesh, usual_problem
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "reconstruction"
+AREA: Final = Area("reconstruction")
 _SEED: Final = 20261122
-_DIGITS: Final = 50
 #: Of the sheet: 168 elements, 54 independent readings whose singular values span four decades and a half.
 _ELECTRODES, _RINGS = 12, 4
 
@@ -49,9 +49,7 @@ def smooth(relative: float) -> Answer:
     readings = np.random.default_rng(_SEED).standard_normal(len(jacobian))
     found = dual_matrix(jacobian, laplace(mesh), value) @ readings
     exact = _exact(jacobian, differences, value, readings)
-    condition = ridge_condition(sizes, value)
-    error = float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
-    return Answer(error, conditioned_bound(condition), condition)
+    return conditioned(apart(found, exact), ridge_condition(sizes, value))
 
 
 def _differences(mesh: Mesh) -> Array:
@@ -70,7 +68,7 @@ def _sizes(jacobian: Array, differences: Array) -> Array:
 
 
 def _exact(jacobian: Array, differences: Array, value: float, readings: Array) -> Array:
-    with mp.workdps(_DIGITS):
+    with mp.workdps(DIGITS):
         columns = [[mp.mpf(one) for one in column] for column in jacobian.T.tolist()]
         ridge2 = mp.mpf(value) ** 2
         penalty = (2 * differences.T @ differences).tolist()  # whole numbers
@@ -82,32 +80,19 @@ def _exact(jacobian: Array, differences: Array, value: float, readings: Array) -
         return np.array([float(one) for one in mp.cholesky_solve(system, right)])
 
 
-def _squared() -> Answer:
+@AREA.against(FIFTY)
+def smooth_image_of_a_small_parameter() -> Answer:
+    """λ of a ten thousandth of the largest singular value with the Laplace prior, which leaves a constant free."""
+    return smooth(1e-4)
+
+
+@AREA.against(FIFTY)
+def smooth_image_of_next_to_no_parameter() -> Answer:
+    """λ of a thousand millionth: normal equations of the dual system would have no digit of it."""
+    return smooth(1e-9)
+
+
+@AREA.refused(NumericsError, "a refusal by λ")
+def no_regularisation_of_a_squared_system() -> None:
+    """λ = 0 with the indenter's prior, which is solved for by normal equations."""
     prepared("gauss-newton-indenter", usual_problem(), {"hyperparameter": 0.0})
-    return Answer(0.0, 0.0)
-
-
-CASES: Final[tuple[HardCase, ...]] = (
-    HardCase(
-        "smooth-image-of-a-small-parameter",
-        _AREA,
-        "λ of a ten thousandth of the largest singular value with the Laplace prior, which leaves a constant free.",
-        "the normal equations, solved in fifty digits",
-        partial(smooth, 1e-4),
-    ),
-    HardCase(
-        "smooth-image-of-next-to-no-parameter",
-        _AREA,
-        "λ of a thousand millionth: normal equations of the dual system would have no digit of it.",
-        "the normal equations, solved in fifty digits",
-        partial(smooth, 1e-9),
-    ),
-    HardCase(
-        "no-regularisation-of-a-squared-system",
-        _AREA,
-        "λ = 0 with the indenter's prior, which is solved for by normal equations.",
-        "a refusal by λ",
-        _squared,
-        NumericsError,
-    ),
-)

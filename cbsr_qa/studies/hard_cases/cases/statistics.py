@@ -1,6 +1,5 @@
 """Hard cases of statistics: tiny variances of huge values, extreme shares, noise without scatter."""
 
-from functools import partial
 from typing import Any, Final
 
 import mpmath
@@ -12,28 +11,14 @@ from cbsr_qa.calibration.sheet import best_straight_line, slope
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.eit.inverse import reading_noise
 from cbsr_qa.stats import Ask, Distribution, components, count_needed, lot_limits, one_sided_factor, two_sided_factor
-from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
 
 Array = NDArray[np.float64]
 
-_AREA: Final = "statistics"
+AREA: Final = Area("statistics")
+_CONFIDENCE: Final = "the stated confidence, by integration in twenty digits"
 _SEED: Final = 20261121
-
-
-def variances() -> Answer:
-    """Variances between and within sensors of values of 1e9 that differ by tenths."""
-    runs = [[1e9 + 0.5 * k, 1e9 + 0.5 * k + 0.1 * (k % 3)] for k in range(8)]
-    found = components(runs)
-    with mpmath.workdps(DIGITS):
-        means = [mpmath.fsum(mpmath.mpf(x) for x in run) / 2 for run in runs]
-        middle = mpmath.fsum(means) / 8
-        between = mpmath.fsum((mean - middle) ** 2 for mean in means) / 7
-        within = mpmath.fsum((mpmath.mpf(x) - m) ** 2 for run, m in zip(runs, means, strict=True) for x in run) / 8
-    # Sensors' means are numbers of 1e9 themselves, and carry their rounding.
-    condition = 2 * 1e9 / float(mpmath.sqrt(within))
-    error = largest_relative_error([found.between, found.within or 0.0], [between, within])
-    return Answer(error, conditioned_bound(condition), condition)
 
 
 def one_sided(coverage: float, confidence: float, count: int) -> Answer:
@@ -73,22 +58,6 @@ def two_sided(coverage: float, confidence: float, count: int) -> Answer:
     return Answer(shortfall, 1e-7, note=f"k = {factor:.10g}")
 
 
-def rare_failures() -> Answer:
-    """Sensors needed so that two extremes hold all but a millionth of a millionth of them."""
-    found = count_needed(1 - 1e-12, 0.95, 2)
-    with mpmath.workdps(DIGITS):
-        outside = 1 - mpmath.mpf(1 - 1e-12)
-
-        def doubt(x: Any) -> Any:
-            """Chance that fewer than two of x/p sensors are outside, beyond the one allowed."""
-            count = x / outside
-            return (1 - outside) ** (count - 1) * (1 - outside + x) - (1 - mpmath.mpf(0.95))
-
-        truth = mpmath.ceil(mpmath.findroot(doubt, 4.7) / outside)
-    # 1 − coverage is exact for a coverage above one half: nothing of it may be lost.
-    return Answer(relative_error(found, truth), conditioned_bound(1.0), 1.0)
-
-
 def limits_of(values: list[float]) -> Answer:
     """Upper limit of a lot, mean + k s, against the same in fifty digits; rounded outwards by at most 1 %."""
     runs = [[value] for value in values]
@@ -105,40 +74,123 @@ def limits_of(values: list[float]) -> Answer:
     return Answer(error, 0.011, note="limits are rounded outwards to a hundredth of their distance from the mean")
 
 
-def slope_of_offset() -> Answer:
-    """Slope of values on an offset of 1e9, at places about 1e6."""
+@AREA.against("the same variances in fifty digits")
+def variance_of_huge_values() -> Answer:
+    """Values of 1e9 that differ by tenths: their squares have no digit of the difference.
+
+    Variances between and within sensors of values of 1e9 that differ by tenths.
+    """
+    runs = [[1e9 + 0.5 * k, 1e9 + 0.5 * k + 0.1 * (k % 3)] for k in range(8)]
+    found = components(runs)
+    with mpmath.workdps(DIGITS):
+        means = [mpmath.fsum(mpmath.mpf(x) for x in run) / 2 for run in runs]
+        middle = mpmath.fsum(means) / 8
+        between = mpmath.fsum((mean - middle) ** 2 for mean in means) / 7
+        within = mpmath.fsum((mpmath.mpf(x) - m) ** 2 for run, m in zip(runs, means, strict=True) for x in run) / 8
+    # Sensors' means are numbers of 1e9 themselves, and carry their rounding.
+    condition = 2 * 1e9 / float(mpmath.sqrt(within))
+    error = largest_relative_error([found.between, found.within or 0.0], [between, within])
+    return conditioned(error, condition)
+
+
+@AREA.against(_CONFIDENCE)
+def tolerance_factor_of_a_million_sensors() -> Answer:
+    """A noncentral t with a million degrees of freedom, 1600 standard deviations from zero."""
+    return one_sided(0.95, 0.95, 1_000_000)
+
+
+@AREA.against(_CONFIDENCE)
+def tolerance_factor_of_three_sensors() -> Answer:
+    """Three sensors, a share of 1e-6 outside, a doubt of 1e-3: a factor of 151."""
+    return one_sided(0.999999, 0.999, 3)
+
+
+@AREA.against(_CONFIDENCE)
+def two_sided_tolerance_factors() -> Answer:
+    """Factors that are found by a search around an integral."""
+    return two_sided(0.95, 0.95, 10)
+
+
+@AREA.against("the binomial law in fifty digits")
+def sensors_for_rare_failures() -> Answer:
+    """All but 1e-12 of sensors: billions are needed, and one minus the share has four digits left.
+
+    Sensors needed so that two extremes hold all but a millionth of a millionth of them.
+    """
+    found = count_needed(1 - 1e-12, 0.95, 2)
+    with mpmath.workdps(DIGITS):
+        outside = 1 - mpmath.mpf(1 - 1e-12)
+
+        def doubt(x: Any) -> Any:
+            """Chance that fewer than two of x/p sensors are outside, beyond the one allowed."""
+            count = x / outside
+            return (1 - outside) ** (count - 1) * (1 - outside + x) - (1 - mpmath.mpf(0.95))
+
+        truth = mpmath.ceil(mpmath.findroot(doubt, 4.7) / outside)
+    # 1 − coverage is exact for a coverage above one half: nothing of it may be lost.
+    return conditioned(relative_error(found, truth), 1.0)
+
+
+@AREA.against("mean and deviation in fifty digits")
+def limits_of_a_narrow_lot() -> Answer:
+    """A lot at 1e9 that spreads by hundredths."""
+    return limits_of([1e9 + 0.01 * k for k in range(8)])
+
+
+@AREA.refused(NumericsError)
+def limits_of_identical_sensors() -> None:
+    """A lot without any spread has no distribution."""
+    limits_of([0.1 * 3] * 8)
+
+
+@AREA.refused(NumericsError)
+def limits_of_values_that_underflow() -> None:
+    """Variances of values of 1e-300 are zero: such a lot looks as if it had no spread."""
+    limits_of([1e-300 * k for k in range(1, 9)])
+
+
+@AREA.against("11/10, exactly")
+def slope_on_a_huge_offset() -> Answer:
+    """Rounding of places about their mean, times a level of 1e9, can be larger than any slope."""
     x, y = 1e6 + np.arange(5.0), 1e9 + np.array([0.0, 1.0, 2.0, 3.0, 4.5])
     condition = 1e9 / 4.5 + 1e6 / 4
     truth = mpmath.mpf(11) / 10
-    return Answer(relative_error(slope(x.tolist(), y.tolist()).value, truth), conditioned_bound(condition), condition)
+    return conditioned(relative_error(slope(x.tolist(), y.tolist()).value, truth), condition)
 
 
-def bend_of_offset() -> Answer:
-    """Nonlinearity of a characteristic a million spreads away from zero: half the sagitta of a parabola."""
+@AREA.against("half the sagitta of a parabola")
+def nonlinearity_far_from_zero() -> Answer:
+    """The deviation from a line whose intercept is a million times as large."""
     x = np.arange(5.0)
     line = best_straight_line((1e6 + x).tolist(), (4e6 + x**2 / 1024).tolist())
     condition = 4e6 / (2 / 1024)
-    return Answer(relative_error(line.largest, mpmath.mpf(2) / 1024), conditioned_bound(condition), condition)
+    return conditioned(relative_error(line.largest, mpmath.mpf(2) / 1024), condition)
 
 
-def noise_on_an_offset() -> Answer:
-    """Noise of readings on an offset of a million times it, with times since 1970, against that without either."""
+@AREA.against("the same readings without offset, over times from zero")
+def noise_on_an_offset_of_a_million() -> Answer:
+    """Noise on a million times its size, about a drift over times since 1970."""
     offset, frames = 1e6, 60
     readings = np.random.default_rng(_SEED).standard_normal((frames, 25))
     time_s: Array = np.arange(float(frames))
     plain = reading_noise(readings, time_s).variance
     far = reading_noise(offset + readings, 1.7e9 + time_s).variance
     condition = 2 * offset / float(np.sqrt(plain.min()))
-    return Answer(largest_relative_error(far, plain.tolist()), conditioned_bound(condition), condition)
+    return conditioned(largest_relative_error(far, plain.tolist()), condition)
 
 
-def silent_readings() -> Answer:
-    """Noise of readings that never change."""
-    return Answer(float(reading_noise(np.full((10, 20), 0.1), np.arange(10.0)).variance.max()), 0.0)
+@AREA.refused(NumericsError)
+def readings_without_noise() -> None:
+    """Readings that never change would have infinite weight."""
+    reading_noise(np.full((10, 20), 0.1), np.arange(10.0))
 
 
-def certain_equivalence() -> Answer:
-    """Two relaxations without noise: equal ones are equivalent, ones a third apart differ."""
+@AREA.against("equal is equivalent, unequal is different")
+def equivalence_without_noise() -> Answer:
+    """A test of equivalence whose standard errors are rounding.
+
+    Two relaxations without noise: equal ones are equivalent, ones a third apart differ.
+    """
     time_s: Array = 2.5 * np.arange(25.0)
     one, same, other = (
         MeasuredRelaxation(fit_common_relaxation([(time_s, 1 + share * np.exp(-time_s / 20))]), 60.0)
@@ -147,101 +199,3 @@ def certain_equivalence() -> Answer:
     wrong = int(compare_relaxations(one, same).shape is not Agreement.EQUIVALENT)
     wrong += compare_relaxations(one, other).shape is not Agreement.DIFFERENT
     return Answer(float(wrong), 0.0, unit="wrong statements")
-
-
-CASES: Final[tuple[HardCase, ...]] = (
-    HardCase(
-        "variance-of-huge-values",
-        _AREA,
-        "Values of 1e9 that differ by tenths: their squares have no digit of the difference.",
-        "the same variances in fifty digits",
-        variances,
-    ),
-    HardCase(
-        "tolerance-factor-of-a-million-sensors",
-        _AREA,
-        "A noncentral t with a million degrees of freedom, 1600 standard deviations from zero.",
-        "the stated confidence, by integration in twenty digits",
-        partial(one_sided, 0.95, 0.95, 1_000_000),
-    ),
-    HardCase(
-        "tolerance-factor-of-three-sensors",
-        _AREA,
-        "Three sensors, a share of 1e-6 outside, a doubt of 1e-3: a factor of 151.",
-        "the stated confidence, by integration in twenty digits",
-        partial(one_sided, 0.999999, 0.999, 3),
-    ),
-    HardCase(
-        "two-sided-tolerance-factors",
-        _AREA,
-        "Factors that are found by a search around an integral.",
-        "the stated confidence, by integration in twenty digits",
-        partial(two_sided, 0.95, 0.95, 10),
-    ),
-    HardCase(
-        "sensors-for-rare-failures",
-        _AREA,
-        "All but 1e-12 of sensors: billions are needed, and one minus the share has four digits left.",
-        "the binomial law in fifty digits",
-        rare_failures,
-    ),
-    HardCase(
-        "limits-of-a-narrow-lot",
-        _AREA,
-        "A lot at 1e9 that spreads by hundredths.",
-        "mean and deviation in fifty digits",
-        partial(limits_of, [1e9 + 0.01 * k for k in range(8)]),
-    ),
-    HardCase(
-        "limits-of-identical-sensors",
-        _AREA,
-        "A lot without any spread has no distribution.",
-        "refusal",
-        partial(limits_of, [0.1 * 3] * 8),
-        NumericsError,
-    ),
-    HardCase(
-        "limits-of-values-that-underflow",
-        _AREA,
-        "Variances of values of 1e-300 are zero: such a lot looks as if it had no spread.",
-        "refusal",
-        partial(limits_of, [1e-300 * k for k in range(1, 9)]),
-        NumericsError,
-    ),
-    HardCase(
-        "slope-on-a-huge-offset",
-        _AREA,
-        "Rounding of places about their mean, times a level of 1e9, can be larger than any slope.",
-        "11/10, exactly",
-        slope_of_offset,
-    ),
-    HardCase(
-        "nonlinearity-far-from-zero",
-        _AREA,
-        "The deviation from a line whose intercept is a million times as large.",
-        "half the sagitta of a parabola",
-        bend_of_offset,
-    ),
-    HardCase(
-        "noise-on-an-offset-of-a-million",
-        _AREA,
-        "Noise on a million times its size, about a drift over times since 1970.",
-        "the same readings without offset, over times from zero",
-        noise_on_an_offset,
-    ),
-    HardCase(
-        "readings-without-noise",
-        _AREA,
-        "Readings that never change would have infinite weight.",
-        "refusal",
-        silent_readings,
-        NumericsError,
-    ),
-    HardCase(
-        "equivalence-without-noise",
-        _AREA,
-        "A test of equivalence whose standard errors are rounding.",
-        "equal is equivalent, unequal is different",
-        certain_equivalence,
-    ),
-)

@@ -57,7 +57,7 @@ def test_any_contrast_with_any_contacts_is_right_or_refused(kind, contrast, cont
 @drawn(8)
 def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, ratio, of_contacts):
     with suppress(ValueRangeError):
-        check(_sensitivities(lambda: islands(10**contrast), 10**ratio, of_contacts))
+        check(_sensitivities(islands(10**contrast), 10**ratio, of_contacts))
 
 
 @given(seed=st.integers(0, 2**32 - 1), decades=st.floats(0, 8))
@@ -71,7 +71,7 @@ def test_any_scatter_of_conductances_is_right(seed, decades):
 @given(base=st.floats(-4, 4), log_factor=st.floats(-4, 4))
 @_FEW
 def test_any_load_on_any_sheet_is_right_by_local_update(base, log_factor):
-    check(loaded(lambda: islands(10**base), 10**log_factor))
+    check(loaded(islands(10**base), 10**log_factor))
 
 
 @given(offset=st.floats(-3, 12))
