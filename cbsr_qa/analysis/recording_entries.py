@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file import attribute
-from cbsr_qa.config import echo, printable
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
+from cbsr_qa.plugin import echo, printable
 
 #: Characters of one text: names have some tens, notes some hundreds.
 _LONGEST_TEXT: Final = 1000

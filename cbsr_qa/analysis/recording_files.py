@@ -27,10 +27,10 @@ from cbsr_qa.analysis.recording_entries import (
     unit_of,
 )
 from cbsr_qa.calibration.file import attribute, attribute_names, members
-from cbsr_qa.config import echo
 from cbsr_qa.domain import CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.run import Load, LoadRecord
+from cbsr_qa.plugin import echo
 from cbsr_qa.system import written_whole
 
 FORMAT: Final = "cbsr-recording"

@@ -11,8 +11,9 @@ from difflib import get_close_matches
 from enum import StrEnum
 from typing import Any, TypeVar
 
-from cbsr_qa.config import echo, not_finite
+from cbsr_qa.config import not_finite
 from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.plugin import echo
 
 _Word = TypeVar("_Word", bound=StrEnum)
 

@@ -41,17 +41,11 @@ from .serials import (
 )
 from .tables import (
     FileModel as FileModel,
-    Problem as Problem,
-    Table as Table,
-    dotted as dotted,
     validated as validated,
 )
 from .text import (
-    KeyPath as KeyPath,
-    echo as echo,
     line_of as line_of,
     one_line as one_line,
-    printable as printable,
     toml_document as toml_document,
     toml_value as toml_value,
 )

@@ -11,8 +11,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cbsr_qa.config.text import echo, printable
 from cbsr_qa.domain import ConfigError
+from cbsr_qa.plugin import echo, printable
 
 #: Larger than any configuration anybody writes by hand; a recording given by mistake is not read into memory.
 LARGEST_FILE_BYTES = 1_000_000

@@ -12,10 +12,11 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
-from cbsr_qa.config.tables import FileModel, Problem, Table, Word, refusal, validated
+from cbsr_qa.config.tables import FileModel, Word, refusal, validated
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.results import Limit, LimitsVersion
+from cbsr_qa.plugin import Problem, Table
 
 VersionName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Words = Annotated[str, Field(max_length=1000)]

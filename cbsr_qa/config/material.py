@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.config.tables import FileModel, Problem, Table
-from cbsr_qa.config.text import KeyPath
+from cbsr_qa.config.tables import FileModel
 from cbsr_qa.domain.sensor import Material, MeasuredKernel, Parameter, QuasiStatic, Relaxation, StripRelaxation
+from cbsr_qa.plugin import KeyPath, Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
 Strain = Annotated[float, Field(gt=0, lt=1)]

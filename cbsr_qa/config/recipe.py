@@ -8,9 +8,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, version_problems
-from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
+from cbsr_qa.config.tables import FileModel, OpenTable
 from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe
 from cbsr_qa.domain.results import CharacterisationSettings, OverlapBand
+from cbsr_qa.plugin import Problem, Table
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 Percent = Annotated[float, Field(gt=0, le=100)]

@@ -6,9 +6,10 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from cbsr_qa.config.station import IndenterTable
-from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
+from cbsr_qa.config.tables import FileModel, OpenTable
 from cbsr_qa.config.text import plainly
 from cbsr_qa.domain.plan import CLEARANCE_MM, MOST_FRAMES, Motion, PluginChoice, Scene, SceneLoad, ScenePlan
+from cbsr_qa.plugin import Problem, Table
 
 
 def _printable(text: str) -> str:

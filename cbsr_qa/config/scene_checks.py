@@ -6,11 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from cbsr_qa.config.loader import Loaded
-from cbsr_qa.config.tables import Problem, refusal
+from cbsr_qa.config.tables import refusal
 from cbsr_qa.config.text import plainly
 from cbsr_qa.domain.plan import PressTimes, SceneLoad, ScenePlan, approach_s, distance_mm, press_times, travel_s
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.plugin import Problem
 from cbsr_qa.simulate import finest_mesh_mm
 
 _ROUNDING_S = 1e-9  # of times that are sums of others

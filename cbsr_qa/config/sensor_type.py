@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, PlainValidator
 
-from cbsr_qa.config.tables import FileModel, Problem, Table
+from cbsr_qa.config.tables import FileModel
 from cbsr_qa.domain import CbsrError, RefusedError
 from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline, polygon_problems, rounding_problems
 from cbsr_qa.domain.sensor import (
@@ -34,6 +34,7 @@ from cbsr_qa.domain.sensor import (
     width_problem,
 )
 from cbsr_qa.eit.mesh import mesh_sensor
+from cbsr_qa.plugin import Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]

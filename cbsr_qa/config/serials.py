@@ -3,8 +3,8 @@
 import re
 import unicodedata
 
-from cbsr_qa.config.text import echo
 from cbsr_qa.domain import ConfigError
+from cbsr_qa.plugin import echo
 
 LONGEST = 64
 

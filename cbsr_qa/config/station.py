@@ -9,10 +9,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from cbsr_qa.config.documents import reference_path
-from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table, Word
+from cbsr_qa.config.tables import FileModel, OpenTable, Word
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing, SafetyLimits, Station
 from cbsr_qa.domain.run import Indenter
+from cbsr_qa.plugin import Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]

@@ -1,7 +1,5 @@
 """Documents as TOML text: what configuration files are written with.
 
-Repeating what somebody typed without letting it flood or upset a terminal.
-
 On which line of a TOML file a key stands: cheap, for error messages only.
 """
 
@@ -11,17 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
-
-def echo(text: str, longest: int = 60) -> str:
-    """Return text quoted, control characters escaped, cut after ``longest`` characters with its full length said."""
-    if len(text) <= longest:
-        return repr(text)
-    return f"{text[:longest]!r}… ({len(text)} characters)"
-
-
-def printable(text: str) -> str:
-    """Return text as it is where it can be printed, otherwise quoted and escaped as by :func:`echo`."""
-    return text if text.isprintable() else echo(text, 200)
+from cbsr_qa.plugin import KeyPath
 
 
 def plainly(number: float) -> str:
@@ -29,8 +17,6 @@ def plainly(number: float) -> str:
     short = f"{number:g}"
     return short if float(short) == number else repr(number)
 
-
-KeyPath = tuple[str | int, ...]
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_.-]|"[^"]*"|'[^']*')+)\s*=""")

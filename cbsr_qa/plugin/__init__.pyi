@@ -30,4 +30,15 @@ from .interfaces import (
     SheetEffect as SheetEffect,
     SwitchingEffect as SwitchingEffect,
 )
+from .options import (
+    PluginOptions as PluginOptions,
+    WithOptions as WithOptions,
+)
+from .problems import (
+    CheckedTable as CheckedTable,
+    Problem as Problem,
+    Table as Table,
+    check as check,
+)
 from .software import kind_named as kind_named, software_versions as software_versions
+from .words import KeyPath as KeyPath, dotted as dotted, echo as echo, printable as printable, shown as shown

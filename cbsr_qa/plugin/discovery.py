@@ -1,7 +1,6 @@
 """Finding plugins: one door, lazily, and a plugin that fails takes nothing else down."""
 
 import importlib
-import inspect
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.plugin import hooks as hookspecs
 from cbsr_qa.plugin.failures import contained, failure
 from cbsr_qa.plugin.hooks import PROJECT, Kind
+from cbsr_qa.plugin.options import options_of
 
 Factory = Callable[..., Any]
 
@@ -182,30 +182,13 @@ def made(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
     ConfigError
         If it refuses its options; the message names where they are given.
     """
-    factory = plugins.factory(kind, choice.name)
+    factory, who = plugins.factory(kind, choice.name), f"{where}: {kind} {choice.name!r}"
     try:
-        with contained(f"{where}: {kind} {choice.name!r}"):
+        with contained(who):
+            options_of(factory).read(choice.options)
             return factory(**choice.options)
     except ConfigError as error:
-        raise ConfigError(f"{where}: {error.reason}", remedy=error.remedy) from error
-    except PluginError as error:
-        untaken = _untaken(factory, kind, choice, where) if isinstance(error.__cause__, TypeError) else None
-        raise untaken or error from error.__cause__
-
-
-def _untaken(factory: Factory, kind: Kind, choice: PluginChoice, where: str) -> ConfigError | None:
-    """Say which options a factory does not take, or lacks; None if its TypeError came from elsewhere."""
-    taken = inspect.signature(factory).parameters
-    wrong = [name for name in choice.options if name not in taken]
-    lacking = [name for name, p in taken.items() if p.default is p.empty and name not in choice.options]
-    if any(p.kind is p.VAR_KEYWORD for p in taken.values()) or not (wrong or lacking):
-        return None
-    near = [close for name in wrong for close in get_close_matches(name, taken, n=1)]
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    said = f"takes no option {wrong[0]!r}" if wrong else f"needs option {lacking[0]!r}"
-    return ConfigError(
-        f"{where}: {kind} {choice.name!r} {said}", remedy=f"{hint}options: {', '.join(taken) or 'none'}"
-    )
+        raise ConfigError(f"{who}: {error.reason}", remedy=error.remedy) from error
 
 
 def left_running(before: Iterable[threading.Thread]) -> list[str]:

@@ -4,8 +4,8 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from cbsr_qa.config import printable
 from cbsr_qa.domain.results import Block, Page, Paragraph, Section, Table
+from cbsr_qa.plugin import printable
 
 _WIDTH: Final = 100
 _INDENT: Final = "  "

@@ -7,9 +7,9 @@ from datetime import UTC, timedelta
 from itertools import pairwise
 from typing import Final, TypeVar
 
-from cbsr_qa.config import echo
 from cbsr_qa.domain import RefusedError, did_you_mean, of_kind
 from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
+from cbsr_qa.plugin import echo
 from cbsr_qa.report import named, plural
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.limits import measuring_digest

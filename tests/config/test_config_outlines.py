@@ -160,9 +160,9 @@ def test_mistakes_of_every_kind_are_listed_together(refused):
 @pytest.mark.parametrize(
     ("sheet", "said"),
     [
-        ("radius_mm = 1e150", "sensor_type.radius_mm is 1e+150; it must be less than or equal to"),
-        ("radius_mm = 1e-150", "sensor_type.radius_mm is 1e-150; it must be greater than or equal to 0.001"),
-        (OUTLINE.replace("[-60, -40]", "[-60, -1e80]"), "is -1e+80; it must be greater than or equal to -1"),
+        ("radius_mm = 1e150", "sensor_type.radius_mm is 1e+150; it must be a number from"),
+        ("radius_mm = 1e-150", "sensor_type.radius_mm is 1e-150; it must be a number from 0.001"),
+        (OUTLINE.replace("[-60, -40]", "[-60, -1e80]"), "is -1e+80; it must be a number from -1"),
         ("outline_mm = [[0, 0], [1e-6, 0], [0, 1e-6]]", "a sheet has at least 0.001 mm"),
     ],
 )

@@ -65,7 +65,7 @@ def _changed(**changes):
     ("kernel", "key", "said"),
     [
         (_changed(time_constants_s=(2.5,)), "time_constants_s", "has 1 numbers, weights 2"),
-        (_changed(time_constants_s=(2.5, -1.0)), "time_constants_s[2]", "greater than 0"),
+        (_changed(time_constants_s=(2.5, -1.0)), "time_constants_s[2]", "above 0"),
         (_changed(covariance=((1.0, 0.0), (0.0, 1.0))), "covariance", "4 rows of 4 numbers"),
         (_changed(covariance=tuple(map(tuple, np.triu(np.ones((4, 4))).tolist()))), "covariance", "symmetric"),
         (_kernel(-0.2, -0.5, correlation=-0.6), "covariance", "a variance would be negative"),

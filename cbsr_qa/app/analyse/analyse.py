@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording, guarded, recognised
 from cbsr_qa.app.analyse.document import recording_document, result_document, unread_document
 from cbsr_qa.app.run import report_sections
-from cbsr_qa.config import DocumentKind, echo, load_sensor_type, reports_folder, shipped_names
+from cbsr_qa.config import DocumentKind, load_sensor_type, reports_folder, shipped_names
 from cbsr_qa.domain import CbsrError, ConfigError, NumericsError, RecordingError, RowProblem
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, RecordingResult, ScanKind
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.plugin import Kind, Plugins, Reconstruction, RecordingFormat, discover, made
+from cbsr_qa.plugin import Kind, Plugins, Reconstruction, RecordingFormat, discover, echo, made
 from cbsr_qa.report import render_recording, report_name, write_report
 
 #: Ratio of the readings' sizes. Rods in a tank change it by 8 %, a sheet measured again differs by 16 %.

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from typing import Final
 
-from cbsr_qa.config import database_url, echo
+from cbsr_qa.config import database_url
 from cbsr_qa.domain import NumericsError, RefusedError, did_you_mean, of_kind
 from cbsr_qa.domain.results import RunLine
 from cbsr_qa.domain.run import ChartReference, StandingSignal
+from cbsr_qa.plugin import echo
 from cbsr_qa.report import named, plural
 from cbsr_qa.store import Repository, RunFilter, open_store
 from cbsr_qa.studies.charts.charting import MetricChart, metric_chart, no_chart, reference_figures, standard_of

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
-from cbsr_qa.config import echo
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
+from cbsr_qa.plugin import echo
 from cbsr_qa.report import named
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.figure_series import Series, series_of

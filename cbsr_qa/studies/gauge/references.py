@@ -10,9 +10,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cbsr_qa.config import DocumentKind, FileModel, Table, echo, open_document, validated
+from cbsr_qa.config import DocumentKind, FileModel, open_document, validated
 from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.domain.results import RunLine
+from cbsr_qa.plugin import Table, echo
 from cbsr_qa.stats import Estimate
 from cbsr_qa.stats.gauge import bias, linearity, stability
 from cbsr_qa.studies.figure_series import Series, clock_notes

@@ -13,20 +13,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cbsr_qa.config import (
-    DocumentKind,
-    FileModel,
-    KeyPath,
-    Problem,
-    Table,
-    dotted,
-    echo,
-    line_of,
-    open_document,
-    validated,
-)
+from cbsr_qa.config import DocumentKind, FileModel, line_of, open_document, validated
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import MetricKey, RunLine
+from cbsr_qa.plugin import KeyPath, Problem, Table, dotted, echo
 from cbsr_qa.studies.gauge.references import ReferenceTable, ReferenceValue
 
 #: What may be an appraiser.

@@ -12,9 +12,10 @@ from typing import Annotated
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.config import database_url, echo
+from cbsr_qa.config import database_url
 from cbsr_qa.domain import NumericsError, RefusedError, of_kind
 from cbsr_qa.domain.results import MetricKey, RunLine
+from cbsr_qa.plugin import echo
 from cbsr_qa.report import named, plural
 from cbsr_qa.stats.gauge import (
     GaugeAnova,

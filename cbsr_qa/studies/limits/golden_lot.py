@@ -11,9 +11,10 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.config import canonical_json, echo, validate_serial
+from cbsr_qa.config import canonical_json, validate_serial
 from cbsr_qa.domain import RefusedError, did_you_mean
 from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.plugin import echo
 from cbsr_qa.report import named
 from cbsr_qa.store import Repository
 from cbsr_qa.store.results import StoredAnalysis

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from cbsr_qa.config import echo
 from cbsr_qa.domain import RefusedError, did_you_mean
 from cbsr_qa.domain.results import Bound, Limit, Measurement
+from cbsr_qa.plugin import echo
 from cbsr_qa.studies.limits.golden_lot import Lot, LotRun
 
 #: What one limit judges: measurement, phase, qualifier.

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Final
 
-from cbsr_qa.config import echo
 from cbsr_qa.domain import RefusedError, did_you_mean
 from cbsr_qa.domain.results import Limit, Measurement, MetricKey, Outcome
+from cbsr_qa.plugin import echo
 from cbsr_qa.stats import (
     FEWEST_REPEATS,
     Ask,

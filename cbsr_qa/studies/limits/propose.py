@@ -7,9 +7,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.config import database_url, echo, limits_digest, one_line, toml_value
+from cbsr_qa.config import database_url, limits_digest, one_line, toml_value
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Limit
+from cbsr_qa.plugin import echo
 from cbsr_qa.report import plural
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.limits.golden_lot import Lot, LotChoice, gather

@@ -1,14 +1,10 @@
-"""What metrics share: checking of options, and labels of what was measured at a load.
+"""What metrics share: labels of what was measured at a load, a number in percent, and a refusal with its reason."""
 
-What metrics of a whole run share: a figure in percent, and a refusal with its reason.
-"""
-
-from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
-from typing import Any, Final
+from collections.abc import Iterator
+from typing import Final
 
 from cbsr_qa.calibration.sheet import Estimate
-from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import Bound, LoadObservation, MaskView, Measurement, RunObservation
 
 _NOT_DETECTED: Final = "not detected: no positive element of the image stands above the noise floor"
@@ -21,38 +17,6 @@ def why_not(view: MaskView) -> str:
     if not view.regions:
         return _NOT_DETECTED
     return _MERGED if view.fate == "merged" else _UNASSIGNED
-
-
-def refuse_unknown(metric: str, options: Mapping[str, Any], allowed: tuple[str, ...] = ()) -> None:
-    """Refuse options a metric does not have.
-
-    Raises
-    ------
-    ConfigError
-        Naming the metric, the option, the nearest valid one and all that are allowed.
-    """
-    for name in options:
-        if name in allowed:
-            continue
-        near = get_close_matches(name, allowed, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise ConfigError(
-            f"metric {metric!r} has no option {name!r}", remedy=f"{hint}allowed: {', '.join(allowed) or 'none'}"
-        )
-
-
-def flag(metric: str, options: Mapping[str, Any], name: str) -> bool:
-    """Return an option that is true or false, false where it is not given.
-
-    Raises
-    ------
-    ConfigError
-        If it is something else.
-    """
-    value = options.get(name, False)
-    if not isinstance(value, bool):
-        raise ConfigError(f"metric {metric!r}: option {name!r} is {value!r}", remedy="it must be true or false")
-    return value
 
 
 def masks_of(load: LoadObservation, run: RunObservation) -> Iterator[tuple[MaskView, str]]:

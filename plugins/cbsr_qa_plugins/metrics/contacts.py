@@ -3,17 +3,17 @@
 Reciprocity: exchanging drive and measure pair must not change a reading.
 """
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from cbsr_qa.analysis.run import reciprocity_errors
 from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
 from cbsr_qa.domain.results import Measurement, RunObservation
-from cbsr_qa_plugins.metrics._shared import flag, refuse_unknown
+from cbsr_qa.plugin import PluginOptions, WithOptions
 
 
-class ReciprocityError:
+class ReciprocityError(WithOptions):
     """``reciprocity_error`` [1] of the reference frame: rms |V_ij − V_ji| over rms |V| of the imaged readings.
 
     Of patterns that drive other pairs than they measure the readings that are still reciprocal to each other are
@@ -24,11 +24,11 @@ class ReciprocityError:
     option ``every = true`` each pair's is a measurement of its own, ``"drive 3, measure 7"``.
     """
 
-    measures: ClassVar[dict[str, str]] = {"reciprocity_error": "1"}
+    class Options(PluginOptions):
+        every: bool = False
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("reciprocity", options, ("every",))
-        self._every = flag("reciprocity", options, "every")
+    measures: ClassVar[dict[str, str]] = {"reciprocity_error": "1"}
+    options: Options
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; patterns without reciprocal readings have no value."""
@@ -43,7 +43,7 @@ class ReciprocityError:
             Measurement("reciprocity_error", float(np.sqrt(np.mean(errors**2))), "1", how=together),
             Measurement("reciprocity_error", float(errors[worst]), "1", qualifier="worst", how=names[worst]),
         ]
-        if self._every:
+        if self.options.every:
             found += [
                 Measurement(
                     "reciprocity_error", float(error), "1", qualifier=name, how="against its reciprocal reading"
@@ -71,9 +71,6 @@ class ContactResistance:
         "interelectrode_resistance": "Ω",
         "contact_resistance_ratio": "1",
     }
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("contact-resistance", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; a pair at the source's limit, or frames without volts and current, give no value."""

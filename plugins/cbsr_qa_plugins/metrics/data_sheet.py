@@ -12,9 +12,10 @@ How far the output on the way down lies from that on the way up, at the same str
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Final
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
+from pydantic import Field
 
 from cbsr_qa.calibration.fits import (
     FROM_S,
@@ -45,10 +46,11 @@ from cbsr_qa.calibration.sheet import (
     terminal_line,
     why_no_force,
 )
-from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
-from cbsr_qa_plugins.metrics._shared import counted, percent, refuse_unknown, refused
+from cbsr_qa.plugin import PluginOptions, WithOptions
+from cbsr_qa_plugins.metrics._shared import counted, percent, refused
 
 
 class Repeatability:
@@ -60,9 +62,6 @@ class Repeatability:
     """
 
     measures: ClassVar[dict[str, str]] = {"repeatability": "%"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("repeatability", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Pool the scatter of the trials."""
@@ -103,9 +102,6 @@ class Nonlinearity:
 
     measures: ClassVar[dict[str, str]] = {"nonlinearity": "%"}
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("nonlinearity", options)
-
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Draw the lines of the mean and of each location."""
         loads = data_sheet_loads(run)
@@ -144,7 +140,7 @@ def _of(curve: Characteristic, scatter: float | None, line: int) -> Measurement:
 _KINDS = ("", SIGNAL, STRESS)
 
 
-class Creep:
+class Creep(WithOptions):
     """``creep`` [% of the end value]: change of the signal from a stated time after the ramp to the end of the hold.
 
     ISA-51.1's change of output at constant input over a stated time. The head holds the strain, so the stress relaxes
@@ -153,17 +149,14 @@ class Creep:
 
     Parameters
     ----------
-    from_s : the stated time; default 5.
+    from_s : the stated time.
     """
 
-    measures: ClassVar[dict[str, str]] = {"creep": "%"}
+    class Options(PluginOptions):
+        from_s: Annotated[float, Field(gt=0, lt=3600)] = FROM_S
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("creep", options, ("from_s",))
-        value = options.get("from_s", FROM_S)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 3600:
-            raise ConfigError(f"metric 'creep': from_s is {value!r}", remedy="allowed: a number from 0 to 3600")
-        self._from_s = float(value)
+    measures: ClassVar[dict[str, str]] = {"creep": "%"}
+    options: Options
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the holds of the commonest length together."""
@@ -171,7 +164,9 @@ class Creep:
             loads, hold_s = held_alike(data_sheet_loads(run), _hold_s)
         except NumericsError as error:
             return (refused("creep", "%", error),)
-        how = f"from {self._from_s:g} s after the ramp to the end of {hold_s:g} s; {counted(len(loads), 'hold')}"
+        how = (
+            f"from {self.options.from_s:g} s after the ramp to the end of {hold_s:g} s; {counted(len(loads), 'hold')}"
+        )
         return tuple(self._one(kind, loads, run.settings.steady_frames, how) for kind in _KINDS)
 
     def _one(self, kind: str, loads: tuple[LoadObservation, ...], frames: int, how: str) -> Measurement:
@@ -184,8 +179,8 @@ class Creep:
 
     def _estimate(self, kind: str, loads: tuple[LoadObservation, ...], frames: int) -> Estimate:
         if kind:
-            return creep(loads, kind, from_s=self._from_s, frames=frames)
-        return creep_at_constant_stress(loads, from_s=self._from_s, frames=frames)
+            return creep(loads, kind, from_s=self.options.from_s, frames=frames)
+        return creep_at_constant_stress(loads, from_s=self.options.from_s, frames=frames)
 
 
 def _hold_s(load: LoadObservation) -> float:
@@ -200,9 +195,6 @@ class ZeroReturn:
     """
 
     measures: ClassVar[dict[str, str]] = {"zero_return": "%"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("zero-return", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the rests of the commonest length together."""
@@ -237,9 +229,6 @@ class Hysteresis:
     """
 
     measures: ClassVar[dict[str, str]] = {"hysteresis": "%"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("hysteresis", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Compare the branches of all loops."""
@@ -284,9 +273,6 @@ class PreconditioningChange:
     """
 
     measures: ClassVar[dict[str, str]] = {_NAME: "%", "preconditioning_cycles": "1"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("preconditioning-change", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Compare the last two cycles of every location."""

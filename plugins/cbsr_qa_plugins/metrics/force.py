@@ -6,9 +6,10 @@ How well the sensor tells force: errors of loads it was not learned from, its ma
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
+from pydantic import Field
 
 from cbsr_qa.analysis import Verification, verify_calibration
 from cbsr_qa.analysis.run import (
@@ -34,7 +35,7 @@ from cbsr_qa.calibration.sheet import Estimate
 from cbsr_qa.config import calibrations_folder
 from cbsr_qa.domain import CbsrError, ConfigError
 from cbsr_qa.domain.results import Measurement, RunObservation
-from cbsr_qa_plugins.metrics._shared import refuse_unknown
+from cbsr_qa.plugin import PluginOptions, Problem, WithOptions, shown
 
 KNOWN: Final = "place known"
 ESTIMATED: Final = "place estimated"
@@ -71,9 +72,6 @@ class ForceError:
         "minimum_detectable_force": "N",
         "gauge_factor": "1",
     }
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("force-error", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without a force model nothing has a value, and ``how`` says why."""
@@ -198,7 +196,7 @@ def _without(name: str, qualifier: str, why: str) -> Measurement:
     return Measurement(name, None, ForceError.measures[name], qualifier=qualifier, how=why)
 
 
-class CalibrationCheck:
+class CalibrationCheck(WithOptions):
     """A run's loads against the calibration of the same sensor.
 
     ``sensitivity_change`` [%]: of estimated over measured force, all loads together; ``calibrated_force_error`` [N]
@@ -210,6 +208,15 @@ class CalibrationCheck:
     calibration : a calibration file; by default the latest of the sensor's serial in the calibrations folder.
     """
 
+    class Options(PluginOptions):
+        calibration: Annotated[str, Field(min_length=1)] | None = None
+
+        def problems(self) -> Iterator[Problem]:
+            """Five minutes at the station are not spent on a file that is not there."""
+            if self.calibration is not None and not Path(self.calibration).is_file():
+                what = "it must be the path of a calibration file, from the folder the run is started in"
+                yield Problem(("calibration",), f"is {shown(self.calibration)}, where no file is", what)
+
     measures: ClassVar[dict[str, str]] = {
         "sensitivity_change": "%",
         "calibrated_force_error": "N",
@@ -217,25 +224,13 @@ class CalibrationCheck:
         "noise_ratio": "1",
     }
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("calibration-check", options, ("calibration",))
-        given = options.get("calibration")
-        if given is not None and not (isinstance(given, str) and given):
-            raise ConfigError(
-                f"metric 'calibration-check': calibration is {given!r}", remedy="it is the path of a calibration file"
-            )
-        self._path = None if given is None else Path(given)
-        # Before anything moves: five minutes at the station are not spent on a file that is not there.
-        if self._path is not None and not self._path.is_file():
-            raise ConfigError(
-                f"metric 'calibration-check': there is no file {given}",
-                remedy="it is the path of a calibration file, from the folder the run is started in",
-            )
+    options: Options
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without a calibration that fits, everything is without value and says why."""
         try:
-            path = self._path or _latest(run.record.identity.sensor.serial)
+            given = self.options.calibration
+            path = Path(given) if given else _latest(run.record.identity.sensor.serial)
             found = verify_calibration(run, Calibration(read_contained(path)))
         except CbsrError as error:
             return tuple(Measurement(name, None, unit, how=error.reason) for name, unit in self.measures.items())

@@ -10,7 +10,7 @@ How the grid of places as a whole is seen shifted, turned and scaled, and what e
 """
 
 from dataclasses import astuple
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Bound, Image, LoadObservation, Measurement, RunObservation
 from cbsr_qa.domain.sensor import Response
 from cbsr_qa.eit.imaging import GreitFigures, Registration, TwoTouch, greit_figures, register, two_touch_resolution
-from cbsr_qa_plugins.metrics._shared import at_load, masks_of, refuse_unknown
+from cbsr_qa_plugins.metrics._shared import at_load, masks_of
 
 _NAMES: Final = ("amplitude_response", "position_error", "resolution", "shape_deformation", "ringing")
 
@@ -33,9 +33,6 @@ class GreitFiguresOfMerit:
     """
 
     measures: ClassVar[dict[str, str]] = {name: "mm" if name == "position_error" else "1" for name in _NAMES}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("greit-figures", options)
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; an image without a positive element has no figures."""
@@ -79,9 +76,6 @@ class LoadAssignment:
 
     measures: ClassVar[dict[str, str]] = {"false_regions": "1", "missed_loads": "1", "merged_loads": "1"}
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("load-assignment", options)
-
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Count under each mask."""
         return tuple(
@@ -122,9 +116,6 @@ class TwoTouchResolution:
 
     measures: ClassVar[dict[str, str]] = {"two_touch_resolution": "mm"}
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("two-touch-resolution", options)
-
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure both ways."""
         mask = min(run.main_mask, _HIGHEST)
@@ -161,9 +152,6 @@ class RegistrationOfPlaces:
     """
 
     measures: ClassVar[dict[str, str]] = {**_WHOLE, "registered_centre_of_mass_error": "mm"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("registration", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Register the loads that were seen."""
@@ -218,9 +206,6 @@ class SizeResponseMetric:
     """
 
     measures: ClassVar[dict[str, str]] = {"size_response": "1", "region_area": "mm²"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("size-response", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; where no target fits the sheet there is no value."""

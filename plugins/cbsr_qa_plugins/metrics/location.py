@@ -8,7 +8,7 @@ SD: mean squared distance of the sensed region's outline from the indenter's (pa
 """
 
 from math import hypot
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from cbsr_qa.analysis.run import EstimatedLoad, estimated_loads
 from cbsr_qa.domain.plan import AnalysisSettings
@@ -23,7 +23,7 @@ from cbsr_qa.domain.results import (
     RunObservation,
 )
 from cbsr_qa.eit.imaging import area_overlap_percent, centre_of_mass_error_mm, overlap_grade, shape_deviation_mm2
-from cbsr_qa_plugins.metrics._shared import at_load, masks_of, refuse_unknown, why_not
+from cbsr_qa_plugins.metrics._shared import at_load, masks_of, why_not
 
 
 class CentreOfMassError:
@@ -33,9 +33,6 @@ class CentreOfMassError:
     """
 
     measures: ClassVar[dict[str, str]] = {"centre_of_mass_error": "mm"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("centre-of-mass-error", options)
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure the sensed blob under each mask; without a blob there is no value."""
@@ -62,9 +59,6 @@ class AreaOverlap:
     """
 
     measures: ClassVar[dict[str, str]] = {"area_overlap": "%", "area_ratio": "1"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("area-overlap", options)
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure the sensed blob under each mask; without a blob there is no value."""
@@ -102,9 +96,6 @@ class ShapeDeviation:
 
     measures: ClassVar[dict[str, str]] = {"shape_deviation": "mm²"}
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("shape-deviation", options)
-
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure the sensed blob under each mask; without a blob there is no value."""
         place, mode = load.record.load, run.settings.perimeter
@@ -135,9 +126,6 @@ class LoadEstimates:
         "estimated_area_contrast": "mm²",
         "detectability": "1",
     }
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("load-estimate", options)
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; loads held together with others are not estimated."""

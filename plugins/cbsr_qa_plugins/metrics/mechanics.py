@@ -6,7 +6,7 @@ How stiff the sheet is under the head.
 """
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from cbsr_qa.calibration.sheet import (
 )
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
-from cbsr_qa_plugins.metrics._shared import at_load, counted, percent, refuse_unknown, refused
+from cbsr_qa_plugins.metrics._shared import at_load, counted, percent, refused
 
 #: With this qualifier the spread is that of ρ̄₀ as it is, imaging included.
 AS_IMAGED = "baseline conductance"
@@ -36,9 +36,6 @@ class Uniformity:
     """
 
     measures: ClassVar[dict[str, str]] = {"uniformity": "%"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("uniformity", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Spread the locations."""
@@ -70,9 +67,6 @@ class ApparentModulus:
     """
 
     measures: ClassVar[dict[str, str]] = {_NAME: _UNIT}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("apparent-modulus", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure every location, then put them together."""
@@ -152,9 +146,6 @@ class AppliedForce:
     """``force`` [N] of each load: the load cell's mean over the steady frames. It has no options."""
 
     measures: ClassVar[dict[str, str]] = {"force": "N"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("applied-force", options)
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without a load cell there is no value."""

@@ -5,7 +5,7 @@ NF: how much of the readings' signal-to-noise ratio the image loses, with this s
 Noise of the unloaded images: the floor that masks subtract, and σ_n over time.
 """
 
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from cbsr_qa.analysis.run import FEWEST_FRAMES, signal_to_noise_dB
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
 from cbsr_qa.eit.inverse import changes
-from cbsr_qa_plugins.metrics._shared import flag, refuse_unknown
+from cbsr_qa.plugin import PluginOptions, WithOptions
 
 #: Frames that leave a scatter worth the name.
 _FEWEST_FRAMES: Final = 4
@@ -29,9 +29,6 @@ class NoiseFigure:
     """
 
     measures: ClassVar[dict[str, str]] = {"noise_figure": "1"}
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("noise-figure", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without noise there is no value."""
@@ -136,9 +133,6 @@ class ImageNoise:
 
     measures: ClassVar[dict[str, str]] = {"noise_floor": "1", "conductance_noise": "1"}
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("image-noise", options)
-
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; σ_n needs two unloaded frames."""
         frames = len(run.noise_images)
@@ -167,7 +161,7 @@ def _over_time(run: RunObservation) -> tuple[Measurement, Measurement]:
     )
 
 
-class ChannelNoise:
+class ChannelNoise(WithOptions):
     """``channel_snr`` [dB], median and worst over the imaged readings, and ``drift`` [%/min] of the unloaded sheet.
 
     A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
@@ -175,11 +169,11 @@ class ChannelNoise:
     ``every = true`` each imaged reading's ratio is a measurement of its own, ``"drive 3, measure 7"``.
     """
 
-    measures: ClassVar[dict[str, str]] = {"channel_snr": "dB", "drift": "%/min"}
+    class Options(PluginOptions):
+        every: bool = False
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("channel-noise", options, ("every",))
-        self._every = flag("channel-noise", options, "every")
+    measures: ClassVar[dict[str, str]] = {"channel_snr": "dB", "drift": "%/min"}
+    options: Options
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; fewer than three unloaded frames, or frames that are all alike, give no ratio."""
@@ -187,7 +181,7 @@ class ChannelNoise:
         if ratio_dB is None:
             why = f"{len(run.unloaded)} unloaded frames are too few; {FEWEST_FRAMES} are needed"
             return (*_no_ratio(why), Measurement("drift", None, "%/min", how=why))
-        every = _each(ratio_dB, run) if self._every else ()
+        every = _each(ratio_dB, run) if self.options.every else ()
         return (*_together(ratio_dB, run), *every, _drift(run))
 
 

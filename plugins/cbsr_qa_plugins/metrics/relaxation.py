@@ -10,7 +10,7 @@ Whether the blobs relax as the whole image does.
 """
 
 from collections.abc import Iterator
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from cbsr_qa.domain.results import (
     RunObservation,
 )
 from cbsr_qa.report import plural
-from cbsr_qa_plugins.metrics._shared import at_load, refuse_unknown
+from cbsr_qa_plugins.metrics._shared import at_load
 
 #: Fewest points of a trace that are fitted.
 _FEWEST = 5
@@ -62,9 +62,6 @@ class SettlingTimes:
         "mean_settling_time": "s",
         "common_settling_time": "s",
     }
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("settling-time", options)
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure each relaxation of a load."""
@@ -191,9 +188,6 @@ class EventRate:
 
     measures: ClassVar[dict[str, str]] = {"usable_event_rate": "1/min"}
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("event-rate", options)
-
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without both settling times there is no value."""
         common = {m.qualifier: m for m in SettlingTimes().measure_run(run) if m.name == "common_settling_time"}
@@ -269,9 +263,6 @@ class BlobAndImageRelaxation:
 
     measures: ClassVar[dict[str, str]] = {"relaxation_shape_difference": "1", "relaxation_time_ratio": "1"}
 
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("relaxation-agreement", options)
-
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Compare loadings and unloadings."""
         taken = []
@@ -310,9 +301,6 @@ class SheetAndStripRelaxation:
         "strip_relaxation_time_ratio": "1",
         "strip_relaxation_time_bound": "1",
     }
-
-    def __init__(self, **options: Any) -> None:
-        refuse_unknown("relaxation-against-strip", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Compare loadings and unloadings."""

@@ -106,7 +106,7 @@ def test_the_ratio_of_every_channel_is_its_own_measurement():
 
 @pytest.mark.parametrize("metric", [ChannelNoise, ReciprocityError])
 def test_every_is_true_or_false(metric):
-    with pytest.raises(ConfigError, match="'every' is 'yes'"):
+    with pytest.raises(ConfigError, match="every is 'yes'"):
         metric(every="yes")
 
 

@@ -55,7 +55,7 @@ def test_an_unknown_key_of_a_table_is_told_its_neighbours(crossed, command, tmp_
     code, _, err = command(study, "--database", crossed)
     assert code == 2
     assert "line 9: reference[1].uncertanty is not a known key; did you mean 'uncertainty'?" in err
-    assert "(allowed here: metric, serial, uncertainty, unit, value)" in err
+    assert "allowed here: metric, serial, uncertainty, unit, value" in err
 
 
 @pytest.mark.parametrize("option", [(), ("--largest-balanced",)])

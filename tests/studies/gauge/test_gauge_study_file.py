@@ -193,7 +193,7 @@ def test_options_beside_a_study_are_refused(studied, option):
         (
             'name = "gain, autumn"',
             'appraiser = "robot"\nname = "x"',
-            "line 2: study.appraiser is 'robot'; allowed: 'station' or",
+            "line 2: study.appraiser is 'robot'; it must be 'station' or",
         ),
         ("[study]", "[study", "is not valid TOML"),
     ],

@@ -63,17 +63,17 @@ def test_what_a_station_does_not_use_changes_no_configuration(tmp_path):
 @pytest.mark.parametrize(
     ("table", "key", "found", "allowed"),
     [
-        ({"strain_percent": 0}, "loads[2].strain_percent", "is 0", "greater than 0"),
-        ({"strain_percent": 100.0}, "loads[2].strain_percent", "is 100", "less than 100"),
-        ({"hold_s": 0.0}, "loads[2].hold_s", "is 0", "greater than 0"),
-        ({"hold_s": -2.0}, "loads[2].hold_s", "is -2", "greater than 0"),
+        ({"strain_percent": 0}, "loads[2].strain_percent", "is 0", "above 0"),
+        ({"strain_percent": 100.0}, "loads[2].strain_percent", "is 100", "below 100"),
+        ({"hold_s": 0.0}, "loads[2].hold_s", "is 0", "above 0"),
+        ({"hold_s": -2.0}, "loads[2].hold_s", "is -2", "above 0"),
         ({"hold_s": '"30 s"'}, "loads[2].hold_s", "is '30 s'", "a number"),
         ({"hold_ms": 30.0}, "loads[2].hold_ms", "not a known key", "did you mean 'hold_s'"),
         ({"x_cm": 3.0}, "loads[2].x_cm", "not a known key", "did you mean 'x_mm'"),
-        ({"head": 0}, "loads[2].head", "is 0", "greater than or equal to 1"),
+        ({"head": 0}, "loads[2].head", "is 0", "from 1"),
         ({"x_mm": 51.0}, "loads[2].x_mm", "is 51", "the sheet ends 50 mm from its centre"),
         ({"x_mm": "nan"}, "loads[2].x_mm", "", "not a finite number"),
-        ({"start_s": -1.0}, "loads[2].start_s", "is -1", "greater than or equal to 0"),
+        ({"start_s": -1.0}, "loads[2].start_s", "is -1", "from 0"),
         ({"hold_s": 60.0}, "loads[2].hold_s", "up at 125.18 s", "duration_s is 100, it must be at least 125.18"),
     ],
 )

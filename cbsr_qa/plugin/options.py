@@ -1,0 +1,83 @@
+"""A plugin's options are one model: what it refuses, its reference page and its defaults all follow from it."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Final, Self
+
+from pydantic import ConfigDict, Field, create_model
+
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.plugin.problems import CheckedTable, Problem, check
+
+#: A pair or an array that is written as an array in TOML, and as a tuple in Python.
+Array: Final = Field(strict=False)
+
+
+class PluginOptions(CheckedTable):
+    """Options of a plugin: a field for each, with its type, range and default; names end in their unit.
+
+    What must fit between options is for ``problems`` to say.
+    """
+
+    @classmethod
+    def read(cls, given: Mapping[str, Any]) -> Self:
+        """Check options and return them.
+
+        Raises
+        ------
+        ConfigError
+            Naming every option that is unknown, missing or wrong, what was given and what is allowed.
+        """
+        options, problems = check(cls, given)
+        if problems or options is None:
+            raise refused(problems)
+        return options
+
+
+def refused(problems: list[Problem]) -> ConfigError:
+    """Return the error that lists what is wrong with options."""
+    if len(problems) == 1:
+        (problem,) = problems
+        return ConfigError(str(Problem(problem.path, problem.what)), remedy=problem.allowed)
+    return ConfigError("; ".join(map(str, problems)), remedy="see cbsr-qa plugins show for what is allowed")
+
+
+class WithOptions:
+    """A plugin that is made of its options: ``Creep(from_s=5)`` reads and checks them by ``Creep.Options``.
+
+    Parameters
+    ----------
+    options : as of the class's own ``Options``; without one there are none.
+
+    Raises
+    ------
+    ConfigError
+        As of :meth:`PluginOptions.read`.
+    """
+
+    Options: ClassVar[type[PluginOptions]] = PluginOptions
+    options: PluginOptions
+
+    def __init__(self, **options: Any) -> None:
+        self.options = self.Options.read(options)
+
+
+class _AnyOptions(PluginOptions):
+    model_config = ConfigDict(extra="allow")
+
+
+def options_of(factory: Callable[..., Any], *, handed: int = 0) -> type[PluginOptions]:
+    """Return the model of a factory's options: its ``Options``, or its keyword arguments and their defaults.
+
+    Parameters
+    ----------
+    handed : arguments in front that are no options: the setting of an effect.
+    """
+    model = getattr(factory, "Options", None)
+    if isinstance(model, type) and issubclass(model, PluginOptions):
+        return model
+    arguments = list(inspect.signature(factory).parameters.values())[handed:]
+    if any(a.kind is a.VAR_KEYWORD for a in arguments):
+        return _AnyOptions
+    fields: dict[str, Any] = {a.name: (Any, ... if a.default is a.empty else a.default) for a in arguments}
+    return create_model("Options", __base__=PluginOptions, **fields)
