@@ -31,6 +31,7 @@ from .interfaces import (
     SwitchingEffect as SwitchingEffect,
 )
 from .options import (
+    Array as Array,
     PluginOptions as PluginOptions,
     WithOptions as WithOptions,
 )

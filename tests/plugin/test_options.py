@@ -103,7 +103,11 @@ PLUGINS = discover()
 
 @pytest.mark.parametrize(
     ("kind", "name"),
-    [(r.kind, r.name) for r in PLUGINS.registrations() if r.kind in (Kind.METRIC, Kind.RECORDING, Kind.SECTION)],
+    [
+        (r.kind, r.name)
+        for r in PLUGINS.registrations()
+        if r.kind in (Kind.METRIC, Kind.SEQUENCE, Kind.RECORDING, Kind.SECTION)
+    ],
 )
 def test_every_plugin_refuses_an_option_it_does_not_have_by_its_name(kind, name):
     with pytest.raises(RefusedError, match=rf"somewhere: {kind} '{name}'.*phase_of_the_moon") as refused:

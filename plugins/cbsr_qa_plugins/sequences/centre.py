@@ -8,18 +8,33 @@ Presses that work the sheet in before anything is measured.
 """
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Annotated
 
-from cbsr_qa.domain import ConfigError
+from pydantic import AfterValidator, Field
+
 from cbsr_qa.domain.plan import Ease, Hold, Press, Release, Role, Step
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
-from cbsr_qa.plugin import SequenceContext
-from cbsr_qa_plugins.sequences._shared import UNLOADED_FRAMES, Options, find_surfaces, press_cycle, unloaded
+from cbsr_qa.plugin import PluginOptions, SequenceContext, WithOptions
+from cbsr_qa_plugins.sequences._shared import (
+    Coordinate,
+    Frames,
+    Held,
+    Name,
+    Places,
+    Rest,
+    RestedOptions,
+    Strain,
+    Strains,
+    Times,
+    find_surfaces,
+    once,
+    press_cycle,
+    rested,
+    unloaded,
+)
 
-_KNOWN = ("rest_s", "frames", "strain_percent", "hold_s", "trials", "recovery_s", "find_surface")
 
-
-class NoiseFigureSequence:
+class NoiseFigureSequence(WithOptions):
     """A long rest, many unloaded frames, then the centre load L0 a few times (science, section 6).
 
     Parameters
@@ -32,49 +47,32 @@ class NoiseFigureSequence:
     recovery_s : rest after each press; default 60.
     find_surface : whether the centre's surface is found first; default true.
 
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or out of range.
     """
 
-    role = Role.NOISE
+    class Options(PluginOptions):
+        rest_s: Rest = 240.0
+        frames: Frames = 30
+        strain_percent: Strain = 20.0
+        hold_s: Held = 60.0
+        trials: Times = 3
+        recovery_s: Rest = 60.0
+        find_surface: bool = True
 
-    def __init__(self, **options: Any) -> None:
-        given = Options("noise-figure", options, _KNOWN)
-        self._rest_s = given.duration_s("rest_s", 240.0)
-        self._frames = given.whole("frames", 30, UNLOADED_FRAMES, 100_000)
-        self._strain = given.strain("strain_percent", 20.0)
-        self._hold_s = given.duration_s("hold_s", 60.0, shortest_s=1.0)
-        self._trials = given.whole("trials", 3, 1, 1000)
-        self._recovery_s = given.duration_s("recovery_s", 60.0)
-        self._find_surface = given.flag("find_surface", True)
+    role = Role.NOISE
+    options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
-        x_mm, y_mm = NINE_LOCATIONS_MM[0]
-        if self._find_surface:
+        options, (x_mm, y_mm) = self.options, NINE_LOCATIONS_MM[0]
+        if options.find_surface:
             yield from find_surfaces([(x_mm, y_mm)])
-        yield from unloaded(self._rest_s, self._frames)
-        for trial in range(self._trials):
-            load = Load("L0", x_mm, y_mm, self._strain, trial)
-            yield from press_cycle(load, hold_s=self._hold_s, rest_s=self._recovery_s)
+        yield from unloaded(options.rest_s, options.frames)
+        for trial in range(options.trials):
+            load = Load("L0", x_mm, y_mm, options.strain_percent / 100, trial)
+            yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.recovery_s)
 
 
-_KNOWN_RELAXATION = (
-    "x_mm",
-    "y_mm",
-    "strain_percent",
-    "hold_s",
-    "rest_s",
-    "trials",
-    "initial_rest_s",
-    "find_surface",
-    "unloaded_frames",
-)
-
-
-class RelaxationSequence:
+class RelaxationSequence(WithOptions):
     """A press held until the slow exponential has died out, and a rest as long (science, section 7).
 
     The load is labelled by its place: L0 … L8 on the paper's nine locations, X0 elsewhere.
@@ -89,43 +87,34 @@ class RelaxationSequence:
     find_surface : whether the surface is found first; default true.
     unloaded_frames : before the first press; default and least 16.
 
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or out of range.
     """
 
-    role = Role.RELAXATION
+    class Options(RestedOptions):
+        x_mm: Coordinate = 0.0
+        y_mm: Coordinate = 0.0
+        strain_percent: Strain = 20.0
+        hold_s: Held = 240.0
+        rest_s: Rest = 240.0
+        trials: Times = 1
 
-    def __init__(self, **options: Any) -> None:
-        given = Options("relaxation", options, _KNOWN_RELAXATION)
-        self._place_mm = (given.number("x_mm", 0.0, -1e3, 1e3), given.number("y_mm", 0.0, -1e3, 1e3))
-        self._strain = given.strain("strain_percent", 20.0)
-        self._hold_s = given.duration_s("hold_s", 240.0, shortest_s=1.0)
-        self._rest_s = given.duration_s("rest_s", 240.0)
-        self._trials = given.whole("trials", 1, 1, 1000)
-        self._initial_rest_s = given.duration_s("initial_rest_s", 240.0)
-        self._find_surface = given.flag("find_surface", True)
-        self._unloaded_frames = given.whole("unloaded_frames", UNLOADED_FRAMES, UNLOADED_FRAMES, 100_000)
+    role = Role.RELAXATION
+    options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
-        if self._find_surface:
-            yield from find_surfaces([self._place_mm])
-        yield from unloaded(self._initial_rest_s, self._unloaded_frames)
-        for trial in range(self._trials):
-            load = Load(_label(self._place_mm), *self._place_mm, self._strain, trial)
-            yield from press_cycle(load, hold_s=self._hold_s, rest_s=self._rest_s)
+        options = self.options
+        place_mm = (options.x_mm, options.y_mm)
+        yield from rested(options, [place_mm])
+        for trial in range(options.trials):
+            load = Load(_label(place_mm), *place_mm, options.strain_percent / 100, trial)
+            yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
 def _label(place_mm: tuple[float, float]) -> str:
     return f"L{NINE_LOCATIONS_MM.index(place_mm)}" if place_mm in NINE_LOCATIONS_MM else "X0"
 
 
-_KNOWN_PRECONDITIONING = ("cycles", "strain_percent", "hold_s", "rest_s", "locations_mm", "find_surface")
-
-
-class PreconditioningSequence:
+class PreconditioningSequence(WithOptions):
     """Press and release each location a fixed number of times, one location after the other (Mullins 1969).
 
     Filled rubber is softer after its first deformations, and keeps what a given strain has done to it until it is
@@ -142,48 +131,39 @@ class PreconditioningSequence:
     locations_mm : [x, y] each, labelled L0, L1, … in order; default the paper's nine.
     find_surface : whether the surface is found at every location first; default true.
 
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or out of range, or a location is given twice.
     """
 
-    role = Role.PRECONDITIONING
+    class Options(PluginOptions):
+        cycles: Annotated[int, Field(ge=2, le=1000)] = 5
+        strain_percent: Strain = 30.0
+        hold_s: Held = 10.0
+        rest_s: Held = 10.0
+        locations_mm: Annotated[Places, once("cycles")] = NINE_LOCATIONS_MM
+        find_surface: bool = True
 
-    def __init__(self, **options: Any) -> None:
-        given = Options("preconditioning", options, _KNOWN_PRECONDITIONING)
-        self._cycles = given.whole("cycles", 5, 2, 1000)
-        self._strain = given.strain("strain_percent", 30.0)
-        self._hold_s = given.duration_s("hold_s", 10.0, shortest_s=1.0)
-        self._rest_s = given.duration_s("rest_s", 10.0, shortest_s=1.0)
-        self._places_mm = given.places_mm("locations_mm", NINE_LOCATIONS_MM)
-        self._find_surface = given.flag("find_surface", True)
-        given.refuse_repeats("locations_mm", self._places_mm, "cycles")
+    role = Role.PRECONDITIONING
+    options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
-        if self._find_surface:
-            yield from find_surfaces(self._places_mm)
-        for number, (x_mm, y_mm) in enumerate(self._places_mm):
-            for cycle in range(self._cycles):
-                load = Load(f"L{number}", x_mm, y_mm, self._strain, cycle)
-                yield from press_cycle(load, hold_s=self._hold_s, rest_s=self._rest_s)
+        options = self.options
+        if options.find_surface:
+            yield from find_surfaces(options.locations_mm)
+        for number, (x_mm, y_mm) in enumerate(options.locations_mm):
+            for cycle in range(options.cycles):
+                load = Load(f"L{number}", x_mm, y_mm, options.strain_percent / 100, cycle)
+                yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
-_KNOWN_HYSTERESIS_LOOP = (
-    "strains_percent",
-    "cycles",
-    "hold_s",
-    "rest_s",
-    "locations_mm",
-    "label",
-    "initial_rest_s",
-    "find_surface",
-    "unloaded_frames",
-)
+def _above_each_other(strains: tuple[float, ...]) -> tuple[float, ...]:
+    if len(strains) < 2 or list(strains) != sorted(set(strains)):
+        raise ValueError(
+            "it must be at least two strains, each above the one before; the way back is the same downwards"
+        )
+    return strains
 
 
-class HysteresisLoopSequence:
+class HysteresisLoopSequence(WithOptions):
     """Press to the lowest strain, ease up to the highest one by one and down again, release, and rest.
 
     Every strain is held equally long, on the way up and down, so that each reading is as old as its counterpart; the
@@ -202,48 +182,31 @@ class HysteresisLoopSequence:
     find_surface : whether the surface is found at every location first; default true.
     unloaded_frames : before the first press; default and least 16.
 
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or out of range, a location is given twice, or strains do not rise.
     """
 
-    role = Role.LOOP
+    class Options(RestedOptions):
+        strains_percent: Annotated[Strains, AfterValidator(_above_each_other)] = (7.5, 15.0, 22.5, 30.0)
+        cycles: Times = 3
+        hold_s: Held = 60.0
+        rest_s: Rest = 120.0
+        locations_mm: Annotated[Places, once("cycles")] = ((0.0, 0.0),)
+        label: Name = "H"
 
-    def __init__(self, **options: Any) -> None:
-        given = Options("hysteresis-loop", options, _KNOWN_HYSTERESIS_LOOP)
-        asked = given.items("strains_percent", (7.5, 15.0, 22.5, 30.0))
-        self._strains = tuple(given.strain_of("strains_percent", strain) for strain in asked)
-        if len(asked) < 2 or list(self._strains) != sorted(set(self._strains)):
-            raise ConfigError(
-                f"sequence 'hysteresis-loop': strains_percent is {list(asked)!r}",
-                remedy="allowed: at least two strains, each above the one before; the way back is the same downwards",
-            )
-        self._cycles = given.whole("cycles", 3, 1, 1000)
-        self._hold_s = given.duration_s("hold_s", 60.0, shortest_s=1.0)
-        self._rest_s = given.duration_s("rest_s", 120.0)
-        self._places_mm = given.places_mm("locations_mm", ((0.0, 0.0),))
-        self._label = given.word("label", "H")
-        self._initial_rest_s = given.duration_s("initial_rest_s", 240.0)
-        self._find_surface = given.flag("find_surface", True)
-        self._unloaded_frames = given.whole("unloaded_frames", UNLOADED_FRAMES, UNLOADED_FRAMES, 100_000)
-        given.refuse_repeats("locations_mm", self._places_mm, "cycles")
+    role = Role.LOOP
+    options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
-        if self._find_surface:
-            yield from find_surfaces(self._places_mm)
-        yield from unloaded(self._initial_rest_s, self._unloaded_frames)
-        for number, (x_mm, y_mm) in enumerate(self._places_mm):
-            for cycle in range(self._cycles):
-                yield from self._loop(Load(f"{self._label}{number}", x_mm, y_mm, self._strains[0], cycle))
-
-    def _loop(self, load: Load) -> Iterator[Step]:
-        yield Press(load)
-        yield Hold(self._hold_s, acquire=True)
-        for strain in (*self._strains[1:], *self._strains[-2::-1]):
-            yield Ease(strain)
-            yield Hold(self._hold_s, acquire=True)
-        yield Release()
-        if self._rest_s > 0:
-            yield Hold(self._rest_s, acquire=True)
+        options = self.options
+        yield from rested(options, options.locations_mm)
+        strains = [percent / 100 for percent in options.strains_percent]
+        for number, (x_mm, y_mm) in enumerate(options.locations_mm):
+            for cycle in range(options.cycles):
+                yield Press(Load(f"{options.label}{number}", x_mm, y_mm, strains[0], cycle))
+                yield Hold(options.hold_s, acquire=True)
+                for strain in (*strains[1:], *strains[-2::-1]):
+                    yield Ease(strain)
+                    yield Hold(options.hold_s, acquire=True)
+                yield Release()
+                if options.rest_s > 0:
+                    yield Hold(options.rest_s, acquire=True)

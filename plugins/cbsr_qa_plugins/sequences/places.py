@@ -6,39 +6,34 @@ Presses given one by one: those of a publication, or of a list somebody else pre
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from math import cos, radians, sin
-from typing import Any
+from typing import Annotated, Final
 
 import numpy as np
+from pydantic import Field
 
-from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import Role, Step
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
-from cbsr_qa.plugin import SequenceContext
+from cbsr_qa.plugin import Array, PluginOptions, Problem, SequenceContext, WithOptions
 from cbsr_qa_plugins.sequences._shared import (
-    STRAIN_CEILING_PERCENT,
-    UNLOADED_FRAMES,
-    Options,
-    find_surfaces,
+    Coordinate,
+    Held,
+    Name,
+    Places,
+    Rest,
+    RestedOptions,
+    Rising,
+    Strain,
+    Strains,
+    Times,
+    once,
     press_cycle,
-    unloaded,
-)
-
-_KNOWN = (
-    "strains_percent",
-    "trials",
-    "hold_s",
-    "rest_s",
-    "locations_mm",
-    "initial_rest_s",
-    "find_surface",
-    "unloaded_frames",
-    "label",
+    rested,
 )
 
 
-class LocationGridSequence:
+class LocationGridSequence(WithOptions):
     """Press each location at each strain; locations are the innermost loop.
 
     Going round the sheet before a place is pressed again gives its residue the longest time to fade, and
@@ -55,59 +50,55 @@ class LocationGridSequence:
     find_surface : whether the surface is found at every location first; default true.
     unloaded_frames : before the first press; default and least 16.
 
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or out of range, or a location or strain is given twice.
     """
 
-    role = Role.GRID
+    class Options(RestedOptions):
+        strains_percent: Annotated[Strains, once("trials")] = (20.0,)
+        trials: Times = 1
+        hold_s: Held = 60.0
+        rest_s: Rest = 60.0
+        locations_mm: Annotated[Places, once("trials")] = NINE_LOCATIONS_MM
+        label: Name = "L"
 
-    def __init__(self, **options: Any) -> None:
-        given = Options("location-grid", options, _KNOWN)
-        self._strains = tuple(given.strain_of("strains_percent", s) for s in given.items("strains_percent", (20.0,)))
-        self._trials = given.whole("trials", 1, 1, 1000)
-        self._hold_s = given.duration_s("hold_s", 60.0, shortest_s=1.0)
-        self._rest_s = given.duration_s("rest_s", 60.0)
-        self._places_mm = given.places_mm("locations_mm", NINE_LOCATIONS_MM)
-        self._initial_rest_s = given.duration_s("initial_rest_s", 240.0)
-        self._find_surface = given.flag("find_surface", True)
-        self._unloaded_frames = given.whole("unloaded_frames", UNLOADED_FRAMES, UNLOADED_FRAMES, 100_000)
-        self._label = given.word("label", "L")
-        given.refuse_repeats("strains_percent", self._strains)
-        given.refuse_repeats("locations_mm", self._places_mm)
+    role = Role.GRID
+    options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
-        if self._find_surface:
-            yield from find_surfaces(self._places_mm)
-        yield from unloaded(self._initial_rest_s, self._unloaded_frames)
+        options = self.options
+        yield from rested(options, options.locations_mm)
         for load in self._loads():
-            yield from press_cycle(load, hold_s=self._hold_s, rest_s=self._rest_s)
+            yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
 
     def _loads(self) -> Iterator[Load]:
-        for strain in self._strains:
-            for trial in range(self._trials):
-                for number, (x_mm, y_mm) in enumerate(self._places_mm):
-                    yield Load(f"{self._label}{number}", x_mm, y_mm, strain, trial)
+        options = self.options
+        for percent in options.strains_percent:
+            for trial in range(options.trials):
+                for number, (x_mm, y_mm) in enumerate(options.locations_mm):
+                    yield Load(f"{options.label}{number}", x_mm, y_mm, percent / 100, trial)
 
 
-_NAME = "given-loads"
-_KNOWN_GIVEN_LOADS = (
-    "loads",
-    "trials",
-    "hold_s",
-    "rest_s",
-    "initial_rest_s",
-    "find_surface",
-    "unloaded_frames",
-    "label",
-)
-_CARTESIAN = ("x_mm", "y_mm")
-_POLAR = ("radius_mm", "angle_deg")
+_FORMS: Final = "a table of strain_percent with x_mm and y_mm, or with radius_mm and angle_deg"
 
 
-class GivenLoadsSequence:
+class GivenLoad(PluginOptions):
+    """One load: its strain and its place, in one of two forms."""
+
+    strain_percent: Strain
+    x_mm: Coordinate = 0.0
+    y_mm: Coordinate = 0.0
+    radius_mm: Annotated[float, Field(ge=0, le=1e3)] | None = None
+    angle_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+
+    def place_mm(self) -> tuple[float, float]:
+        """Where it is pressed."""
+        if self.radius_mm is None:
+            return self.x_mm, self.y_mm
+        angle = radians(self.angle_deg)
+        return round(self.radius_mm * cos(angle), 2) + 0.0, round(self.radius_mm * sin(angle), 2) + 0.0  # no −0
+
+
+class GivenLoadsSequence(WithOptions):
     """Press a list of loads in its order, a number of times.
 
     Parameters
@@ -121,74 +112,40 @@ class GivenLoadsSequence:
     unloaded_frames : before the first press; default and least 16.
     label : what labels begin with; default R.
 
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or out of range, or a load has no place, or two.
     """
 
-    role = Role.RANDOM
+    class Options(RestedOptions):
+        loads: Annotated[tuple[GivenLoad, ...], Array, Field(min_length=1)]
+        trials: Times = 1
+        hold_s: Held = 60.0
+        rest_s: Rest = 60.0
+        label: Name = "R"
 
-    def __init__(self, **options: Any) -> None:
-        given = Options(_NAME, options, _KNOWN_GIVEN_LOADS)
-        self._label = given.word("label", "R")
-        self._loads = tuple(self._load(number, item) for number, item in enumerate(given.items("loads", ())))
-        if not self._loads:
-            raise ConfigError(f"sequence {_NAME!r} needs the option 'loads'", remedy="give at least one load")
-        self._trials = given.whole("trials", 1, 1, 1000)
-        self._hold_s = given.duration_s("hold_s", 60.0, shortest_s=1.0)
-        self._rest_s = given.duration_s("rest_s", 60.0)
-        self._initial_rest_s = given.duration_s("initial_rest_s", 240.0)
-        self._find_surface = given.flag("find_surface", True)
-        self._unloaded_frames = given.whole("unloaded_frames", UNLOADED_FRAMES, UNLOADED_FRAMES, 100_000)
+        def problems(self) -> Iterator[Problem]:
+            """A load has one place."""
+            for number, load in enumerate(self.loads):
+                if load.model_fields_set - {"strain_percent"} not in ({"x_mm", "y_mm"}, {"radius_mm", "angle_deg"}):
+                    what = f"has {', '.join(sorted(load.model_fields_set))}"
+                    yield Problem(("loads", number), what, f"it must be {_FORMS}")
+
+    role = Role.RANDOM
+    options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
-        if self._find_surface:
-            yield from find_surfaces((load.x_mm, load.y_mm) for load in self._loads)
-        yield from unloaded(self._initial_rest_s, self._unloaded_frames)
-        for trial in range(self._trials):
-            for load in self._loads:
-                again = Load(load.label, load.x_mm, load.y_mm, load.strain, trial)
-                yield from press_cycle(again, hold_s=self._hold_s, rest_s=self._rest_s)
-
-    def _load(self, number: int, item: object) -> Load:
-        where = f"{_NAME}, load {number + 1}"
-        if not isinstance(item, Mapping):
-            raise ConfigError(f"sequence {where}: {item!r} is no table", remedy=f"allowed: {_forms()}")
-        keys = set(item)
-        if keys not in ({*_CARTESIAN, "strain_percent"}, {*_POLAR, "strain_percent"}):
-            raise ConfigError(
-                f"sequence {where} has {', '.join(sorted(map(str, keys)))}", remedy=f"allowed: {_forms()}"
-            )
-        given = Options(where, item, (*_CARTESIAN, *_POLAR, "strain_percent"))
-        x_mm, y_mm = given.number("x_mm", 0.0, -1e3, 1e3), given.number("y_mm", 0.0, -1e3, 1e3)
-        if "radius_mm" in keys:
-            radius_mm = given.number("radius_mm", 0.0, 0.0, 1e3)
-            angle = radians(given.number("angle_deg", 0.0, -360.0, 360.0))
-            x_mm, y_mm = (round(radius_mm * part, 2) + 0.0 for part in (cos(angle), sin(angle)))  # no −0
-        return Load(f"{self._label}{number}", x_mm, y_mm, given.strain("strain_percent", 0.0), 0)
+        options = self.options
+        places_mm = [load.place_mm() for load in options.loads]
+        yield from rested(options, places_mm)
+        for trial in range(options.trials):
+            for number, (load, place_mm) in enumerate(zip(options.loads, places_mm, strict=True)):
+                again = Load(f"{options.label}{number}", *place_mm, load.strain_percent / 100, trial)
+                yield from press_cycle(again, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
-def _forms() -> str:
-    return f"strain_percent with {' and '.join(_CARTESIAN)}, or with {' and '.join(_POLAR)}"
+Radius = Annotated[float, Field(ge=0, le=1e3)]
 
 
-_NAME_RANDOM_LOADS = "random-loads"
-_KNOWN_RANDOM_LOADS = (
-    "count",
-    "radius_mm",
-    "strain_percent",
-    "hold_s",
-    "rest_s",
-    "initial_rest_s",
-    "find_surface",
-    "unloaded_frames",
-    "stream",
-)
-
-
-class RandomLoadsSequence:
+class RandomLoadsSequence(WithOptions):
     """Seeded random loads R0, R1, …, uniform in radius, angle and strain (paper 3.3).
 
     The paper says radii of 0–40 % of the domain *radius*; its table reaches 35.8 mm of 50, so 40 % of the
@@ -210,48 +167,36 @@ class RandomLoadsSequence:
     unloaded_frames : before the first press; default and least 16.
     stream : name of the random stream; two phases of one recipe draw different loads under different names.
 
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or out of range.
     """
 
-    role = Role.RANDOM
+    class Options(RestedOptions):
+        count: Annotated[int, Field(ge=1, le=10_000)] = 10
+        radius_mm: Annotated[tuple[Radius, Radius], Array, Rising] = (0.0, 40.0)
+        strain_percent: Annotated[tuple[Strain, Strain], Array, Rising] = (5.0, 30.0)
+        hold_s: Held = 60.0
+        rest_s: Rest = 60.0
+        stream: Name = "random-loads"
 
-    def __init__(self, **options: Any) -> None:
-        given = Options(_NAME_RANDOM_LOADS, options, _KNOWN_RANDOM_LOADS)
-        self._count = given.whole("count", 10, 1, 10_000)
-        self._radius_mm = given.interval("radius_mm", (0.0, 40.0), 0.0, 1e3)
-        self._strain_percent = given.interval("strain_percent", (5.0, 30.0), 0.0, STRAIN_CEILING_PERCENT)
-        for percent in self._strain_percent:
-            given.strain_of("strain_percent", percent)
-        self._hold_s = given.duration_s("hold_s", 60.0, shortest_s=1.0)
-        self._rest_s = given.duration_s("rest_s", 60.0)
-        self._initial_rest_s = given.duration_s("initial_rest_s", 240.0)
-        self._find_surface = given.flag("find_surface", True)
-        self._unloaded_frames = given.whole("unloaded_frames", UNLOADED_FRAMES, UNLOADED_FRAMES, 100_000)
-        self._stream = given.word("stream", _NAME_RANDOM_LOADS)
+    role = Role.RANDOM
+    options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time for one seed."""
-        loads = self._loads(context.seed)
-        if self._find_surface:
-            yield from find_surfaces((load.x_mm, load.y_mm) for load in loads)
-        yield from unloaded(self._initial_rest_s, self._unloaded_frames)
+        loads, options = self._loads(context.seed), self.options
+        yield from rested(options, ((load.x_mm, load.y_mm) for load in loads))
         for load in loads:
-            yield from press_cycle(load, hold_s=self._hold_s, rest_s=self._rest_s)
+            yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
 
     def _loads(self, seed: int) -> tuple[Load, ...]:
-        draws = _generator(seed, self._stream).random((self._count, 3))
+        draws = _generator(seed, self.options.stream).random((self.options.count, 3))
         return tuple(self._load(number, *map(float, draw)) for number, draw in enumerate(draws))
 
     def _load(self, number: int, first: float, second: float, third: float) -> Load:
-        radius_mm = _between(self._radius_mm, first)
+        radius_mm = _between(self.options.radius_mm, first)
         angle = 2 * np.pi * second
         place_mm = np.trunc(100 * radius_mm * np.array([np.cos(angle), np.sin(angle)])) / 100 + 0.0  # no −0
-        percent = min(
-            max(round(_between(self._strain_percent, third), 2), self._strain_percent[0]), self._strain_percent[1]
-        )
+        lowest, highest = self.options.strain_percent
+        percent = min(max(round(_between((lowest, highest), third), 2), lowest), highest)
         return Load(f"R{number}", float(place_mm[0]), float(place_mm[1]), percent / 100, 0)
 
 

@@ -37,18 +37,18 @@ def test_the_surface_is_found_at_every_place_once():
 @pytest.mark.parametrize(
     ("load", "named"),
     [
-        ({"x_mm": 1.0, "strain_percent": 5.0}, "load 2"),
-        ({**_POLAR, "x_mm": 1.0}, "load 2"),
-        ({"radius_mm": 1.0, "angle_deg": 0.0}, "load 2"),
+        ({"x_mm": 1.0, "strain_percent": 5.0}, r"loads\[2\]"),
+        ({**_POLAR, "x_mm": 1.0}, r"loads\[2\]"),
+        ({"radius_mm": 1.0, "angle_deg": 0.0}, r"loads\[2\]"),
         ({**_PLAIN, "strain_percent": 0.0}, "strain_percent"),
         ({**_POLAR, "radius_mm": -1.0}, "radius_mm"),
-        ("L0", "no table"),
+        ("L0", r"loads\[2\] is 'L0'"),
     ],
 )
 def test_a_load_without_a_place_or_with_two_is_refused_by_number(load, named):
     with pytest.raises(ConfigError, match=named) as caught:
         GivenLoadsSequence(loads=[_PLAIN, load])
-    assert caught.value.remedy.startswith("allowed: ")
+    assert caught.value.remedy.startswith("it must be a")
 
 
 def test_a_list_is_needed():

@@ -198,13 +198,6 @@ def test_relaxation_is_labelled_by_its_place(x, label):
     assert loads_of(RelaxationSequence(x_mm=x))[0].label == label
 
 
-@pytest.mark.parametrize("sequence", [*ALL, PreconditioningSequence, HysteresisLoopSequence])
-def test_unknown_options_are_refused_with_the_nearest(sequence):
-    with pytest.raises(ConfigError, match="no option 'hold'") as refused:
-        sequence(hold=60)
-    assert "did you mean 'hold_s'" in refused.value.remedy
-
-
 @pytest.mark.parametrize(
     ("sequence", "options", "said"),
     [
@@ -216,11 +209,11 @@ def test_unknown_options_are_refused_with_the_nearest(sequence):
         (LocationGridSequence, {"trials": 1.0}, "trials is 1.0"),
         (LocationGridSequence, {"strains_percent": 20}, "strains_percent is 20"),
         (LocationGridSequence, {"strains_percent": []}, "strains_percent is"),
-        (LocationGridSequence, {"strains_percent": [0]}, "strains_percent is 0"),
-        (LocationGridSequence, {"strains_percent": [10, 61]}, "strains_percent is 61"),
+        (LocationGridSequence, {"strains_percent": [0]}, "strains_percent[1] is 0"),
+        (LocationGridSequence, {"strains_percent": [10, 61]}, "strains_percent[2] is 61"),
         (LocationGridSequence, {"strains_percent": [10, 10.0]}, "strains_percent is"),
-        (LocationGridSequence, {"locations_mm": [[0, 0, 0]]}, "locations_mm is"),
-        (LocationGridSequence, {"locations_mm": [[0, float("inf")]]}, "locations_mm is inf"),
+        (LocationGridSequence, {"locations_mm": [[0, 0, 0]]}, "locations_mm[1] is"),
+        (LocationGridSequence, {"locations_mm": [[0, float("inf")]]}, "locations_mm[1][2] is inf"),
         (LocationGridSequence, {"find_surface": 1}, "find_surface is 1"),
         (LocationGridSequence, {"label": ""}, "label is ''"),
         (PreconditioningSequence, {"cycles": 1}, "cycles is 1"),
@@ -229,16 +222,16 @@ def test_unknown_options_are_refused_with_the_nearest(sequence):
         (HysteresisLoopSequence, {"strains_percent": [20]}, "strains_percent is [20]"),
         (HysteresisLoopSequence, {"strains_percent": [10, 20, 10]}, "strains_percent is [10, 20, 10]"),
         (HysteresisLoopSequence, {"strains_percent": [10, 10.0]}, "strains_percent is [10, 10.0]"),
-        (HysteresisLoopSequence, {"strains_percent": [0, 10]}, "strains_percent is 0"),
+        (HysteresisLoopSequence, {"strains_percent": [0, 10]}, "strains_percent[1] is 0"),
         (HysteresisLoopSequence, {"hold_s": 0}, "hold_s is 0"),
         (HysteresisLoopSequence, {"locations_mm": [[1, 1], [1, 1]]}, "locations_mm is"),
         (LocationGridSequence, {"unloaded_frames": 15}, "unloaded_frames is 15"),
         (NoiseFigureSequence, {"frames": 15}, "frames is 15"),
         (RandomLoadsSequence, {"radius_mm": [10]}, "radius_mm is"),
         (RandomLoadsSequence, {"radius_mm": [10, 5]}, "radius_mm is"),
-        (RandomLoadsSequence, {"strain_percent": [0, 5]}, "strain_percent is 0"),
-        (RandomLoadsSequence, {"strain_percent": [0.05, 0.3]}, "strain_percent is 0.05"),
-        (LocationGridSequence, {"strains_percent": [0.2]}, "strains_percent is 0.2"),
+        (RandomLoadsSequence, {"strain_percent": [0, 5]}, "strain_percent[1] is 0"),
+        (RandomLoadsSequence, {"strain_percent": [0.05, 3]}, "strain_percent[1] is 0.05"),
+        (LocationGridSequence, {"strains_percent": [0.2]}, "strains_percent[1] is 0.2"),
         (NoiseFigureSequence, {"strain_percent": 0.99}, "strain_percent is 0.99"),
         (RandomLoadsSequence, {"count": 0}, "count is 0"),
         (RandomLoadsSequence, {"stream": " "}, "stream is ' '"),
@@ -248,10 +241,10 @@ def test_options_out_of_range_are_refused_with_what_is_allowed(sequence, options
     with pytest.raises(ConfigError) as refused:
         sequence(**options)
     assert said in refused.value.reason
-    assert refused.value.remedy.startswith("allowed: ")
+    assert refused.value.remedy.startswith("it must ")
 
 
 def test_a_strain_that_was_meant_as_a_fraction_is_told_in_per_cent():
-    with pytest.raises(ConfigError, match=r"strains_percent is 0\.2") as refused:
+    with pytest.raises(ConfigError, match=r"strains_percent\[1\] is 0\.2") as refused:
         LocationGridSequence(strains_percent=[0.2])
-    assert refused.value.remedy == "allowed: a number from 1 to 60, in per cent: write 20 for the fraction 0.2"
+    assert refused.value.remedy == "it must be a number from 1 to 60, in per cent: write 20 for the fraction 0.2"
