@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binom, norm
 
+from benchmarks.load_bound import load_bound
 from benchmarks.load_trials import (
     AGAIN,
     BORDER_D,
@@ -28,7 +29,7 @@ from benchmarks.rows import Row
 from benchmarks.timing import fastest, shown
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.estimate import LEAST_DETECTABILITY, load_bound, load_model
+from cbsr_qa.eit.estimate import LEAST_DETECTABILITY, load_model
 from cbsr_qa.eit.loads import RoundLoads
 
 TITLE = "Load estimate"

@@ -12,22 +12,22 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.load_bound import LoadBound, load_bound
+from benchmarks.reference_solutions import fitted_mesh
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.estimate import (
-    LoadBound,
     LoadEstimator,
     LoadFits,
     MergedReadings,
     contrast_of,
-    load_bound,
     load_model,
     merged_readings,
     radius_of,
 )
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
-from cbsr_qa.eit.mesh import fitted_mesh, sheet_mesh
+from cbsr_qa.eit.mesh import sheet_mesh
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]  # distance from the centre [mm], direction [°]

@@ -12,8 +12,9 @@ from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import Image, ImagingProblem
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import Mesh, SensorType
-from cbsr_qa.eit.forward import ForwardModel, LocalUpdate, cover
+from cbsr_qa.eit.forward import ForwardModel, cover
 from cbsr_qa.eit.imaging import contour_regions, nearest_blob, spatial_figures
+from cbsr_qa.eit.loads import LocalUpdate
 from cbsr_qa.eit.mesh import sheet_mesh
 
 Array = NDArray[np.float64]

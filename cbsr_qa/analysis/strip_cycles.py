@@ -18,7 +18,7 @@ from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock, Voltag
 from cbsr_qa.domain.results import Characterisation, CharacterisationSettings, CycleReadings
 from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor import Parameter, SensorType
-from cbsr_qa.eit.forward import StripModel
+from cbsr_qa.eit.loads import StripModel
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import numpy as np
 from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.domain.plan import SheetDesign
 from cbsr_qa.domain.sensor import PlacedElectrodes, SensorType
-from cbsr_qa.eit.forward import Cover, ForwardModel, cover
-from cbsr_qa.eit.loads import LoadedSheet, LoadFamily, NestedCover, nested_cover
+from cbsr_qa.eit.forward import Cover, ForwardModel, NestedCover, cover, nested_cover
+from cbsr_qa.eit.loads import LoadedSheet, LoadFamily
 from cbsr_qa.eit.mesh import sheet_mesh
 
 Place = tuple[float, float]

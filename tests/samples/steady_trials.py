@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from benchmarks.load_bound import load_bound
 from cbsr_qa.calibration.fits import learn_kernel, predict_steady
 from cbsr_qa.config import load_material, load_sensor_type
 from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainStep
 from cbsr_qa.domain.results import RelaxationKernel
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, Relaxation, SensorType
-from cbsr_qa.eit.estimate import load_bound, load_model, merged_readings
+from cbsr_qa.eit.estimate import load_model, merged_readings
 from cbsr_qa_plugins.effects.force import ElasticStress, StressRelaxation
 from cbsr_qa_plugins.effects.sheet import ConductanceRelaxation, Piezoresistivity, Residue, UnloadingSpike
 

@@ -11,7 +11,7 @@ from cbsr_qa.config import load_material, load_sensor_type, load_station
 from cbsr_qa.domain.plan import SimulatedPress, StrainStep
 from cbsr_qa.domain.results import CycleReadings
 from cbsr_qa.domain.sensor import Parameter, Relaxation, Response
-from cbsr_qa.eit.forward import StripModel
+from cbsr_qa.eit.loads import StripModel
 from cbsr_qa.simulate import Transients, quasi_static
 
 SPEED = 1 / 6  # strain a second

@@ -19,7 +19,7 @@ from cbsr_qa.analysis.recording.imaging import Sheet
 from cbsr_qa.analysis.recording.places import Matcher, Place, find_places
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeLayout
-from cbsr_qa.eit.forward import DeepTank
+from cbsr_qa.eit.loads import DeepTank
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

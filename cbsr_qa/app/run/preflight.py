@@ -12,8 +12,8 @@ from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role
 from cbsr_qa.domain.results import Limit, linear
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.forward import check_strip
 from cbsr_qa.eit.inverse import FEWEST_FRAMES, imaging_problem
+from cbsr_qa.eit.loads import check_strip
 from cbsr_qa.plugin import Kind, Plugins, contained, made
 from cbsr_qa.station import Plan
 

@@ -41,7 +41,7 @@ from cbsr_qa.domain.results import (
     StripFacts,
 )
 from cbsr_qa.domain.sensor import Parameter, Relaxation, Response, StripRelaxation
-from cbsr_qa.eit.forward import StripModel
+from cbsr_qa.eit.loads import StripModel
 
 Array = NDArray[np.float64]
 

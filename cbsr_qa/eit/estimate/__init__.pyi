@@ -1,4 +1,3 @@
-from .fit import LoadBound as LoadBound, load_bound as load_bound
 from .load_estimate import (
     LEAST_DETECTABILITY as LEAST_DETECTABILITY,
     LoadEstimator as LoadEstimator,

@@ -3,10 +3,6 @@
 Concentric disc: on its edge the current density Σ j_n e^{inθ} makes the potential Σ j_n R g_n/(γ n) e^{inθ} with
 g_n = (1 + μ a²ⁿ)/(1 − μ a²ⁿ), μ = (γ − γ_i)/(γ + γ_i) and a the inclusion's radius over the sheet's (Isaacson 1986).
 Nothing here uses a mesh, so agreement with :mod:`cbsr_qa.eit.forward.model` is independent evidence.
-
-Disc with round pins: a boundary integral over the pins' rims with the Neumann function of the disc (method of
-images), so the sheet's edge needs no unknowns. Trapezoidal Nyström points converge exponentially because every rim
-is a circle (Kress 2014).
 """
 
 from collections.abc import Sequence
@@ -16,7 +12,7 @@ import numpy as np
 from scipy.special import spherical_jn
 
 from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.domain.sensor import DrivePattern, ElectrodeLayout
+from cbsr_qa.domain.sensor import DrivePattern
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,25 +89,6 @@ def arc_transfer_impedance(
     return grounded(impedance)
 
 
-def point_transfer_impedance(sheet: ConcentricSheet, angles_rad: Array, *, harmonics: int = 2000) -> Array:
-    """Point electrodes on the edge: the limit of small arcs away from the driven ones.
-
-    Returns
-    -------
-    (electrodes, electrodes) float64 [Ω]. A point's own potential is infinite and set to 0 here, so that only
-    readings that touch no driven electrode mean anything; rows do not sum to zero.
-    """
-    apart = angles_rad[:, None] - angles_rad
-    chord = 2 * np.abs(np.sin(apart / 2))
-    np.fill_diagonal(chord, 1)
-    order = np.arange(1, harmonics + 1, dtype=np.float64)
-    extra = (sheet.gain(order) - 1) / order
-    disturbed = np.cos(apart[..., None] * order) @ extra
-    impedance = (disturbed - np.log(chord)) / (np.pi * sheet.conductance_S)
-    np.fill_diagonal(impedance, 0)
-    return np.asarray(impedance, dtype=np.float64)
-
-
 def grounded(impedance: Array) -> Array:
     """Project a transfer impedance on ΣI = 0 and ΣU = 0."""
     projected = impedance - impedance.mean(axis=0)
@@ -132,74 +109,6 @@ def _gram(basis: Array, weight: Array, order: Array, lag: float) -> Array:
     mode = np.arange(basis.shape[1])
     turn = (mode[:, None] - mode) % 4
     return np.select([turn == 0, turn == 1, turn == 2], [even, -odd, -even], odd)
-
-
-def pin_transfer_impedance(
-    radius_mm: float, conductance_S: float, layout: ElectrodeLayout, contact_impedance: float, *, points: int = 24
-) -> Array:
-    """Complete electrode model with pins of equal size inside the sheet.
-
-    The potential is a single layer σ on the rims. The current density into the sheet is then
-    j = σ/2 − γ ∂u/∂n, the pin's current ∮σ ds, and u + z j = U on its rim.
-
-    Parameters
-    ----------
-    radius_mm : of the sheet.
-    conductance_S : sheet conductance γ.
-    layout : of pins.
-    contact_impedance : z [Ω·mm].
-    points : on each rim, even; 24 reach rounding while a pin is at least its own diameter from the edge.
-
-    Returns
-    -------
-    (electrodes, electrodes) float64 [Ω], U = Z·I with ΣI = ΣU = 0.
-    """
-    pin, count = layout.width_mm / 2, layout.count
-    turn = 2 * np.pi * np.arange(points) / points
-    normal = np.tile(np.column_stack([np.cos(turn), np.sin(turn)]), (count, 1))
-    place = np.repeat(layout.positions_mm(), points, axis=0) + pin * normal
-    potential, flux = _free_space(place, normal, count, pin)
-    image, image_flux = _images(place, normal, radius_mm)
-    weight = 2 * np.pi * pin / points
-    potential += weight * image
-    flux += weight * image_flux
-    rim = np.kron(np.eye(count), np.ones((points, 1)))
-    system = potential / conductance_S + contact_impedance * (np.eye(len(place)) / 2 + flux)
-    density = np.linalg.solve(system, rim)  # σ for one volt on each pin in turn
-    admittance = weight * rim.T @ density
-    return grounded(np.linalg.inv(admittance))
-
-
-def _free_space(place: Array, normal: Array, count: int, pin: float) -> tuple[Array, Array]:
-    """−1/2π ln|x − y| and minus its normal derivative at x, integrated over the rims."""
-    points = len(place) // count
-    weight = 2 * np.pi * pin / points
-    apart = place[:, None] - place
-    squared = (apart**2).sum(axis=2)
-    np.fill_diagonal(squared, 1)
-    potential = -weight / (4 * np.pi) * np.log(squared)
-    flux = weight / (2 * np.pi) * np.einsum("ijk,ik->ij", apart, normal) / squared
-    # On its own rim the kernel is singular, but diagonal in Fourier modes: −ρ ln ρ for the mean, ρ/2|m| above it.
-    mode = np.abs(np.fft.fftfreq(points, 1 / points))
-    eigenvalues = np.where(mode == 0, -pin * np.log(pin), pin / (2 * np.maximum(mode, 1)))
-    row = np.fft.ifft(eigenvalues).real
-    own = row[(np.arange(points)[:, None] - np.arange(points)) % points]
-    for k in range(count):
-        block = slice(k * points, (k + 1) * points)
-        potential[block, block] = own
-        flux[block, block] = weight / (4 * np.pi * pin)
-    return potential, flux
-
-
-def _images(place: Array, normal: Array, radius: float) -> tuple[Array, Array]:
-    """Contribution of each point's image beyond the edge, y* = R² y/|y|², and minus its normal derivative at x."""
-    far = np.hypot(place[:, 0], place[:, 1])
-    image = place * (radius / far)[:, None] ** 2
-    apart = place[:, None] - image
-    squared = (apart**2).sum(axis=2)
-    potential = -np.log(squared * (far / radius) ** 2) / (4 * np.pi)
-    flux = np.einsum("ijk,ik->ij", apart, normal) / squared / (2 * np.pi)
-    return potential, flux
 
 
 #: Fewer resistors are no ring.

@@ -11,8 +11,8 @@ import numpy as np
 
 from cbsr_qa.domain import Array, Indices, NumericsError, real_numbers
 from cbsr_qa.domain.sensor import DrivePattern, Mesh
-from cbsr_qa.eit.forward.contacts import edge_contacts, point_contacts
-from cbsr_qa.eit.forward.elements import FiniteElements
+from cbsr_qa.eit.forward.closed_forms import grounded
+from cbsr_qa.eit.forward.elements import FiniteElements, edge_contacts, point_contacts
 from cbsr_qa.eit.forward.prepared import PreparedSheet
 from cbsr_qa.eit.forward.value_range import check_contacts, check_contrast, check_values, far_apart, least_and_most
 
@@ -145,7 +145,7 @@ class ForwardModel:
         -------
         (electrodes, electrodes) float64 [Ω], U = Z·I for ΣI = 0, with ΣU = 0.
         """
-        return _grounded(self._sheet_impedance + np.diag(self._own_impedance))
+        return grounded(self._sheet_impedance + np.diag(self._own_impedance))
 
     def voltages(self) -> Array:
         """Readings per unit current: (drives, measures) [V/A].
@@ -248,7 +248,7 @@ class ForwardModel:
     def _fields_at(self, nodes: Indices) -> Array:
         """:attr:`electrode_fields` at some nodes."""
         fields = np.empty((len(nodes), len(self.contact_impedance)))
-        fields[:, 1:] = self._ordered_fields[self.prepared.place[nodes]]
+        fields[:, 1:] = self._ordered[0][self.prepared.place[nodes]]
         fields[:, 0] = -fields[:, 1:] @ np.ones(fields.shape[1] - 1)  # all together drive nothing
         return fields
 
@@ -256,23 +256,18 @@ class ForwardModel:
         """Differences of :attr:`electrode_fields` between nodes, right to their own size: (…, electrodes)."""
         place = self.prepared.place
         here, there = place[nodes], place[others]
-        rest = self._ordered_fields[here] - self._ordered_fields[there]
-        if self._ordered_rest is not None:
-            rest += self._ordered_rest[here] - self._ordered_rest[there]
+        fields, error = self._ordered
+        rest = fields[here] - fields[there]
+        if error is not None:
+            rest += error[here] - error[there]
         return np.concatenate([-rest.sum(axis=-1, keepdims=True), rest], axis=-1)
 
-    @property
-    def _ordered_fields(self) -> Array:
-        """Fields of all electrodes but the first, in the order of elimination: (n, electrodes − 1)."""
-        return self._ordered_parts[0]
-
-    @property
-    def _ordered_rest(self) -> Array | None:
-        """Rounding error of the potentials; None if unknown."""
-        return self._ordered_parts[1]
-
     @cached_property
-    def _ordered_parts(self) -> tuple[Array, Array | None]:
+    def _ordered(self) -> tuple[Array, Array | None]:
+        """Fields of all electrodes but the first, in the order of elimination, and their rounding error if known.
+
+        (n, electrodes − 1) each [V/A].
+        """
         drives = self.prepared.ordered_drives
         return (
             self._factors.refined_ordered(drives) if self._far_apart else (self._factors.solve_ordered(drives), None)
@@ -327,9 +322,3 @@ def _alike(one: Array, other: Array, points: int) -> tuple[Array, Array]:
         for part in (one, other)
     )
     return first, second
-
-
-def _grounded(impedance: Array) -> Array:
-    projected: Array = impedance - impedance.mean(axis=0)
-    projected -= projected.mean(axis=1, keepdims=True)
-    return projected

@@ -14,21 +14,16 @@ vanish or are of rounding (Wilkinson 1963; Demmel et al. 2006), which takes two 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.forward.contacts import Contacts
-from cbsr_qa.eit.forward.elements import FiniteElements
-
-SparseIndices = NDArray[np.int32]
+from cbsr_qa.eit.forward.elements import Contacts, FiniteElements
 
 _MOST_STEPS: Final = 12
 _DONE: Final = 1e-13  # of the largest potential: the next correction would be one of rounding
@@ -36,37 +31,15 @@ _SHRINKS: Final = 0.5  # a correction that is no smaller than so much of the las
 _LOST: Final = 1e-2  # of the largest potential: corrections that end above were never any
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Conductors:
-    """A symmetric matrix whose rows sum to zero, stored as conductances between its nodes.
-
-    Parameters
-    ----------
-    values : (k,) entries column by column; those on the diagonal do not count.
-    row : (k,) int32 of each entry. start : (n + 1,) int32, where each column's entries begin; none is empty.
-    """
-
-    values: Array
-    row: SparseIndices
-    start: SparseIndices
-
-    def out_of(self, high: Array, low: Array) -> Array:
-        """Current out of each node into the others for potentials high + low, (n, k) [V] both: (n, k) [A]."""
-        counts = np.diff(self.start)
-        one, other = high[self.row], np.repeat(high, counts, axis=0)
-        difference, lost = _difference(one, other)
-        lost += low[self.row] - np.repeat(low, counts, axis=0)
-        flow = self.values[:, None] * (difference + lost)
-        return np.asarray(np.add.reduceat(flow, self.start[:-1], axis=0), dtype=np.float64)
-
-
 def refined(
-    conductors: Conductors, load: Array, solve: Callable[[Array], Array], potentials: Array, ground: int
+    conductors: sparse.csc_matrix, load: Array, solve: Callable[[Array], Array], potentials: Array, ground: int
 ) -> tuple[Array, Array]:
     """Refine potentials until they are those of the conductors to rounding.
 
     Parameters
     ----------
+    conductors : a symmetric matrix whose rows sum to zero, as conductances between its nodes; its diagonal does not
+        count, and no column is empty.
     load : (n, k) currents into the nodes, columns that sum to zero [A].
     solve : gives potentials of a load, nearly.
     potentials : (n, k) to begin with [V].
@@ -85,7 +58,7 @@ def refined(
     high, low = potentials - potentials[ground], np.zeros_like(potentials)
     left = np.inf
     for _ in range(_MOST_STEPS):
-        correction = solve(load - conductors.out_of(high, low))
+        correction = solve(load - _out_of(conductors, high, low))
         correction -= correction[ground]
         high, lost = _sum(high, correction)
         high, low = _sum(high, low + lost)
@@ -100,6 +73,15 @@ def refined(
     return high, low
 
 
+def _out_of(conductors: sparse.csc_matrix, high: Array, low: Array) -> Array:
+    """Current out of each node into the others for potentials high + low, (n, k) [V] both: (n, k) [A]."""
+    row, counts = conductors.indices, np.diff(conductors.indptr)
+    difference, lost = _sum(high[row], -np.repeat(high, counts, axis=0))
+    lost += low[row] - np.repeat(low, counts, axis=0)
+    flow = conductors.data[:, None] * (difference + lost)
+    return np.asarray(np.add.reduceat(flow, conductors.indptr[:-1], axis=0), dtype=np.float64)
+
+
 def _share(correction: Array, potentials: Array) -> float:
     """Largest correction of a column over its largest potential, of all columns the worst."""
     largest = np.abs(potentials).max(axis=0)
@@ -112,11 +94,6 @@ def _sum(one: Array, other: Array) -> tuple[Array, Array]:
     total = one + other
     part = total - one
     return total, (one - (total - part)) + (other - part)
-
-
-def _difference(one: Array, other: Array) -> tuple[Array, Array]:
-    """Rounded difference, and its rounding error."""
-    return _sum(one, -other)
 
 
 # Supernodes are not relaxed: with the symmetric ordering SuperLU pads some of them until they cost ten times as much.
@@ -199,11 +176,12 @@ class PreparedSheet:
             rest = conductance[uneven] - even[uneven, None, None, None] * np.eye(2)
             change = self.elements.directional_stiffness(uneven, rest)
             values += np.bincount(self._slot[uneven].ravel(), change.ravel(), minlength=len(values))
-        conductors = Conductors(values.copy(), self._row, self._start)
+        shape = (self.elements.count,) * 2
+        conductors = sparse.csc_matrix((values.copy(), self._row, self._start), shape=shape)
         best = int(even.argmax())
         ground = int(self.place[self.elements.cells[best, 0]])
         values[self._diagonal[ground]] += even[best]
-        matrix = sparse.csc_matrix((values, self._row, self._start), shape=(self.elements.count,) * 2)
+        matrix = sparse.csc_matrix((values, self._row, self._start), shape=shape)
         factors = splu(matrix, permc_spec="NATURAL", **_SYMMETRIC)
         return Factors(factors, self.place, conductors, ground, float(even[best]))
 
@@ -219,7 +197,9 @@ class Factors:
     ground : place of the node that is held. held_by : what it is held by [S].
     """
 
-    def __init__(self, factors: SuperLU, place: Indices, conductors: Conductors, ground: int, held_by: float) -> None:
+    def __init__(
+        self, factors: SuperLU, place: Indices, conductors: sparse.csc_matrix, ground: int, held_by: float
+    ) -> None:
         self._factors = factors
         self._place = place
         self._conductors = conductors

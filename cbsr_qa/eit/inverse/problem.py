@@ -19,8 +19,9 @@ from cbsr_qa.domain import Array, Indices, Mask, NumericsError, real_numbers
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import FEWEST_INDEPENDENT, DrivePattern, Mesh, SensorType
-from cbsr_qa.eit.forward import ForwardModel, LocalUpdate, cover
+from cbsr_qa.eit.forward import ForwardModel, cover
 from cbsr_qa.eit.inverse.overlap import Pieces, overlap_pieces
+from cbsr_qa.eit.loads import LocalUpdate
 from cbsr_qa.eit.mesh import image_mesh, sheet_mesh
 
 

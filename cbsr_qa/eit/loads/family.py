@@ -1,7 +1,7 @@
 """Loads of fixed shape and varying strength: their response on the rim, tabulated.
 
 Everything about such a load is a smooth function of one number. With X = (I + ΔΛ W)⁻¹ ΔΛ what a patch answers to the
-fields that reach its rim (:mod:`cbsr_qa.eit.forward.local`), X/s is analytic in the strength s wherever all elements
+fields that reach its rim (:mod:`cbsr_qa.eit.loads.local`), X/s is analytic in the strength s wherever all elements
 still conduct, and so is the change of the elements over s: a Chebyshev series of a few terms is exact to rounding
 (Trefethen 2013, theorem 8.2). It is summed where the exact way would be to assemble and to solve.
 """
@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.eit.forward import ForwardModel, InverseEntries
+from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, check_change
-from cbsr_qa.eit.loads.rims import own_rim, seen_outside
+from cbsr_qa.eit.loads.rims import InverseEntries, own_rim, seen_outside
 
 #: Loads that overlap are residues where all together are no stronger than this, and are no more than so many.
 WEAK: Final = 2e-3

@@ -2,16 +2,20 @@
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain import Array, Indices, Mask, NumericsError
-from cbsr_qa.eit.forward import ForwardModel, InverseEntries, conducts
-from cbsr_qa.eit.loads.rims import between_rims, connected_parts, filled_up, met_bases, seen_outside, spans_of
-
-Item = TypeVar("Item")
+from cbsr_qa.eit.forward import ForwardModel, conducts
+from cbsr_qa.eit.loads.rims import (
+    InverseEntries,
+    connected_parts,
+    coupled,
+    seen_outside,
+    spans_of,
+)
 
 # What reaches a patch from outside is smooth there: of the fields its rim could carry, few are ever met.
 _NEGLIGIBLE: Final = 1e-14
@@ -181,27 +185,14 @@ class Patches:
 
     def _link(self, model: ForwardModel, inverse: InverseEntries) -> None:
         """Describe the fields that each patch sees, and the coupling of patches and electrodes."""
-        shapes = [stack.rims.shape for stack in self._stacks]
-        spans = spans_of([b for g, b in shapes for _ in range(g)])
-        between, fields = between_rims(model, inverse, [row for stack in self._stacks for row in stack.rims], spans)
-        self._own = [
-            np.stack([between[span, span] for span in part]) for part in _shared_out(spans, [g for g, _ in shapes])
-        ]
-        for span in spans:
-            between[span, span] = 0
         of_contacts = [stack is self._contacts for stack in self._stacks for _ in stack.rims]
         least = [_NEGLIGIBLE_CONTACT if contact else _NEGLIGIBLE for contact in of_contacts]
-        shared = [
-            list(part) for part in _shared_out(met_bases(between, fields, spans, least), [g for g, _ in shapes])
-        ]
-        self._met = [np.stack(filled_up(part)) for part in shared]
-        bases = [basis for part in self._met for basis in part]
-        places = spans_of([basis.shape[1] for basis in bases])
-        whole = np.zeros((len(fields), places[-1].stop))
-        for place, span, basis in zip(places, spans, bases, strict=True):
-            whole[span, place] = basis
-        self._fields = whole.T @ fields  # (sum of ranks, electrodes)
-        rows = np.hstack([whole.T @ between @ whole, self._fields])
+        counts = [len(stack.rims) for stack in self._stacks]
+        coupling = coupled(model, inverse, [rim for stack in self._stacks for rim in stack.rims], least, counts)
+        self._own = [np.stack(coupling.own[part]) for part in spans_of(counts)]
+        self._met = [np.stack(coupling.bases[part]) for part in spans_of(counts)]
+        self._fields = coupling.fields  # (sum of ranks, electrodes)
+        rows = np.hstack([coupling.between, self._fields])
         ends = np.cumsum([met.shape[0] * met.shape[2] for met in self._met])[:-1]
         self._linked = [
             part.reshape(len(met), -1, rows.shape[1])
@@ -286,9 +277,3 @@ def _alike(sizes: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
         group.append(number)
     if group:
         yield group
-
-
-def _shared_out(items: Sequence[Item], counts: Sequence[int]) -> Iterator[Sequence[Item]]:
-    """Successive parts of a sequence."""
-    for span in spans_of(counts):
-        yield items[span]

@@ -4,7 +4,7 @@ A potential is the real part of an analytic function. A pin that carries a curre
 poles d_n (z − p)⁻ⁿ that hold its rim at one potential behind the contact impedance; the sheet's edge adds the image
 of every source, f(z) + conj f(R²/z̄) (Milne-Thomson's circle theorem for a wall without flux). A pin is small, so a
 few poles reach rounding. Everything here is in units of the sheet's radius and at unit sheet conductance. The
-readings agree with :mod:`cbsr_qa.eit.forward.closed_forms`, which solves the same by boundary integrals.
+readings agree with ``benchmarks/reference_solutions.py``, which solves the same by boundary integrals.
 
 Complex coefficients are kept as real vectors, all real parts before all imaginary parts, because images and pins are
 linear over the real numbers only.

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import DrivePattern
 
 _ERROR = 1e-5  # of the series if every order were as strong as the first; in fact below 1e-6
@@ -141,12 +141,10 @@ class RoundLoadModel:
             sheet, where the field has no power series.
         """
         self._check(loads)
-        reach = self._reach(loads)
-        orders = self._orders(loads.place_mm, reach)
+        reach, order, growth = self._series(loads)
+        orders = len(order)
         around = self.surroundings.expansion(loads.place_mm, reach, orders)
-        order = np.arange(1, orders + 1)
         strength = (loads.strength_mm2 / reach**2)[:, None]
-        growth = (loads.square_mm2 / reach**2)[:, None] ** (order - 1)
         poles = np.tile(strength * growth, 2)  # D_m, real and imaginary parts alike
         seen = _solved(around.response * poles[:, None] + np.eye(2 * orders), around.fields)
         drive, measure = seen @ self._drive, seen @ self._measure
@@ -164,11 +162,8 @@ class RoundLoadModel:
         """Changes per strength of loads so weak that they disturb no field: (n, drives, measures) [V/A per mm²]."""
         nothing = np.zeros(len(place_mm))
         loads = RoundLoads(np.asarray(place_mm, dtype=np.float64), nothing, np.asarray(radius_mm) ** 2)
-        reach = self._reach(loads)
-        orders = self._orders(loads.place_mm, reach)
-        fields = self.surroundings.fields(loads.place_mm, reach, orders)
-        order = np.arange(1, orders + 1)
-        growth = (loads.square_mm2 / reach**2)[:, None] ** (order - 1)
+        reach, order, growth = self._series(loads)
+        fields = self.surroundings.fields(loads.place_mm, reach, len(order))
         weight = -2 * np.pi * np.tile(order * growth, 2) / reach[:, None] ** 2
         return _gram(fields @ self._drive, weight, fields @ self._measure)
 
@@ -188,14 +183,14 @@ class RoundLoadModel:
                 remedy="press clear of the electrodes, or use a mesh",
             )
 
-    def _reach(self, loads: RoundLoads) -> Array:
-        least = _SMALLEST_REACH * self.surroundings.radius_mm
-        return np.maximum(np.sqrt(np.abs(loads.square_mm2)), least)
-
-    def _orders(self, place_mm: Array, reach_mm: Array) -> int:
-        clearance = self.surroundings.clearance_mm(place_mm)
-        ratio = float((reach_mm / np.maximum(clearance, reach_mm * 1.05)).max(initial=0.0))
-        return int(np.clip(ceil(log(_ERROR) / (2 * log(ratio))) + 1, _FEWEST, _MOST)) if ratio > 0 else _FEWEST
+    def _series(self, loads: RoundLoads) -> tuple[Array, Indices, Array]:
+        """Reach of each load (n,) [mm], orders m (M,), and (square/reach²)^(m − 1), (n, M)."""
+        reach = np.maximum(np.sqrt(np.abs(loads.square_mm2)), _SMALLEST_REACH * self.surroundings.radius_mm)
+        clearance = self.surroundings.clearance_mm(loads.place_mm)
+        ratio = float((reach / np.maximum(clearance, reach * 1.05)).max(initial=0.0))
+        needed = ceil(log(_ERROR) / (2 * log(ratio))) + 1 if ratio > 0 else _FEWEST
+        order = np.arange(1, int(np.clip(needed, _FEWEST, _MOST)) + 1)
+        return reach, order, (loads.square_mm2 / reach**2)[:, None] ** (order - 1)
 
 
 def _solved(system: Array, fields: Array) -> Array:

@@ -15,10 +15,11 @@ from typing import Final, TypeVar
 import numpy as np
 
 from cbsr_qa.domain import Array, Indices
-from cbsr_qa.eit.forward import ForwardModel, InverseEntries, LocalUpdate
+from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.loads.family import TERMS, LoadFamily, Patch, polynomials
+from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.loads.patches import ContactStack
-from cbsr_qa.eit.loads.rims import between_rims, filled_up, met_bases, spans_of
+from cbsr_qa.eit.loads.rims import InverseEntries, coupled
 
 # What of the fields at a rim is left out, over the largest. What a patch sends back of a field that it hardly meets
 # is hardly met elsewhere: readings feel the square of it.
@@ -50,21 +51,13 @@ class LinkedPatches:
         self._patches = tuple(patches)
         self._contacts = contacts
         rims = [patch.rim for patch in patches] + ([] if contacts is None else list(contacts.rims))
-        spans = spans_of([len(rim) for rim in rims])
-        between, fields = between_rims(model, inverse, rims, spans)
-        own = [between[span, span].copy() for span in spans]
-        for span in spans:
-            between[span, span] = 0
         count = len(patches)
         least = [_NEGLIGIBLE if k < count else _NEGLIGIBLE_CONTACT for k in range(len(rims))]
         least = least if len(rims) > 1 else [_ROUNDING]
-        found = met_bases(between, fields, spans, least)
-        bases = filled_up(found[:count]) + filled_up(found[count:])
-        self._bases, self._contact_bases = bases[:count], bases[count:]
-        self._contact_own = np.stack(own[count:]) if contacts is not None else np.zeros((0, 0, 0))
-        whole = _block_diagonal(spans, bases)
-        self._between = whole.T @ between @ whole
-        self._fields = whole.T @ fields  # (sum of ranks, electrodes)
+        coupling = coupled(model, inverse, rims, least, (count, len(rims) - count))
+        self._bases, self._contact_bases = coupling.bases[:count], coupling.bases[count:]
+        self._contact_own = np.stack(coupling.own[count:]) if contacts is not None else np.zeros((0, 0, 0))
+        self._between, self._fields = coupling.between, coupling.fields
         self._loads = sum(basis.shape[1] for basis in self._bases)
         self._series, self._reach = self._projected()
         self._eliminated: tuple[bytes, tuple[Array, Array, Array]] | None = None
@@ -163,14 +156,6 @@ def _times(blocks: Array, rows: Array) -> Array:
     return (blocks @ rows.reshape(len(blocks), blocks.shape[2], -1)).reshape(rows.shape)
 
 
-def _block_diagonal(spans: Sequence[slice], bases: Sequence[Array]) -> Array:
-    places = spans_of([basis.shape[1] for basis in bases])
-    whole = np.zeros((spans[-1].stop, places[-1].stop))
-    for span, place, basis in zip(spans, places, bases, strict=True):
-        whole[span, place] = basis
-    return whole
-
-
 Kept = TypeVar("Kept", Patch, LinkedPatches | None)
 
 _MOST_PATCHES: Final = 192  # some 0.3 MB each; of many loads that overlap tens of times that
@@ -223,8 +208,8 @@ class LoadedSheet:
             return np.repeat(before[None], len(loads), axis=0)
         link = self._link(tuple(loads[0]), contact_change is not None)
         if link is None:
-            each = (_together(self.model, moment) for moment in loads)
-            return np.array([self._local.transfer_impedance(*one, contact_impedance) for one in each])
+            changes = (_multi_load(self.model, moment) for moment in loads)
+            return np.array([self._local.transfer_impedance(*change, contact_impedance) for change in changes])
         return before + own - link.corrections(loads, contact_change)
 
     def _link(self, families: tuple[LoadFamily, ...], contacts: bool) -> LinkedPatches | None:
@@ -258,7 +243,7 @@ class LoadedSheet:
 
 def _make_room(kept: "OrderedDict[Hashable, Kept]", most: int) -> None:
     """Drop those unused for longest, until there are fewer and they take less memory than is allowed."""
-    sizes = [one.nbytes if one is not None else 0 for one in kept.values()]
+    sizes = [item.nbytes if item is not None else 0 for item in kept.values()]
     used = sum(sizes)
     for size in sizes:
         if len(kept) < most and used < _MOST_BYTES:
@@ -279,7 +264,7 @@ def _overlapping(families: Sequence[LoadFamily]) -> list[tuple[LoadFamily, ...]]
     return [tuple(members) for members, _ in groups]
 
 
-def _together(model: ForwardModel, loads: Mapping[LoadFamily, float]) -> tuple[Indices, Array]:
+def _multi_load(model: ForwardModel, loads: Mapping[LoadFamily, float]) -> tuple[Indices, Array]:
     """Elements and changes of all loads, one behind the other."""
     none = np.zeros((0, len(model.elements.shapes.points), 2, 2))
     elements = [np.zeros(0, dtype=np.int64), *(family.elements for family in loads)]

@@ -5,7 +5,7 @@ import scipy.io
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
 from cbsr_qa.analysis.recording.places import matcher
 from cbsr_qa.analysis.recording.tank import find_still, fitted_tank
-from cbsr_qa.eit.forward import DeepTank
+from cbsr_qa.eit.loads import DeepTank
 
 DISC = nominal_disc(None, 16)
 USED = DISC.pattern.usable()

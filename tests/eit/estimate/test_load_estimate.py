@@ -5,11 +5,12 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
+from benchmarks.load_bound import load_bound
+from benchmarks.reference_solutions import fitted_mesh
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import LoadFinding
 from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.eit.estimate.fit import load_bound
 from cbsr_qa.eit.estimate.load_estimate import (
     DETECTED_GAIN,
     LEAST_DETECTABILITY,
@@ -22,7 +23,7 @@ from cbsr_qa.eit.estimate.readings import load_model, merged_readings
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
 from cbsr_qa.eit.loads import RoundLoads
-from cbsr_qa.eit.mesh import fitted_mesh, sheet_mesh
+from cbsr_qa.eit.mesh import sheet_mesh
 
 SENSOR = load_sensor_type("disc-100mm").value
 MODEL = load_model(SENSOR)

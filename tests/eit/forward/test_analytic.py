@@ -3,14 +3,10 @@ import json
 import numpy as np
 import pytest
 
+from benchmarks.reference_solutions import pin_transfer_impedance, point_transfer_impedance
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import adjacent_pattern
-from cbsr_qa.eit.forward.closed_forms import (
-    ConcentricSheet,
-    arc_transfer_impedance,
-    pin_transfer_impedance,
-    point_transfer_impedance,
-)
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
 
 ANGLES = 2 * np.pi * np.arange(16) / 16
 PATTERN = adjacent_pattern(16)

@@ -11,9 +11,8 @@ from cbsr_qa.domain.geometry import PolygonFootprint, RoundFootprint
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward.coverage import Cover, cover, disc_coverage
 from cbsr_qa.eit.forward.elements import FiniteElements
-from cbsr_qa.eit.forward.local import LocalUpdate
 from cbsr_qa.eit.forward.model import ForwardModel
-from cbsr_qa.eit.loads import PinnedDisc, RoundLoadModel, RoundLoads
+from cbsr_qa.eit.loads import LocalUpdate, PinnedDisc, RoundLoadModel, RoundLoads
 from cbsr_qa.eit.mesh import sheet_mesh
 
 

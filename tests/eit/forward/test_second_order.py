@@ -7,15 +7,11 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
+from benchmarks.reference_solutions import pin_transfer_impedance, point_transfer_impedance
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.forward.closed_forms import (
-    ConcentricSheet,
-    arc_transfer_impedance,
-    pin_transfer_impedance,
-    point_transfer_impedance,
-)
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance
 from cbsr_qa.eit.forward.coverage import cover
 from cbsr_qa.eit.forward.model import ForwardModel, point_model
 from cbsr_qa.eit.mesh import sheet_mesh

@@ -11,10 +11,9 @@ from hypothesis import given, strategies as st
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.forward import ForwardModel, cover
+from cbsr_qa.eit.forward import ForwardModel, cover, nested_cover
 from cbsr_qa.eit.loads import sheet as loaded_sheet
 from cbsr_qa.eit.loads.family import WEAK, LoadFamily, Series
-from cbsr_qa.eit.loads.nested import nested_cover
 from cbsr_qa.eit.loads.sheet import LoadedSheet
 
 # Loads that are there together are right to this part of the mean used reading; so says the simulated sheet.

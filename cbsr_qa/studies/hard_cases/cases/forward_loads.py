@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.eit.forward import LocalUpdate, disc_coverage, point_model
+from cbsr_qa.eit.forward import disc_coverage, point_model
+from cbsr_qa.eit.loads import LocalUpdate
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.cases.forward import FIFTY, against_fifty_digits
 from cbsr_qa.studies.hard_cases.sheets import (

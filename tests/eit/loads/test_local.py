@@ -6,10 +6,9 @@ from hypothesis import given, strategies as st
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.eit.forward.coverage import cover, disc_coverage
-from cbsr_qa.eit.forward.inverse import InverseEntries
-from cbsr_qa.eit.forward.local import LocalUpdate
-from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.forward import ForwardModel, cover, disc_coverage
+from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa.eit.loads.rims import InverseEntries
 
 
 @pytest.fixture(scope="module", params=[1, 2])

@@ -12,7 +12,7 @@ from cbsr_qa.domain.geometry import Polygon
 from cbsr_qa.domain.plan import SheetDesign
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, PlacedElectrodes, polygon_sensor
-from cbsr_qa.eit.forward.bodies import StripModel, check_strip
+from cbsr_qa.eit.loads.bodies import StripModel, check_strip
 from cbsr_qa.simulate import SimulatedSheet
 
 PAIR = DrivePattern(2, ((0, 1),), ((0, 1),))

@@ -27,10 +27,9 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.domain import Array, Indices, NumericsError
-from cbsr_qa.eit.forward.inverse import InverseEntries
-from cbsr_qa.eit.forward.model import ForwardModel
-from cbsr_qa.eit.forward.value_range import check_values
-from cbsr_qa.eit.loads import Patches, check_change, dense_work
+from cbsr_qa.eit.forward import ForwardModel, check_values
+from cbsr_qa.eit.loads.patches import Patches, check_change, dense_work
+from cbsr_qa.eit.loads.rims import InverseEntries
 
 #: Memory for what is kept of sets of elements; nine heads on a mesh of 2.5 mm take 2 MB.
 KEPT_BYTES: Final = 64 << 20

@@ -19,9 +19,8 @@ from scipy.special import ive
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import DrivePattern, SensorType
-from cbsr_qa.eit.forward.coverage import cover
-from cbsr_qa.eit.forward.local import LocalUpdate
-from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.forward import ForwardModel, cover
+from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.mesh import sheet_mesh
 
 _SIZE: Final = 0.1  # edge length far from the pins, of the strip's radius: changes of readings to 5e-4
