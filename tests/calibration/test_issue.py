@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from observation_samples import sample_load, sample_material, sample_relaxation, sample_run
+from observation_samples import sample_load, sample_relaxation, sample_run
 
 from cbsr_qa.calibration.file import read_calibration, write_calibration
 from cbsr_qa.calibration.issue import issue_calibration
@@ -97,16 +97,6 @@ def test_settling_is_summarised_with_censored_ones_as_lower_bounds():
     assert (loading.signal, loading.loading, loading.mean_s) == ("conductance", True, 40.0)
     assert (loading.accepted, loading.censored, loading.rejected) == (1, 1, 0)
     assert (unloading.mean_s, unloading.accepted, unloading.censored, unloading.rejected) == (40.0, 1, 0, 1)
-
-
-def test_a_characterised_sensor_assumes_nothing():
-    measured = sample_material(5e-3, 1e-4)
-    issued = _issue(
-        sample_run(_loads()), measured_stress=measured.against_stress, measured_strain=measured.against_strain
-    )
-    assert issued.assumed == ()
-    assert issued.against_stress.slope.value == 5e-3
-    assert issued.baseline[0].value == pytest.approx(_issue(sample_run(_loads())).baseline[0].value * 0.9)
 
 
 def test_a_place_that_says_nothing_reduces_the_range():

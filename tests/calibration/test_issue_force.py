@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_samples import sample_force
-from observation_samples import sample_load, sample_material, sample_run
+from observation_samples import sample_load, sample_run
 from test_issue import _issue
 
 from cbsr_qa.analysis.run import stood_at_limit
@@ -54,10 +54,6 @@ def test_the_learned_line_takes_the_place_of_the_materials_and_baselines_are_tak
 def test_an_intercept_nobody_fitted_stays_assumed():
     issued, _ = _issued(_loads(), fitted=False)
     assert "β against stress" in issued.assumed
-    measured = sample_material().against_stress
-    run = sample_run(_loads())
-    characterised = _issue(run, learned=_learned(run, fitted=False), learned_from=run.loads, measured_stress=measured)
-    assert characterised.assumed == ("α against strain", "β against strain")
 
 
 def test_the_range_is_that_of_the_loads_that_were_used_and_the_others_are_named():
