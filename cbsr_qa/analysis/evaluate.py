@@ -1,13 +1,12 @@
 """Evaluation of a stored run: observations, judged measurements, verdict, calibration."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from cbsr_qa.analysis.measure import judge, measure_run
 from cbsr_qa.analysis.run import observe_run, run_force
 from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.calibration import issue_calibration
-from cbsr_qa.calibration.force import LearnedForce, prepared_again
 from cbsr_qa.domain import CalibrationError, CbsrError, NumericsError
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.results import (
@@ -127,7 +126,7 @@ def calibrated(
             phases=recipe.calibrate_phases,
             overlap_threshold=_overlap_threshold(recipe),
             noise_figure=_measured(conclusion, "noise_figure"),
-            learned=_as_stored(force.learned, conclusion.observation),
+            learned=force.learned,
             learned_from=force.used,
             confirmed=force.confirmed(),
             no_force=force.why,
@@ -135,15 +134,6 @@ def calibrated(
     except (CalibrationError, NumericsError) as error:
         return None, error.reason
     return issued, ""
-
-
-def _as_stored(learned: LearnedForce | None, run: RunObservation) -> LearnedForce | None:
-    """A force model with the templates that the database will recompute."""
-    if learned is None:
-        return None
-    kind, head = run.record.sensor_type, run.record.indenter
-    model = prepared_again(learned.model, kind, run.reconstruction.problem.used, run.reference, head)
-    return replace(learned, model=model)
 
 
 def _overlap_threshold(recipe: Recipe) -> float:

@@ -1,7 +1,6 @@
 """Issuing a calibration from a run that passed."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
@@ -15,7 +14,6 @@ from cbsr_qa.domain.results import (
     BaselineConductance,
     Calibration,
     EndReason,
-    ForceModel,
     LoadObservation,
     LoadRelaxation,
     Outcome,
@@ -35,8 +33,6 @@ def issue_calibration(
     issued_at: str,
     phases: Sequence[str],
     overlap_threshold: float,
-    measured_stress: QuasiStatic | None = None,
-    measured_strain: QuasiStatic | None = None,
     noise_figure: float | None = None,
     learned: LearnedForce | None = None,
     learned_from: Sequence[LoadObservation] = (),
@@ -52,11 +48,9 @@ def issue_calibration(
     calibration, issued_at : identity (time-ordered UUID as text) and wall clock (ISO with zone).
     phases : names of the phases whose loads are used.
     overlap_threshold : lowest area overlap the recipe accepts [%].
-    measured_stress, measured_strain : α, β where this sensor was characterised; else the material's are used and
-        named in ``assumed``.
     noise_figure : measured on this sensor; None where the recipe did not ask for it.
-    learned : force model of the sensor; its line takes the place of α, β against stress, since its map was learned
-        with it. None where there is none: ``no_force`` then says why.
+    learned : force model of the sensor; its line takes the place of the material's α, β against stress, since its
+        map was learned with it. None where there is none: ``no_force`` then says why.
     learned_from : the loads it was learned from or that it refused, in the order of ``learned.refused``.
     confirmed : loads it was not learned from whose force it told within its stated error: they widen the range.
 
@@ -72,77 +66,38 @@ def issue_calibration(
         validity, each with its reason.
     """
     _check_passed(observation, verdict)
-    material = observation.record.material
-    identity = _Issue(calibration, _utc(issued_at), overlap_threshold, noise_figure)
-    of_sensor = measured_stress or material.against_stress
-    fits = _Fits(
-        of_sensor if learned is None else learned.line,
-        measured_strain or material.against_strain,
-        _assumed(measured_stress, measured_strain, learned),
-        learned,
-        tuple(learned_from),
-        tuple(confirmed),
-        "" if learned else no_force or "nobody asked for a force model",
-    )
-    return stamped(_calibration(observation, _loads_of(observation, phases), fits, identity))
-
-
-@dataclass(frozen=True, slots=True)
-class _Issue:
-    """What the caller says about a calibration."""
-
-    calibration: str
-    issued_at: str
-    overlap_threshold: float
-    noise_figure: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Fits:
-    """α and β that are used, which of them nobody measured on this sensor, and what was learned of force."""
-
-    against_stress: QuasiStatic
-    against_strain: QuasiStatic
-    assumed: tuple[str, ...]
-    learned: LearnedForce | None
-    learned_from: tuple[LoadObservation, ...]
-    confirmed: tuple[LoadObservation, ...]
-    no_force: str
-
-    @property
-    def model(self) -> ForceModel | None:
-        """The force model as its file holds it."""
-        return None if self.learned is None else as_filed(self.learned.model)
-
-    def used(self) -> list[LoadObservation] | None:
-        """The loads force was learned from; None where it was not."""
-        if self.learned is None:
-            return None
-        return [load for load, why in zip(self.learned_from, self.learned.refused, strict=True) if not why]
-
-
-def _calibration(
-    observation: RunObservation, loads: Sequence[LoadObservation], fits: _Fits, issue: _Issue
-) -> Calibration:
-    baseline, used = _baseline(observation, loads, fits.against_stress)
+    utc, material = _utc(issued_at), observation.record.material
+    loads = _loads_of(observation, phases)
+    against_stress = material.against_stress if learned is None else learned.line
+    baseline, used = _baseline(observation, loads, against_stress)
+    why = "" if learned else no_force or "nobody asked for a force model"
+    reduced = [*_left_out(baseline), *unmeasured(loads)]
+    if learned is None:
+        reduced.append(f"no force can be told: {why}")
+    else:
+        used = [load for load, refusal in zip(learned_from, learned.refused, strict=True) if not refusal]
+        reduced += [*force_reductions(learned, learned_from), *tried_beyond(used, confirmed)]
+    reduced += reading_reductions(observation.record.sensor_type.pattern, observation.usable)
     relaxations = tuple(_relaxations(observation.tested))
-    return Calibration(
-        **taken(Calibration, observation),
-        calibration=issue.calibration,
-        issued_at=issue.issued_at,
-        current_A=_current_A(observation),
-        reconstruction=observation.reconstruction.in_single_precision(),
-        baseline=baseline,
-        against_stress=fits.against_stress,
-        against_strain=fits.against_strain,
-        assumed=fits.assumed,
-        settling=summarise_settling(relaxations),
-        overlap_threshold=issue.overlap_threshold,
-        validity=_validity(observation, fits, loads, fits.used() or used, baseline),
-        relaxations=relaxations,
-        noise_figure=issue.noise_figure,
-        force=fits.model,
-        no_force=fits.no_force,
+    return stamped(
+        Calibration(
+            **taken(Calibration, observation),
+            calibration=calibration,
+            issued_at=utc,
+            current_A=_current_A(observation),
+            reconstruction=observation.reconstruction.in_single_precision(),
+            baseline=baseline,
+            against_stress=against_stress,
+            against_strain=material.against_strain,
+            assumed=_assumed(learned),
+            settling=summarise_settling(relaxations),
+            overlap_threshold=overlap_threshold,
+            validity=_validity(observation, [*used, *confirmed], reduced),
+            relaxations=relaxations,
+            noise_figure=noise_figure,
+            force=None if learned is None else as_filed(learned.model),
+            no_force=why,
+        )
     )
 
 
@@ -233,39 +188,23 @@ def _relaxations(loads: Sequence[LoadObservation]) -> Iterator[LoadRelaxation]:
             )
 
 
-def _assumed(stress: QuasiStatic | None, strain: QuasiStatic | None, learned: LearnedForce | None) -> tuple[str, ...]:
+def _assumed(learned: LearnedForce | None) -> tuple[str, ...]:
     """What was taken from the material: an intercept that loads of this sensor were fitted with was not."""
     fitted = learned is not None and learned.fitted_intercept
-    of_stress = ["α against stress", *([] if fitted else ["β against stress"])]
-    return (*([] if stress else of_stress), *([] if strain else ["α against strain", "β against strain"]))
+    return ("α against stress", *(() if fitted else ("β against stress",)), "α against strain", "β against strain")
 
 
-def _validity(
-    observation: RunObservation,
-    fits: _Fits,
-    loads: Sequence[LoadObservation],
-    used: Sequence[LoadObservation],
-    baseline: Sequence[BaselineConductance],
-) -> Validity:
-    """Range of the loads that force was learned from, or, without such, of those with a baseline conductance.
-
-    Loads that the learned force was tried on, and that bore it out, count as well.
-    """
-    reached = [*used, *fits.confirmed]
-    forces = _forces_N(reached)
+def _validity(observation: RunObservation, reached: Sequence[LoadObservation], reduced: Sequence[str]) -> Validity:
+    """Range of the loads that force was learned from or bore out, else of those with a baseline conductance."""
+    forces = [load.force_N for load in reached if load.force_N is not None]
     strains = [load.record.load.strain for load in reached]
-    radii = [float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in reached]
     return Validity(
         force_N=(min(forces), max(forces)) if forces else None,
         strain=(min(strains), max(strains)),
         temperature_C=_temperature_C(observation),
-        radius_mm=max(radii),
-        reduced=tuple(_reductions(observation, fits, loads, baseline)),
+        radius_mm=max(float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in reached),
+        reduced=tuple(reduced),
     )
-
-
-def _forces_N(loads: Sequence[LoadObservation]) -> list[float]:
-    return [load.force_N for load in loads if load.force_N is not None]
 
 
 def _temperature_C(observation: RunObservation) -> tuple[float, float] | None:
@@ -277,19 +216,7 @@ def _temperature_C(observation: RunObservation) -> tuple[float, float] | None:
     return float(joined.min()), float(joined.max())
 
 
-def _reductions(
-    observation: RunObservation,
-    fits: _Fits,
-    loads: Sequence[LoadObservation],
-    baseline: Sequence[BaselineConductance],
-) -> Iterator[str]:
+def _left_out(baseline: Sequence[BaselineConductance]) -> Iterator[str]:
     for place in baseline:
         if place.value is None:
             yield f"{place.location} at ({place.x_mm:g}, {place.y_mm:g}) mm is left out: {place.why}"
-    yield from unmeasured(loads)
-    if fits.learned is None:
-        yield f"no force can be told: {fits.no_force}"
-    else:
-        yield from force_reductions(fits.learned, fits.learned_from)
-        yield from tried_beyond(fits.used() or [], fits.confirmed)
-    yield from reading_reductions(observation.record.sensor_type.pattern, observation.usable)

@@ -1,17 +1,17 @@
 from .learning import (
-    RESIDUE_SHARE as RESIDUE_SHARE,
     CalibrationLoads as CalibrationLoads,
     LearnedForce as LearnedForce,
     learn_force as learn_force,
-    unlearned_model as unlearned_model,
 )
-from .prepared import prepared_again as prepared_again, prepared_force as prepared_force
 from .pressure import PressureMap as PressureMap
 from .templates import (
     CONTRAST as CONTRAST,
+    RESIDUE_SHARE as RESIDUE_SHARE,
     TemplateBank as TemplateBank,
+    prepared_force as prepared_force,
     template_bank as template_bank,
     templates_at as templates_at,
+    unlearned_model as unlearned_model,
 )
 from .validity import (
     force_reductions as force_reductions,

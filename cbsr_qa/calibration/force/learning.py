@@ -1,13 +1,19 @@
 """The force model of one sensor, learned from its own loads."""
 
-from dataclasses import dataclass
-from math import log, sqrt
+from dataclasses import dataclass, fields, replace
+from math import sqrt
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.force.templates import TemplateBank
+from cbsr_qa.calibration.force.templates import (
+    LEAST_MISFIT,
+    RESIDUE_SHARE,
+    RESIDUE_STDERR,
+    TemplateBank,
+    unlearned_model,
+)
 from cbsr_qa.calibration.runtime import TemplateFilter
 from cbsr_qa.calibration.sheet import LARGEST_ERROR, ResponseMap, learn_response
 from cbsr_qa.domain import CalibrationError
@@ -17,24 +23,17 @@ from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 
 Array = NDArray[np.float64]
 
-#: Share of what was there before a press that is still there at its steady frames, and how unsure that is. Material
-#: relaxations are all but over by then and slow residues all but unchanged: chosen by us, between the two.
-RESIDUE_SHARE: Final = 0.3
-RESIDUE_STDERR: Final = 0.15
 #: The predicted change must be this many of its own standard errors from zero, and the seen one as many of its own.
 _CLEAR: Final = 3.0
 #: An intercept nobody measured is fitted where stresses differ by this factor; it is not known better than this
 #: before any load was seen.
 _SPREAD: Final = 2.0
 _UNKNOWN_INTERCEPT: Final = 0.02
-#: Chance of taking noise for a load, a frame.
-_FALSE_ALARMS: Final = 1e-4
 #: Median of a mean of two squared normals.
 _MEDIAN: Final = 0.693
 #: A frame is another than one head's if a second one explains this many times more of it than of calibrating loads at
 #: most; templates of a sheet that answers unevenly leave a few parts in 10 000.
 _MISFIT_ROOM: Final = 2.0
-_LEAST_MISFIT: Final = 5e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,15 +60,7 @@ class CalibrationLoads:
 
     def select(self, which: NDArray[np.bool_]) -> "CalibrationLoads":
         """Some of them."""
-        return CalibrationLoads(
-            self.place_mm[which],
-            self.rows[which],
-            self.frames[which],
-            self.before[which],
-            self.frames_before[which],
-            self.force_N[which],
-            self.force_stderr_N[which],
-        )
+        return CalibrationLoads(*(getattr(self, column.name)[which] for column in fields(self)))
 
     def changed(self) -> tuple[Array, Array]:
         """Rows (n, r) without what earlier loads left, and their noise variance (n,)."""
@@ -129,7 +120,8 @@ def learn_force(
     CalibrationError
         If fewer than three loads say something; the message gives the reasons of the others.
     """
-    filter_ = TemplateFilter(unlearned_model(bank, merging))
+    even = unlearned_model(bank, merging)
+    filter_ = TemplateFilter(even)
     stress = loads.force_N / head.area_mm2 * 1e3
     seen = _seen(filter_, loads)
     predicted = line.slope.value * stress + line.intercept.value
@@ -154,14 +146,13 @@ def learn_force(
     )
     mean, variance = response.predict(bank.places_mm)
     fitted = _line(line, response.bend if bend is not None else (0.0, prior**2), middle, told=bend is not None)
-    model = unlearned_model(
-        bank,
-        merging,
+    model = replace(
+        even,
         log_response=mean,
         log_response_stderr=np.sqrt(variance),
         scatter=response.scatter,
         stress_kPa=(float(stress[used].min()), float(stress[used].max())),
-        misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used), _LEAST_MISFIT),
+        misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used), LEAST_MISFIT),
         place_scatter_mm=_place_scatter_mm(filter_, loads, used),
         residue_strength=_residue_strength(filter_, loads, used),
     )
@@ -284,56 +275,3 @@ def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, told: 
         intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), how),
         covariance=by_slope * by_intercept * variance,
     )
-
-
-def unlearned_model(
-    bank: TemplateBank,
-    merging: Array,
-    *,
-    log_response: Array | None = None,
-    log_response_stderr: Array | None = None,
-    scatter: float = 0.0,
-    stress_kPa: tuple[float, float] = (0.0, 0.0),
-    misfit: float = _LEAST_MISFIT,
-    place_scatter_mm: float = 0.0,
-    residue_strength: float = 0.0,
-) -> ForceModel:
-    """Return a force model of an even sheet, or with what was learned; parameters as of ``ForceModel``."""
-    nothing = np.zeros(len(bank.templates))
-    return ForceModel(
-        lattice=bank.lattice,
-        node=bank.node,
-        merging=merging,
-        templates=bank.templates,
-        log_size=bank.log_size,
-        size_slope=bank.size_slope,
-        log_size_gradient=bank.slopes[:, :2],
-        turning=bank.slopes[:, 2:],
-        fits=bank.fits,
-        log_response=nothing if log_response is None else log_response,
-        log_response_stderr=nothing if log_response_stderr is None else log_response_stderr,
-        scatter=scatter,
-        stress_kPa=stress_kPa,
-        threshold=_threshold(bank),
-        misfit=misfit,
-        residue_share=RESIDUE_SHARE,
-        residue_stderr=RESIDUE_STDERR,
-        place_scatter_mm=place_scatter_mm,
-        residue_strength=residue_strength,
-    )
-
-
-def _threshold(bank: TemplateBank) -> float:
-    """Detectability that noise reaches at the best of all places in one of 10 000 frames.
-
-    The expected number of places where a smooth Gaussian field of unit variance over an area A exceeds ±u is
-    2 A √|Λ| (2π)^(−3/2) u e^(−u²/2), Λ the products of its slopes (Adler 1981, 6.9): that many by chance, and
-    a few along the edge.
-    """
-    xx, xy, yy = bank.slopes[bank.fits][:, 2:].T
-    turns = float(np.sqrt(np.maximum(xx * yy - xy**2, 0.0)).sum()) * bank.lattice.spacing_mm**2
-    level = sqrt(2 * log(1 / _FALSE_ALARMS))
-    for _ in range(20):
-        expected = 2 * turns * (2 * np.pi) ** -1.5 * level
-        level = sqrt(2 * log(max(expected, 1.0) / _FALSE_ALARMS))
-    return level

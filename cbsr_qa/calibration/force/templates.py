@@ -3,16 +3,18 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil
+from math import ceil, log, sqrt
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.calibration.file import as_filed
 from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import Lattice
+from cbsr_qa.domain.results import ForceModel, Lattice
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.eit.estimate import MergedReadings
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.eit.estimate import MergedReadings, load_model
 from cbsr_qa.eit.loads import LoadReadings, RoundLoadModel, RoundLoads
 
 Array = NDArray[np.float64]
@@ -27,6 +29,14 @@ LEAST_CLEARANCE: Final = 0.03
 #: A disc so much smaller than what is clear can be expanded about its centre; larger heads are reached from there.
 _CLEAR_OF: Final = 0.92
 _AT_ONCE: Final = 128
+#: Share of what was there before a press that is still there at its steady frames, and how unsure that is. Material
+#: relaxations are all but over by then and slow residues all but unchanged: chosen by us, between the two.
+RESIDUE_SHARE: Final = 0.3
+RESIDUE_STDERR: Final = 0.15
+#: Least share of a load's signal that a second head may explain before a frame counts as one of several.
+LEAST_MISFIT: Final = 5e-4
+#: Chance of taking noise for a load, a frame.
+_FALSE_ALARMS: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +119,7 @@ def _joined(parts: Iterable[tuple[Array, Array, Array, Array]]) -> Templates:
 
 @lru_cache(maxsize=1)
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
-    """The readings of a head at all places of the lattice.
-
-    A run asks for them twice, as it was measured and as it is stored: they depend on no measurement. About 50 MB.
-    """
+    """The readings of a head at all places of the lattice: they depend on no measurement. About 50 MB."""
     everywhere = _lattice(model).places_mm()
     inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
     return tuple(_pressed(model, everywhere[inside], head))
@@ -156,3 +163,79 @@ def _templates(readings: MergedReadings, found: _Pressed) -> tuple[Array, Array,
     pairs = ((turn_x, turn_x), (turn_x, turn_y), (turn_y, turn_y))
     slopes = np.column_stack([*along, *((one * other).sum(axis=1) for one, other in pairs)])
     return rows, np.log(size), by_square * found.square_mm2, slopes
+
+
+def unlearned_model(bank: TemplateBank, merging: Array) -> ForceModel:
+    """Return the force model of an even sheet, before anything was learned from loads."""
+    nothing = np.zeros(len(bank.templates))
+    return ForceModel(
+        lattice=bank.lattice,
+        node=bank.node,
+        merging=merging,
+        templates=bank.templates,
+        log_size=bank.log_size,
+        size_slope=bank.size_slope,
+        log_size_gradient=bank.slopes[:, :2],
+        turning=bank.slopes[:, 2:],
+        fits=bank.fits,
+        log_response=nothing,
+        log_response_stderr=nothing,
+        scatter=0.0,
+        stress_kPa=(0.0, 0.0),
+        threshold=_threshold(bank),
+        misfit=LEAST_MISFIT,
+        residue_share=RESIDUE_SHARE,
+        residue_stderr=RESIDUE_STDERR,
+    )
+
+
+def _threshold(bank: TemplateBank) -> float:
+    """Detectability that noise reaches at the best of all places in one of 10 000 frames.
+
+    The expected number of places where a smooth Gaussian field of unit variance over an area A exceeds ±u is
+    2 A √|Λ| (2π)^(−3/2) u e^(−u²/2), Λ the products of its slopes (Adler 1981, 6.9): that many by chance, and
+    a few along the edge.
+    """
+    xx, xy, yy = bank.slopes[bank.fits][:, 2:].T
+    turns = float(np.sqrt(np.maximum(xx * yy - xy**2, 0.0)).sum()) * bank.lattice.spacing_mm**2
+    level = sqrt(2 * log(1 / _FALSE_ALARMS))
+    for _ in range(20):
+        expected = 2 * turns * (2 * np.pi) ** -1.5 * level
+        level = sqrt(2 * log(max(expected, 1.0) / _FALSE_ALARMS))
+    return level
+
+
+def prepared_force(
+    sensor_type: SensorType, used: NDArray[np.bool_], merging: Array, reference: Array, head: Indenter
+) -> ForceModel:
+    """Prepare the templates of a stored calibration; its map is left empty.
+
+    Parameters
+    ----------
+    used : (drives, measures) bool with m True entries.
+    merging : (r, m) [1/V] as in :class:`~cbsr_qa.domain.results.ForceModel`.
+    reference : (drives, measures) [V], which gives the scale of the sensor against its model.
+
+    Returns
+    -------
+    A model with lattice, node, templates, sizes and slopes; everything that is learned is zero.
+
+    Raises
+    ------
+    CalibrationError
+        If the merging is not of these readings, or the head fits nowhere.
+    """
+    groups, _ = sensor_type.pattern.reading_groups()
+    _, first = np.unique(groups[used], return_index=True)
+    if merging.shape != (len(first), int(used.sum())):
+        raise CalibrationError(
+            f"a merging of {merging.shape} does not make {len(first)} rows of {int(used.sum())} readings"
+        )
+    model = load_model(sensor_type)
+    expected = model.unloaded()[used]
+    scale = float(reference[used] @ expected / (expected @ expected))
+    drive, measure = np.nonzero(used)
+    weight = abs(scale) * np.abs(merging).sum(axis=1)
+    readings = MergedReadings(used, merging * scale, drive[first], measure[first], weight)
+    bank = template_bank(model, readings, head)
+    return as_filed(unlearned_model(bank, merging))

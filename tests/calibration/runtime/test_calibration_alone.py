@@ -13,7 +13,8 @@ from calibration_samples import sample_calibration
 from force_calibration import NOISE_V, force_calibration, frames
 
 from cbsr_qa.calibration import Calibration, Flag
-from cbsr_qa.calibration.file import encode, firmware_document, lost_by, stamped, thinned, write_calibration
+from cbsr_qa.calibration.file import encode, firmware_document, lost_by, thinned, write_calibration
+from cbsr_qa.calibration.force import prepared_force
 from cbsr_qa.domain import CalibrationError, NumericsError
 from cbsr_qa.domain.run import Indenter
 
@@ -265,22 +266,15 @@ def test_single_precision_changes_no_force_by_more_than_a_millionth(calibration)
         np.testing.assert_allclose(here.stderr_N, there.stderr_N, rtol=1e-6)
 
 
-def test_templates_prepared_again_from_the_record_are_those_that_were_issued():
-    from cbsr_qa.calibration.force import prepared_again
-
+def test_templates_prepared_from_the_record_are_those_that_were_issued():
     issued = force_calibration()
-    about = (issued.sensor_type, issued.reconstruction.problem.used, issued.reference, issued.indenter)
-    once = prepared_again(issued.force, *about)
-    assert (
-        stamped(replace(issued, force=prepared_again(once, *about))).digest
-        == stamped(replace(issued, force=once)).digest
-    )
-    assert stamped(replace(issued, force=once)).record_digest == issued.record_digest
-    np.testing.assert_allclose(once.templates, issued.force.templates, atol=1e-7)
-    np.testing.assert_allclose(once.log_size, issued.force.log_size, rtol=1e-6)
-    less = replace(issued.force, merging=issued.force.merging[1:])
+    merging, about = issued.force.merging, (issued.reference, issued.indenter)
+    used = issued.reconstruction.problem.used
+    prepared = prepared_force(issued.sensor_type, used, merging, *about)
+    np.testing.assert_allclose(prepared.templates, issued.force.templates, atol=1e-7)
+    np.testing.assert_allclose(prepared.log_size, issued.force.log_size, rtol=1e-6)
     with pytest.raises(CalibrationError, match="does not make 104 rows of 208 readings"):
-        prepared_again(less, *about)
+        prepared_force(issued.sensor_type, used, merging[1:], *about)
 
 
 # --- firmware ------------------------------------------------------------------------------------------------
