@@ -1,7 +1,4 @@
-"""Analysis of one press: steady image, blobs, force, relaxations.
-
-Whether a load cell stood at the end of its range while a load was held.
-"""
+"""Analysis of one press: steady image, blobs, force (also whether the load cell stood at its limit), relaxations."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -10,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.imaging import Imager, mask_views, mean_under
-from cbsr_qa.analysis.run.relaxation import relaxations_of
+from cbsr_qa.calibration.fits import fit_relaxation, relaxation_start, settling_time, window_s
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa.domain.results import Image, LoadObservation, RelaxationObservation
+from cbsr_qa.domain.results import Image, LoadObservation, RelaxationObservation, Trace
 from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord
 from cbsr_qa.domain.sensor import Response
 
@@ -24,6 +21,9 @@ _FEWEST: Final = 8
 #: Share of a hold's samples that are the highest reading of the phase, to the last digit: noise and relaxation would
 #: lead away from it.
 _SHARE: Final = 0.9
+#: Stress samples are averaged into this many points a window: the load cell's 8 Hz over a minute are ten times
+#: what a fit of tens of seconds needs, and cost ten times its time.
+_STRESS_POINTS: Final = 60
 
 
 def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
@@ -132,9 +132,7 @@ def observe_load(
     other = "load" if chosen == "run" else "run"
     load = _observe(setting, phase, record, window, values[chosen], residue)
     if over_time:
-        relaxations = relaxations_of(
-            setting.sign, imager, setting.settings, load, window.cycle, before, phase.channel("force")
-        )
+        relaxations = _relaxations_of(setting, load, window.cycle, before, phase.channel("force"))
         load = replace(load, relaxations=relaxations, settled=_settled(load, relaxations, window, setting.settings))
     if residue <= setting.noise_floor:
         return load
@@ -207,3 +205,107 @@ def _settled(
             held_s = float(window.steady.time_s[0]) - load.record.hold_start_s
             return not seen.settling.censored and held_s >= needed_s
     return None
+
+
+def _relaxations_of(
+    setting: LoadSetting,
+    load: LoadObservation,
+    cycle: FrameBlock,
+    before: NDArray[np.float64],
+    force: SampleBlock | None,
+) -> tuple[RelaxationObservation, ...]:
+    """Fit the relaxations of one press: up to two of the blob, two of the whole image, and that of the stress.
+
+    Parameters
+    ----------
+    load : its main mask says which elements are the blob; without a blob there is no conductance trace.
+    before : (e,) float64, the image just before the press: what earlier loads left, and the traces' baseline.
+    force : samples of the whole phase, or None.
+    """
+    record, settings, area = load.record, setting.settings, setting.imager.mesh.areas_mm2
+    seen: list[RelaxationObservation] = []
+    images = setting.sign * (setting.imager.images(cycle) - before)
+    view = load.mask(settings.main_mask)
+    if view is not None and view.sensed is not None:
+        weights = np.zeros(len(area))
+        weights[view.sensed.elements] = area[view.sensed.elements]
+        blob = Trace("blob conductance change", "1", cycle.time_s, images @ weights / weights.sum())
+        seen += _press_and_release("conductance", blob, record, settings)
+    whole = Trace("mean conductance change of the image", "1", cycle.time_s, images @ area / area.sum())
+    seen += _press_and_release("image", whole, record, settings)
+    if force is not None:
+        seen += _stress(force, load.indenter, record, settings)
+    return tuple(seen)
+
+
+def _press_and_release(
+    signal: str, trace: Trace, record: LoadRecord, settings: AnalysisSettings
+) -> list[RelaxationObservation]:
+    held = _cut(trace, record.hold_start_s, record.release_start_s)
+    released = _cut(trace, record.unloaded_s, record.rest_end_s)
+    pressed = _fitted(signal, held, settings, loaded_change=None, steady=_end_level(held))
+    if len(released.time_s) == 0:
+        return [pressed]
+    loaded, start = _steady_change(pressed), relaxation_start(released.values)
+    return [pressed, _fitted(signal, released, settings, loaded_change=loaded, steady=loaded, start=start)]
+
+
+def _steady_change(pressed: RelaxationObservation) -> float:
+    """Steady change under load: of an accepted fit, else the observed end of the hold."""
+    if pressed.settling.value_s is not None and not pressed.settling.censored:
+        return pressed.fit.offset
+    return _end_level(pressed.trace)
+
+
+def _fitted(
+    signal: str,
+    trace: Trace,
+    settings: AnalysisSettings,
+    *,
+    loaded_change: float | None,
+    steady: float,
+    start: int = 0,
+) -> RelaxationObservation:
+    """Fit a trace from a sample on; one that never leaves the settling band of the steady change is flat.
+
+    Parameters
+    ----------
+    loaded_change : before a release; None after a press.
+    """
+    fit = fit_relaxation(
+        trace.time_s[start:],
+        trace.values[start:],
+        r_squared_gate=settings.r_squared_gate,
+        flat_within=settings.settling_tolerance * abs(steady),
+    )
+    settling = settling_time(
+        fit,
+        window_s=window_s(trace.time_s),
+        tolerance=settings.settling_tolerance,
+        band=settings.settling_band,
+        loaded_change=loaded_change,
+        start_s=float(trace.time_s[start]) if start else 0.0,
+    )
+    return RelaxationObservation(signal, loaded_change is None, trace, fit, settling)
+
+
+def _end_level(trace: Trace) -> float:
+    return float(np.median(trace.values[-4:])) if len(trace.values) else 0.0
+
+
+def _stress(
+    force: SampleBlock, indenter: Indenter, record: LoadRecord, settings: AnalysisSettings
+) -> list[RelaxationObservation]:
+    taken = force.between(record.hold_start_s, record.release_start_s)
+    if len(taken) < _STRESS_POINTS:
+        return []
+    points = np.array_split(np.arange(len(taken)), _STRESS_POINTS)
+    time_s = np.array([taken.time_s[p].mean() for p in points]) - record.hold_start_s
+    stress_kPa = np.array([taken.values[p].mean() for p in points]) / indenter.area_mm2 * 1e3
+    trace = Trace("stress", "kPa", time_s, stress_kPa)
+    return [_fitted("stress", trace, settings, loaded_change=None, steady=_end_level(trace))]
+
+
+def _cut(trace: Trace, start_s: float, end_s: float) -> Trace:
+    inside = (trace.time_s >= start_s) & (trace.time_s < end_s)
+    return Trace(trace.name, trace.unit, trace.time_s[inside] - start_s, trace.values[inside])

@@ -1,6 +1,5 @@
-from .entries import decode as decode, encode as encode
+from .entries import as_filed as as_filed, decode as decode, encode as encode
 from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
-from .force import as_filed as as_filed
 from .hdf5 import (
     BLOCK_BEGINS as BLOCK_BEGINS,
     calibration_of as calibration_of,

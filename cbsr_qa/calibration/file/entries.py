@@ -3,9 +3,14 @@
 What files of before held otherwise is brought to the form of now when it is read, and back when it is written, so
 that what was issued keeps its digests: the regularisation parameter without name and criterion, which its method
 implies, and no word of force.
+
+What is prepared again from the rest is kept in single precision, templates in steps of 2⁻²², whose last bits would
+otherwise be half of the file: forces differ by less than 1e-6 of themselves. A file is read by people's robots, so
+that everything an index, a division or a square root rests on is looked at before anything is worked out from it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,9 +18,8 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import INDEX, PURE, TEXT, Entry, Reading
 from cbsr_qa.calibration.file.fields import Codec, Entries, Irregular, problems
-from cbsr_qa.calibration.file.force import check_usable, force_problems
-from cbsr_qa.domain import CalibrationError, RefusedError
-from cbsr_qa.domain.results import Calibration, LoadRelaxation
+from cbsr_qa.domain import CalibrationError, RefusedError, kept_fields
+from cbsr_qa.domain.results import Calibration, ForceModel, LoadRelaxation, RelaxationKernel
 from cbsr_qa.domain.sensor import (
     INTEGERS as MESH_INTEGERS,
     NAMES as MESH_ARRAYS,
@@ -27,6 +31,9 @@ from cbsr_qa.domain.sensor import (
     mesh_arrays,
     mesh_of_arrays,
 )
+
+#: Templates have the length one, but for rounding to single precision.
+_UNIT: Final = 1e-3
 
 _WHY_NOT: Final = "force/none"
 _METHOD: Final = "reconstruction/method"
@@ -99,9 +106,9 @@ def _calibration(entries: Mapping[str, Entry]) -> Calibration:
     for problem in problems(calibration, ""):
         raise CalibrationError(problem)
     if calibration.force is not None:
-        for problem in force_problems(calibration.force):
+        for problem in _force_problems(calibration.force):
             raise CalibrationError(problem)
-        check_usable(calibration)
+        _check_usable(calibration)
     return calibration
 
 
@@ -195,3 +202,73 @@ _IRREGULAR: Final[Mapping[Any, Irregular]] = {
     tuple[LoadRelaxation, ...]: (_write_relaxations, _read_relaxations),
 }
 _CODEC: Final = Codec(_IRREGULAR)
+
+
+def as_filed(model: ForceModel) -> ForceModel:
+    """Return a model with the precision its file has, so that what is issued is what is read."""
+    filed: dict[str, Any] = {}
+    for field in kept_fields(ForceModel):
+        values = getattr(model, field.name)
+        if isinstance(values, np.ndarray) and values.dtype == np.float64:
+            values = np.round(values / field.kept.step) * field.kept.step if field.kept.step else values
+            values = values + 0.0
+            filed[field.name] = values.astype(np.float32).astype(np.float64) if field.kept.single else values
+    return replace(model, **filed)
+
+
+def _check_usable(calibration: Calibration) -> None:
+    """Make sure that what a force model leans on can be worked with.
+
+    Raises
+    ------
+    CalibrationError
+        If merging, reference and used readings do not fit each other, or a slope, current or head is no number that
+        could be divided by.
+    """
+    model, used = calibration.force, calibration.reconstruction.problem.used
+    if model is None:
+        return
+    shape = calibration.sensor_type.pattern.shape
+    if calibration.reference.shape != shape or used.shape != shape:
+        raise CalibrationError(
+            f"reference/voltages of {calibration.reference.shape} and reconstruction/used of {used.shape} are not"
+            f" those of {shape[0]} drive and {shape[1]} measure pairs"
+        )
+    if model.merging.shape[1] != int(used.sum()):
+        raise CalibrationError(f"force/merging is for {model.merging.shape[1]} readings, {int(used.sum())} are used")
+    if not np.isfinite(calibration.reference[used]).all():
+        raise CalibrationError("reference/voltages holds a used reading that is not a finite number")
+    line, validity = calibration.against_stress, calibration.validity
+    known = (line.slope.stderr, line.intercept.stderr, line.covariance, *(validity.force_N or ()))
+    finite = (line.slope.value, line.intercept.value, validity.radius_mm, *(x for x in known if x is not None))
+    if not np.isfinite(finite).all() or line.slope.value == 0:
+        raise CalibrationError("quasi_static/against_stress or validity holds what no force can be worked out from")
+    positive = (calibration.current_A, calibration.indenter.diameter_mm, calibration.indenter.squared_radius_mm2)
+    if not all(np.isfinite(value) and value > 0 for value in positive):
+        raise CalibrationError("reference/current or indenter is not a positive number")
+
+
+def _force_problems(model: ForceModel) -> Iterator[str]:
+    """Say what is wrong with a model whose numbers have the sizes and shapes they are allowed to have."""
+    there = model.node[model.node >= 0]
+    if (model.node < -1).any() or not np.array_equal(np.sort(there), np.arange(len(model.templates))):
+        yield f"force/node does not name each of {len(model.templates)} templates once, and −1 elsewhere"
+    if not model.fits.any():
+        yield "force/fits allows a head nowhere"
+    xx, xy, yy = model.turning.T
+    if not ((xx > 0) & (xx * yy - xy**2 > 0)).all():
+        yield "force/turning is not positive definite somewhere: no place could be found there"
+    if not model.lattice.spacing_mm > 0:
+        yield f"force/lattice/spacing of {model.lattice.spacing_mm:g} mm is not positive"
+    if not np.allclose(np.linalg.norm(model.templates, axis=1), 1, rtol=0, atol=_UNIT):
+        yield "force/templates are not of the length one"
+    if not (model.threshold > 0 and model.misfit > 0 and 0 <= model.stress_kPa[0] <= model.stress_kPa[1]):
+        yield "force/threshold, force/misfit or force/stress is out of range"
+    for name, kernel in (("loading", model.loading), ("unloading", model.unloading)):
+        if kernel is not None and not _rises(kernel):
+            yield f"force/{name} holds time constants that are not positive and rising, or no freedom"
+
+
+def _rises(kernel: RelaxationKernel) -> bool:
+    tau = kernel.time_constants_s
+    return bool((tau > 0).all() and (np.diff(tau) > 0).all() and kernel.scatter_freedom > 0)

@@ -24,8 +24,14 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.file.content import Entry
-from cbsr_qa.calibration.file.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
+from cbsr_qa.calibration.file.content import (
+    FORMAT,
+    SCHEMA_VERSION,
+    Entry,
+    content_digest,
+    record_digest,
+    schema_version,
+)
 from cbsr_qa.calibration.file.entries import decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
 from cbsr_qa.domain import CalibrationError, RefusedError

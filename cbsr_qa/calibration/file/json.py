@@ -17,8 +17,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.file.content import Entry, Value
-from cbsr_qa.calibration.file.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
+from cbsr_qa.calibration.file.content import (
+    FORMAT,
+    SCHEMA_VERSION,
+    Entry,
+    Value,
+    content_digest,
+    record_digest,
+    schema_version,
+)
 from cbsr_qa.calibration.file.entries import decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
 from cbsr_qa.domain import CalibrationError

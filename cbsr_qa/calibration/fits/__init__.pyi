@@ -35,6 +35,7 @@ from .settling import (
     relaxation_start as relaxation_start,
     restricted_mean as restricted_mean,
     settling_time as settling_time,
+    window_s as window_s,
 )
 from .steady_state import (
     HoldsSoFar as HoldsSoFar,

@@ -70,6 +70,13 @@ def settling_time(
     return SettlingTime(last, False, half_width, "" if last > start_s else "inside the band from the start")
 
 
+def window_s(time_s: NDArray[np.float64]) -> float:
+    """Return the length of an observed window: half a sample beyond the middle of the last one."""
+    if len(time_s) < 2:
+        return float(time_s.max(initial=1.0))
+    return float(time_s[-1] + np.median(np.diff(time_s)) / 2)
+
+
 def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple[float, float]:
     """Mean and standard deviation of times of which some are only known to be longer (Kaplan & Meier 1958).
 

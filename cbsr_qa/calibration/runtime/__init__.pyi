@@ -5,11 +5,11 @@ from .force import (
     least_force_N as least_force_N,
     map_tables as map_tables,
 )
+from .interpolation import interpolated as interpolated
 from .runtime import Calibration as Calibration, volts as volts
 from .template_matching import (
     Matches as Matches,
     TemplateFilter as TemplateFilter,
-    interpolated as interpolated,
     scattered as scattered,
 )
 from .tracking import ForceStream as ForceStream

@@ -111,13 +111,12 @@ class Heads:
         """The same, the most detectable first."""
         order = np.argsort(-self.detectability)
         entries = (3 * order[:, None] + np.arange(3)).ravel()
-        return type(self)(
-            self.place_mm[order],
-            self.strength[order],
-            self.covariance[np.ix_(entries, entries)],
-            self.gain,
-            self.left,
-            self.detectability[order],
+        return replace(
+            self,
+            place_mm=self.place_mm[order],
+            strength=self.strength[order],
+            covariance=self.covariance[np.ix_(entries, entries)],
+            detectability=self.detectability[order],
         )
 
 

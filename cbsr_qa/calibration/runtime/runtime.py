@@ -9,15 +9,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from cbsr_qa.calibration.file import read_calibration
 from cbsr_qa.calibration.runtime.force import (
+    LARGEST,
     Flag,
     ForceInverse,
     Forces,
     SeveralForces,
+    SizeError,
+    forces_together,
     least_force_N,
     map_tables,
+    nothing_together,
     range_flags,
 )
-from cbsr_qa.calibration.runtime.heads import LARGEST, SizeError, forces_together, nothing_together
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
 from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
 from cbsr_qa.domain import CalibrationError, real_numbers
@@ -122,12 +125,8 @@ class Calibration:
         """
         rows, bad = self.rows(frames, current_A=current_A)
         head = self.issued.indenter if indenter is None else indenter
-        if place_mm is None:
-            finder = self._filter(head)
-            matches = finder.search(rows)
-        else:
-            finder = self._filter(head)
-            matches = finder.at(rows, self._places(place_mm, len(rows)))
+        finder = self._filter(head)
+        matches = finder.search(rows) if place_mm is None else finder.at(rows, self._places(place_mm, len(rows)))
         others = self._others(rows, matches, finder)
         if place_mm is None:
             matches = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
@@ -251,13 +250,8 @@ class Calibration:
         if factor == 1:
             return matches
         scale = np.array([factor, 1, 1])
-        return Matches(
-            matches.place_mm,
-            matches.strength * factor,
-            matches.covariance * scale[:, None] * scale,
-            matches.gain,
-            matches.energy,
-        )
+        covariance = matches.covariance * scale[:, None] * scale
+        return replace(matches, strength=matches.strength * factor, covariance=covariance)
 
     def _places(self, place_mm: ArrayLike, count: int) -> Array:
         places = real_numbers(place_mm, "places")

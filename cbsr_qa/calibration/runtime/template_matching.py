@@ -6,13 +6,13 @@ g = t·t, the strength at a known place is a = b/g with variance 1/g; the most l
 found on the lattice and from there by Fisher scoring.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.runtime.convolution import stencils, surfaces_at, values_at, weights_at
+from cbsr_qa.calibration.runtime.interpolation import stencils, surfaces_at, values_at, weights_at
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import ForceModel
 
@@ -144,10 +144,7 @@ class TemplateFilter:
         if not parts:
             return Matches(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0))
         return Matches(
-            *(
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in ("place_mm", "strength", "covariance", "gain", "energy")
-            )
+            *(np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(Matches))
         )
 
     def beside(self, rows: Array, place_mm: Array, strength: Array) -> tuple[Array, Array]:
@@ -306,28 +303,7 @@ def scattered(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches
     return replace(matches, covariance=covariance)
 
 
-def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
-    """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
-    lattice = model.lattice
-    last = np.array([lattice.columns - 2, lattice.rows - 2])
-    at = (places_mm - np.array(lattice.origin_mm)) / lattice.spacing_mm
-    inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
-    at = np.where(inside[:, None], at, 0.0)
-    cell = np.minimum(at.astype(np.int64), last)
-    part = np.stack([1 - (at - cell), at - cell], axis=2)
-    weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(at), 1, 4)
-    node = model.node[cell[:, 1, None] + _DOWN, cell[:, 0, None] + _ACROSS]
-    missing = ~inside | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
-    found: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
-    found[missing] = np.nan
-    shaped: Array = found.reshape(len(at), *values.shape[1:])
-    return shaped
-
-
 _ONES: Final = np.eye(2)
-#: Corners of a cell.
-_DOWN: Final = np.array([0, 0, 1, 1])
-_ACROSS: Final = np.array([0, 1, 0, 1])
 
 
 def _every(stride: int, node: Indices) -> Mask:

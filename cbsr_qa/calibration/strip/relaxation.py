@@ -17,6 +17,7 @@ from cbsr_qa.calibration.fits import (
     common_settling_time,
     fit_common_relaxation,
     learn_kernel,
+    window_s,
 )
 from cbsr_qa.domain import finite_numbers
 from cbsr_qa.domain.results import CharacterisationSettings, FitStatus, RelaxationKernel, StrainSettling
@@ -70,7 +71,7 @@ def _settling(
     fitted = fit_common_relaxation(traces)
     settling, stderr_s = common_settling_time(
         fitted,
-        window_s=max(_window_s(time_s) for time_s, _ in traces),
+        window_s=max(window_s(time_s) for time_s, _ in traces),
         tolerance=settings.settling_tolerance,
         band=settings.settling_band,
         loaded_change=None if loading else -float(np.mean([one.step for one in members])),
@@ -127,13 +128,6 @@ def _weight(traces: Sequence[DirectedTrace], k: int, tau_s: float) -> float:
 
 def _ramped(length: float) -> float:
     return float(-np.expm1(-length) / length) if length > 0 else 1.0
-
-
-def _window_s(time_s: Array) -> float:
-    """Length of the observed window: half a sample beyond the last one's middle."""
-    if len(time_s) < 2:
-        return float(time_s.max(initial=1.0))
-    return float(time_s[-1] + np.median(np.diff(time_s)) / 2)
 
 
 #: Steps at which a settling time is looked for.

@@ -289,7 +289,7 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class VerifiedFile:
-    """What was found out about a sound calibration file; digests as in :mod:`cbsr_qa.calibration.file.digests`.
+    """What was found out about a sound calibration file; digests as in :mod:`cbsr_qa.calibration.file.content`.
 
     Parameters
     ----------

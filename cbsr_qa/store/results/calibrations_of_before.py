@@ -2,7 +2,7 @@
 
 Matrix and templates are prepared again: sensor type, head and readings determine them. What is put together has the
 ``record_digest`` it was issued with, and where the arithmetic is the same the ``digest`` too
-(:mod:`cbsr_qa.calibration.file.digests`).
+(:mod:`cbsr_qa.calibration.file.content`).
 """
 
 import math

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
 from cbsr_qa.calibration.fits import (
@@ -26,6 +25,7 @@ from cbsr_qa.calibration.fits import (
     fit_common_relaxation,
     relaxation_start,
     restricted_mean,
+    window_s,
 )
 from cbsr_qa.domain.results import (
     Bound,
@@ -123,7 +123,7 @@ def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Meas
     common = fit_common_relaxation(traces)
     settling, stderr_s = common_settling_time(
         common,
-        window_s=max((_window_s(seen.trace.time_s) for _, seen in told), default=1.0),
+        window_s=max((window_s(seen.trace.time_s) for _, seen in told), default=1.0),
         tolerance=run.settings.settling_tolerance,
         band=run.settings.settling_band,
         loaded_change=_loaded_change(told),
@@ -160,11 +160,6 @@ def _in_words(fit: RelaxationFit) -> str:
     pairs = zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=True)
     constants = " and ".join(f"{tau:.3g} ± {stderr:.2g} s" for tau, stderr in pairs)
     return f"{fit.status}, {constants}" if constants else fit.why
-
-
-def _window_s(time_s: NDArray[np.float64]) -> float:
-    """Length of the observed window: half a frame beyond the last frame's middle."""
-    return float(time_s[-1] + np.median(np.diff(time_s)) / 2)
 
 
 def _bound(late: bool) -> Bound:

@@ -17,7 +17,7 @@ from calibration_samples import (
     sample_sensor_type,
 )
 
-from cbsr_qa.calibration.file.digests import SCHEMA_VERSION
+from cbsr_qa.calibration.file.content import SCHEMA_VERSION
 from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError
 

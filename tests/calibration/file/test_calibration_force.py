@@ -15,7 +15,7 @@ from calibration_samples import (
     sparse_calibration,
 )
 
-from cbsr_qa.calibration.file.digests import PREPARED
+from cbsr_qa.calibration.file.content import PREPARED
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import ForceModel

@@ -9,8 +9,7 @@ from calibration_samples import assert_same, old_calibration, sample_calibration
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cbsr_qa.calibration.file.content import Entry
-from cbsr_qa.calibration.file.digests import SCHEMA_VERSION, content_digest
+from cbsr_qa.calibration.file.content import SCHEMA_VERSION, Entry, content_digest
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, write_calibration
 from cbsr_qa.calibration.file.json import _entry, dataset, json_document, read_json_calibration
 from cbsr_qa.domain import CalibrationError

@@ -5,7 +5,8 @@ import pytest
 from force_samples import HEAD, setting, somewhere
 
 from cbsr_qa.calibration.force import CONTRAST, template_bank, templates_at, unlearned_model
-from cbsr_qa.calibration.runtime.template_matching import TemplateFilter, interpolated
+from cbsr_qa.calibration.runtime.interpolation import interpolated
+from cbsr_qa.calibration.runtime.template_matching import TemplateFilter
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.run import Indenter
 

@@ -7,8 +7,7 @@ import pytest
 from force_samples import HEAD, in_use, learned, line, pressed, setting, smooth_response, somewhere
 from mpmath import mp
 
-from cbsr_qa.calibration.runtime.force import Flag
-from cbsr_qa.calibration.runtime.heads import SizeError
+from cbsr_qa.calibration.runtime.force import Flag, SizeError
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, _inverse_root
 from cbsr_qa.config import load_material, load_sensor_type
 from cbsr_qa.domain import CalibrationError

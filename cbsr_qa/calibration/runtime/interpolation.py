@@ -1,9 +1,11 @@
-"""Interpolation between the nodes of a lattice by cubic convolution (Keys 1981)."""
+"""Interpolation between the nodes of a lattice: linear, and by cubic convolution (Keys 1981)."""
 
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cbsr_qa.domain.results import ForceModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -20,6 +22,10 @@ _COEFFICIENTS: Final = (
     )
     / 2.0
 )
+
+#: Corners of a cell.
+_DOWN: Final = np.array([0, 0, 1, 1])
+_ACROSS: Final = np.array([0, 1, 0, 1])
 
 
 def weights_at(part: Array) -> Array:
@@ -59,3 +65,21 @@ def stencils(node: Indices) -> Indices:
     rows, columns = node.shape
     parts = [padded[b : b + rows, a : a + columns] for b in range(4) for a in range(4)]
     return np.stack(parts, axis=-1).reshape(-1, 16)
+
+
+def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
+    """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
+    lattice = model.lattice
+    last = np.array([lattice.columns - 2, lattice.rows - 2])
+    at = (places_mm - np.array(lattice.origin_mm)) / lattice.spacing_mm
+    inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
+    at = np.where(inside[:, None], at, 0.0)
+    cell = np.minimum(at.astype(np.int64), last)
+    part = np.stack([1 - (at - cell), at - cell], axis=2)
+    weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(at), 1, 4)
+    node = model.node[cell[:, 1, None] + _DOWN, cell[:, 0, None] + _ACROSS]
+    missing = ~inside | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
+    found: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
+    found[missing] = np.nan
+    shaped: Array = found.reshape(len(at), *values.shape[1:])
+    return shaped
