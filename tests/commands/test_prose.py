@@ -11,8 +11,6 @@ _PAGES = [*sorted(TOP.glob("*.md")), *sorted((TOP / "docs").rglob("*.md"))]
 _NOT_YET = {
     "docs/explanation/comparing-batches.md",
     "docs/explanation/force.md",
-    "docs/explanation/greit.md",
-    "docs/explanation/iterative-methods.md",
     "docs/explanation/metrics.md",
     "docs/explanation/numerical-stability.md",
     "docs/explanation/simulation.md",
