@@ -17,8 +17,15 @@ from benchmarks.timing import compare, fastest, shown
 from cbsr_qa.domain.results import LinearReconstruction
 from cbsr_qa.domain.sensor import Mesh, adjacent_pattern
 from cbsr_qa.eit.forward import point_model
-from cbsr_qa.eit.inverse import dual_matrix, dual_spectrum, imaging_problem, noser, pixel_imaging
-from cbsr_qa.eit.inverse.choice import Criterion, hyperparameter_for
+from cbsr_qa.eit.inverse import (
+    Criterion,
+    dual_matrix,
+    dual_spectrum,
+    hyperparameter_for,
+    imaging_problem,
+    noser,
+    pixel_imaging,
+)
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
 
 TITLE = "Linear reconstructions"

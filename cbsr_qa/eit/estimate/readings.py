@@ -12,10 +12,8 @@ import numpy as np
 from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.geometry import Disc
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, SensorType
-from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
+from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM, even_model
 from cbsr_qa.eit.loads import MeshedSheet, PinnedDisc, RoundLoadModel
-from cbsr_qa.eit.mesh import sheet_mesh
 
 _MESH_SIZE: Final = 0.12  # edge length, of the radius: fields are read from the edge, where meshes are finer
 
@@ -30,9 +28,7 @@ def load_model(sensor_type: SensorType) -> RoundLoadModel:
     if round_sheet and sensor_type.electrodes.kind is ElectrodeKind.PIN:
         sheet = PinnedDisc(sensor_type.radius_mm, sensor_type.electrodes, NOMINAL_CONTACT_MM)
         return RoundLoadModel(sheet, sensor_type.pattern)
-    mesh = sheet_mesh(sensor_type, size_mm=_MESH_SIZE * sensor_type.radius_mm, order=2)
-    contacts = np.full(sensor_type.electrodes.count, NOMINAL_CONTACT_MM)
-    model = ForwardModel(mesh, sensor_type.pattern, np.ones(len(mesh.elements)), contacts, order=2)
+    model = even_model(sensor_type, _MESH_SIZE)
     return RoundLoadModel(MeshedSheet(model, sensor_type.radius_mm), sensor_type.pattern)
 
 

@@ -14,7 +14,7 @@ from .coverage import (
     disc_coverage as disc_coverage,
     nested_cover as nested_cover,
 )
-from .elements import FiniteElements as FiniteElements
+from .elements import FiniteElements as FiniteElements, reaches_mm as reaches_mm
 from .model import ForwardModel as ForwardModel, point_model as point_model
 from .value_range import (
     REFINED_ABOVE as REFINED_ABOVE,

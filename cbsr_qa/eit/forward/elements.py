@@ -119,10 +119,8 @@ class FiniteElements:
 
     @cached_property
     def reaches_mm(self) -> Array:
-        """Largest distance of a corner of each element from its centroid, (e,) [mm]."""
-        away = self.mesh.corners_mm - self.mesh.centroids_mm[:, None]
-        reaches: Array = np.hypot(away[..., 0], away[..., 1]).max(axis=1)
-        return reaches
+        """As :func:`reaches_mm` of its mesh, (e,) [mm]."""
+        return reaches_mm(self.mesh)
 
     @property
     def weights_mm2(self) -> Array:
@@ -201,6 +199,12 @@ class FiniteElements:
             )
         inverse = np.stack([np.stack([by, -bx], -1), np.stack([-ay, ax], -1)], -2) / twice[..., None, None]
         return twice / (2 * q), slopes @ inverse
+
+
+def reaches_mm(mesh: Mesh) -> Array:
+    """Largest distance of a corner of each element from its centroid, (e,) [mm]."""
+    away = mesh.corners_mm - mesh.centroids_mm[:, None]
+    return np.asarray(np.hypot(away[..., 0], away[..., 1]).max(axis=1), dtype=np.float64)
 
 
 def _outer(first: Array, second: Array) -> Array:

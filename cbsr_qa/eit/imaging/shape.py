@@ -16,7 +16,6 @@ import numpy as np
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.geometry import Footprint, RoundFootprint, overlap_mm2
 from cbsr_qa.domain.results import Blob, Image, OverlapBand, Region
-from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.imaging.blobs import threshold
 
 
@@ -212,22 +211,6 @@ def overlap_grade(
         if band.lower <= overlap_percent < band.upper or (band.upper == top and overlap_percent >= top):
             return band.name
     return "no band"
-
-
-def overlap_area_mm2(mesh: Mesh, elements: Indices, footprint: Footprint) -> Array:
-    """Return each element's area inside a footprint, exactly, arcs included.
-
-    Parameters
-    ----------
-    mesh : the elements' mesh.
-    elements : (k,) int64 indices into it.
-
-    Returns
-    -------
-    (k,) float64 [mm²], each between 0 and the element's area.
-    """
-    # A whole element counts as its own area, to the last digit.
-    return np.minimum(overlap_mm2(footprint, mesh.corners_mm[elements]), mesh.areas_mm2[elements])
 
 
 #: The set q holds what reaches this share of the maximum; Adler et al. take a quarter.

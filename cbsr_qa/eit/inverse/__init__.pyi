@@ -3,7 +3,15 @@ from .dual import (
     dual_matrix as dual_matrix,
     dual_spectrum as dual_spectrum,
 )
-from .one_step import OneStep as OneStep, RidgeSearch as RidgeSearch
+from .noise_figures import (
+    NoiseFigureForm as NoiseFigureForm,
+    central_signal as central_signal,
+    evidence_of as evidence_of,
+    hyperparameter_for as hyperparameter_for,
+    noise_figure as noise_figure,
+    target_radius_mm as target_radius_mm,
+)
+from .one_step import OneStep as OneStep, RidgeCurves as RidgeCurves, RidgeSearch as RidgeSearch
 from .options import (
     number as number,
     optional_number as optional_number,
@@ -23,12 +31,14 @@ from .priors import (
 )
 from .problem import (
     NOMINAL_CONTACT_MM as NOMINAL_CONTACT_MM,
+    even_model as even_model,
     image_jacobian as image_jacobian,
     imaging_problem as imaging_problem,
     nominal_model as nominal_model,
     target_signal as target_signal,
 )
 from .readings import FEWEST_FRAMES as FEWEST_FRAMES, ReadingFold as ReadingFold, reading_noise as reading_noise
+from .regularisation import Criterion as Criterion, Regularisation as Regularisation
 from .scaling import changes as changes, scale_doubts as scale_doubts, scale_of as scale_of
 from .temporal import (
     Correlation as Correlation,

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.forward import reaches_mm
 
 _SLIVER = 1e-12  # of a mean element's area: what is smaller has no centroid to rounding
 
@@ -64,7 +65,7 @@ def overlap_fractions(fine: Mesh, coarse: Mesh) -> sparse.csr_matrix:
 
 def _candidates(fine: Mesh, coarse: Mesh) -> tuple[Indices, Indices]:
     """Pairs of elements whose bounding circles meet."""
-    reach = [_reach(mesh) for mesh in (fine, coarse)]
+    reach = [reaches_mm(mesh) for mesh in (fine, coarse)]
     near = cKDTree(coarse.centroids_mm).query_ball_point(
         fine.centroids_mm, reach[0] + reach[1].max(), return_sorted=True
     )
@@ -73,12 +74,6 @@ def _candidates(fine: Mesh, coarse: Mesh) -> tuple[Indices, Indices]:
     apart = np.hypot(*(fine.centroids_mm[first] - coarse.centroids_mm[second]).T)
     meet = apart < reach[0][first] + reach[1][second]
     return first[meet], second[meet]
-
-
-def _reach(mesh: Mesh) -> Array:
-    offset = mesh.corners_mm - mesh.centroids_mm[:, None]
-    reach: Array = np.hypot(offset[..., 0], offset[..., 1]).max(axis=1)
-    return reach
 
 
 def _intersections(first: Array, second: Array) -> tuple[Array, Array]:

@@ -82,11 +82,11 @@ def laplace_matrix(mesh: Mesh) -> sparse.csc_matrix:
     xᵀRx = 2 Σ (x_i − x_j)² over neighbours; edge lengths and distances do not enter, so on graded meshes it is no
     discrete Laplacian (Vauhkonen et al. 1998 weigh alike).
     """
-    differences = _differences(mesh)
+    differences = neighbour_differences(mesh)
     return sparse.csc_matrix(2 * (differences.T @ differences))
 
 
-def _differences(mesh: Mesh) -> sparse.csr_matrix:
+def neighbour_differences(mesh: Mesh) -> sparse.csr_matrix:
     """Differences (edges, e) between elements that share an edge."""
     edge = np.arange(len(mesh.neighbours))
     ones = np.ones(len(edge))
@@ -102,7 +102,7 @@ def laplace(mesh: Mesh) -> Prior:
     which the dual form determines from the readings. R = 2 DᵀD with D the differences between neighbours; √2 DP is a
     root of P.
     """
-    differences = np.sqrt(2.0) * _differences(mesh)
+    differences = np.sqrt(2.0) * neighbour_differences(mesh)
     factors = splu(
         laplace_matrix(mesh)[:-1, :-1].tocsc(),
         permc_spec="MMD_AT_PLUS_A",

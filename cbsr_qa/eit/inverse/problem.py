@@ -139,9 +139,23 @@ def masked_electrodes(pattern: DrivePattern, used: Mask) -> tuple[int, ...]:
     return tuple(int(electrode) for electrode in np.flatnonzero(usable & ~left))
 
 
+@lru_cache(maxsize=8)
+def even_model(sensor_type: SensorType, mesh_size: float) -> ForwardModel:
+    """Homogeneous sheet of unit conductance with nominal contacts, in elements of the second order.
+
+    Parameters
+    ----------
+    mesh_size : edge length far from electrodes, of the sheet's radius.
+    """
+    mesh = sheet_mesh(sensor_type, size_mm=mesh_size * sensor_type.radius_mm, order=2)
+    contact = np.full(sensor_type.electrodes.count, NOMINAL_CONTACT_MM)
+    return ForwardModel(mesh, sensor_type.pattern, np.ones(len(mesh.elements)), contact, order=2)
+
+
+@lru_cache(maxsize=8)
 def nominal_model(sensor_type: SensorType) -> LocalUpdate:
     """Homogeneous sheet at unit conductance, ready for local changes; made once per process and sensor type."""
-    return _nominal_model(sensor_type)
+    return LocalUpdate(even_model(sensor_type, _FORWARD_SIZE))
 
 
 def target_signal(problem: ImagingProblem, *, x_mm: float, y_mm: float, radius_mm: float, contrast: float) -> Array:
@@ -177,15 +191,8 @@ class _Nominal:
 
 
 @lru_cache(maxsize=8)
-def _nominal_model(sensor_type: SensorType) -> LocalUpdate:
-    mesh = sheet_mesh(sensor_type, size_mm=_FORWARD_SIZE * sensor_type.radius_mm, order=2)
-    contact = np.full(sensor_type.electrodes.count, NOMINAL_CONTACT_MM)
-    return LocalUpdate(ForwardModel(mesh, sensor_type.pattern, np.ones(len(mesh.elements)), contact, order=2))
-
-
-@lru_cache(maxsize=8)
 def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
-    model = _nominal_model(sensor_type).model
+    model = nominal_model(sensor_type).model
     mesh = image_mesh(sensor_type, size_mm=image_size_mm)
     group, sign = sensor_type.pattern.reading_groups()
     _, first, number = np.unique(group, return_index=True, return_inverse=True)
@@ -251,8 +258,8 @@ def _relative_variance(variance: Array, used: Mask) -> Array:
     wrong = np.flatnonzero(~(np.isfinite(variance) & (variance > 0)))
     if wrong.size:
         raise NumericsError(
-            f"the noise variance of {_pair(used, wrong[0])} is {variance[wrong[0]]} (one of {wrong.size} such); it"
-            " must be a positive finite number",
+            f"the noise variance of {reading_name(used, wrong[0])} is {variance[wrong[0]]} (one of {wrong.size} such)"
+            "; it must be a positive finite number",
             remedy="leave its channel out (`used`), or give it a variance near the others'",
         )
     _check_spread(variance, used)
@@ -261,8 +268,8 @@ def _relative_variance(variance: Array, used: Mask) -> Array:
     if not np.isfinite(mean) or mean < np.finfo(np.float64).tiny:
         extreme = int(variance.argmax() if np.isfinite(mean) else variance.argmin())
         raise NumericsError(
-            f"the noise variance of {_pair(used, extreme)} is {variance[extreme]:g}; its reciprocal is beyond the"
-            " range of numbers",
+            f"the noise variance of {reading_name(used, extreme)} is {variance[extreme]:g}; its reciprocal is beyond"
+            " the range of numbers",
             remedy="give variances in a larger or smaller unit; only their ratios matter",
         )
     relative: Array = variance * mean
@@ -278,13 +285,14 @@ def _check_spread(variance: Array, used: Mask) -> None:
     far = largest if size[largest] + size[least] > 2 * np.median(size) else least
     other = least if far == largest else largest
     raise NumericsError(
-        f"the noise variance of {_pair(used, far)} is {variance[far]:g}, that of {_pair(used, other)}"
+        f"the noise variance of {reading_name(used, far)} is {variance[far]:g}, that of {reading_name(used, other)}"
         f" {variance[other]:g}; the largest is at most {_MOST_UNEQUAL:g} times the smallest",
         remedy="leave its channel out (`used`), or give it a variance near the others'",
     )
 
 
-def _pair(used: Mask, reading: int) -> str:
+def reading_name(used: Mask, reading: int) -> str:
+    """Name of a used reading, counted among these, in a message."""
     drive, measure = np.argwhere(used)[reading]
     return f"reading (drive {drive}, measure {measure})"
 

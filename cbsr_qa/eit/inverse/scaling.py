@@ -6,6 +6,7 @@ import numpy as np
 
 from cbsr_qa.domain import Array, NumericsError, real_numbers
 from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.eit.inverse.problem import reading_name
 
 _LEAST_ALIKE: Final = 0.9  # cosine between a sensor's reference and the model's, in size
 
@@ -85,8 +86,8 @@ def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: f
     if wrong.size:
         frame, channel = wrong[0]
         raise NumericsError(
-            f"the change of {_reading(problem, channel)} of frame {frame} over the scale {scale:g} is too large for"
-            " a number",
+            f"the change of {reading_name(problem.used, channel)} of frame {frame} over the scale {scale:g} is too"
+            " large for a number",
             remedy="use the scale of the sensor's own unloaded frame (scale_of), in the unit of the voltages",
         )
     return changed
@@ -124,12 +125,7 @@ def _used(voltages: Array, problem: ImagingProblem) -> Array:
     if not np.isfinite(readings).all():
         frame, channel = np.argwhere(~np.isfinite(readings))[0]
         raise NumericsError(
-            f"{_reading(problem, channel)} of frame {frame} is not a finite number",
+            f"{reading_name(problem.used, channel)} of frame {frame} is not a finite number",
             remedy="leave its channel out of the problem (`used`)",
         )
     return readings
-
-
-def _reading(problem: ImagingProblem, channel: int) -> str:
-    drive, measure = np.argwhere(problem.used)[channel]
-    return f"reading (drive {drive}, measure {measure})"

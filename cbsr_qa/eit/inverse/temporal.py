@@ -16,8 +16,8 @@ import numpy as np
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
-from cbsr_qa.eit.inverse.choice import central_signal
 from cbsr_qa.eit.inverse.dual import DualSpectrum
+from cbsr_qa.eit.inverse.noise_figures import central_signal
 
 _LASTS = 8  # correlation times after which a frame is forgotten
 _LONGEST = 400  # frames a response is followed for at most

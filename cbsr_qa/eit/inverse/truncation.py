@@ -10,10 +10,11 @@ import numpy as np
 
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse.choice import Criterion, Evidence, central_signal
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
+from cbsr_qa.eit.inverse.noise_figures import Evidence, central_signal
 from cbsr_qa.eit.inverse.one_step import noise_level
 from cbsr_qa.eit.inverse.readings import ReadingFold
+from cbsr_qa.eit.inverse.regularisation import Criterion
 
 _PAIR: Final = 0.98  # singular values closer than this ratio are kept or dropped together
 _LEAST: Final = 1e-7  # of the largest: no measurement has seven digits to tell what is below
@@ -46,14 +47,9 @@ class Truncation:
         return np.flatnonzero(apart).astype(np.int64) + 1
 
     @property
-    def grid(self) -> Array:
+    def shown(self) -> Array:
         """The same, as values of a parameter."""
         return self.cuts.astype(np.float64)
-
-    @property
-    def shown(self) -> Array:
-        """The same, as no further values exist."""
-        return self.grid
 
     @property
     def discrete(self) -> bool:
@@ -73,7 +69,7 @@ class Truncation:
         """
         variance = self._problem.noise_variance
         louder = 1.0 if variance is None else float(np.sqrt(variance.mean() * (1 / variance).mean()))
-        reached = louder * self.noise_figures(self.grid)
+        reached = louder * self.noise_figures(self.shown)
         enough = np.flatnonzero(reached <= target)
         if not enough.size:
             raise NumericsError(
@@ -117,7 +113,7 @@ class Truncation:
 
     def for_noise_figure(self, target: float) -> float:
         """Most components whose noise figure is at most the target."""
-        reached = self.noise_figures(self.grid)
+        reached = self.noise_figures(self.shown)
         within = np.flatnonzero(reached <= target)
         if not within.size or not target <= reached.max():
             raise NumericsError(
@@ -125,7 +121,7 @@ class Truncation:
                 f" {reached.max():.3g}",
                 remedy="give a noise figure in that range, or the number of components itself",
             )
-        return float(self.grid[within[-1]])
+        return float(self.shown[within[-1]])
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
         """Number of components chosen from readings; NumericsError if they determine none."""

@@ -5,43 +5,14 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse.choice import target_radius_mm
+from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.problem import masked_electrodes
 
 #: Places further out than this, of the radius, are the electrodes' own neighbourhood.
 _OUTERMOST: Final = 0.8
 _PLACES: Final = 150
-
-
-def image_variance(matrix: Array, covariance: Array | None = None) -> Array:
-    """Variance of every element of a linear image, the diagonal of R C Rᵀ.
-
-    Parameters
-    ----------
-    matrix : (e, m) R.
-    covariance : (m, m) C of the readings, or (m,) its diagonal; None for unit variance on every channel.
-
-    Returns
-    -------
-    (e,) float64, in the square of the readings' unit over the matrix's.
-
-    Raises
-    ------
-    NumericsError
-        If the covariance has another shape, is not finite, or has a negative variance.
-    """
-    count = matrix.shape[1]
-    covariance = np.ones(count) if covariance is None else np.asarray(covariance, dtype=np.float64)
-    variances = np.diag(covariance) if covariance.ndim == 2 else covariance
-    if covariance.shape not in ((count,), (count, count)) or not np.isfinite(covariance).all() or variances.min() < 0:
-        raise NumericsError(f"a covariance of shape {covariance.shape} for {count} readings, or not a valid one")
-    if covariance.ndim == 1:
-        of_channels: Array = matrix**2 @ covariance
-        return of_channels
-    variance: Array = np.einsum("em,em->e", matrix @ covariance, matrix)
-    return variance
 
 
 @dataclass(frozen=True, slots=True)

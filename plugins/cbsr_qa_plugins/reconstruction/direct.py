@@ -17,13 +17,18 @@ from cbsr_qa.domain.results import (
     ParameterChoice,
     ParameterCurve,
 )
-from cbsr_qa.eit.inverse import Truncation, check_hyperparameter, number, optional_number, optional_whole, shown
-from cbsr_qa.eit.inverse.choice import (
+from cbsr_qa.eit.inverse import (
     Criterion,
     Regularisation,
+    Truncation,
     central_signal,
+    check_hyperparameter,
     noise_figure,
     noise_figure as noise_figure_of,
+    number,
+    optional_number,
+    optional_whole,
+    shown,
 )
 from cbsr_qa.eit.inverse.greit import TargetDesign, greit_matrix, hyperparameter_for
 
@@ -72,7 +77,7 @@ class TruncatedSvd:
 
     Parameters
     ----------
-    choose, noise_figure : how k is chosen, see :class:`~cbsr_qa.eit.inverse.choice.Regularisation`. A noise
+    choose, noise_figure : how k is chosen, see :class:`~cbsr_qa.eit.inverse.Regularisation`. A noise
         figure is a bound: the most components that stay within it.
     components : k itself; excludes the others. Pairs of equal singular values are kept or dropped together.
 

@@ -68,9 +68,9 @@ class TotalVariation:
         NumericsError
             If no α leaves a residual of the noise's size.
         """
-        chosen = choose_alpha(problem, given=self._alpha, noise_dB=self._noise_dB)
+        choice, variance = choose_alpha(problem, given=self._alpha, noise_dB=self._noise_dB)
         return TotalVariationImages.of(
-            _NAME, problem, chosen.choice, chosen.variance, tolerance=self._tolerance, most_steps=self._steps
+            _NAME, problem, choice, variance, tolerance=self._tolerance, most_steps=self._steps
         )
 
 

@@ -20,6 +20,7 @@ from cbsr_qa.eit.inverse import (
     Correlation,
     OneStep,
     Prior,
+    Regularisation,
     RidgeSearch,
     TemporalImages,
     high_pass,
@@ -30,8 +31,8 @@ from cbsr_qa.eit.inverse import (
     number,
     optional_number,
     optional_whole,
+    target_radius_mm,
 )
-from cbsr_qa.eit.inverse.choice import Regularisation, target_radius_mm
 
 _NAME = "gauss-newton-tikhonov"
 
@@ -42,7 +43,7 @@ class GaussNewtonTikhonov:
     Parameters
     ----------
     choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.choice.Regularisation`.
+        :class:`~cbsr_qa.eit.inverse.Regularisation`.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class GaussNewtonLaplace:
     Parameters
     ----------
     choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.choice.Regularisation`.
+        :class:`~cbsr_qa.eit.inverse.Regularisation`.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class GaussNewtonNoser:
     Parameters
     ----------
     choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.choice.Regularisation`. λ is chosen with every reading of the sensor
+        :class:`~cbsr_qa.eit.inverse.Regularisation`. λ is chosen with every reading of the sensor
         type's pattern: a sensor with a bad channel is imaged with the λ of all others, or noise figures of sensors
         could not be compared.
     exponent : p, 0 (Tikhonov, moves images towards the rim) to 1 (moves them inwards). 0.5 is EIDORS's; on the
@@ -135,7 +136,7 @@ class GaussNewtonHighPass:
     Parameters
     ----------
     choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.choice.Regularisation`.
+        :class:`~cbsr_qa.eit.inverse.Regularisation`.
     width : of the low-pass filter that F leaves out, at half height, in units of the sheet's diameter. Adler &
         Guardo's default is a tenth.
     """
@@ -172,7 +173,7 @@ class GaussNewtonIndenter:
     Parameters
     ----------
     choose, noise_figure, hyperparameter : how λ is chosen, see
-        :class:`~cbsr_qa.eit.inverse.choice.Regularisation`.
+        :class:`~cbsr_qa.eit.inverse.Regularisation`.
     indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter, the 13 mm of the 100 mm disc.
     """
 
@@ -216,7 +217,7 @@ class Temporal:
     lag : later frames an image may look at. None for the whole block; 0 for none, as a live display needs: such
         images come late on every change by about the time they average over.
     choose, noise_figure, hyperparameter : how λ is chosen, for a single frame, see
-        :class:`~cbsr_qa.eit.inverse.choice.Regularisation`.
+        :class:`~cbsr_qa.eit.inverse.Regularisation`.
     indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter.
     """
 

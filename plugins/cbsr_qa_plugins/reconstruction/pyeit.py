@@ -24,8 +24,7 @@ from scipy import sparse
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.inverse import check_hyperparameter, number, overlap_fractions, target_signal, whole
-from cbsr_qa.eit.inverse.choice import noise_figure
+from cbsr_qa.eit.inverse import check_hyperparameter, noise_figure, number, overlap_fractions, target_signal, whole
 
 Array = NDArray[np.float64]
 

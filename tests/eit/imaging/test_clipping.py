@@ -5,13 +5,12 @@ import pytest
 from disc_meshes import disc_mesh, square_mesh
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
+from cbsr_qa.domain.geometry import RoundFootprint, overlap_mm2
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.imaging.shape import overlap_area_mm2
 
 
 def _area(mesh: Mesh, centre: tuple[float, float], radius: float) -> float:
-    return float(overlap_area_mm2(mesh, np.arange(len(mesh.elements)), RoundFootprint(*centre, radius)).sum())
+    return float(overlap_mm2(RoundFootprint(*centre, radius), mesh.corners_mm).sum())
 
 
 def _triangle(*corners: tuple[float, float]) -> Mesh:

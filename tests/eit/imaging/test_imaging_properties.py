@@ -8,11 +8,11 @@ from hypothesis.extra import numpy as hnp
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.results import Blob, Image
 from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.forward import disc_coverage
 from cbsr_qa.eit.imaging.blobs import find_blobs, floored, percentage_mask
 from cbsr_qa.eit.imaging.shape import (
     area_overlap_percent,
     centre_of_mass_error_mm,
-    overlap_area_mm2,
     shape_deviation_mm2,
 )
 
@@ -46,7 +46,8 @@ def triangles(draw: st.DrawFn) -> Mesh:
 
 
 def _inside(mesh: Mesh, x: float, y: float, r: float) -> float:
-    return float(overlap_area_mm2(mesh, np.arange(len(mesh.elements)), RoundFootprint(x, y, r)).sum())
+    elements, share = disc_coverage(mesh, x, y, r)
+    return float(share @ mesh.areas_mm2[elements])
 
 
 @given(triangles(), coordinate, coordinate, radius)

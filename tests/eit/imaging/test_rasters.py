@@ -5,12 +5,12 @@ import pytest
 from disc_meshes import disc_mesh, square_mesh, uniform_blob
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.geometry import RoundFootprint
+from cbsr_qa.domain.geometry import RoundFootprint, overlap_mm2
 from cbsr_qa.domain.results import Image, Region
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.imaging.contours import contour_regions
 from cbsr_qa.eit.imaging.rasters import Raster, find_regions, outlines, split_touching
-from cbsr_qa.eit.imaging.shape import area_overlap_percent, overlap_area_mm2, shape_deviation_mm2, spatial_figures
+from cbsr_qa.eit.imaging.shape import area_overlap_percent, shape_deviation_mm2, spatial_figures
 
 R = 6.5
 WIDTH_MM = 100.0
@@ -21,7 +21,7 @@ def _disc(x_mm: float, y_mm: float, radius_mm: float = R, pixels: int = 32) -> R
     """A disc as the share of each pixel it covers."""
     grid = square_mesh(pixels, size_mm=WIDTH_MM)
     mesh = Mesh(grid.nodes_mm - WIDTH_MM / 2, grid.elements)
-    area = overlap_area_mm2(mesh, np.arange(len(mesh.elements)), RoundFootprint(x_mm, y_mm, radius_mm))
+    area = overlap_mm2(RoundFootprint(x_mm, y_mm, radius_mm), mesh.corners_mm)
     pitch = WIDTH_MM / pixels
     first = -WIDTH_MM / 2 + pitch / 2
     return Raster((area[0::2] + area[1::2]).reshape(pixels, pixels) / pitch**2, pitch, (first, first))

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from cbsr_qa.domain.sensor import Mesh, adjacent_pattern
 from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse.choice import NoiseFigureForm, hyperparameter_for, noise_figure
+from cbsr_qa.eit.inverse import NoiseFigureForm, hyperparameter_for, noise_figure
 from cbsr_qa.eit.inverse.dual import dual_matrix, dual_spectrum
 from cbsr_qa.eit.inverse.priors import Prior, laplace, laplace_matrix, noser
 

@@ -6,7 +6,7 @@ import pytest
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse.problem import imaging_problem, masked_electrodes
-from cbsr_qa.eit.inverse.uncertainty import image_variance, masking_effect
+from cbsr_qa.eit.inverse.uncertainty import masking_effect
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
 
 
@@ -90,24 +90,6 @@ def test_the_effect_is_said_in_words(sensor):
     single = masking_effect(imaging_problem(sensor, used=used, image_size_mm=6.0))
     assert "without some readings, from 207 of 208 readings" in single.words()
     assert 1 <= single.typical < 1.05
-
-
-def test_variance_of_an_image_is_that_of_its_samples():
-    random = np.random.default_rng(0)
-    matrix, root = random.standard_normal((9, 6)), random.standard_normal((6, 6))
-    covariance = root @ root.T
-    whole = np.diag(matrix @ covariance @ matrix.T)
-    assert np.allclose(image_variance(matrix, covariance), whole, rtol=1e-12)
-    assert np.allclose(image_variance(matrix, np.diag(covariance)), matrix**2 @ np.diag(covariance), rtol=1e-12)
-    assert np.allclose(image_variance(matrix), (matrix**2).sum(axis=1), rtol=1e-12)
-    draws = random.standard_normal((40000, 6)) @ root.T @ matrix.T
-    assert np.allclose(draws.var(axis=0), whole, rtol=0.05)
-
-
-@pytest.mark.parametrize("wrong", [np.ones(5), np.eye(5), -np.ones(6), np.full(6, np.nan), np.ones((2, 6))])
-def test_covariances_that_are_none_are_refused(wrong):
-    with pytest.raises(NumericsError, match="covariance of shape"):
-        image_variance(np.ones((3, 6)), wrong)
 
 
 def test_the_unit_of_variances_does_not_matter(sensor):

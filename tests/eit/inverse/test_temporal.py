@@ -5,7 +5,7 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
 from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse.choice import central_signal
+from cbsr_qa.eit.inverse import central_signal
 from cbsr_qa.eit.inverse.priors import indenter_smoothness
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.temporal import Correlation, smoothed

@@ -8,8 +8,7 @@ import pytest
 
 from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse import ReadingFold, Truncation, imaging_problem, target_signal
-from cbsr_qa.eit.inverse.choice import central_signal, evidence_of
+from cbsr_qa.eit.inverse import ReadingFold, Truncation, central_signal, evidence_of, imaging_problem, target_signal
 from cbsr_qa_plugins.reconstruction.direct import Greit, LinearBackProjection, TruncatedSvd
 from cbsr_qa_plugins.reconstruction.one_step import (
     GaussNewtonHighPass,

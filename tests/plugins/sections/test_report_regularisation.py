@@ -9,8 +9,7 @@ from report_samples import sample_run
 from sensor_samples import SENSOR
 
 from cbsr_qa.domain.results import Figure, Paragraph, Table
-from cbsr_qa.eit.inverse import imaging_problem, laplace_matrix, noser
-from cbsr_qa.eit.inverse.choice import central_signal, evidence_of
+from cbsr_qa.eit.inverse import central_signal, evidence_of, imaging_problem, laplace_matrix, noser
 from cbsr_qa.report import number
 from cbsr_qa.report.draw import INK, checked_svg, parameter as figures_parameter
 from cbsr_qa_plugins.reconstruction.direct import Greit, LinearBackProjection, TruncatedSvd

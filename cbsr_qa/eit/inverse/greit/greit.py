@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse.choice import central_signal, noise_figure
 from cbsr_qa.eit.inverse.dual import check_hyperparameter
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, Targets, make_targets, neighbours
+from cbsr_qa.eit.inverse.noise_figures import central_signal, noise_figure
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
 _NEAR: Final = 2.0  # radii of the head: up to here an error of the image counts, most on top of the target

@@ -13,7 +13,8 @@ from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.geometry import circle_overlap_mm2
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.inverse.choice import target_radius_mm
+from cbsr_qa.eit.forward import reaches_mm
+from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
 #: The contour of a target's image that is to be its outline: the percentage mask that decides.
@@ -184,8 +185,7 @@ def disc_signals(jacobian: Array, mesh: Mesh, centres_mm: Array, radius_mm: floa
     -------
     (g, t) float64 [per mm² and contrast]. What a disc covers of every element is exact.
     """
-    offset = mesh.corners_mm - mesh.centroids_mm[:, None]
-    reach = radius_mm + float(np.hypot(offset[..., 0], offset[..., 1]).max())
+    reach = radius_mm + float(reaches_mm(mesh).max())
     near = neighbours(mesh.centroids_mm, centres_mm, reach)
     target = np.repeat(np.arange(len(centres_mm)), [len(found) for found in near])
     element = np.concatenate(near)

@@ -7,20 +7,25 @@ form, as large as the number of readings,
 
     θ⁺ = θ₀ + C Jᵀ (J C Jᵀ + σ²)⁻¹ (d − V(θ) + J (θ − θ₀)),
 
-and halved until Φ falls. C is never inverted: with θ = θ₀ + C w the second term is wᵀ(θ − θ₀).
+and halved until Φ falls. Unknowns are logarithms, so that conductance and contact impedance stay positive: ln γ of
+each element of the image's mesh and ln z of each electrode. The conductance of an element of the forward mesh is the
+mean over it of the image's. C is never inverted: with θ = θ₀ + C w the second term is wᵀ(θ − θ₀).
 """
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 from scipy.spatial.distance import cdist
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain import Array, Indices, NumericsError
+from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.forward import ValueRangeError
-from cbsr_qa.eit.inverse.iterative.sheet_model import SheetModel, SolvedSheet
+from cbsr_qa.eit.forward import ForwardModel, ValueRangeError
+from cbsr_qa.eit.inverse.overlap import overlap_fractions
+from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, even_model
+from cbsr_qa.eit.inverse.readings import ReadingFold
 
 #: Steps allowed; three to six do it.
 MOST_STEPS: Final = 20
@@ -31,6 +36,78 @@ _MOST_ELEMENTS: Final = 10_000
 _LONGEST: Final = 1.5  # change of a logarithm in one step
 _HALVINGS: Final = 8
 _LEAST_FALL: Final = 1e-4  # of the predicted one (Armijo)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetState:
+    """Conductance and contacts of a sheet, in units in which the nominal sheet's conductance is one.
+
+    Parameters
+    ----------
+    log_conductance : (e,) ln γ.
+    log_contact : (electrodes,) ln z, z in mm.
+    """
+
+    log_conductance: Array
+    log_contact: Array
+
+    @property
+    def unknowns(self) -> Array:
+        """All of them, (e + electrodes,)."""
+        return np.concatenate([self.log_conductance, self.log_contact])
+
+    def moved(self, by: Array) -> "SheetState":
+        """Return the state a step (e + electrodes,) further."""
+        count = len(self.log_conductance)
+        return SheetState(self.log_conductance + by[:count], self.log_contact + by[count:])
+
+
+class SheetModel:
+    """Folded readings of a problem as a function of the sheet's state.
+
+    Parameters
+    ----------
+    problem : its mesh carries the conductance, its readings are computed.
+    mesh_size : edge length of the forward mesh, of the sheet's radius; elements are of the second order.
+    """
+
+    def __init__(self, problem: ImagingProblem, mesh_size: float) -> None:
+        sensor = problem.sensor_type
+        self.fold = ReadingFold.of(problem)
+        self._even = even_model(sensor, mesh_size)
+        self._share: sparse.csr_matrix = overlap_fractions(self._even.mesh, problem.mesh)
+        drive, measure = np.argwhere(problem.used)[self.fold.first].T
+        self._drive, self._measure = drive.astype(np.int64), measure.astype(np.int64)
+        self.nominal = SheetState(
+            np.zeros(len(problem.mesh.elements)), np.full(sensor.electrodes.count, np.log(NOMINAL_CONTACT_MM))
+        )
+
+    def at(self, state: SheetState) -> "SolvedSheet":
+        """Solve for a state."""
+        conductance = self._share @ np.exp(state.log_conductance)
+        model = self._even.changed(conductance=conductance, contact_impedance=np.exp(state.log_contact))
+        return SolvedSheet(state, model, self._share, self._drive, self._measure)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SolvedSheet:
+    """One state of a sheet, factorised."""
+
+    state: SheetState
+    model: ForwardModel
+    share: sparse.csr_matrix
+    drive: Indices
+    measure: Indices
+
+    def readings(self) -> Array:
+        """Folded readings (g,) at unit current [V/A]."""
+        return self.model.voltages()[self.drive, self.measure]
+
+    def jacobian(self) -> Array:
+        """Change of the readings per change of ln γ and ln z, (g, e + electrodes)."""
+        inside = self.model.jacobian_rows(self.drive, self.measure) @ self.share
+        contacts = self.model.contact_jacobian()[self.drive, self.measure]
+        return np.hstack([inside * np.exp(self.state.log_conductance), contacts * np.exp(self.state.log_contact)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

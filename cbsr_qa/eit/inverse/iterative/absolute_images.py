@@ -7,16 +7,16 @@ import numpy as np
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
-from cbsr_qa.eit.inverse.choice import central_signal, noise_figure
 from cbsr_qa.eit.inverse.iterative.absolute import (
     MOST_STEPS,
     FoundState,
     Linearised,
+    SheetModel,
     SheetPrior,
     matern,
     most_probable_state,
 )
-from cbsr_qa.eit.inverse.iterative.sheet_model import SheetModel
+from cbsr_qa.eit.inverse.noise_figures import central_signal, noise_figure
 from cbsr_qa.eit.inverse.one_step import RidgeSearch
 from cbsr_qa.eit.inverse.priors import Prior
 

@@ -25,6 +25,7 @@ from scipy.sparse.linalg import splu
 
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.inverse.priors import neighbour_differences
 
 #: Duality gap, of the objective, at which an image is taken for the minimiser.
 TOLERANCE: Final = 1e-5
@@ -173,9 +174,9 @@ def jump_matrix(mesh: Mesh) -> sparse.csr_matrix:
     shared = edge[:, :-1][edge[:, 1:] == edge[:, :-1]]
     ends = mesh.nodes_mm[mesh.edges[shared]]
     lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
-    row = np.arange(len(joined))
-    entries = (np.concatenate([lengths, -lengths]), (np.tile(row, 2), joined.T.ravel()))
-    return sparse.csr_matrix(entries, shape=(len(joined), len(mesh.elements)))
+    jumps = neighbour_differences(mesh)
+    jumps.data *= np.repeat(lengths, 2)
+    return jumps
 
 
 def check_alpha(alpha: float) -> None:

@@ -16,8 +16,16 @@ from scipy.optimize import brentq
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.eit.inverse.choice import Evidence, central_signal, evidence_of, target_radius_mm
 from cbsr_qa.eit.inverse.iterative.total_variation import TotalVariation, TvImage, check_alpha
+from cbsr_qa.eit.inverse.noise_figures import (
+    CONTRAST,
+    NOISE_DB,
+    SEED,
+    Evidence,
+    central_signal,
+    evidence_of,
+    simulated_evidence,
+)
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
@@ -115,13 +123,10 @@ class TotalVariationImages:
 
 
 _COARSE: Final = 0.12  # edge length of the image α is settled on, of the sheet's radius
-_CONTRAST: Final = 0.2  # of the simulated target: a press as deep as the paper's
-_NOISE_DB: Final = 60  # of its readings; with other noise a target that stands as far out of it is chosen on
 _QUIETEST_DB: Final = 200
 _SAID: Final = "residual as large as the noise (discrepancy principle) on "
 _FRAMES: Final = 3  # that a residual is averaged over
 _DRAWS: Final = 8  # of noise, for the noise figure
-_SEED: Final = 3
 _LEAST: Final = 1e-7  # α searched, of the one that leaves nothing but a flat image
 _NOTHING: Final = 1e-12  # of the largest reading: less is no change
 _STEP: Final = 8.0  # from which it is searched downwards in such steps
@@ -129,20 +134,9 @@ _CLEAR: Final = 4.0  # sampling errors by which a flat image must fail, or the r
 _EXACT: Final = 0.01  # α is found to a hundredth: the residual it is held against is no better known
 
 
-@dataclass(frozen=True, slots=True)
-class ChosenAlpha:
-    """The choice, and the noise it was made for.
-
-    Parameters
-    ----------
-    variance : of a reading of unit relative variance; None where α was given.
-    """
-
-    choice: ParameterChoice
-    variance: float | None
-
-
-def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: float) -> ChosenAlpha:
+def choose_alpha(
+    problem: ImagingProblem, *, given: float | None, noise_dB: float
+) -> tuple[ParameterChoice, float | None]:
     """Choose α for a problem.
 
     Parameters
@@ -151,6 +145,10 @@ def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: floa
         simulated ones of the sensor type's nominal problem.
     noise_dB : how far below the mean reading the noise is, where no changes were measured. α grows with the noise
         in proportion: it is chosen for targets that stand as far out of it as a press does at 60 dB.
+
+    Returns
+    -------
+    The choice, and the variance of a reading of unit relative variance that it was made for; None where α was given.
 
     Raises
     ------
@@ -170,18 +168,18 @@ def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: floa
 
 
 @lru_cache(maxsize=16)
-def _of_type(sensor_type: SensorType, given: float | None, noise_dB: float) -> ChosenAlpha:
+def _of_type(sensor_type: SensorType, given: float | None, noise_dB: float) -> tuple[ParameterChoice, float | None]:
     return _chosen(imaging_problem(sensor_type), given, noise_dB)
 
 
-def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> ChosenAlpha:
+def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> tuple[ParameterChoice, float | None]:
     size_mm = _COARSE * problem.sensor_type.radius_mm
     coarse = imaging_problem(
         problem.sensor_type, used=problem.used, noise_variance=problem.noise_variance, image_size_mm=size_mm
     )
-    simulated = _simulated(coarse)
+    simulated = simulated_evidence(coarse, _DRAWS, _FRAMES)
     assert simulated.variance is not None
-    louder = 10 ** ((_NOISE_DB - noise_dB) / 20)
+    louder = 10 ** ((NOISE_DB - noise_dB) / 20)
     looks = problem.sample is not None and given is None
     evidence = evidence_of(replace(coarse, sample=problem.sample)) if looks else simulated
     if given is not None:
@@ -195,22 +193,11 @@ def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> Ch
     # The image of a louder target in louder noise is the louder image: what holds for α holds for louder · α there.
     figure, error = _noise_figure(coarse, value / louder, simulated)
     how += (
-        f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {_SEED}) at"
-        f" {100 * louder * _CONTRAST:.3g}% contrast, on elements of {size_mm:.3g} mm"
+        f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {SEED}) at"
+        f" {100 * louder * CONTRAST:.3g}% contrast, on elements of {size_mm:.3g} mm"
     )
     criterion = "discrepancy" if given is None else "given"
-    return ChosenAlpha(ParameterChoice(value, how, figure, "α", criterion=criterion), variance)
-
-
-def _simulated(problem: ImagingProblem) -> Evidence:
-    deviation = 10 ** (-_NOISE_DB / 20) * float(np.abs(problem.reference).mean())
-    relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
-    noise = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(relative))) * np.sqrt(relative)
-    words = (
-        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
-        f" {_CONTRAST:.0%} contrast, noise {_NOISE_DB} dB below the mean reading"
-    )
-    return Evidence(central_signal(problem, _CONTRAST) + deviation * noise, deviation**2, words)
+    return ParameterChoice(value, how, figure, "α", criterion=criterion), variance
 
 
 def _by_discrepancy(problem: ImagingProblem, evidence: Evidence) -> float:
@@ -281,7 +268,7 @@ def _noise_figure(problem: ImagingProblem, alpha: float, evidence: Evidence) -> 
     images = np.array([method.image(one, alpha).image for one in white.white(evidence.changes)])
     images *= problem.mesh.areas_mm2
     relative = np.ones(1) if problem.noise_variance is None else problem.noise_variance
-    snr = float(np.abs(central_signal(problem, _CONTRAST)).mean() / np.sqrt(evidence.variance * relative.mean()))
+    snr = float(np.abs(central_signal(problem, CONTRAST)).mean() / np.sqrt(evidence.variance * relative.mean()))
     left_out = [snr / _image_snr(np.delete(images, one, axis=0)) for one in range(len(images))]
     spread = np.sqrt((len(images) - 1) * np.var(left_out))
     return snr / _image_snr(images), float(spread)

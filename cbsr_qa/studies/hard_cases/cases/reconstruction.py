@@ -10,8 +10,7 @@ from scipy import linalg
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse import Correlation, ReadingFold, imaging_problem, noser, smoothed
-from cbsr_qa.eit.inverse.choice import RidgeCurves
+from cbsr_qa.eit.inverse import Correlation, ReadingFold, RidgeCurves, imaging_problem, noser, smoothed
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
 from cbsr_qa.studies.hard_cases.exact import DIGITS, apart, exact_image
 from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepared, usual_problem, usual_sensor

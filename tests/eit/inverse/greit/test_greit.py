@@ -11,7 +11,7 @@ from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.eit.forward import ForwardModel, cover
 from cbsr_qa.eit.imaging import contour_regions, nearest_blob, spatial_figures
-from cbsr_qa.eit.inverse.choice import central_signal
+from cbsr_qa.eit.inverse import central_signal
 from cbsr_qa.eit.inverse.greit.greit import WIDTHS, GreitRows
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, make_targets, node_areas_mm2
 from cbsr_qa.eit.inverse.problem import imaging_problem

@@ -10,8 +10,7 @@ from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.inverse.iterative.absolute import Linearised, matern
-from cbsr_qa.eit.inverse.iterative.sheet_model import SheetModel
+from cbsr_qa.eit.inverse.iterative.absolute import Linearised, SheetModel, matern
 from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
 from cbsr_qa.eit.inverse.scaling import scale_of
 from cbsr_qa.eit.mesh import sheet_mesh

@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.inverse.choice import central_signal
+from cbsr_qa.eit.inverse import central_signal
 from cbsr_qa.eit.inverse.iterative.total_variation import TotalVariation as Minimise, jump_matrix
 from cbsr_qa.eit.inverse.iterative.total_variation_images import TotalVariationImages, WhiteReadings, choose_alpha
 from cbsr_qa.eit.inverse.problem import imaging_problem

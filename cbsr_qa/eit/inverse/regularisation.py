@@ -9,7 +9,7 @@ import numpy as np
 
 from cbsr_qa.domain import Array, ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterAnswer, ParameterCurve
-from cbsr_qa.eit.inverse.choice.noise_figures import SMALL_CONTRAST, Evidence, evidence_of, target_radius_mm
+from cbsr_qa.eit.inverse.noise_figures import SMALL_CONTRAST, Evidence, evidence_of, target_radius_mm
 from cbsr_qa.eit.inverse.options import optional_number, shown
 
 
@@ -33,18 +33,13 @@ class ParameterSearch(Protocol):
     """A method's parameter on one problem, ready to be chosen."""
 
     @property
-    def grid(self) -> Array:
-        """Values that are looked at, (k,) rising."""
-        ...
-
-    @property
     def shown(self) -> Array:
-        """Values dense enough to draw a curve, over the same range."""
+        """Values dense enough to draw a curve, (k,) rising; all there are of a count."""
         ...
 
     @property
     def discrete(self) -> bool:
-        """Whether the parameter is a count, and ``grid`` has all its values."""
+        """Whether the parameter is a count."""
         ...
 
     def noise_figures(self, values: Array) -> Array:

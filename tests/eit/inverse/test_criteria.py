@@ -6,8 +6,8 @@ from drawn import drawn
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.eit.inverse.choice.criteria import RidgeCurves, by_cross_validation, by_discrepancy, by_l_curve
 from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
+from cbsr_qa.eit.inverse.one_step import RidgeCurves, by_cross_validation, by_discrepancy, by_l_curve
 
 _COUNT = 40
 

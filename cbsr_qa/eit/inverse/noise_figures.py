@@ -78,11 +78,11 @@ TARGET_RADIUS: Final = 0.13
 #: Its contrast for a noise figure, where the response is still linear.
 SMALL_CONTRAST: Final = 0.01
 
-# Where nothing was measured: a press as deep as the paper's, the noise of a good instrument.
-_CONTRAST: Final = 0.2
-_NOISE_DB: Final = 60
+#: Where nothing was measured: a press as deep as the paper's, the noise of a good instrument [dB].
+CONTRAST: Final = 0.2
+NOISE_DB: Final = 60
 _FRAMES: Final = 32
-_SEED: Final = 3
+SEED: Final = 3
 
 _MOST_CHANGED: Final = 1e12  # a measured change, of the largest reading: more is another unit
 
@@ -122,7 +122,11 @@ def evidence_of(problem: ImagingProblem) -> Evidence:
     NumericsError
         If the sample does not fit the problem, is not finite, or is of another unit.
     """
-    return _simulated(problem) if problem.sample is None else _measured(problem, problem.sample)
+    return (
+        simulated_evidence(problem, _FRAMES, _FRAMES)
+        if problem.sample is None
+        else _measured(problem, problem.sample)
+    )
 
 
 def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
@@ -146,15 +150,21 @@ def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
     return Evidence(sample, variance if freedom else None, frames)
 
 
-def _simulated(problem: ImagingProblem) -> Evidence:
-    deviation = 10 ** (-_NOISE_DB / 20) * float(np.abs(problem.reference).mean())
+def simulated_evidence(problem: ImagingProblem, draws: int, frames: int) -> Evidence:
+    """Changes for a central target in noise: a press as deep as the paper's, the noise of a good instrument.
+
+    Parameters
+    ----------
+    draws : of noise that are made. frames : of them that are chosen on, for the words.
+    """
+    deviation = 10 ** (-NOISE_DB / 20) * float(np.abs(problem.reference).mean())
     relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
-    noise = np.random.default_rng(_SEED).standard_normal((_FRAMES, len(relative))) * np.sqrt(relative)
+    noise = np.random.default_rng(SEED).standard_normal((draws, len(relative))) * np.sqrt(relative)
     words = (
-        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
-        f" {_CONTRAST:.0%} contrast, noise {_NOISE_DB} dB below the mean reading"
+        f"{frames} simulated frames (seed {SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
+        f" {CONTRAST:.0%} contrast, noise {NOISE_DB} dB below the mean reading"
     )
-    return Evidence(central_signal(problem, _CONTRAST) + deviation * noise, deviation**2, words)
+    return Evidence(central_signal(problem, CONTRAST) + deviation * noise, deviation**2, words)
 
 
 _LOWEST, _HIGHEST = 1e-6, 1e3  # λ searched, relative to the root of the largest eigenvalue
@@ -205,7 +215,12 @@ def hyperparameter_for(
     # The noise figure falls with λ but for wiggles at the ends; the largest λ that reaches the target is smoothest.
     last = np.flatnonzero((reached[:-1] >= target) & (target >= reached[1:]))[-1]
     root = brentq(lambda at: np.log(figure(float(np.exp(at))) / target), grid[last], grid[last + 1], xtol=1e-12)
-    return float(f"{np.exp(root):.10g}")  # digits beyond these depend on how many threads the linear algebra has
+    return rounded(float(np.exp(root)))
+
+
+def rounded(value: float) -> float:
+    """Ten digits: those beyond depend on how many threads the linear algebra has."""
+    return float(f"{value:.10g}")
 
 
 def searched(spectrum: DualSpectrum) -> Array:

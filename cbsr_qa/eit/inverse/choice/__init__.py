@@ -1,5 +1,0 @@
-"""Choice of the hyperparameter: noise figure and data-driven criteria."""
-
-from cbsr_qa import door
-
-__getattr__, __dir__, __all__ = door(__name__, __file__)
