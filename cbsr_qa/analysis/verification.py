@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import load_window
-from cbsr_qa.calibration.fits import predict_steady
+from cbsr_qa.calibration.fits import predict_steady, relaxation_curve
 from cbsr_qa.calibration.runtime import Calibration, Matches
 from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.results import FitStatus, LoadObservation, LoadRelaxation, RelaxationFit, RunObservation
+from cbsr_qa.domain.results import FitStatus, LoadObservation, LoadRelaxation, RunObservation
 
 Array = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ class _Reader:
             late = load_window(phase, load.record, self._run.settings).steady
             rows.append(self._rows(late.voltages).mean(axis=0))
             noise.append(1 / len(late))
-            places.append((load.record.load.x_mm, load.record.load.y_mm))
+            places.append(load.place_mm)
         if not rows:
             return AS_PLACED
         return sheet_pose_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
@@ -142,7 +142,7 @@ class _Reader:
         record, model = load.record, self._calibration.model
         phase = self._run.record.phase(load.phase)
         cell = phase.channel("force")
-        place = self.sheet_pose.places_mm(np.array([[record.load.x_mm, record.load.y_mm]]))[0]
+        place = self.sheet_pose.places_mm(np.array([load.place_mm]))[0]
         if load.together > 1 or cell is None or load.force_N is None or phase.frames is None:
             return None
         held = phase.frames.between(record.hold_start_s, record.release_start_s)
@@ -186,7 +186,7 @@ class _Reader:
         if not shapes or not len(samples):
             return float(load.force_N or 0.0)
         steady_s = self._calibration.model.steady_s
-        ratios = [_level(fit, np.array([steady_s]))[0] / _level(fit, held_s) for fit in shapes]
+        ratios = [relaxation_curve(fit, np.array([steady_s]))[0] / relaxation_curve(fit, held_s) for fit in shapes]
         return float(np.mean(samples.values * np.median(ratios, axis=0)))
 
 
@@ -195,13 +195,6 @@ def _of_stress(relaxation: LoadRelaxation) -> bool:
     return (
         relaxation.signal == "stress" and relaxation.loading and fit.status not in _NO_RELAXATION and fit.offset > 0
     )
-
-
-def _level(fit: RelaxationFit, time_s: Array) -> Array:
-    found = np.full(len(time_s), fit.offset)
-    for amplitude, tau_s in zip(fit.amplitudes, fit.time_constants_s, strict=True):
-        found += amplitude * np.exp(-time_s / tau_s)
-    return found
 
 
 def _sensitivity(loads: tuple[VerifiedLoad, ...]) -> tuple[float, float]:

@@ -202,7 +202,7 @@ def _validity(observation: RunObservation, reached: Sequence[LoadObservation], r
         force_N=(min(forces), max(forces)) if forces else None,
         strain=(min(strains), max(strains)),
         temperature_C=_temperature_C(observation),
-        radius_mm=max(float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in reached),
+        radius_mm=max(float(np.hypot(*load.place_mm)) for load in reached),
         reduced=tuple(reduced),
     )
 

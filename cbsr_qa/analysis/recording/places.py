@@ -83,15 +83,12 @@ def matcher(patterns: Array, places: Array, sigma: Array, nuisance: Array) -> Ma
     return Matcher(places, sigma, hidden, white / np.linalg.norm(white, axis=0))
 
 
-def find_places(
-    change: Array, match: Matcher, *, sign: int = 0, most: int = _MOST_LOADS
-) -> tuple[tuple[Place, ...], float]:
+def find_places(change: Array, match: Matcher, *, most: int = _MOST_LOADS) -> tuple[tuple[Place, ...], float]:
     """Find the loads that explain one change.
 
     Parameters
     ----------
     change : (m,) whitened.
-    sign : +1 or −1 to look for loads of that sign only, 0 for either.
     most : how many loads to look for.
 
     Returns
@@ -101,11 +98,11 @@ def find_places(
     total = float(change @ change)
     if total == 0:
         return (), 0.0
-    chosen = [_best(change, match, sign, ())]
+    chosen = [_best(change, match, 0, ())]
     explained = _explained(change, match, chosen)
     while len(chosen) < most:
-        further = _best(_left(change, match, chosen), match, sign, tuple(chosen))
-        moved = _settled(change, match, [*chosen, further], sign)
+        further = _best(_left(change, match, chosen), match, 0, tuple(chosen))
+        moved = _settled(change, match, [*chosen, further], 0)
         gain = _explained(change, match, moved) - explained
         needed = max(_FURTHER_SHARE * total, _FURTHER_OF_FIRST * explained)
         if _nearest(match, moved) > _FAR:

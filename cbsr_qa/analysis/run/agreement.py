@@ -101,7 +101,7 @@ def _against(
     window = _window_s(run, force.used, loading)
     if kernel is None or window is None:
         return _without(loading, "the sheet's loads do not show its relaxation: held too short, or too weak")
-    expected = _expected(strip, loading, _hold_s(force.used))
+    expected = _expected(strip, loading, float(np.median([load.hold_s for load in force.used])))
     if expected is None:
         return _without(loading, "the material file has no strip relaxation in this direction")
     found = compare_relaxations(
@@ -117,10 +117,6 @@ def _expected(strip: StripRelaxation, loading: bool, hold_s: float) -> KernelCur
     if loading:
         return KernelCurve.of_press(strip.loading)
     return None if strip.unloading is None else KernelCurve.of_release(strip.loading, strip.unloading, hold_s)
-
-
-def _hold_s(loads: Sequence[LoadObservation]) -> float:
-    return float(np.median([load.record.release_start_s - load.record.hold_start_s for load in loads]))
 
 
 def _window_s(run: RunObservation, loads: Sequence[LoadObservation], loading: bool) -> tuple[float, float] | None:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run.loads import LoadWindow, load_window
+from cbsr_qa.analysis.run.loads import LoadWindow, window_of
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import LoadEstimate, LoadObservation, RunObservation
@@ -112,7 +112,7 @@ def _estimates(
     """Estimate loads in groups of equal noise: equal numbers of frames under the hold and for the reference."""
     groups: dict[tuple[int, int], list[tuple[LoadObservation, LoadWindow]]] = defaultdict(list)
     for load in loads:
-        window = load_window(run.record.phase(load.phase), load.record, run.settings)
+        window = window_of(run, load)
         own = reference == "load" and len(window.before) > 0
         count = len(window.before) if own else len(run.unloaded) - run.settings.noise_floor_frames
         groups[(len(window.steady), count if own else -count)].append((load, window))

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.estimates import model_scale, reading_variance
-from cbsr_qa.analysis.run.force_kernels import StrengthTraces, compensated, force_kernels, key_of
-from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.analysis.run.force_kernels import StrengthTraces, compensated, force_kernels, key_of, steady_s
+from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.calibration.fits import TimedValues
 from cbsr_qa.calibration.force import (
     CalibrationLoads,
@@ -121,8 +121,8 @@ def learned_from(run: RunObservation) -> RunForce:
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
     used = tuple(load for load, yes in zip(loads.loads, calibrating, strict=True) if yes)
     learned = loads.learn(calibrating)
-    steady_s = learned.model.steady_s if loads.at_s is None else loads.at_s
-    learned = replace(learned, model=replace(learned.model, steady_s=steady_s))
+    if loads.at_s is not None:
+        learned = replace(learned, model=replace(learned.model, steady_s=loads.at_s))
     return RunForce(learned, used, (), sheet_pose=loads.sheet_pose)
 
 
@@ -187,19 +187,18 @@ class _RunForce:
     def _data(self) -> CalibrationLoads:
         if not self.loads:
             raise NumericsError(f"no load was pressed alone with its force recorded ({_TOGETHER}, or no load cell)")
-        record, settings = self.run.record, self.run.settings
-        windows = [load_window(record.phase(one.phase), one.record, settings) for one in self.loads]
+        windows = [window_of(self.run, load) for load in self.loads]
         steady = [self._rows(window.steady.voltages) for window in windows]
         before = [self._rows(window.before.voltages) for window in windows]
         nothing = np.zeros(self.merging.shape[0])
         return CalibrationLoads(
-            place_mm=np.array([(one.record.load.x_mm, one.record.load.y_mm) for one in self.loads]),
+            place_mm=np.array([load.place_mm for load in self.loads]),
             rows=np.array([rows.mean(axis=0) for rows in steady]),
             frames=np.array([len(rows) for rows in steady]),
             before=np.array([rows.mean(axis=0) if len(rows) else nothing for rows in before]),
             frames_before=np.array([len(rows) for rows in before]),
-            force_N=np.array([one.force_N for one in self.loads], dtype=np.float64),
-            force_stderr_N=np.array([one.force_stderr_N or 0.0 for one in self.loads]),
+            force_N=np.array([load.force_N for load in self.loads], dtype=np.float64),
+            force_stderr_N=np.array([load.force_stderr_N or 0.0 for load in self.loads]),
         )
 
     def strengths(self) -> StrengthTraces:
@@ -239,18 +238,11 @@ class _RunForce:
     def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
         """Add the time of the hold that loads were evaluated at, and their kernels."""
         loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
-        model, settings = learned.model, self.run.settings
-        held = [
-            float(load_window(self.run.record.phase(load.phase), load.record, settings).steady.time_s.mean())
-            - load.record.hold_start_s
-            for load in loads
-        ]
-        loading, unloading = force_kernels(
-            self.run, loads, self.data.place_mm[which], self.merging, TemplateFilter(model)
-        )
-        steady_s = float(np.mean(held)) if self.at_s is None else self.at_s
-        timed = replace(model, steady_s=steady_s, loading=loading, unloading=unloading)
-        return replace(learned, model=timed)
+        filter_ = TemplateFilter(learned.model)
+        loading, unloading = force_kernels(self.run, loads, self.data.place_mm[which], self.merging, filter_)
+        held_to_s = float(np.mean([steady_s(self.run, load) for load in loads])) if self.at_s is None else self.at_s
+        model = replace(learned.model, steady_s=held_to_s, loading=loading, unloading=unloading)
+        return replace(learned, model=model)
 
     def learn(self, which: NDArray[np.bool_]) -> LearnedForce:
         """Learn from some loads."""
@@ -325,8 +317,3 @@ def _global(learned: LearnedForce) -> ForceModel:
         log_response=np.full(count, np.log(mean)),
         log_response_stderr=np.full(count, max(spread, float(np.mean(error[used])))),
     )
-
-
-def known_errors(tests: Sequence[ForceTest]) -> Array:
-    """Errors with the place known (n,) [N]."""
-    return np.array([test.known_N - test.measured_N for test in tests])

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.calibration.fits import TimedValues, learn_kernel, predict_steady, relaxation_start
 from cbsr_qa.calibration.force import RESIDUE_SHARE, CalibrationLoads
 from cbsr_qa.calibration.runtime import Matches, TemplateFilter
@@ -135,7 +135,7 @@ class StrengthTraces:
 
     def left(self, load: LoadObservation) -> float:
         """Strength at the place just before the press."""
-        before = load_window(self._run.record.phase(load.phase), load.record, self._run.settings).before
+        before = window_of(self._run, load).before
         return float(self._strengths(load, before).strength.mean()) if len(before) else 0.0
 
     def _strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
@@ -209,12 +209,12 @@ def compensated(
     NumericsError
         If the longest holds do not say how conductance or stress relaxes.
     """
-    held_s = np.array([load.record.release_start_s - load.record.hold_start_s for load in loads])
+    held_s = np.array([load.hold_s for load in loads])
     long = held_s >= LONG * held_s.max()
     if long.all():
         return Compensated(data, None, ~long)
-    steady_s = [_steady_s(run, load) for load, yes in zip(loads, long, strict=True) if yes]
-    at_s = float(np.mean(steady_s))
+    held_to_s = [steady_s(run, load) for load, yes in zip(loads, long, strict=True) if yes]
+    at_s = float(np.mean(held_to_s))
     references = [load for load, yes in zip(loads, long, strict=True) if yes]
     strength = _usable_transients("conductance", traces.loading(references), len(references))
     forces = [_force_trace(run, load) for load in loads]
@@ -241,9 +241,9 @@ def _usable_transients(what: str, kernel: RelaxationKernel | None, loads: int | 
     return kernel
 
 
-def _steady_s(run: RunObservation, load: LoadObservation) -> float:
-    window = load_window(run.record.phase(load.phase), load.record, run.settings)
-    return float(window.steady.time_s.mean()) - load.record.hold_start_s
+def steady_s(run: RunObservation, load: LoadObservation) -> float:
+    """When the frames of a load's steady image were taken, from the end of its ramp [s]."""
+    return float(window_of(run, load).steady.time_s.mean()) - load.record.hold_start_s
 
 
 def _predicted_rows(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.force import HELD_OUT, ForceTest, RunForce
-from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.calibration.fits import TimedValues, fit_common_relaxation
 from cbsr_qa.calibration.force import LearnedForce
 from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, interpolated, map_tables
@@ -141,7 +141,7 @@ def calibrated_radius_mm(found: RunForce) -> float:
 
 def places_mm(loads: Sequence[LoadObservation]) -> Array:
     """Return the places of loads, (n, 2)."""
-    return np.array([(load.record.load.x_mm, load.record.load.y_mm) for load in loads]).reshape(-1, 2)
+    return np.array([load.place_mm for load in loads]).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,10 +261,7 @@ def _steady_share(
     run: RunObservation, loads: Sequence[LoadObservation], traces: Sequence[TimedValues], predicted_s: float
 ) -> Estimate:
     """Steady share of the averaged frames, equal for all loads whose holds are, or of predicted values."""
-    times = [
-        load_window(run.record.phase(load.phase), load.record, run.settings).steady.time_s - load.record.hold_start_s
-        for load in loads
-    ]
+    times = [window_of(run, load).steady.time_s - load.record.hold_start_s for load in loads]
     if run.settings.transients == "predicted" and predicted_s > 0:
         times = [np.array([predicted_s])]
     fitted = steady_share(fit_common_relaxation(traces), np.concatenate(times))

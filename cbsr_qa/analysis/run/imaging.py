@@ -35,20 +35,10 @@ class Imager:
         """Mesh of the images."""
         return self.reconstruction.problem.mesh
 
-    def images(self, frames: FrameBlock, *, reference: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-        """Image frames as one matrix product.
-
-        Parameters
-        ----------
-        frames : n frames.
-        reference : (drives, measures) to image against instead of the own one.
-
-        Returns
-        -------
-        (n, elements) float64, relative conductance change.
-        """
-        against = self.reference if reference is None else reference
-        return self.reconstruction.images(changes(frames.voltages, against, self.reconstruction.problem, self.scale))
+    def images(self, frames: FrameBlock) -> NDArray[np.float64]:
+        """Image n frames as one matrix product: (n, elements) float64, relative conductance change."""
+        readings = changes(frames.voltages, self.reference, self.reconstruction.problem, self.scale)
+        return self.reconstruction.images(readings)
 
 
 #: A load votes only if its mean change under the head is this many noise floors: the floor is a maximum over

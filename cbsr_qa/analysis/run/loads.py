@@ -12,7 +12,7 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
-from cbsr_qa.domain.results import Image, LoadObservation, RelaxationObservation, Trace
+from cbsr_qa.domain.results import Image, LoadObservation, RelaxationObservation, RunObservation, Trace
 from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord
 from cbsr_qa.domain.sensor import Response
 
@@ -72,11 +72,6 @@ class LoadSetting:
     noise_floor: float
     response: Response
 
-    @property
-    def sign(self) -> int:
-        """Factor that makes a load's change positive."""
-        return -1 if self.response is Response.DECREASE else 1
-
 
 def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettings) -> LoadWindow:
     """Cut the frames of one press out of its phase.
@@ -96,6 +91,11 @@ def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettin
         frames.between(record.press_start_s, record.rest_end_s),
         hold.select(slice(max(len(hold) - settings.steady_frames, 0), None)),
     )
+
+
+def window_of(run: RunObservation, load: LoadObservation) -> LoadWindow:
+    """Return the frames of one press of an observed run; NumericsError if the hold has none."""
+    return load_window(run.record.phase(load.phase), load.record, run.settings)
 
 
 def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
@@ -151,6 +151,7 @@ def _observe(
     force, stderr = (None, None) if no_force else _mean_force(phase.channel("force"), window.steady, record)
     mesh, pressed = setting.imager.mesh, setting.indenter.at(record.load.x_mm, record.load.y_mm)
     others = held_beside(setting.indenter, phase, record, float(window.steady.time_s[-1]))
+    signed = setting.response.sign * values
     return LoadObservation(
         phase=phase.name,
         record=record,
@@ -158,7 +159,7 @@ def _observe(
         image=Image(mesh, values),
         response=setting.response,
         noise_floor=setting.noise_floor,
-        masks=mask_views(mesh, setting.sign * values, setting.noise_floor, setting.settings, pressed, others),
+        masks=mask_views(mesh, signed, setting.noise_floor, setting.settings, pressed, others),
         steady_frames=len(window.steady),
         settled=None,
         force_N=force,
@@ -224,7 +225,7 @@ def _relaxations_of(
     """
     record, settings, area = load.record, setting.settings, setting.imager.mesh.areas_mm2
     seen: list[RelaxationObservation] = []
-    images = setting.sign * (setting.imager.images(cycle) - before)
+    images = setting.response.sign * (setting.imager.images(cycle) - before)
     view = load.mask(settings.main_mask)
     if view is not None and view.sensed is not None:
         weights = np.zeros(len(area))

@@ -42,7 +42,7 @@ def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
     assert phase.frames is not None
     masks, time_s = setting.settings.masks, phase.frames.time_s
     metrics = np.full((3, len(masks), len(phase.frames)), np.nan)
-    images = setting.sign * setting.imager.images(phase.frames)
+    images = setting.response.sign * setting.imager.images(phase.frames)
     for record in phase.loads:
         held = (time_s >= record.hold_start_s) & (time_s < record.release_start_s)
         for frame in np.flatnonzero(held):

@@ -90,6 +90,7 @@ def _off_the_line(frames: FrameBlock) -> Array:
 _LOST_SHARE = 0.25
 #: Channels are left out until at most this share of the frames is still touched by a flag.
 _TOUCHED_SHARE = 0.01
+_NAMED = 6  # readings named in a warning
 _UNUSABLE = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
 
 
@@ -203,9 +204,9 @@ def _unloaded_of(phase: PhaseRecord) -> FrameBlock | None:
     return phase.frames.between(phase.unloaded_from_s, min(presses, default=phase.ended_s))
 
 
-def named_readings(readings: NDArray[np.bool_], most: int = 6) -> str:
+def named_readings(readings: NDArray[np.bool_]) -> str:
     """Name the first few of some readings, (drives, measures) bool."""
-    pairs = [f"drive {drive} measure {measure}" for drive, measure in np.argwhere(readings)[:most]]
+    pairs = [f"drive {drive} measure {measure}" for drive, measure in np.argwhere(readings)[:_NAMED]]
     more = int(readings.sum()) - len(pairs)
     return ", ".join(pairs) + (f" and {more} more" if more else "")
 

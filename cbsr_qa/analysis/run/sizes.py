@@ -1,6 +1,5 @@
 """Size response: area of the masked region against area of the load."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -61,7 +60,6 @@ def size_response(
     *,
     head_diameter_mm: float,
     mask: float = 0.85,
-    relative_diameters: Sequence[float] = RELATIVE_DIAMETERS,
 ) -> tuple[SizeResponse, ...]:
     """Press targets of several sizes at the centre and 0.6 radii out, without noise, and measure the regions.
 
@@ -69,7 +67,7 @@ def size_response(
 
     Parameters
     ----------
-    head_diameter_mm : of the indenter; targets have ``relative_diameters`` of it.
+    head_diameter_mm : of the indenter; targets have :data:`RELATIVE_DIAMETERS` of it.
     mask : fraction of the image's maximum, below 1; regions are bounded by its contour.
 
     Returns
@@ -79,11 +77,11 @@ def size_response(
     Raises
     ------
     NumericsError
-        If a diameter is not positive, there are fewer than two, or the largest fits the sheet nowhere.
+        If the diameter is not positive, or the largest target fits the sheet nowhere.
     """
-    diameters = tuple(sorted(head_diameter_mm * relative for relative in relative_diameters))
-    if len(diameters) < 2 or not diameters[0] > 0:
-        raise NumericsError(f"a size response needs two or more positive diameters, not {relative_diameters}")
+    if not head_diameter_mm > 0:
+        raise NumericsError(f"a size response needs a head of a positive diameter, not {head_diameter_mm:g} mm")
+    diameters = tuple(head_diameter_mm * relative for relative in RELATIVE_DIAMETERS)
     problem = prepared.problem
     centre, out_mm = problem.sensor_type.outline.centre_mm, _OUT * problem.sensor_type.radius_mm
     places = (("centre", centre), (f"{out_mm:.3g} mm out", (centre[0] + out_mm, centre[1])))

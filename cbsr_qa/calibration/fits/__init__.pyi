@@ -29,7 +29,11 @@ from .creep_fit import (
 )
 from .hysteresis_fit import LoopCurve as LoopCurve, hysteresis as hysteresis, loop_curve as loop_curve
 from .quasi_static import QuasiStaticFit as QuasiStaticFit, fit_quasi_static as fit_quasi_static
-from .relaxation import exponentials as exponentials, fit_relaxation as fit_relaxation
+from .relaxation import (
+    exponentials as exponentials,
+    fit_relaxation as fit_relaxation,
+    relaxation_curve as relaxation_curve,
+)
 from .relaxation_kernel import learn_kernel as learn_kernel
 from .settling import (
     relaxation_start as relaxation_start,

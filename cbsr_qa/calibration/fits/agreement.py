@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, common_settling_time
-from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import FitStatus
 
 Array = NDArray[np.float64]
@@ -175,16 +174,13 @@ def compare_relaxations(
     first: ComparableRelaxation,
     second: ComparableRelaxation,
     *,
-    shape_margin: float = SHAPE_MARGIN,
-    time_margin: float = TIME_MARGIN,
-    level: float = LEVEL,
     tolerance: float = 0.15,
 ) -> RelaxationAgreement:
     """Test two relaxations for equivalence: not "no significant difference", which noise gives as well.
 
-    Two one-sided tests (Schuirmann 1987): equivalent at ``level`` if the interval of level 1 − 2 ``level`` lies
+    Two one-sided tests (Schuirmann 1987): equivalent at the level α of 5 % if the interval of level 1 − 2 α lies
     within the margin. Shapes must do so at each time of the common window (intersection–union, Berger & Hsu 1996: no
-    correction is needed). They differ if somewhere the interval of level 1 − ``level``, corrected for the number of
+    correction is needed). They differ if somewhere the interval of level 1 − α, corrected for the number of
     times (Bonferroni), lies beyond the margin. Everything else is undecided.
 
     The two count as independent. Traces of the same frames share noise, which then cancels in part: the stated errors
@@ -192,18 +188,8 @@ def compare_relaxations(
 
     Parameters
     ----------
-    shape_margin : largest difference of no consequence, as a share of the steady (or released) change.
-    time_margin : largest of settling times, as a share: ratios from 1/(1 + margin) to 1 + margin.
-    level : chance of calling two relaxations equivalent that are a margin apart.
     tolerance : of the settling time.
-
-    Raises
-    ------
-    NumericsError
-        If a margin or the level makes no sense.
     """
-    if not (shape_margin > 0 and time_margin > 0 and 0 < level < 0.5):
-        raise NumericsError(f"margins of {shape_margin:g} and {time_margin:g} at a level of {level:g} decide nothing")
     for which, measured in (("first", first), ("second", second)):
         if measured.why_not:
             return not_compared(f"the {which} relaxation {measured.why_not}")
@@ -212,12 +198,12 @@ def compare_relaxations(
         return not_compared(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
     curves = _curves(first, second, np.linspace(start_s, end_s, _TIMES))
     difference, stderr = curves.difference, curves.stderr
-    reach = np.abs(difference) + norm.ppf(1 - level) * stderr
-    surely = np.abs(difference) - norm.ppf(1 - level / 2 / _TIMES) * stderr
+    reach = np.abs(difference) + norm.ppf(1 - LEVEL) * stderr
+    surely = np.abs(difference) - norm.ppf(1 - LEVEL / 2 / _TIMES) * stderr
     worst = int(np.argmax(reach))
-    ratio, ratio_stderr, ratio_reach, time = _times(first, second, time_margin, level, tolerance)
+    ratio, ratio_stderr, ratio_reach, time = _times(first, second, tolerance)
     return RelaxationAgreement(
-        _decided(bool(reach[worst] <= shape_margin), bool(surely.max() > shape_margin)),
+        _decided(bool(reach[worst] <= SHAPE_MARGIN), bool(surely.max() > SHAPE_MARGIN)),
         float(difference[worst]),
         float(stderr[worst]),
         float(curves.time_s[worst]),
@@ -236,7 +222,7 @@ def _curves(first: ComparableRelaxation, second: ComparableRelaxation, time_s: A
 
 
 def _times(
-    first: ComparableRelaxation, second: ComparableRelaxation, margin: float, level: float, tolerance: float
+    first: ComparableRelaxation, second: ComparableRelaxation, tolerance: float
 ) -> tuple[float | None, float | None, float | None, Agreement]:
     """Ratio of the settling times, its standard error, the largest that is left open, and what follows."""
     one, other = first.settled(tolerance), second.settled(tolerance)
@@ -245,9 +231,9 @@ def _times(
     (one_s, one_stderr), (other_s, other_stderr) = one, other
     log_ratio = float(np.log(other_s / one_s))
     log_stderr = float(np.hypot(one_stderr / one_s, other_stderr / other_s))
-    limit = float(np.log1p(margin))
-    reach = abs(log_ratio) + float(norm.ppf(1 - level)) * log_stderr
-    agreement = _decided(reach <= limit, abs(log_ratio) - float(norm.ppf(1 - level / 2)) * log_stderr > limit)
+    limit = float(np.log1p(TIME_MARGIN))
+    reach = abs(log_ratio) + float(norm.ppf(1 - LEVEL)) * log_stderr
+    agreement = _decided(reach <= limit, abs(log_ratio) - float(norm.ppf(1 - LEVEL / 2)) * log_stderr > limit)
     return other_s / one_s, other_s / one_s * log_stderr, float(np.exp(min(reach, 50.0))), agreement
 
 

@@ -22,7 +22,6 @@ def settling_time(
     window_s: float,
     tolerance: float = 0.15,
     band: str = "steady",
-    baseline: float = 0.0,
     loaded_change: float | None = None,
     start_s: float = 0.0,
 ) -> SettlingTime:
@@ -30,14 +29,13 @@ def settling_time(
 
     Parameters
     ----------
-    fit : t = 0 is the end of the ramp.
+    fit : of a change from before the load; t = 0 is the end of the ramp.
     window_s : how long the trace was observed from t = 0 [s].
     tolerance : half width of the band as a fraction (the paper's 15 %).
     band : ``"steady"``: of the steady change from before the load, the paper's reading; ``"step"``: of G(0) − a₀.
-    baseline : level before the load, in the trace's unit; 0 where the trace is a change already.
     loaded_change : the steady change under load. Given for an unloading: that ends near zero change, where a band
         relative to its own end would vanish, so the band is taken of this. The fitted curve must then also have
-        come back into the band about ``baseline`` by the window's end: a short trace of a slow return looks like
+        come back into the band about zero by the window's end: a short trace of a slow return looks like
         one that ends elsewhere.
     start_s : where the fit begins (behind an unloading spike): the trace counts as unsettled before.
 
@@ -55,11 +53,9 @@ def settling_time(
     _check(window_s, tolerance, band)
     if fit.status is FitStatus.REJECTED:
         return SettlingTime(None, False, 0.0, f"the relaxation fit was rejected: {fit.why}")
-    steady = fit.offset - baseline if loaded_change is None else loaded_change
+    steady = fit.offset if loaded_change is None else loaded_change
     half_width = tolerance * abs(_deviation(fit, start_s) if band == "step" else steady)
-    late = _why_late(
-        fit, half_width, window_s, None if loaded_change is None else (baseline, loaded_change, tolerance)
-    )
+    late = _why_late(fit, half_width, window_s, None if loaded_change is None else (loaded_change, tolerance))
     if late:
         return SettlingTime(window_s, True, half_width, late)
     if fit.status is FitStatus.FLAT:
@@ -120,19 +116,17 @@ def _check(window_s: float, tolerance: float, band: str) -> None:
         raise NumericsError(f"settling band {band!r} is unknown", remedy=f"use {' or '.join(map(repr, _BANDS))}")
 
 
-def _why_late(
-    fit: RelaxationFit, half_width: float, window_s: float, unloading: tuple[float, float, float] | None
-) -> str:
+def _why_late(fit: RelaxationFit, half_width: float, window_s: float, unloading: tuple[float, float] | None) -> str:
     """Why a trace has not settled by its window's end; empty if it has.
 
-    ``unloading`` is the level before the load, the change under it, and the tolerance.
+    ``unloading`` is the change under the load, and the tolerance.
     """
     if fit.status is FitStatus.DRIFTING:
         return fit.why
     late = f"not settled within {window_s:.4g} s"
     if unloading is not None:
-        baseline, change, tolerance = unloading
-        left = abs(fit.offset + _deviation(fit, window_s) - baseline)
+        change, tolerance = unloading
+        left = abs(fit.offset + _deviation(fit, window_s))
         if left > tolerance * abs(change) > 0:
             return f"{late}: {left / abs(change):.0%} of the change under load is left"
     return late if abs(_deviation(fit, window_s)) > half_width > 0 else ""

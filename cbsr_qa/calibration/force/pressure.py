@@ -64,8 +64,7 @@ class PressureMap:
         readings = volts(frames).reshape(-1, *issued.reference.shape)[:, self._used]
         changes = np.where(bad[:, None] != 0, 0.0, readings * factor - issued.reference[self._used])
         images = changes @ issued.reconstruction.matrix.T / issued.scale
-        sign = -1.0 if issued.response == "decrease" else 1.0
-        found = self._stress(sign * images)
+        found = self._stress(issued.response.sign * images)
         found[bad != 0] = np.nan
         return found
 

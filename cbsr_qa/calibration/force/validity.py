@@ -34,7 +34,7 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
         yield f"no force was learned from {_names(members)}: {why}"
     if words := prediction_words(learned):
         yield words
-    places = {(load.record.load.x_mm, load.record.load.y_mm) for load in used}
+    places = {load.place_mm for load in used}
     if len(places) < _FEW_PLACES:
         yield (
             f"force was learned at {len(places)} places only: elsewhere the sheet is taken to answer as they do"
@@ -74,10 +74,7 @@ def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObserv
             f"force was learned from {min(forces):.3g} to {max(forces):.3g} N; beyond, {len(tried)} loads from"
             f" {min(tried):.3g} to {max(tried):.3g} N bore it out within three standard errors"
         )
-    radii, reached = (
-        [float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in loads]
-        for loads in (used, confirmed)
-    )
+    radii, reached = ([float(np.hypot(*load.place_mm)) for load in loads] for loads in (used, confirmed))
     if radii and reached and max(reached) > max(radii):
         yield (
             f"force was learned up to {max(radii):.3g} mm from the centre;"

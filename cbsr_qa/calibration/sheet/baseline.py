@@ -46,7 +46,7 @@ def sensed_change(values: NDArray[np.float64], blob: Blob, response: Response) -
     (…) float64, relative.
     """
     areas = blob.image.mesh.areas_mm2[blob.elements]
-    mean: NDArray[np.float64] = np.asarray(_sign(response) * (values[..., blob.elements] @ areas) / areas.sum())
+    mean: NDArray[np.float64] = np.asarray(response.sign * (values[..., blob.elements] @ areas) / areas.sum())
     return mean
 
 
@@ -140,7 +140,7 @@ def _signed_prediction(against_stress: QuasiStatic, stress_kPa: float, response:
     said = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
     if predicted == 0 or abs(predicted) < _CLEAR * error:
         return 0.0, f"{said} is not clear of zero"
-    signed = _sign(response) * predicted
+    signed = response.sign * predicted
     if signed < 0:
         expected, decided = ("less", "more") if predicted < 0 else ("more", "less")
         return (
@@ -148,10 +148,6 @@ def _signed_prediction(against_stress: QuasiStatic, stress_kPa: float, response:
             f"{said} makes pressed places conduct {expected}; the response of this run is that they do {decided}",
         )
     return signed, ""
-
-
-def _sign(response: Response) -> float:
-    return -1.0 if response is Response.DECREASE else 1.0
 
 
 def _stress_error(load: LoadObservation, slope: Parameter, predicted: float) -> float:

@@ -19,7 +19,6 @@ from cbsr_qa.calibration.sheet.baseline import load_baseline, sensed_change
 from cbsr_qa.domain import NumericsError, finite_numbers
 from cbsr_qa.domain.geometry import overlap_mm2
 from cbsr_qa.domain.results import LoadObservation, RunObservation
-from cbsr_qa.domain.sensor import Response
 
 Array = NDArray[np.float64]
 
@@ -289,19 +288,19 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
     for load in loads:
         stress = run.record.material.against_stress
         baseline = load_baseline(load, stress, run.noise_images, run.main_mask)
-        view, place = load.mask(run.main_mask), load.record.load
+        view = load.mask(run.main_mask)
         if baseline.value is None or view is None or view.sensed is None:
             why = baseline.why
             continue
-        where = (place.x_mm, place.y_mm)
-        if where not in modelled:
-            modelled[where] = _image_of_head(run, load)
-        image = modelled[where]
+        if load.place_mm not in modelled:
+            modelled[load.place_mm] = _image_of_head(run, load)
+        image = modelled[load.place_mm]
         gain = float(sensed_change(image, view.sensed, load.response))
         if not gain > _ON_HEAD * float(np.abs(image).max()):
-            why = f"{place.label} was sensed elsewhere than a head there is imaged"
+            why = f"{load.record.load.label} was sensed elsewhere than a head there is imaged"
             continue
-        found[round(place.strain, 9)][(place.label, *where)].append((baseline.value, baseline.value / gain))
+        place = (load.record.load.label, *load.place_mm)
+        found[round(load.record.load.strain, 9)][place].append((baseline.value, baseline.value / gain))
     if not found:
         raise NumericsError(f"no location gave a baseline conductance: {why}")
     strain = max(found, key=lambda level: (len(found[level]), level))
@@ -310,11 +309,9 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
 
 def _image_of_head(run: RunObservation, load: LoadObservation) -> np.ndarray:
     """Image of the head at a load's place with a contrast of one, of the sign of the response, (e,)."""
-    problem, place = run.reconstruction.problem, load.record.load
-    mesh = problem.mesh
-    share = overlap_mm2(load.indenter.at(place.x_mm, place.y_mm), mesh.corners_mm) / mesh.areas_mm2
-    sign = -1.0 if load.response is Response.DECREASE else 1.0
-    return np.asarray(sign * (run.reconstruction.matrix @ (problem.jacobian @ share)))
+    problem = run.reconstruction.problem
+    share = overlap_mm2(load.pressed, problem.mesh.corners_mm) / problem.mesh.areas_mm2
+    return np.asarray(load.response.sign * (run.reconstruction.matrix @ (problem.jacobian @ share)))
 
 
 def scatter_of_presses(places: Sequence[PlaceResponse]) -> float | None:

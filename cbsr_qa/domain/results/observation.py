@@ -11,6 +11,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.plan import AnalysisSettings, Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results.image import Blob, Image, LinearReconstruction, Region
@@ -197,6 +198,21 @@ class LoadObservation:
     def stress_kPa(self) -> float | None:
         """Mean stress under the head [kPa]; None without force."""
         return None if self.force_N is None else self.force_N / self.indenter.area_mm2 * 1e3
+
+    @property
+    def place_mm(self) -> tuple[float, float]:
+        """Nominal axis of the head (x, y)."""
+        return self.record.load.x_mm, self.record.load.y_mm
+
+    @property
+    def pressed(self) -> Footprint:
+        """The head where it pressed."""
+        return self.indenter.at(*self.place_mm)
+
+    @property
+    def hold_s(self) -> float:
+        """How long it was held."""
+        return self.record.release_start_s - self.record.hold_start_s
 
     def mask(self, fraction: float) -> MaskView | None:
         """Return the view of one percentage mask, or None if the recipe does not use it."""

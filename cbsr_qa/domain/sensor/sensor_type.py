@@ -19,6 +19,11 @@ class Response(StrEnum):
     DECREASE = "decrease"
     AUTO = "auto"  #: decided from the calibration loads, and the decision recorded
 
+    @property
+    def sign(self) -> int:
+        """Factor that makes a load's change positive."""
+        return -1 if self is Response.DECREASE else 1
+
 
 @dataclass(frozen=True, slots=True)
 class GivenMesh:

@@ -161,7 +161,7 @@ class Creep(WithOptions):
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the holds of the commonest length together."""
         try:
-            loads, hold_s = held_alike(data_sheet_loads(run), _hold_s)
+            loads, hold_s = held_alike(data_sheet_loads(run), lambda load: load.hold_s)
         except NumericsError as error:
             return (refused("creep", "%", error),)
         how = (
@@ -181,10 +181,6 @@ class Creep(WithOptions):
         if kind:
             return creep(loads, kind, from_s=self.options.from_s, frames=frames)
         return creep_at_constant_stress(loads, from_s=self.options.from_s, frames=frames)
-
-
-def _hold_s(load: LoadObservation) -> float:
-    return load.record.release_start_s - load.record.hold_start_s
 
 
 class ZeroReturn:

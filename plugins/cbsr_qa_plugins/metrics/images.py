@@ -18,7 +18,6 @@ from cbsr_qa.analysis.run import SizeResponse, size_response_of
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Bound, Image, LoadObservation, Measurement, RunObservation
-from cbsr_qa.domain.sensor import Response
 from cbsr_qa.eit.imaging import GreitFigures, Registration, TwoTouch, greit_figures, register, two_touch_resolution
 from cbsr_qa_plugins.metrics._shared import at_load, masks_of
 
@@ -36,12 +35,9 @@ class GreitFiguresOfMerit:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; an image without a positive element has no figures."""
-        sign = -1.0 if load.response is Response.DECREASE else 1.0
-        place, expected = load.record.load, _expected(load, run)
-        target = load.indenter.at(place.x_mm, place.y_mm)
-        found = greit_figures(
-            Image(load.image.mesh, sign * load.image.values), target, contrast=expected if expected > 0 else None
-        )
+        expected = _expected(load, run)
+        image = Image(load.image.mesh, load.response.sign * load.image.values)
+        found = greit_figures(image, load.pressed, contrast=expected if expected > 0 else None)
         return tuple(
             at_load(load, name, value, unit, how=_how(name, found, expected))
             for (name, unit), value in zip(
@@ -158,7 +154,7 @@ class RegistrationOfPlaces:
         grids = {phase.name for phase in run.record.phases if phase.role is Role.GRID}
         loads = [load for load in run.loads if load.phase in grids]
         seen = [(load, place) for load in loads if (place := _seen(load, run))]
-        nominal = np.array([(load.record.load.x_mm, load.record.load.y_mm) for load, _ in seen]).reshape(-1, 2)
+        nominal = np.array([load.place_mm for load, _ in seen]).reshape(-1, 2)
         try:
             found = register(nominal, np.array([place for _, place in seen]).reshape(-1, 2))
         except NumericsError as error:

@@ -36,13 +36,11 @@ class CentreOfMassError:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure the sensed blob under each mask; without a blob there is no value."""
-        place = load.record.load
-        pressed = load.indenter.at(place.x_mm, place.y_mm)
         return tuple(
             at_load(
                 load,
                 "centre_of_mass_error",
-                None if view.region is None else centre_of_mass_error_mm(view.region, pressed),
+                None if view.region is None else centre_of_mass_error_mm(view.region, load.pressed),
                 "mm",
                 qualifier=qualifier,
                 how=why_not(view) if view.region is None else "area- and value-weighted centre of mass",
@@ -75,8 +73,8 @@ def _measure(
 ) -> tuple[float | None, float | None, str]:
     if view.region is None:
         return None, None, why_not(view)
-    place, region = load.record.load, view.region
-    overlap = area_overlap_percent(region, load.indenter.at(place.x_mm, place.y_mm), settings.clipping)
+    region = view.region
+    overlap = area_overlap_percent(region, load.pressed, settings.clipping)
     ratio = region.area_mm2 / load.indenter.area_mm2
     grade = overlap_grade(overlap, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio)
     return overlap, ratio, f"{grade}; A_b/A_FA {ratio:.2f}; {_clipped(region, settings)}"
@@ -98,13 +96,12 @@ class ShapeDeviation:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure the sensed blob under each mask; without a blob there is no value."""
-        place, mode = load.record.load, run.settings.perimeter
-        pressed = load.indenter.at(place.x_mm, place.y_mm)
+        mode = run.settings.perimeter
         measured: list[Measurement] = []
         for view, qualifier in masks_of(load, run):
             value, how = None, why_not(view)
             if view.region is not None:
-                value = shape_deviation_mm2(view.region, pressed, mode)
+                value = shape_deviation_mm2(view.region, load.pressed, mode)
                 how = f"mean over the outline's {mode}"
             measured.append(at_load(load, "shape_deviation", value, "mm²", qualifier=qualifier, how=how))
         return tuple(measured)

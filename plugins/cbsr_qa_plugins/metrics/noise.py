@@ -67,7 +67,7 @@ def _noise(run: RunObservation) -> NDArray[np.float64] | None:
 
 def _signals(run: RunObservation) -> tuple[list[NDArray[np.float64]], str, str]:
     """Signals y (m,), the phase they are from, and in words what they are."""
-    centre = [load for load in run.loads if np.hypot(load.record.load.x_mm, load.record.load.y_mm) < 0.5]
+    centre = [load for load in run.loads if np.hypot(*load.place_mm) < 0.5]
     noise_phases = {phase.name for phase in run.record.phases if phase.role is Role.NOISE}
     chosen = [load for load in centre if load.phase in noise_phases] or centre
     measured = [signal for load in chosen if (signal := _measured_change(load, run)) is not None]
