@@ -122,12 +122,13 @@ class TestMetric:
         assert all(one.value is None and "broken.h5" in one.how for one in found)
 
     def test_options_are_refused(self):
-        with pytest.raises(ConfigError, match=r"there is no file nowhere\.h5"):
-            CalibrationCheck(calibration="nowhere.h5")
-        with pytest.raises(ConfigError, match="calibration is 3"):
-            CalibrationCheck(calibration=3)
-        with pytest.raises(ConfigError, match="did you mean 'calibration'"):
-            CalibrationCheck(calibrations="x")
+        for options, named in (
+            ({"calibration": "nowhere.h5"}, r"calibration is 'nowhere\.h5'"),
+            ({"calibration": 3}, "calibration is 3"),
+            ({"calibrations": "x"}, "did you mean 'calibration'"),
+        ):
+            with pytest.raises(ConfigError, match=named):
+                CalibrationCheck(**options)
 
 
 def test_the_recipe_takes_five_minutes():
