@@ -188,99 +188,67 @@ def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing
     )
 
 
-def _judged(ok: bool) -> CheckOutcome:
-    return CheckOutcome.OK if ok else CheckOutcome.FAILED
+def _line(name: str, ok: bool, value: float, unit: str, allowed: str, finding: str, remedy: str) -> CheckResult:
+    """One judged line; its remedy is given where it failed."""
+    outcome = CheckOutcome.OK if ok else CheckOutcome.FAILED
+    return CheckResult(name, outcome, value, unit, allowed, "" if ok else remedy, finding, RING)
+
+
+def _not_done(name: str, why: str) -> CheckResult:
+    return CheckResult(name, CheckOutcome.NOT_DONE, said=why, subject=RING)
 
 
 def _flagged(fit: RingFit, pattern: DrivePattern) -> CheckResult:
     count = int((~fit.used).sum())
-    said = f"all {fit.used.size} readings are without a flag"
+    finding = f"all {fit.used.size} readings are without a flag"
     if count:
         first = tuple(int(index) for index in np.argwhere(~fit.used)[0])
         what = ReadingFlag(int(fit.flags[first])).name or "flagged"
-        said = f"{count} of {fit.used.size}; the first is {pair_words(pattern, first)}: {what.lower()}"
-    return CheckResult(
-        "flagged readings",
-        _judged(not count),
-        value=float(count),
-        unit="1",
-        allowed="0",
-        said=said,
-        remedy="check that the ring is connected; lower the drive current or the ring's resistance" if count else "",
-        subject=RING,
-    )
+        finding = f"{count} of {fit.used.size}; the first is {pair_words(pattern, first)}: {what.lower()}"
+    remedy = "check that the ring is connected; lower the drive current or the ring's resistance"
+    return _line("flagged readings", not count, float(count), "1", "0", finding, remedy)
 
 
 def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     if fit.gain_error is None:
-        return CheckResult("gain error", CheckOutcome.NOT_DONE, said=_UNKNOWN, subject=RING)
-    ok = abs(fit.gain_error) <= allowed.gain + allowed.tolerance
-    return CheckResult(
-        "gain error",
-        _judged(ok),
-        value=100 * fit.gain_error,
-        unit="%",
-        allowed=_within(100 * (allowed.gain + allowed.tolerance), "%"),
-        said="readings over closed form × current, all together",
-        remedy="" if ok else "check the ring's resistance, then the source's current and the meter's calibration",
-        subject=RING,
-    )
+        return _not_done("gain error", _UNKNOWN)
+    limit = allowed.gain + allowed.tolerance
+    finding = "readings over closed form × current, all together"
+    remedy = "check the ring's resistance, then the source's current and the meter's calibration"
+    ok, words = abs(fit.gain_error) <= limit, _within(100 * limit, "%")
+    return _line("gain error", ok, 100 * fit.gain_error, "%", words, finding, remedy)
 
 
 def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
     if fit.offset is None:
-        why = "the pattern cannot separate offset and gain"
-        return CheckResult("offset", CheckOutcome.NOT_DONE, said=why, subject=RING)
+        return _not_done("offset", "the pattern cannot separate offset and gain")
     if fit.gain_error is None:
-        return CheckResult("offset", CheckOutcome.OK, value=fit.offset, unit=unit, said=_UNKNOWN, subject=RING)
-    ok = abs(fit.offset) <= allowed.offset_V
-    return CheckResult(
-        "offset",
-        _judged(ok),
-        value=1e3 * fit.offset,
-        unit="mV",
-        allowed=_within(1e3 * allowed.offset_V, "mV"),
-        said="common to all readings",
-        remedy="" if ok else "zero the meter; look for a thermal voltage or a ground loop in the measuring pair",
-        subject=RING,
-    )
+        return _line("offset", True, fit.offset, unit, "", _UNKNOWN, "")
+    ok, words = abs(fit.offset) <= allowed.offset_V, _within(1e3 * allowed.offset_V, "mV")
+    remedy = "zero the meter; look for a thermal voltage or a ground loop in the measuring pair"
+    return _line("offset", ok, 1e3 * fit.offset, "mV", words, "common to all readings", remedy)
 
 
 def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
+    name = "lead resistance"
     if fit.lead_ohm is None:
-        why = _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring"
-        return CheckResult("lead resistance", CheckOutcome.NOT_DONE, said=why, subject=RING)
+        return _not_done(name, _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring")
     worst = int(np.argmax(np.abs(fit.lead_ohm)))
-    ok = abs(fit.lead_ohm[worst]) <= allowed.lead_ohm
-    return CheckResult(
-        "lead resistance",
-        _judged(ok),
-        value=float(fit.lead_ohm[worst]),
-        unit="ohm",
-        allowed=_within(allowed.lead_ohm, "Ω"),
-        said=f"largest at electrode {worst}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω",
-        remedy="" if ok else f"check plug, lead and switch of electrode {worst}",
-        subject=RING,
-    )
+    value = float(fit.lead_ohm[worst])
+    finding = f"largest at electrode {worst}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω"
+    ok, remedy = abs(value) <= allowed.lead_ohm, f"check plug, lead and switch of electrode {worst}"
+    return _line(name, ok, value, "ohm", _within(allowed.lead_ohm, "Ω"), finding, remedy)
 
 
 def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
     drive, measure = np.unravel_index(int(np.argmax(np.abs(fit.residual))), fit.residual.shape)
     residual, limit = float(fit.residual[drive, measure]), allowed.reading + allowed.tolerance
     ok, unit = abs(residual) <= limit, str(ring.frames.unit)
-    words = pair_words(pattern, (int(drive), int(measure)))
     mean, expected = float(fit.mean[drive, measure]), float(fit.expected[drive, measure])
-    said = f"{words}: {_number(mean)} {unit} where {_number(expected)} {unit} is expected"
-    return CheckResult(
-        "worst reading",
-        _judged(ok),
-        value=100 * residual,
-        unit="%",
-        allowed=_within(100 * limit, "%"),
-        said=f"{said}; gain, offset and leads are removed",
-        remedy="" if ok else _cause(fit, ring, pattern, limit),
-        subject=RING,
-    )
+    finding = f"{pair_words(pattern, (int(drive), int(measure)))}: {_number(mean)} {unit} where"
+    finding += f" {_number(expected)} {unit} is expected; gain, offset and leads are removed"
+    remedy = "" if ok else _cause(fit, ring, pattern, limit)
+    return _line("worst reading", ok, 100 * residual, "%", _within(100 * limit, "%"), finding, remedy)
 
 
 def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float) -> str:
@@ -304,18 +272,10 @@ def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> Check
     relative = np.where(which, fit.relative(fit.noise), 0.0)
     rms = float(np.sqrt(np.mean(relative[which] ** 2)))
     drive, measure = np.unravel_index(int(np.argmax(relative)), relative.shape)
-    ok = rms <= allowed.noise
     noisiest = f"{pair_words(pattern, (int(drive), int(measure)))} with {1e6 * relative[drive, measure]:.3g} ppm"
-    return CheckResult(
-        "noise of a reading",
-        _judged(ok),
-        value=1e6 * rms,
-        unit="ppm",
-        allowed=f"at most {1e6 * allowed.noise:.4g} ppm",
-        said=f"rms over {int(which.sum())} readings; the noisiest is {noisiest}",
-        remedy="" if ok else _less_noise(rms, allowed),
-        subject=RING,
-    )
+    finding = f"rms over {int(which.sum())} readings; the noisiest is {noisiest}"
+    ok, words = rms <= allowed.noise, f"at most {1e6 * allowed.noise:.4g} ppm"
+    return _line("noise of a reading", ok, 1e6 * rms, "ppm", words, finding, "" if ok else _less_noise(rms, allowed))
 
 
 def _less_noise(rms: float, allowed: ReferenceRing) -> str:

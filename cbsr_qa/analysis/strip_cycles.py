@@ -1,7 +1,4 @@
-"""Press cycles of a strip run: resistance between the pins, stress, and excluded data.
-
-Stress of press cycles, as far as the load cell could follow.
-"""
+"""Press cycles of a strip run: resistance between the pins, stress as far as the cell followed, exclusions."""
 
 from dataclasses import dataclass
 from functools import lru_cache

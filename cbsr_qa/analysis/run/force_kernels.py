@@ -1,6 +1,4 @@
-"""Kernels of a load's rise under a hold and decay after release, for the runtime.
-
-Transient compensation of a calibration: short holds brought to where the run's longest ones end.
+"""Transients of a run's loads: kernels of their rise and decay, and short holds predicted to where the longest end.
 
 The longest holds of a run say how its loads relax (conductance by the strength at their place, stress by the load
 cell); with that as prior, the others are predicted to the time at which those were looked at.

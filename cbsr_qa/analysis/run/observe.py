@@ -1,7 +1,4 @@
-"""Observations from a stored run: reference, noise floor, response, every press. Pure, given a reconstruction.
-
-Spatial metrics of every frame of a phase, for every mask: how they come and go with the load.
-"""
+"""Observations from a stored run: reference, noise floor, response, every press, metrics of every frame."""
 
 from dataclasses import replace
 

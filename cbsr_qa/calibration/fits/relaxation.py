@@ -1,7 +1,4 @@
-"""Relaxation of a signal after a step (paper Eq 3), with a justified fallback to one exponential.
-
-Exponentials of a relaxation as frames see them: after a ramp instead of a step, averaged over a frame.
-"""
+"""Fit of one or two exponentials to a relaxation (paper Eq 3), and exponentials as ramps and frames show them."""
 
 from math import factorial
 from typing import Final

@@ -1,6 +1,6 @@
-"""A sensor's relaxation kernel, learned from the loads of a calibration run.
+"""Kernel of a sensor's relaxation, learned from the loads of a calibration run (empirical Bayes).
 
-Weights and time constants that relaxations share, and how the weights scatter between loads (empirical Bayes).
+Loads share weights and time constants; how the weights scatter between loads is learned with them.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""Settling times of fitted relaxations, and their means where some are only known to be longer than the window.
-
-Where the relaxation after a release begins: behind the conductance's spike.
-"""
+"""Settling times of fitted relaxations, their restricted means, and where a relaxation begins behind a spike."""
 
 from collections.abc import Sequence
 from typing import Final

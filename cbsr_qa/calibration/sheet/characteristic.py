@@ -1,7 +1,4 @@
-"""The characteristic of each location: sensed change against stress, strain by strain.
-
-The gauge factor of a sheet from presses all over it: contrast under the head against strain.
-"""
+"""Sensed change against stress, strain by strain, of each location; gauge factor of the whole sheet."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence

@@ -1,6 +1,4 @@
-"""How evenly a sheet responds from place to place, with and without what the imaging makes of it.
-
-Data-sheet figures of a sensor from repeated loads: the arithmetic, in the terms of sensor practice.
+"""Data-sheet numbers of a sensor from repeated loads, and how evenly its sheet responds from place to place.
 
 Repeatability is ISO 5725-2's standard deviation within cells; nonlinearity is the independent (best straight line)
 and the terminal-based one of ISA-51.1 and IEC 61298-2. Percentages are of the span, the output at the highest load.

@@ -1,6 +1,6 @@
-"""Why a characterisation cannot stand for its material, or stands for less of it.
+"""Lines through the steady changes of press cycles with every part of their uncertainty (paper Eqs 1 and 2).
 
-Lines through the steady changes of press cycles, with every part of their uncertainty (paper Eqs 1 and 2).
+Also why a characterisation cannot stand for its material, or stands for less of it.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,6 +1,6 @@
-"""How a strip relaxes, with its errors, and what a sheet of its material should then show (1D against 2D).
+"""Relaxation of a strip's press cycles: settling by strain and direction, and kernels of a unit step (paper 2.2.2).
 
-Relaxation of press cycles: settling by strain and direction, and the kernels of a unit step (paper 2.2.2).
+Also what a sheet of the material should then show (1D against 2D), with its errors.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,7 +1,4 @@
-"""Resistance between the electrodes of each driven pair, contacts included.
-
-Reciprocity: exchanging drive and measure pair must not change a reading.
-"""
+"""Electrode contacts: two-wire resistance of each driven pair, and reciprocity of the reference frame."""
 
 from typing import ClassVar
 

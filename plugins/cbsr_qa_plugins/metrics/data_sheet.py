@@ -1,14 +1,6 @@
-"""What the last cycle of preconditioning still changed.
+"""Data-sheet metrics: repeatability, nonlinearity, creep, zero return, hysteresis and preconditioning.
 
-How closely presses of the same place and strain agree.
-
-How far the sensed change leaves a straight line against stress.
-
-How the sensed signal goes on changing under a head that stands still.
-
-What is left of a load once it is gone.
-
-How far the output on the way down lies from that on the way up, at the same stress.
+Terms and arithmetic are those of ISA-37.1, ISA-51.1, ISO 376 and ISO 5725-2, as each metric states.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,4 @@
-"""Whether a sensor still does what its stored calibration says.
-
-How well the sensor tells force: errors of loads it was not learned from, its map, what it can detect.
-"""
+"""How well a sensor tells force (held-out loads, map, detection limit), and whether its calibration still holds."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -36,6 +33,7 @@ from cbsr_qa.config import calibrations_folder
 from cbsr_qa.domain import CbsrError, ConfigError
 from cbsr_qa.domain.results import Measurement, RunObservation
 from cbsr_qa.plugin import PluginOptions, Problem, WithOptions, shown
+from cbsr_qa_plugins.metrics._shared import at_load
 
 KNOWN: Final = "place known"
 ESTIMATED: Final = "place estimated"
@@ -255,27 +253,23 @@ def _serial(file: Path) -> str:
     return file.stem[:-37]
 
 
-def _measurements(found: Verification, how: str) -> tuple[Measurement, ...]:
+def _measurements(verified: Verification, how: str) -> tuple[Measurement, ...]:
     of_loads = tuple(
-        Measurement(
+        at_load(
+            each.load,
             "calibrated_force_error",
-            one.estimated_N - one.measured_N,
+            each.estimated_N - each.measured_N,
             "N",
-            one.stderr_N,
-            phase=one.load.phase,
-            location=one.load.record.load.label,
-            trial=one.load.record.load.trial,
-            load=one.load.record.index,
-            strain=one.load.record.load.strain,
-            how=f"{how}: {one.estimated_N:.3g} N where the load cell has {one.measured_N:.3g} N",
+            uncertainty=each.stderr_N,
+            how=f"{how}: {each.estimated_N:.3g} N where the load cell has {each.measured_N:.3g} N",
         )
-        for one in found.loads
+        for each in verified.loads
     )
-    change, stderr = 100 * (found.sensitivity - 1), 100 * found.sensitivity_stderr
-    of = f"{how}, {len(found.loads)} loads"
+    change, stderr = 100 * (verified.sensitivity - 1), 100 * verified.sensitivity_stderr
+    together = f"{how}, {len(verified.loads)} loads"
     return (
-        Measurement("sensitivity_change", change, "%", stderr, how=of),
+        Measurement("sensitivity_change", change, "%", stderr, how=together),
         *of_loads,
-        Measurement("reference_change", 100 * found.reference_change, "%", how=how),
-        Measurement("noise_ratio", found.noise_ratio, "1", how=how),
+        Measurement("reference_change", 100 * verified.reference_change, "%", how=how),
+        Measurement("noise_ratio", verified.noise_ratio, "1", how=how),
     )

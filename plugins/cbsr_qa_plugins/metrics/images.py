@@ -1,12 +1,6 @@
-"""Whether the area of a region says anything about the size of what presses, with this run's reconstruction.
+"""Metrics of the images of a run: whether they show each load, where, how large, and how near two may be.
 
-The five figures of merit of GREIT (Adler et al. 2009) on every load's image.
-
-Which loads were seen as loads: missed and merged ones, and regions where nothing pressed.
-
-How far apart two equal loads must be to be seen as two, with this run's reconstruction.
-
-How the grid of places as a whole is seen shifted, turned and scaled, and what errors are left without that.
+The figures of merit of single images are GREIT's (Adler et al. 2009).
 """
 
 from dataclasses import astuple

@@ -1,10 +1,7 @@
-"""Place, size and strength of every load estimated from the readings, beside the metrics of its image.
+"""Metrics of a load's place, size and shape, from its image and from the readings themselves.
 
-E_CoM: how far the sensed region's centre of mass is from the indenter's centre (paper Eq 4).
-
-A_OL: mutual overlap of sensed region and indenter (paper Eq 5), with the band it falls into.
-
-SD: mean squared distance of the sensed region's outline from the indenter's (paper Eq 6).
+E_CoM is the distance of the sensed region's centre of mass from the indenter's centre (paper Eq 4), A_OL the mutual
+overlap of both (Eq 5) and SD the mean squared distance of the region's outline from the indenter's (Eq 6).
 """
 
 from math import hypot

@@ -1,9 +1,4 @@
-"""The force that was applied while the steady image was taken.
-
-How evenly the sheet responds from place to place.
-
-How stiff the sheet is under the head.
-"""
+"""Force under the head, apparent modulus, and how evenly the sheet responds from place to place."""
 
 from collections.abc import Sequence
 from typing import ClassVar

@@ -1,9 +1,4 @@
-"""Signal-to-noise ratio of the single readings, and the drift of all of them together.
-
-NF: how much of the readings' signal-to-noise ratio the image loses, with this sensor's own noise and signal.
-
-Noise of the unloaded images: the floor that masks subtract, and σ_n over time.
-"""
+"""Noise metrics: noise figure, noise of the unloaded images, signal-to-noise ratio and drift of the readings."""
 
 from typing import ClassVar, Final
 
