@@ -54,7 +54,7 @@ def values(rows: Rows, seed: int) -> Array:
 
 
 def counted(rows: Rows, seeds: int) -> dict[str, Array]:
-    """Return, of each method, how often intervals hold, the difference is found, and one is where there is none."""
+    """Return, of each method, how often intervals hold, the difference is found, and an absent one is found."""
     names = [[f"{kind}{number:02d}" for number in column] for kind, column in zip("bsn", rows.T, strict=True)]
     fleet, sums = crossing(*names), {"mixed model": np.zeros(3), "t test": np.zeros(3)}
     for seed in range(seeds):
@@ -81,7 +81,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=1000)
     seeds = parser.parse_args().seeds
-    lines = ["| design | method | 95 % intervals that hold | found | found where there is none |", "|" + " --- |" * 5]
+    lines = ["| design | method | 95 % intervals that hold | found | found when absent |", "|" + " --- |" * 5]
     for title, on_all in DESIGNS.items():
         for name, (held, found, false) in counted(design(on_all), seeds).items():
             lines.append(f"| {title} | {name} | {held:.1f} % | {found:.1f} % | {false:.1f} % |")
