@@ -9,6 +9,12 @@ from cbsr_qa.cli.output import emit_json, say
 from cbsr_qa.domain import RefusedError
 
 
+def _charts() -> type:
+    from cbsr_qa.studies.charts import Charts
+
+    return Charts
+
+
 def _compare() -> type:
     from cbsr_qa.studies.compare import Comparison
 
@@ -21,16 +27,28 @@ def _gauge() -> type:
     return GaugeStudy
 
 
-def _charts() -> type:
-    from cbsr_qa.studies.charts import Charts
-
-    return Charts
-
-
 def _limits() -> type:
     from cbsr_qa.studies.limits import ProposedLimits
 
     return ProposedLimits
+
+
+def _reproduce() -> type:
+    from cbsr_qa.studies.reproduce import Reproduction
+
+    return Reproduction
+
+
+def _scene_explain() -> type:
+    from cbsr_qa.studies.scenes import Explained
+
+    return Explained
+
+
+def _scene_run() -> type:
+    from cbsr_qa.studies.scenes import SceneRun
+
+    return SceneRun
 
 
 def _stability() -> type:
@@ -45,6 +63,9 @@ RESULTS: Final[dict[str, Callable[[], type]]] = {
     "compare": _compare,
     "gauge": _gauge,
     "limits": _limits,
+    "reproduce": _reproduce,
+    "scene-explain": _scene_explain,
+    "scene-run": _scene_run,
     "stability": _stability,
 }
 

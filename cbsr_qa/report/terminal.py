@@ -9,10 +9,13 @@ from cbsr_qa.plugin import printable
 
 _WIDTH: Final = 100
 _INDENT: Final = "  "
+_LEAST_ROOM: Final = 20  # that a wrapped column has
 
 
 def terminal_lines(page: Page, sections: Sequence[Section]) -> Iterator[str]:
-    """Lay an outcome out in lines of 100 characters; wider tables keep their width.
+    """Lay an outcome out in lines of 100 characters.
+
+    A wider table is wrapped in its last column, where that is text and has room for it; others keep their width.
 
     Folded tables, figures and sections for the page alone are left out, and sections of nothing else.
     """
@@ -41,12 +44,17 @@ def _table(table: Table) -> Iterator[str]:
     yield from _hanging(_INDENT, table.caption)
     rows = [table.columns, *(tuple(printable(cell.text) for cell in row) for row in table.rows)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    room = _WIDTH - 2 * len(_INDENT) - sum(width + 2 for width in widths[:-1])
+    wraps = widths[-1] > room >= _LEAST_ROOM and len(widths) - 1 not in table.numeric
     for row in rows:
-        cells = (
+        *cells, last = (
             f"{text:>{width}}" if place in table.numeric else f"{text:<{width}}"
             for place, (text, width) in enumerate(zip(row, widths, strict=True))
         )
-        yield f"{_INDENT * 2}{'  '.join(cells)}".rstrip()
+        start = f"{_INDENT * 2}{''.join(f'{cell}  ' for cell in cells)}"
+        first, *further = (textwrap.wrap(last, room) if wraps else []) or [last]
+        yield f"{start}{first}".rstrip()
+        yield from (f"{'':<{len(start)}}{line}" for line in further)
 
 
 def _wrapped(start: str, rest: str) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Reproduction of the paper's tables: simulation, comparison, JSON or page."""
+"""Reproduction of the paper's tables: simulation and comparison."""
 
 import tomllib
 from collections.abc import Callable, Mapping
@@ -7,16 +7,12 @@ from contextlib import closing
 from dataclasses import dataclass
 from importlib.resources import files
 from os import cpu_count
-from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.domain.results import Banner, Page
-from cbsr_qa.report import render_sections, write_report
-from cbsr_qa.studies.reproduce.compare import ComparedTable, Comparison, Ours, Printed
-from cbsr_qa.studies.reproduce.draw import CentreForces, reproduction_sections
-from cbsr_qa.studies.reproduce.figures import SheetFigures, StripFigures
+from cbsr_qa.studies.reproduce.compare import ComparedTable
 from cbsr_qa.studies.reproduce.runs import FULL_WORDS, QUICK_WORDS, SEED, Job, all_jobs, not_reproduced, simulate
 from cbsr_qa.studies.reproduce.tables import centre_presses, compared_tables
+from cbsr_qa.studies.reproduce.values import SheetValues, StripValues
 from cbsr_qa.studies.sweep import finished
 
 SOURCE: Final = (
@@ -32,7 +28,37 @@ SIMULATED: Final = (
     "strip: scene strip, the material in 1D",
 )
 
-Figures = SheetFigures | StripFigures
+Values = SheetValues | StripValues
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What was simulated.
+
+    Parameters
+    ----------
+    source : the publication.
+    simulated, simulated_words : sensors, and the runs they went through.
+    quick : fewer trials and strains.
+    station_s : time the simulated station was at work.
+    """
+
+    source: str
+    simulated: tuple[str, ...]
+    simulated_words: str
+    quick: bool
+    seed: int
+    station_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class CentreForces:
+    """Forces at the centre: (measured, estimated) [N] of the uniform and of the bench sheet, and the paper's ±."""
+
+    group: str
+    printed_N: float
+    uniform_N: tuple[tuple[float, float], ...]
+    bench_N: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,51 +67,26 @@ class Reproduction:
 
     Parameters
     ----------
-    quick : fewer trials and strains.
-    presses : of the uniform sheet at L0, by percentage: what the force figure shows.
+    presses : what the force figure shows.
     """
 
-    tables: tuple[ComparedTable, ...]
-    quick: bool
-    seed: int
+    about: About
+    table1: ComparedTable
+    table2: ComparedTable
+    table3: ComparedTable
+    table4: ComparedTable
+    table5: ComparedTable
+    tableF6: ComparedTable
+    settling: ComparedTable
+    force: ComparedTable
     presses: tuple[CentreForces, ...]
-    station_s: float
 
     @property
-    def words(self) -> str:
-        """Description of the simulated runs."""
-        return QUICK_WORDS if self.quick else FULL_WORDS
-
-    def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
-        about = {
-            "source": SOURCE,
-            "simulated": list(SIMULATED),
-            "simulated_words": self.words,
-            "quick": self.quick,
-            "seed": self.seed,
-        }
-        return {"about": about, **{table.key: _table_document(table) for table in self.tables}}
-
-    def write(self, path: Path) -> None:
-        """Write a page that stands by itself.
-
-        Raises
-        ------
-        RefusedError
-            If its folder cannot be written to.
-        """
-        agreeing, of = (sum(counts) for counts in zip(*(table.counts for table in self.tables), strict=True))
-        identity = (
-            ("Published", SOURCE),
-            ("Ours", self.words),
-            ("Seed", str(self.seed)),
-            ("Station time", f"{self.station_s / 3600:.0f} h, simulated"),
-        )
-        reason = f"{agreeing} of {of} numbers that can be compared agree; every row that does not says why"
-        banner = Banner("plain", "≈", "Paper and simulation", reason)
-        page = Page("Reproduction", "Published tables beside simulated sensors", banner, identity, SIMULATED, ())
-        write_report(path, render_sections(page, reproduction_sections(self.tables, self.presses)))
+    def tables(self) -> tuple[ComparedTable, ...]:
+        """All tables, in the order they are read."""
+        return (
+            self.table1, self.table2, self.table3, self.table4, self.table5, self.tableF6, self.settling, self.force,
+        )  # fmt: skip
 
 
 def published() -> dict[str, Any]:
@@ -110,7 +111,7 @@ def reproduce_paper(
     Raises
     ------
     NotReproducedError
-        If a simulated sensor gave no figures; the others are given up.
+        If a simulated sensor gave no values; the others are given up.
     """
     jobs = all_jobs(quick=quick)
     tell(f"simulating {len(jobs)} sensors with seed {SEED}: {', '.join(job.words for job in jobs)}")
@@ -118,81 +119,44 @@ def reproduce_paper(
     return reproduction(_simulated(jobs, count, tell), quick=quick)
 
 
-def reproduction(figures: Mapping[Job, Figures], *, quick: bool) -> Reproduction:
+def reproduction(simulated: Mapping[Job, Values], *, quick: bool) -> Reproduction:
     """Compare the simulated values with the paper's."""
-    sheets = {(job.sheet, job.percent): one for job, one in figures.items() if isinstance(one, SheetFigures)}
-    strips = {job.percent: one for job, one in figures.items() if isinstance(one, StripFigures)}
+    sheets = {(job.sheet, job.percent): v for job, v in simulated.items() if isinstance(v, SheetValues)}
+    strips = {job.percent: v for job, v in simulated.items() if isinstance(v, StripValues)}
     paper = published()
+    about = About(
+        SOURCE,
+        SIMULATED,
+        QUICK_WORDS if quick else FULL_WORDS,
+        quick,
+        SEED,
+        sum(values.station_s for values in simulated.values()),
+    )
     presses = tuple(
         CentreForces(
             f"{percent} wt%",
             paper["force_error_sd_N_at_L0"][str(percent)],
-            tuple((one.measured_N, one.global_N) for one in centre_presses(sheets["uniform", percent])),
-            tuple(
-                (one.measured_N, one.global_N)
-                for name, sheet in sheets.items()
-                if name == ("bench", percent)
-                for one in centre_presses(sheet)
-            ),
+            _forces_N(sheets["uniform", percent]),
+            _forces_N(sheets.get(("bench", percent))),
         )
         for percent in (8, 9)
     )
-    station_s = sum(one.station_s for one in figures.values())
-    return Reproduction(compared_tables(paper, sheets, strips), quick, SEED, presses, station_s)
+    return Reproduction(about, **compared_tables(paper, sheets, strips), presses=presses)
 
 
-def _simulated(jobs: tuple[Job, ...], processes: int, tell: Callable[[str], None]) -> dict[Job, Figures]:
-    simulated: dict[Job, Figures] = {}
+def _forces_N(sheet: SheetValues | None) -> tuple[tuple[float, float], ...]:
+    presses = () if sheet is None else centre_presses(sheet)
+    return tuple((press.measured_N, press.global_N) for press in presses)
+
+
+def _simulated(jobs: tuple[Job, ...], processes: int, tell: Callable[[str], None]) -> dict[Job, Values]:
+    simulated: dict[Job, Values] = {}
     try:
         with closing(finished(jobs, simulate, processes)) as results:
-            for job, figures in results:
-                simulated[job] = figures
-                tell(f"{job.words}: {figures.compute_s:.0f} s ({len(simulated)} of {len(jobs)})")
+            for job, values in results:
+                simulated[job] = values
+                tell(f"{job.words}: {values.compute_s:.0f} s ({len(simulated)} of {len(jobs)})")
     except BrokenProcessPool as error:
         first = next(job for job in jobs if job not in simulated)
         raise not_reproduced(first, "its process was killed; see whether memory ran out") from error
     return simulated
-
-
-def _table_document(table: ComparedTable) -> dict[str, Any]:
-    agreeing, of = table.counts
-    return {
-        "title": table.title,
-        "notes": list(table.notes),
-        "agreeing": agreeing,
-        "compared": of,
-        "rows": [_row_document(row) for row in table.rows],
-    }
-
-
-def _row_document(row: Comparison) -> dict[str, Any]:
-    return {
-        "group": row.group,
-        "name": row.name,
-        "unit": row.unit,
-        "kind": str(row.kind),
-        "rule": str(row.rule),
-        "paper": _printed_document(row.printed, row.bands[0]),
-        "ours": _ours_document(row.ours, row.bands[1]),
-        "beside": [_ours_document(one, "") for one in row.beside],
-        "agrees": row.agrees,
-        "reason": row.reason,
-    }
-
-
-def _printed_document(printed: Printed, band: str) -> dict[str, Any]:
-    document: dict[str, Any] = {"value": printed.value, "deviation": printed.deviation}
-    if printed.ranges:
-        document["ranges"] = [{"where": name, "low": low, "high": high} for name, low, high in printed.ranges]
-    return {**document, "band": band} if band else document
-
-
-def _ours_document(ours: Ours, band: str) -> dict[str, Any]:
-    document: dict[str, Any] = {
-        "simulated_on": ours.sheet,
-        "value": ours.value,
-        "uncertainty": ours.uncertainty,
-        "uncertainty_is": ours.of,
-        "at_least": ours.at_least,
-    }
-    return {**document, "band": band} if band else document

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.analysis import Conclusion, conclude
+from cbsr_qa.analysis import conclude
 from cbsr_qa.analysis.run import run_force
 from cbsr_qa.config import (
     Configuration,
@@ -27,7 +27,7 @@ from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.station import execute, open_station, plan_of, station_clock
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.reproduce.figures import SheetFigures, StripFigures, sheet_figures, strip_figures
+from cbsr_qa.studies.reproduce.values import SheetValues, StripValues, sheet_values, strip_values
 from cbsr_qa.system import Stages
 
 #: Of every simulated sensor; the first there is, not chosen for what comes out.
@@ -102,8 +102,8 @@ def all_jobs(*, quick: bool) -> tuple[Job, ...]:
     return tuple(Job(sheet, percent, quick) for sheet in sheets for percent in (8, 9))
 
 
-def simulate(job: Job) -> SheetFigures | StripFigures:
-    """Simulate one sensor as ``cbsr-qa run`` does, in a temporary database, and reduce it to figures.
+def simulate(job: Job) -> SheetValues | StripValues:
+    """Simulate one sensor as ``cbsr-qa run`` does, in a temporary database, and reduce it to values.
 
     Raises
     ------
@@ -114,23 +114,17 @@ def simulate(job: Job) -> SheetFigures | StripFigures:
     configuration = configuration_of(job)
     record = _record(configuration, plugins)
     conclusion = conclude(record, configuration.recipe, plugins, Stages())
-    return _figures(job, configuration, conclusion, record, started)
-
-
-def _figures(
-    job: Job, configuration: Configuration, conclusion: Conclusion, record: RunRecord, started: float
-) -> SheetFigures | StripFigures:
-    station_s = record.station_s
     if conclusion.characterisation is not None:
-        return strip_figures(conclusion.characterisation, station_s, time.perf_counter() - started)
+        return strip_values(conclusion.characterisation, record.station_s, time.perf_counter() - started)
     if conclusion.observation is None:
         raise not_reproduced(job, conclusion.verdict.reason)
-    return sheet_figures(
+    force = run_force(conclusion.observation)
+    return sheet_values(
         conclusion.observation,
         conclusion.measurements,
-        run_force(conclusion.observation),
+        force,
         job.sheet,
-        station_s,
+        record.station_s,
         time.perf_counter() - started,
     )
 
@@ -184,7 +178,7 @@ def _record(configuration: Configuration, plugins: Plugins) -> RunRecord:
                 configuration_digest=configuration.digest,
                 software=software_versions(plugins),
                 instruments=instruments,
-                simulated=tuple(f"{one.role}: {one.model}" for one in instruments if one.simulated),
+                simulated=tuple(f"{each.role}: {each.model}" for each in instruments if each.simulated),
             )
             journal = store.journal(
                 configuration=configuration.canonical,

@@ -1,3 +1,4 @@
-from .explain import Explained as Explained, ExplainedEffect as ExplainedEffect, explain_scene as explain_scene
+from .explain import Explained as Explained, explain_scene as explain_scene
+from .report import explained_outcome as explained_outcome, scene_outcome as scene_outcome
 from .run import SceneRun as SceneRun, SceneRunRequest as SceneRunRequest, run_scene as run_scene
 from .setting import SceneSetup as SceneSetup, effects_of as effects_of, made_world as made_world, set_up as set_up

@@ -1,9 +1,8 @@
 """Explanation of a scene: its effects, their cost, disabled effects, and what is not modelled."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from datetime import date, time
 from typing import Any
 
 from cbsr_qa.domain import PluginError
@@ -20,7 +19,8 @@ class ExplainedEffect:
 
     Parameters
     ----------
-    cost_ms : a frame, with its share of what happens once a scene; 0 of one that is off, None where not measured.
+    perturbs : its stage; empty where that is not known before it is made.
+    cost_ms_per_frame : with its share of what happens once a scene; 0 of one that is off, None where not measured.
     parameters : as the scene gives them.
     does : first line of what its author says of it.
     each_ms, once_ms : what a frame costs without that share, and what happens once a scene, in all.
@@ -30,23 +30,11 @@ class ExplainedEffect:
     on: bool
     needs: tuple[str, ...]
     perturbs: str
-    cost_ms: float | None
+    cost_ms_per_frame: float | None
     parameters: Mapping[str, Any]
     does: str
     each_ms: float | None = None
     once_ms: float | None = None
-
-    def document(self) -> dict[str, Any]:
-        """Return its part of what ``--json`` prints."""
-        return {
-            "name": self.name,
-            "on": self.on,
-            "needs": list(self.needs),
-            "perturbs": self.perturbs,
-            "cost_ms_per_frame": self.cost_ms,
-            "parameters": _in_json(self.parameters),
-            "does": self.does,
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +46,7 @@ class Explained:
     effects : those that are on in their order, then the others by name.
     frames : of the scene's recording; None without one.
     frame_ms, compute_s : measured; None where nothing was.
-    measured_with : sensor type, material and load, in words.
+    measured_with : sensor type, material and load, in words; None where nothing was measured.
     """
 
     scene: str
@@ -67,19 +55,7 @@ class Explained:
     frames: int | None
     frame_ms: float | None
     compute_s: float | None
-    measured_with: str
-
-    def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
-        return {
-            "scene": self.scene,
-            "effects": [effect.document() for effect in self.effects],
-            "not_modelled": list(self.not_modelled),
-            "frames": self.frames,
-            "frame_ms": self.frame_ms,
-            "compute_s": self.compute_s,
-            "measured_with": None if self.frame_ms is None else self.measured_with,
-        }
+    measured_with: str | None
 
 
 def explain_scene(
@@ -115,23 +91,19 @@ def explain_scene(
     )
     with naming(setup.label):
         build_chain(setup.plan.scene, setting, watched)
-    costs = _measured(setup, plugins, tell, progress) if measure else None
+    costs = None
+    if measure:
+        tell("measuring the cost of effects")
+        costs = measured_costs(setup, effects_of(plugins), progress=progress)
     return Explained(
-        setup.plan.scene.name,
-        (*_on(setup, watched, costs), *_off(setup, plugins)),
-        (*setup.plan.scene.not_modelled, *NOT_MODELLED),
-        setup.plan.frame_count or None,
-        None if costs is None else costs.frame_ms,
-        None if costs is None or not setup.plan.frame_count else costs.compute_s,
-        _measured_with(setup),
+        scene=setup.plan.scene.name,
+        effects=(*_on(setup, watched, costs), *_off(setup, plugins)),
+        not_modelled=(*setup.plan.scene.not_modelled, *NOT_MODELLED),
+        frames=setup.plan.frame_count or None,
+        frame_ms=None if costs is None else costs.frame_ms,
+        compute_s=None if costs is None or not setup.plan.frame_count else costs.compute_s,
+        measured_with=None if costs is None else _measured_with(setup),
     )
-
-
-def _measured(
-    setup: SceneSetup, plugins: Plugins, tell: Callable[[str], None], progress: Callable[[int, int], None]
-) -> Costs:
-    tell("measuring the cost of effects")
-    return measured_costs(setup, effects_of(plugins), progress=progress)
 
 
 def _measured_with(setup: SceneSetup) -> str:
@@ -144,51 +116,38 @@ def _measured_with(setup: SceneSetup) -> str:
     return sensor
 
 
-def _on(setup: SceneSetup, watched: Watched, costs: Costs | None) -> list[ExplainedEffect]:
-    return [
-        ExplainedEffect(
-            choice.name,
-            True,
-            tuple(watched.effects[choice.name].needs),
-            watched.effects[choice.name].perturbs,
-            None if costs is None else costs.effect_ms[choice.name],
-            choice.options,
-            _does(type(watched.effects[choice.name])),
-            None if costs is None else costs.each_ms[choice.name],
-            None if costs is None else costs.once_ms[choice.name],
+def _on(setup: SceneSetup, watched: Watched, costs: Costs | None) -> Iterator[ExplainedEffect]:
+    for choice in setup.plan.scene.effects:
+        effect = watched.effects[choice.name]
+        yield ExplainedEffect(
+            name=choice.name,
+            on=True,
+            needs=tuple(effect.needs),
+            perturbs=effect.perturbs,
+            cost_ms_per_frame=None if costs is None else costs.effect_ms[choice.name],
+            parameters=choice.options,
+            does=_does(type(effect)),
+            each_ms=None if costs is None else costs.each_ms[choice.name],
+            once_ms=None if costs is None else costs.once_ms[choice.name],
         )
-        for choice in setup.plan.scene.effects
-    ]
 
 
-def _off(setup: SceneSetup, plugins: Plugins) -> list[ExplainedEffect]:
+def _off(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
     on = {choice.name for choice in setup.plan.scene.effects}
-    found = []
     for name in plugins.names(Kind.EFFECT):
         if name in on:
             continue
         try:
             factory: Any = plugins.factory(Kind.EFFECT, name)
         except PluginError as error:
-            found.append(ExplainedEffect(name, False, (), "", 0.0, {}, error.reason))
+            yield ExplainedEffect(name, False, (), "", 0.0, {}, error.reason)
             continue
         needs, perturbs = getattr(factory, "needs", ()), getattr(factory, "perturbs", "")
         # Of a factory that is no class, or an effect that decides as it is made, they are not known before.
         known = tuple(needs) if isinstance(needs, tuple | list) else ()
         stage = perturbs if isinstance(perturbs, str) else ""
-        found.append(ExplainedEffect(name, False, known, stage, 0.0, {}, _does(factory)))
-    return found
-
-
-def _in_json(value: Any) -> Any:
-    """What TOML holds, as JSON holds it: dates and times become texts as they stand in the file."""
-    if isinstance(value, Mapping):
-        return {key: _in_json(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_in_json(each) for each in value]
-    return value.isoformat() if isinstance(value, date | time) else value
+        yield ExplainedEffect(name, False, known, stage, 0.0, {}, _does(factory))
 
 
 def _does(of: object) -> str:
-    said = inspect.getdoc(of) or ""
-    return said.strip().partition("\n")[0]
+    return (inspect.getdoc(of) or "").strip().partition("\n")[0]

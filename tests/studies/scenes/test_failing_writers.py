@@ -10,7 +10,7 @@ from cbsr_qa.domain.plan import Transcript
 from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
 from cbsr_qa.plugin import discover
 from cbsr_qa.simulate import RecordedScene
-from cbsr_qa.studies.scenes.run import Target, checked_targets, write_all
+from cbsr_qa.studies.scenes.files import Target, checked_targets, write_all
 
 
 def recorded():
@@ -78,8 +78,8 @@ def test_our_own_format_is_not_written_under_the_name_of_another(tmp_path, name)
 
 
 def test_what_writers_say_is_handed_on(tmp_path):
-    (one,) = write_all(recorded(), (target(tmp_path, "theirs", good),))
-    assert (one.format, one.path.read_text(), one.notes) == ("theirs", "whole", ("a note",))
+    (file,) = write_all(recorded(), (target(tmp_path, "theirs", good),))
+    assert (file.format, Path(file.path).read_text(), file.notes) == ("theirs", "whole", ("a note",))
 
 
 @pytest.mark.parametrize(

@@ -47,13 +47,13 @@ class SettlingOf:
 
 
 @dataclass(frozen=True, slots=True)
-class SheetFigures:
-    """Figures of one simulated sheet.
+class SheetValues:
+    """Values of one simulated sheet.
 
     Parameters
     ----------
     resistance, modulus, noise_figure, noise_floor, noise : R_int [kΩ], E [kPa], NF, relative floor, relative σ_n.
-    by_mask : percentage mask → figures over all held frames at 20 % strain.
+    by_mask : percentage mask → values over all held frames at 20 % strain.
     by_place : location → the same with the main mask.
     random : place of the list → error and deviation over trials, steady images.
     settlings : of the conductance under the load, by strain.
@@ -80,8 +80,8 @@ class SheetFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class StripFigures:
-    """Figures of one simulated strip: gauge factors under the head and between the pins, E [kPa], settling."""
+class StripValues:
+    """Values of one simulated strip: gauge factors under the head and between the pins, E [kPa], settling."""
 
     local_gauge_factor: Ours
     gauge_factor: Ours
@@ -91,24 +91,24 @@ class StripFigures:
     compute_s: float
 
 
-def sheet_figures(
+def sheet_values(
     run: RunObservation,
     measurements: Sequence[Measurement],
     force: RunForce,
     sheet: str,
     station_s: float,
     compute_s: float,
-) -> SheetFigures:
+) -> SheetValues:
     """Reduce an analysed run."""
-    resistance = _run_figure(measurements, "interelectrode_resistance", "", sheet, "deviation between pairs", 1e-3)
+    resistance = _run_value(measurements, "interelectrode_resistance", "", sheet, "deviation between pairs", 1e-3)
     slope = run.record.material.against_stress.slope.value
-    return SheetFigures(
+    return SheetValues(
         sheet=sheet,
         resistance=resistance,
-        modulus=_run_figure(measurements, "apparent_modulus", "slope", sheet, "deviation between locations"),
-        noise_figure=_run_figure(measurements, "noise_figure", "", sheet, "standard error"),
+        modulus=_run_value(measurements, "apparent_modulus", "slope", sheet, "deviation between locations"),
+        noise_figure=_run_value(measurements, "noise_figure", "", sheet, "standard error"),
         noise_floor=_noise_floor(run, sheet),
-        noise=_run_figure(measurements, "conductance_noise", "per element", sheet, "standard error"),
+        noise=_run_value(measurements, "conductance_noise", "per element", sheet, "standard error"),
         by_mask=tuple((mask, _spatial(run, mask, sheet)) for mask in run.settings.masks),
         by_place=tuple((place, _spatial(run, run.main_mask, sheet, place)) for place in _places(run)),
         random=_random(run, measurements, sheet),
@@ -122,32 +122,31 @@ def sheet_figures(
     )
 
 
-def strip_figures(found: Characterisation, station_s: float, compute_s: float) -> StripFigures:
+def strip_values(strip: Characterisation, station_s: float, compute_s: float) -> StripValues:
     """Reduce a characterisation."""
-    modulus = found.modulus_kPa
-    settlings = tuple(
-        SettlingOf(
-            one.strain,
-            one.loading,
-            Ours(
-                "strip",
-                one.settling.value_s,
-                one.stderr_s,
-                one.settling.why or "standard error",
-                one.traces,
-                one.settling.censored,
-            ),
-        )
-        for one in found.settlings
-        if one.signal == "conductance"
-    )
-    return StripFigures(
-        local_gauge_factor=_slope(found.local_against_strain, "under the head"),
-        gauge_factor=_slope(found.against_strain, "between the pins"),
-        modulus=Ours("strip", None, of="no stress")
+    modulus = strip.modulus_kPa
+    return StripValues(
+        local_gauge_factor=_slope(strip.local_against_strain, "under the head"),
+        gauge_factor=_slope(strip.against_strain, "between the pins"),
+        modulus=Ours("strip", None, uncertainty_is="no stress")
         if modulus is None
         else Ours("strip", modulus.value, modulus.stderr, "standard error"),
-        settlings=settlings,
+        settlings=tuple(
+            SettlingOf(
+                fit.strain,
+                fit.loading,
+                Ours(
+                    "strip",
+                    fit.settling.value_s,
+                    fit.stderr_s,
+                    fit.settling.why or "standard error",
+                    fit.traces,
+                    fit.settling.censored,
+                ),
+            )
+            for fit in strip.settlings
+            if fit.signal == "conductance"
+        ),
         station_s=station_s,
         compute_s=compute_s,
     )
@@ -155,21 +154,21 @@ def strip_figures(found: Characterisation, station_s: float, compute_s: float) -
 
 def _slope(fitted: FittedLine, where: str) -> Ours:
     if fitted.line is None:
-        return Ours("strip", None, of=fitted.why)
+        return Ours("strip", None, uncertainty_is=fitted.why)
     return Ours("strip", fitted.line.slope.value, fitted.line.slope.stderr, f"standard error; {where}")
 
 
-def _run_figure(
+def _run_value(
     measurements: Iterable[Measurement], name: str, qualifier: str, sheet: str, of: str, scale: float = 1.0
 ) -> Ours:
     """Take the measurement of the whole run; that of one location has a location."""
-    for one in measurements:
-        if (one.name, one.qualifier, one.location) == (name, qualifier, ""):
-            if one.value is None:
-                return Ours(sheet, None, of=one.how)
-            uncertainty = None if one.uncertainty is None else scale * one.uncertainty
-            return Ours(sheet, scale * one.value, uncertainty, of)
-    return Ours(sheet, None, of="not measured")
+    for measured in measurements:
+        if (measured.name, measured.qualifier, measured.location) == (name, qualifier, ""):
+            if measured.value is None:
+                return Ours(sheet, None, uncertainty_is=measured.how)
+            uncertainty = None if measured.uncertainty is None else scale * measured.uncertainty
+            return Ours(sheet, scale * measured.value, uncertainty, of)
+    return Ours(sheet, None, uncertainty_is="not measured")
 
 
 def _noise_floor(run: RunObservation, sheet: str) -> Ours:
@@ -182,7 +181,7 @@ def _noise_floor(run: RunObservation, sheet: str) -> Ours:
         readings = changes(frames[chosen], frames[~chosen].mean(axis=0), problem, run.scale)
         floors.append(float(np.abs(run.reconstruction.images(readings)).max()))
     if len(floors) < 2:
-        return Ours(sheet, None, of="too few unloaded frames")
+        return Ours(sheet, None, uncertainty_is="too few unloaded frames")
     of = f"deviation over {len(floors)} sets of {_FLOOR_FRAMES} frames"
     return Ours(sheet, float(np.mean(floors)), float(np.std(floors, ddof=1)), of, len(floors))
 
@@ -207,7 +206,7 @@ def _spatial(run: RunObservation, mask: float, sheet: str, place: str = "") -> S
     """Mean and deviation over every frame of the holds, as the paper's Fig 10 has them."""
     columns: list[list[Array]] = [[], [], []]
     for load in _grid(run, place):
-        timeline = next(one for one in run.timelines if one.phase == load.phase)
+        timeline = next(timeline for timeline in run.timelines if timeline.phase == load.phase)
         row = timeline.masks.index(mask)
         held = (timeline.time_s >= load.record.hold_start_s) & (timeline.time_s < load.record.release_start_s)
         of = (timeline.error_mm, timeline.overlap_percent, timeline.deviation_mm2)
@@ -216,7 +215,7 @@ def _spatial(run: RunObservation, mask: float, sheet: str, place: str = "") -> S
     taken = [np.concatenate(column) if column else np.zeros(0) for column in columns]
     seen = np.isfinite(taken[0])
     if seen.sum() < 2:
-        nothing = Ours(sheet, None, of="no blob was seen")
+        nothing = Ours(sheet, None, uncertainty_is="no blob was seen")
         return (nothing, nothing, nothing), 0
     lost = int((~seen).sum())
     of_words = f"deviation over {int(seen.sum())} held frames" + (f"; {lost} without a blob" if lost else "")
@@ -247,7 +246,7 @@ def _random(run: RunObservation, measurements: Sequence[Measurement], sheet: str
 def _over_trials(measurements: Sequence[Measurement], sheet: str) -> Ours:
     values = [m.value for m in measurements if m.value is not None]
     if not values:
-        return Ours(sheet, None, of=measurements[0].how if measurements else "not pressed")
+        return Ours(sheet, None, uncertainty_is=measurements[0].how if measurements else "not pressed")
     lost = len(measurements) - len(values)
     of = f"deviation over {len(values)} trials" if len(values) > 1 else "one trial"
     of += f"; {lost} not detected" if lost else ""
@@ -263,18 +262,18 @@ def _settlings(run: RunObservation, measurements: Sequence[Measurement], sheet: 
             here = [load for load in loads if load.record.load.strain == strain]
             yield SettlingOf(strain, loading, _mean_settling(here, loading, sheet))
         qualifier = f"conductance, {'loading' if loading else 'unloading'}"
-        together = _run_figure(measurements, "common_settling_time", qualifier, sheet, "standard error")
+        together = _run_value(measurements, "common_settling_time", qualifier, sheet, "standard error")
         yield SettlingOf(None, loading, together)
 
 
 def _mean_settling(loads: Sequence[LoadObservation], loading: bool, sheet: str) -> Ours:
     fits = [
-        one for load in loads for one in load.relaxations if (one.signal, one.loading) == ("conductance", loading)
+        fit for load in loads for fit in load.relaxations if (fit.signal, fit.loading) == ("conductance", loading)
     ]
     known = [(f.settling.value_s, f.settling.censored) for f in fits if f.settling.value_s is not None]
     counted = f"{len(known)} of {len(fits)} fits kept (R² of at least 0.85)"
     if not known or 2 * len(known) < len(fits):
-        return Ours(sheet, None, of=counted, count=len(known))
+        return Ours(sheet, None, uncertainty_is=counted, count=len(known))
     late = sum(censored for _, censored in known)
     mean_s, deviation_s = restricted_mean([time_s for time_s, _ in known], [censored for _, censored in known])
     of = f"standard error; {counted}" + (f", {late} not settled" if late else "")

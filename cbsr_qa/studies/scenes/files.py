@@ -1,0 +1,182 @@
+"""Files that a simulated scene is written to, in one or several formats."""
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cbsr_qa.config import scenes_folder, writable_folder
+from cbsr_qa.domain import CbsrError, ConfigError, PluginError, RefusedError
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.plugin import Kind, Plugins, RecordingWriter, made
+from cbsr_qa.simulate import RecordedScene
+
+#: Format every scene is written in.
+OWN_FORMAT = "cbsr-recording"
+#: Last word of a format's name → suffix of its files.
+_SUFFIXES = {"csv": ".csv", "mat": ".mat", "text": ".txt", "txt": ".txt", "json": ".json", "recording": ".h5"}
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A file to write, and what writes it."""
+
+    format: str
+    path: Path
+    writer: RecordingWriter
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A file that was written.
+
+    Parameters
+    ----------
+    notes : what the format cannot say, in words.
+    """
+
+    format: str
+    path: str
+    notes: tuple[str, ...]
+
+
+def checked_targets(
+    scene: str, seed: int, output: Path | None, formats: tuple[str, ...], plugins: Plugins
+) -> tuple[Target, ...]:
+    """Say where a scene goes in each format, our own first; nothing of it exists yet.
+
+    Raises
+    ------
+    PluginError
+        If a format is unknown or cannot be written.
+    RefusedError
+        If a file exists already, or the output's name is that of another format.
+    """
+    own = scenes_folder() / f"{_file_name(scene)}-seed{seed}.h5" if output is None else output
+    targets = [Target(OWN_FORMAT, own, _writer(OWN_FORMAT, plugins))]
+    for name in dict.fromkeys(formats):
+        if name != OWN_FORMAT:
+            writer = _writer(name, plugins)  # first: an unknown name may be no part of a file's
+            beside = own.with_name(f"{own.stem}.{name}{_SUFFIXES.get(name.rpartition('-')[2], '')}")
+            targets.append(Target(name, beside, writer))
+    _check_suffix(own)
+    for target in targets:
+        if os.path.lexists(target.path):
+            other = "another seed, or another file with --output" if output is None else "another file"
+            raise RefusedError(f"{target.path} exists already", remedy=f"remove it first, or name {other}")
+    return tuple(targets)
+
+
+def _check_suffix(own: Path) -> None:
+    """Refuse to write HDF5 under a name that promises, to people and to other programs, something else."""
+    if own.suffix.lower() in set(_SUFFIXES.values()) - {_SUFFIXES["recording"]}:
+        raise RefusedError(
+            f"{own} must be an HDF5 file; its suffix is {own.suffix}",
+            remedy=f"use .h5, e.g. {own.with_suffix('.h5')}; --format writes other files beside it",
+        )
+
+
+def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Written, ...]:
+    """Write every file or, where one is refused, none.
+
+    Raises
+    ------
+    RefusedError
+        If a format cannot hold such a recording, or a file is there by now.
+    """
+    begun: list[Path] = []
+    try:
+        written: list[Written] = []
+        for target in targets:
+            if os.path.lexists(target.path):  # simulating takes a while; what came meanwhile is somebody's
+                raise RefusedError(f"{target.path} was created in the meantime", remedy="name another file")
+            begun.append(target.path)
+            written.append(_written(recorded, target))
+    except BaseException:
+        for path in begun:
+            with suppress(OSError):  # a folder, or a name that no file can have
+                path.unlink()
+        raise
+    return tuple(written)
+
+
+def _written(recorded: RecordedScene, target: Target) -> Written:
+    recording = replace(recorded.recording, path=target.path)
+    try:
+        notes = target.writer.write(target.path, recording, recorded.transcript)
+    except CbsrError as error:
+        reason = f"the scene cannot be written as {target.format}: {error.reason}"
+        raise RefusedError(reason, remedy=error.remedy) from error
+    except OSError as error:
+        raise RefusedError(f"{target.path} cannot be written: {error.strerror or error}") from error
+    except Exception as error:
+        raise _failed(target, f"{type(error).__name__}: {error}") from error
+    if not isinstance(notes, tuple) or not all(isinstance(note, str) for note in notes):
+        raise _failed(target, f"it returned {type(notes).__name__} instead of a tuple of texts")
+    if not target.path.is_file():
+        raise _failed(target, f"there is no {target.path}")
+    return Written(target.format, str(target.path), notes)
+
+
+def _failed(target: Target, why: str) -> PluginError:
+    return PluginError(
+        f"format {target.format!r} failed to write the scene: {why}", remedy="report it to its author, or omit it"
+    )
+
+
+def _writer(name: str, plugins: Plugins) -> RecordingWriter:
+    format_: Any = made(plugins, Kind.RECORDING, PluginChoice(name), "--format")
+    if not isinstance(format_, RecordingWriter):
+        raise PluginError(f"format {name!r} is read-only", remedy=f"writable: {', '.join(_writable(plugins))}")
+    return format_
+
+
+def _writable(plugins: Plugins) -> list[str]:
+    names = []
+    for name in plugins.in_order(Kind.RECORDING):
+        try:
+            if isinstance(made(plugins, Kind.RECORDING, PluginChoice(name), "--format"), RecordingWriter):
+                names.append(name)
+        except Exception:  # noqa: BLE001 - a stranger's code may raise anything; it is no help here
+            continue
+    return names
+
+
+def _file_name(scene: str) -> str:
+    """A scene's name as part of a file's: other signs than letters, digits, . _ - become a dash."""
+    return re.sub(r"[^\w.-]+", "-", scene).strip(".-") or "scene"
+
+
+@contextmanager
+def made_folder(folder: Path, output: Path | None) -> Iterator[None]:
+    """Make the folder that a scene is written to, and take away what of it is new and empty if it fails.
+
+    Parameters
+    ----------
+    output : what the user named, if anything; the remedy depends on it.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be written to.
+    """
+    new = [above for above in (folder, *folder.parents) if not above.exists()]
+    try:
+        _check_writable(folder, output)
+        yield
+    except BaseException:
+        for above in new:
+            with suppress(OSError):  # somebody's files are in it
+                above.rmdir()
+        raise
+
+
+def _check_writable(folder: Path, output: Path | None) -> None:
+    try:
+        writable_folder(folder)
+    except ConfigError as error:
+        remedy = error.remedy if output is None else "name a file in another folder with --output"
+        raise ConfigError(error.reason, remedy=remedy) from error

@@ -1,0 +1,126 @@
+"""What a person reads of a scene: its effects with their costs and parameters, or what was recorded of it."""
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+from cbsr_qa.config import text as echo
+from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Page, Paragraph, Section, Table
+from cbsr_qa.report import plural, text_table
+from cbsr_qa.simulate import STAGES
+from cbsr_qa.studies.scenes.explain import Explained, ExplainedEffect
+from cbsr_qa.studies.scenes.run import SceneRun
+
+_NONE: Final = "–"
+#: Effects of these stages act as the sheet is made, as heads move or before frames are written, and not in a frame.
+_ONCE_STAGES: Final = ("sheet", "position", "geometry", "recording")
+_COLUMNS: Final = ("stage", "effect", "ms/frame", "share", "parameters; needs")
+_BAR: Final = 5  # signs of an effect that costs as much as a whole frame
+
+# Sentences, in the order they are read.
+_ON: Final = "{on} of {effects} on"
+_NOT_MEASURED: Final = "costs not measured"
+_FRAME: Final = "a frame takes {frame} ms{recording}"
+_RECORDING: Final = "; {frames} of the recording about {seconds:.2g} s"
+_ORDER: Final = "In order of stage."
+_ONCE: Final = " Once: in all, as the sheet is made, as heads move or before frames are written."
+_OFF: Final = "What each would do."
+_FRAMES: Final = "{frames} in {seconds:g} s"
+_LOST: Final = "{lost} of them cut, "
+_DUMPS: Final = "{dumps}, "
+_SEEDED: Final = "{scene}, seed {seed}"
+_SENSOR: Final = "{sensor_type} of {material}, {effects}"
+
+
+def explained_outcome(explained: Explained) -> CommandOutcome[Explained]:
+    """Lay out what a scene contains."""
+    on = sorted((e for e in explained.effects if e.on), key=lambda effect: STAGES.index(effect.perturbs))
+    off = [effect for effect in explained.effects if not effect.on]
+    sections = [Section("On", (_on(on, explained.frame_ms),))] if on else []
+    sections += [Section("Off", (_off(off),))] if off else []
+    sections += [Section("Not modelled", tuple(map(Paragraph, explained.not_modelled)))]
+    headline = _ON.format(on=len(on), effects=plural(len(explained.effects), "effect"))
+    facts = [("Scene", explained.scene)]
+    facts += [("Measured with", explained.measured_with)] if explained.measured_with else []
+    page = Page("Scene", explained.scene, Banner("plain", _NONE, headline, _total(explained)), tuple(facts), (), ())
+    return CommandOutcome(explained, page, tuple(sections))
+
+
+def _total(explained: Explained) -> str:
+    if explained.frame_ms is None:
+        return _NOT_MEASURED
+    recording = ""
+    if explained.frames and explained.compute_s is not None:
+        recording = _RECORDING.format(frames=plural(explained.frames, "frame"), seconds=explained.compute_s)
+    return _FRAME.format(frame=_milliseconds(explained.frame_ms), recording=recording)
+
+
+def _on(effects: Sequence[ExplainedEffect], frame_ms: float | None) -> Table:
+    """Effects in order of stage, which stands at the first of each."""
+    columns = (*_COLUMNS[:2], *_COLUMNS[4:]) if frame_ms is None else _COLUMNS
+    rows, last = [], ""
+    for effect in effects:
+        stage, last = "" if effect.perturbs == last else effect.perturbs, effect.perturbs
+        cost = () if frame_ms is None else _cost(effect, frame_ms)
+        needs = f"needs {', '.join(effect.needs)}" if effect.needs else ""
+        rows.append((stage, effect.name, *cost, "; ".join(filter(None, (_parameters(effect.parameters), needs)))))
+    once = frame_ms is not None and any(effect.perturbs in _ONCE_STAGES for effect in effects)
+    return text_table(_ORDER + _ONCE * once, columns, rows, () if frame_ms is None else (2,))
+
+
+def _cost(effect: ExplainedEffect, frame_ms: float) -> tuple[str, str]:
+    """Milliseconds a frame and a bar as long as their share of a whole one, or what happens once a scene."""
+    if effect.perturbs in _ONCE_STAGES:
+        return _milliseconds(effect.once_ms or 0.0), "once"
+    each_ms = effect.each_ms or 0.0
+    share = each_ms / frame_ms if frame_ms > 0 else 0.0
+    return _milliseconds(each_ms), "#" * min(round(_BAR * share), _BAR)
+
+
+def _milliseconds(cost_ms: float) -> str:
+    return "< 0.001" if cost_ms < 0.0005 else f"{cost_ms:.3f}"
+
+
+def _parameters(parameters: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} = {plainly(value)}" for key, value in parameters.items())
+
+
+def plainly(value: Any) -> str:
+    """Write a parameter as people write it in a scene file."""
+    if isinstance(value, Mapping):
+        return f"{{{_parameters(value)}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(plainly, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return re.sub(r"e\+?(-?)0*", r"e\1", echo.plainly(value))
+    return json.dumps(value, ensure_ascii=not value.isprintable()) if isinstance(value, str) else str(value)
+
+
+def _off(effects: Iterable[ExplainedEffect]) -> Table:
+    rows = [
+        (effect.name, effect.does or (f"perturbs {effect.perturbs}" if effect.perturbs else "")) for effect in effects
+    ]
+    return text_table(_OFF, ("effect", "what it does"), rows)
+
+
+def scene_outcome(run: SceneRun) -> CommandOutcome[SceneRun]:
+    """Lay out what was recorded, with what each format does not say."""
+    headline = _FRAMES.format(frames=plural(run.frames, "frame"), seconds=run.duration_s)
+    reason = _LOST.format(lost=run.frames_lost) if run.frames_lost else ""
+    reason += _DUMPS.format(dumps=plural(run.dumps, "watchdog dump")) if run.dumps else ""
+    sensor = _SENSOR.format(
+        sensor_type=run.sensor_type, material=run.material, effects=plural(len(run.effects), "effect")
+    )
+    facts = (("Scene", _SEEDED.format(scene=run.scene, seed=run.seed)), ("Sensor", sensor))
+    remarks = tuple(load.remark for load in run.loads if load.remark is not None)
+    banner = Banner("plain", _NONE, headline, reason + plural(len(run.loads), "load"))
+    sections = tuple(Section(file.format, tuple(_file(file.path, file.notes))) for file in run.files)
+    return CommandOutcome(run, Page("Scene", run.scene, banner, facts, (), (), remarks), sections)
+
+
+def _file(path: str, notes: Iterable[str]) -> Iterator[Block]:
+    yield Paragraph(path)
+    yield from (Paragraph(note, "note") for note in notes)

@@ -1,0 +1,31 @@
+"""Outcomes in a terminal of a hundred columns."""
+
+import pytest
+
+from cbsr_qa.domain.results import Banner, Page, Section
+from cbsr_qa.report import terminal_lines, text_table
+
+PAGE = Page("", "", Banner("plain", "–", "Answer", ""), (), (), ())
+TEXT = "word " * 40
+
+
+def _lines(columns, row, numeric=()):
+    return list(terminal_lines(PAGE, [Section("Section", (text_table("Caption", columns, [row], numeric),))]))
+
+
+def test_a_wide_table_goes_on_below_its_last_column():
+    lines = _lines(("name", "text"), ("a", TEXT))
+    assert max(map(len, lines)) <= 100
+    rows = lines[lines.index("    name  text") + 1 :]
+    assert len(rows) == 3
+    assert {row.index("word") for row in rows} == {len("    name  ")}
+    assert " ".join(rows).split() == ["a", *TEXT.split()]
+
+
+@pytest.mark.parametrize(
+    ("columns", "row", "numeric"),
+    [(("name", "text"), ("a" * 90, TEXT), ()), (("text", "number"), (TEXT, "1"), (1,))],
+    ids=["no room", "numbers last"],
+)
+def test_a_table_that_cannot_be_wrapped_keeps_its_width(columns, row, numeric):
+    assert max(map(len, _lines(columns, row, numeric))) > 200
