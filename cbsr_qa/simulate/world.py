@@ -4,7 +4,6 @@ A moment of it depends on its time, its index and the presses so far, on nothing
 in any order, any number of times.
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -27,26 +26,6 @@ from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame, SimulatedRing
 from cbsr_qa.simulate.sheet import SimulatedSheet, finest_mesh_mm
 
 _TOUCHING: Final = 1e-9  # strain that is more than rounding
-
-
-@dataclass(frozen=True, slots=True)
-class PressTruth:
-    """True state of one press at one time.
-
-    Parameters
-    ----------
-    index, x_mm, y_mm : which press, and where.
-    strain : under the head.
-    relative_change : of the conductance under the head.
-    stress_kPa : under the head; 0 where it does not touch.
-    """
-
-    index: int
-    x_mm: float
-    y_mm: float
-    strain: float
-    relative_change: float
-    stress_kPa: float
 
 
 class SimulatedWorld:
@@ -172,16 +151,6 @@ class SimulatedWorld:
         self.chain.apply("position", moment)
         return (*moment.place_mm, moment.depth_mm)
 
-    def truth(self, time_s: float) -> tuple[PressTruth, ...]:
-        """Return the true state of every press at a time, before the sheet is measured."""
-        moment = self._moment(time_s, 0, self.presses)
-        self.chain.apply("response", moment)
-        self.chain.apply("stress", moment)
-        return tuple(
-            _truth(press, time_s, change, stress)
-            for press, change, stress in zip(self.presses, moment.response, moment.stress_kPa, strict=True)
-        )
-
     def _is_felt(self, press: SimulatedPress, time_s: float, reach_s: float) -> bool:
         """Whether a frame around a time can be affected by a press: it has begun, and has not faded."""
         if not press.steps or press.steps[0].start_s > time_s + reach_s:
@@ -222,9 +191,3 @@ def _mean_reading_ohm(sheet: SimulatedSheet, sensor_type: SensorType) -> float:
     """Mean magnitude of the used readings per ampere; of all of them on a strip with two pins."""
     usable = sensor_type.pattern.usable()
     return float(np.abs(sheet.unloaded[usable] if usable.any() else sheet.unloaded).mean())
-
-
-def _truth(press: SimulatedPress, time_s: float, change: float, stress_kPa: float) -> PressTruth:
-    strain = press.strain_at(time_s)
-    touching = strain > _TOUCHING
-    return PressTruth(press.index, press.x_mm, press.y_mm, strain, change, max(stress_kPa, 0.0) if touching else 0.0)

@@ -16,10 +16,10 @@ from .instruments import (
     check_frame_source as check_frame_source,
     check_sampler as check_sampler,
 )
-from .metrics import check_metric as check_metric
 from .numerics import (
     assert_adjoint as assert_adjoint,
     assert_expected_order as assert_expected_order,
+    check_metric as check_metric,
     convergence_order as convergence_order,
 )
 from .reconstructions import (

@@ -1,10 +1,13 @@
-"""Assertions about numerical methods: rates of convergence and adjoints, for our tests and for plugin authors'."""
+"""Assertions about numerical methods (rates of convergence, adjoints) and about metrics."""
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from cbsr_qa.analysis import ask
 from cbsr_qa.domain import Array
+from cbsr_qa.domain.results import Measurement, RunObservation
+from cbsr_qa.plugin import LoadMetric, RunMetric
 
 
 def convergence_order(errors: Sequence[float], sizes: Sequence[float]) -> float:
@@ -74,3 +77,27 @@ def assert_adjoint(
     scale = float(norm(image.ravel()) * norm(y.ravel()) + norm(x.ravel()) * norm(back.ravel()))
     if not difference <= tolerance * scale:
         raise AssertionError(f"⟨Ax, y⟩ and ⟨x, A*y⟩ differ by {difference:.3g}, relative {difference / scale:.3g}")
+
+
+def check_metric(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
+    """Ask a metric as a run does, and compare with what it says it ``measures``, where it does.
+
+    Returns
+    -------
+    The measurements as a run would store them.
+
+    Raises
+    ------
+    PluginError
+        If an answer could not be stored; names measurement and field.
+    AssertionError
+        If a measurement has another name or unit than the metric says.
+    """
+    assert isinstance(metric, LoadMetric | RunMetric), "a metric has measure_load or measure_run"
+    taken = ask(metric, observation)
+    units = getattr(metric, "measures", None)
+    for value in taken:
+        assert units is None or units.get(value.name) == value.unit, (
+            f"{value.name} in {value.unit} is not among {units}"
+        )
+    return taken

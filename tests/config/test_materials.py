@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from effect_setting import last_outside
+from simulated_setting import truth
 
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type
 from cbsr_qa.domain.plan import PluginChoice, SimulatedPress, StrainStep
@@ -135,7 +136,7 @@ def test_relaxed_loads_have_the_papers_modulus_and_gauge_factor(name: str):
     for strain in strains:
         here.presses[:] = [press(float(strain))]
         stress_kPa.append(here.force_N(2000.0, 0) / (HEAD.area_mm2 * 1e-3))
-        changes.append(here.truth(2000.0)[0].relative_change)
+        changes.append(truth(here, 2000.0)[0].relative_change)
     modulus_kPa, gauge_factor = (np.polyfit(strains, of, 1)[0] for of in (stress_kPa, changes))
     assert modulus_kPa == pytest.approx(PRINTED[name]["modulus_kPa"], rel=1e-9)
     assert gauge_factor == pytest.approx(PRINTED[name]["gauge_factor"], rel=1e-9)
@@ -151,7 +152,7 @@ def test_loads_and_releases_settle_within_the_papers_means(name: str, strain: fl
 
     def settles_s(presses: SimulatedPress, end_s: float, level: float) -> float:
         here.presses[:] = [presses]
-        trace = np.array([here.truth(end_s + at_s)[0].relative_change for at_s in since_s])
+        trace = np.array([truth(here, end_s + at_s)[0].relative_change for at_s in since_s])
         return last_outside(since_s, trace - level, 0.15 * steady)
 
     released = press(strain)

@@ -1,7 +1,7 @@
 """A simulated sensor from the shipped files, for tests of the simulated world and bench."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -86,3 +86,24 @@ def pressed(index: int, x_mm: float, y_mm: float, strain: float, start_s: float 
     press = held(index, x_mm, y_mm, strain, start_s)
     press.steps.append(StrainStep(start_s + 1.2 + hold_s, 1.2, -strain))
     return press
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True state of one press: strain, relative change of the conductance and stress [kPa] under its head."""
+
+    strain: float
+    relative_change: float
+    stress_kPa: float
+
+
+def truth(of: SimulatedWorld, time_s: float) -> tuple[Truth, ...]:
+    """The true state of every press of a world, before the sheet is measured."""
+    moment = of._moment(time_s, 0, of.presses)
+    of.chain.apply("response", moment)
+    of.chain.apply("stress", moment)
+    strains = [press.strain_at(time_s) for press in of.presses]
+    return tuple(
+        Truth(strain, change, max(stress, 0.0) if strain > 1e-9 else 0.0)
+        for strain, change, stress in zip(strains, moment.response, moment.stress_kPa, strict=True)
+    )

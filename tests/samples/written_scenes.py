@@ -5,6 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from simulated_setting import truth
 
 from cbsr_qa.config import load_material, load_scene, load_sensor_type
 from cbsr_qa.domain.plan import PluginChoice, SceneSetting, SimulatedPress, StrainStep, Transcript
@@ -128,6 +129,6 @@ def simulated_press(inner, count=60, *, x_mm=20.0, y_mm=15.0, start_s=60.0, hold
     samples_s = np.arange(int(count * PERIOD_S * 8)) / 8
     force = [world.force_N(at_s, k) for k, at_s in enumerate(samples_s.tolist())]
     recording, _ = made_up(count)
-    change = world.truth(start_s + hold_s / 2)[0].relative_change
+    change = truth(world, start_s + hold_s / 2)[0].relative_change
     cell = SampleBlock("force", "N", samples_s, np.array(force))
     return replace(recording, frames=block, samples=(cell,), loads=()), transcript, change

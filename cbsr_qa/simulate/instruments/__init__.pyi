@@ -1,3 +1,2 @@
-from .clock import Fault as Fault, WatchedClock as WatchedClock
 from .rig import EmulatedRig as EmulatedRig, Emulation as Emulation
-from .streams import PtyPort as PtyPort, TcpPort as TcpPort
+from .streams import Fault as Fault, PtyPort as PtyPort, TcpPort as TcpPort, WatchedClock as WatchedClock

@@ -10,9 +10,9 @@ from functools import reduce
 from operator import xor
 from typing import Any, Final
 
-from cbsr_qa.simulate.instruments.clock import Fault
 from cbsr_qa.simulate.instruments.head import Position
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
+from cbsr_qa.simulate.instruments.streams import Fault
 
 #: A longer line is cut off by the firmware's buffer.
 LONGEST_LINE: Final = 96

@@ -7,9 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from cbsr_qa.domain import Indices
-from cbsr_qa.simulate.instruments.clock import Fault
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
-from cbsr_qa.simulate.instruments.streams import Port
+from cbsr_qa.simulate.instruments.streams import Fault, Port
 
 Counts = Indices
 

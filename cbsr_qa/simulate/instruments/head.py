@@ -9,7 +9,7 @@ import numpy as np
 
 from cbsr_qa.domain.plan import Motion
 from cbsr_qa.simulate.head import PressWriter
-from cbsr_qa.simulate.instruments.clock import WatchedClock
+from cbsr_qa.simulate.instruments.streams import WatchedClock
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.system import in_ticks
 

@@ -4,8 +4,8 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from cbsr_qa.simulate.instruments.clock import Fault
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
+from cbsr_qa.simulate.instruments.streams import Fault
 
 #: How long a step takes [s]: the byte, its echo, and the switches.
 _STEP_S: Final = 2e-4

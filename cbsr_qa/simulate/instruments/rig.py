@@ -13,9 +13,8 @@ from typing import Any, Final, Self
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion
 from cbsr_qa.simulate.frames import SimulatedFrame
-from cbsr_qa.simulate.instruments.clock import Fault, WatchedClock
 from cbsr_qa.simulate.instruments.head import EmulatedHead
-from cbsr_qa.simulate.instruments.streams import FreeRunning, Port, PtyPort, Served, TcpPort
+from cbsr_qa.simulate.instruments.streams import Fault, FreeRunning, Port, PtyPort, Served, TcpPort, WatchedClock
 from cbsr_qa.simulate.world import SimulatedWorld
 
 #: More rounds than a session has.

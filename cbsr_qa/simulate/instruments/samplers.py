@@ -1,12 +1,12 @@
 """Emulated samplers that stream text lines unasked: a load cell (eight a second) and a thermometer (one a second)."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from cbsr_qa.simulate.instruments.clock import Fault
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
-from cbsr_qa.simulate.instruments.streams import Port
+from cbsr_qa.simulate.instruments.streams import Fault, Port
 from cbsr_qa.simulate.streams import RandomStream
 from cbsr_qa.system import RealClock
 
@@ -19,7 +19,7 @@ _HANDED_OVER_S: Final = 0.01
 _FULL: Final = 3000
 
 
-class LineSender:
+class LineSender(ABC):
     """Sends due lines as time passes on the clock, and can be told to do so faultily.
 
     Faults of the link are met here too, since nobody sends commands that could meet them.
@@ -29,23 +29,17 @@ class LineSender:
     rig : whose clock it runs by.
     send : takes the bytes.
     rate_hz : of the lines.
-    line : from a line's number and its time [s] to its text, without line end.
     banner : what it says when it starts.
-    other : told those faults that are not the line's.
     """
 
-    def __init__(
-        self,
-        rig: EmulatedRig,
-        send: Callable[[bytes], None],
-        rate_hz: float,
-        line: Callable[[int, float], str],
-        *,
-        banner: str = "",
-        other: Callable[[Fault], None] = lambda fault: None,
-    ) -> None:
-        self._other = other
-        self._rig, self._send, self._rate_hz, self._line, self._banner = rig, send, rate_hz, line, banner
+    #: What it reads too much once it is told to, in its own unit.
+    overload: float
+
+    def __init__(self, rig: EmulatedRig, send: Callable[[bytes], None], rate_hz: float, banner: str) -> None:
+        self._rig, self._send, self._rate_hz, self._banner = rig, send, rate_hz, banner
+        self._more = 0.0
+        # A resumed session draws noise of its own: a block of 2³² samples for each millisecond it may have begun at.
+        self._first = math.ceil(1e3 * rig.world.setting.began_s) << 32
         self._port: Port | None = None
         self._told: list[Fault] = []
         self._late = b""
@@ -67,9 +61,13 @@ class LineSender:
         return b""
 
     def misbehave(self, fault: Fault) -> None:
-        """Inject a fault into the next line."""
+        """Inject a fault into the next line; an overload lasts from there on."""
         with self._rig.lock:
             self._told.append(fault)
+
+    @abstractmethod
+    def _line(self, number: int, time_s: float) -> str:
+        """Text of a line by its number and its time, without line end."""
 
     def _follow(self, now_s: float) -> None:
         due = b""
@@ -107,8 +105,8 @@ class LineSender:
             case Fault.RESET:
                 self.started_s = due_s + _BOOT_S
                 return f"{self._banner}\r\n".encode("ascii")
-            case _:
-                self._other(fault)
+            case Fault.OVERLOAD:
+                self._more = self.overload
         return said
 
     def _in_time(self, said: bytes, due_s: float) -> bytes:
@@ -138,7 +136,7 @@ _DRIFT: Final = 4e-5
 OVERLOAD_N: Final = 200.0
 
 
-class EmulatedLoadCell:
+class EmulatedLoadCell(LineSender):
     """Sends the world's force, in the scale that the driver converts back.
 
     Parameters
@@ -148,45 +146,25 @@ class EmulatedLoadCell:
     send : takes the lines.
     """
 
+    overload = OVERLOAD_N
+
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
-        self._rig = rig
+        super().__init__(rig, send, options.get("rate_hz", 8.0), "load cell ready")
         self._per_unit_N = 1.0 if options.get("unit", "N") in ("N", "counts") else _NEWTON_PER_G
         self._scale, self._offset = options.get("scale", 1.0), options.get("offset", 0.0)
         self._sign, self._limit_N = options.get("sign", 1), options.get("limit_N")
         self._counts = options.get("unit") == "counts"
         self._with_time = options.get("time", "device_ms") == "device_ms"
-        self._more_N = 0.0
-        # A resumed session draws noise of its own: a block of 2³² samples for each millisecond it may have begun at.
-        self._first = math.ceil(1e3 * rig.world.setting.began_s) << 32
-        self._lines = LineSender(
-            rig, send, options.get("rate_hz", 8.0), self._line, banner="load cell ready", other=self._overload
-        )
-
-    def attached(self, line: Port) -> None:
-        """Attach the line; faults hit the lines sent."""
-        self._lines.attached(line)
-
-    def received(self, data: bytes) -> bytes:
-        """Ignore received bytes."""
-        return b""
-
-    def misbehave(self, fault: Fault) -> None:
-        """Report an overload from the next line on, or corrupt that line."""
-        self._lines.misbehave(fault)
 
     def _line(self, number: int, time_s: float) -> str:
-        force_N = self._rig.world.force_N(time_s, self._first + number) + self._more_N
+        force_N = self._rig.world.force_N(time_s, self._first + number) + self._more
         if self._limit_N is not None:
             force_N = min(max(force_N, -self._limit_N), self._limit_N)
         value = (self._sign * force_N / self._per_unit_N - self._offset) / self._scale
         said = f"{round(value)}" if self._counts else f"{value:.6g}"
         if not self._with_time:
             return said
-        return f"{round(1e3 * (1 + _DRIFT) * (time_s - self._lines.started_s))},{said}"
-
-    def _overload(self, fault: Fault) -> None:
-        if fault is Fault.OVERLOAD:
-            self._more_N = OVERLOAD_N
+        return f"{round(1e3 * (1 + _DRIFT) * (time_s - self.started_s))},{said}"
 
 
 _MEAN_C: Final = 22.0
@@ -197,7 +175,7 @@ _NOISE_K: Final = 0.01
 OVERLOAD_K: Final = 100.0
 
 
-class EmulatedThermometer:
+class EmulatedThermometer(LineSender):
     """Sends the temperature, in the scale that the driver converts back.
 
     It has a room of its own: the world's effects do not say at which temperature they are.
@@ -209,35 +187,15 @@ class EmulatedThermometer:
     send : takes the lines.
     """
 
+    overload = OVERLOAD_K
+
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
-        self._rig = rig
+        super().__init__(rig, send, options.get("rate_hz", 1.0), "thermometer ready")
         self._scale, self._offset = options.get("scale", 1.0), options.get("offset", 0.0)
         self._noise = RandomStream(rig.world.setting.seed, "emulated-thermometer")
-        self._more_K = 0.0
         self._began_s = rig.world.setting.began_s
-        self._lines = LineSender(
-            rig, send, options.get("rate_hz", 1.0), self._line, banner="thermometer ready", other=self._overload
-        )
-
-    def attached(self, line: Port) -> None:
-        """Attach the line; faults hit the lines sent."""
-        self._lines.attached(line)
-
-    def received(self, data: bytes) -> bytes:
-        """Ignore received bytes."""
-        return b""
-
-    def misbehave(self, fault: Fault) -> None:
-        """Read far too high from the next line on, or corrupt that line."""
-        self._lines.misbehave(fault)
 
     def _line(self, number: int, time_s: float) -> str:
         room_C = _MEAN_C + _SWING_K * math.sin(2 * math.pi * (self._began_s + time_s) / _PERIOD_S)
-        # A resumed session draws noise of its own: a block of 2³² samples for each millisecond it may have begun at.
-        index = (math.ceil(1e3 * self._began_s) << 32) + number
-        read_C = room_C + _NOISE_K * float(self._noise.normal(index)) + self._more_K
+        read_C = room_C + _NOISE_K * float(self._noise.normal(self._first + number)) + self._more
         return f"{(read_C - self._offset) / self._scale:.2f}"
-
-    def _overload(self, fault: Fault) -> None:
-        if fault is Fault.OVERLOAD:
-            self._more_K = OVERLOAD_K

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
-from cbsr_qa.simulate.instruments.clock import Fault
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
+from cbsr_qa.simulate.instruments.streams import Fault
 from cbsr_qa.simulate.instruments.tsp import RUNTIME_ERROR, Interpreter, TspError
 
 _IDENTITY: Final = "Keithley Instruments Inc., Model 2634B, 4123456, 3.2.2"

@@ -5,7 +5,7 @@ from itertools import chain
 import numpy as np
 import pytest
 from simulated_benches import SPEED, lying, opened
-from simulated_setting import MOTION, context, scene
+from simulated_setting import MOTION, context, scene, truth
 
 from cbsr_qa.config import load_station
 from cbsr_qa.domain import InstrumentError
@@ -94,9 +94,9 @@ def test_a_press_starts_from_the_surface_that_was_found():
 def test_finding_the_surface_leaves_a_residue_that_a_rest_takes_away():
     clock, bench = opened()
     bench.find_surface(0.0, 0.0)
-    fresh = abs(bench.world.truth(clock.now())[0].relative_change)
+    fresh = abs(truth(bench.world, clock.now())[0].relative_change)
     assert fresh > 1e-3
-    assert abs(bench.world.truth(clock.now() + 240.0)[0].relative_change) < 1e-3 * fresh
+    assert abs(truth(bench.world, clock.now() + 240.0)[0].relative_change) < 1e-3 * fresh
 
 
 def test_without_a_sheet_that_resists_the_surface_is_not_found():
@@ -134,9 +134,9 @@ def test_an_eased_press_goes_straight_to_its_depths_and_the_world_knows_from_whe
     gauge, changes, strains = bench.world.setting.material.against_strain.slope.value, [], []
     for strain in (0.05, 0.1, 0.2, 0.1, 0.05):
         bench.press(strain * 4.0, SPEED)
-        (truth,) = bench.world.truth(clock.now())
-        strains.append(truth.strain)
-        changes.append(truth.relative_change)
+        (true,) = truth(bench.world, clock.now())
+        strains.append(true.strain)
+        changes.append(true.relative_change)
     assert strains == pytest.approx([0.05, 0.1, 0.2, 0.1, 0.05])
     above = [0.0, 0.0, 0.0, width * gauge * 0.2, 0.75 * width * gauge * 0.2]
     assert changes == pytest.approx([gauge * s + more for s, more in zip(strains, above, strict=True)])

@@ -4,8 +4,8 @@ import pytest
 from simulated_setting import MOTION, base_scene, world
 
 from cbsr_qa.simulate.instruments.applicator import EmulatedApplicator
-from cbsr_qa.simulate.instruments.clock import Fault, WatchedClock
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
+from cbsr_qa.simulate.instruments.streams import Fault, WatchedClock
 
 OPTIONS = {"centre_mm": [125.0, 105.0], "hover_height_mm": 60.0}
 

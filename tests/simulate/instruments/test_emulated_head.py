@@ -6,8 +6,8 @@ import pytest
 from simulated_setting import HEAD, MOTION, base_scene, installed, material, sensor_type, world
 
 from cbsr_qa.simulate.head import SimulatedHead
-from cbsr_qa.simulate.instruments.clock import WatchedClock
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
+from cbsr_qa.simulate.instruments.streams import WatchedClock
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.system import VirtualClock
 

@@ -6,8 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import serial
 
-from cbsr_qa.simulate.instruments.clock import Fault, WatchedClock
-from cbsr_qa.simulate.instruments.streams import PtyPort, TcpPort
+from cbsr_qa.simulate.instruments.streams import Fault, PtyPort, TcpPort, WatchedClock
 
 PATIENCE_S = 2.0
 

@@ -6,9 +6,9 @@ import pytest
 from scanning_rig import TabledWorld
 
 from cbsr_qa.domain.plan import Motion
-from cbsr_qa.simulate.instruments.clock import Fault, WatchedClock
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.source_meter import EmulatedSourceMeter
+from cbsr_qa.simulate.instruments.streams import Fault, WatchedClock
 
 
 @pytest.fixture

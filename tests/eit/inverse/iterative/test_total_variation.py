@@ -145,7 +145,7 @@ def test_the_chosen_parameter_leaves_a_residual_of_the_noises_size(problem, nois
 def test_measured_changes_choose_for_themselves(problem, noisy):
     noise = 1e-3 * np.abs(problem.reference).mean() * np.random.default_rng(9).standard_normal((3, 208))
     sample = central_signal(problem, 0.2) + noise
-    choice = choose_alpha(replace(problem, sample=sample), given=None, noise_dB=60.0).choice
+    choice, _ = choose_alpha(replace(problem, sample=sample), given=None, noise_dB=60.0)
     assert "3 measured changes" in choice.how
     assert choice.value == pytest.approx(_ALPHA, rel=0.5)
     with pytest.raises(NumericsError, match="only noise"):
@@ -292,6 +292,6 @@ def test_options_out_of_range_are_refused_with_what_is_allowed(options, reason):
 
 @pytest.mark.rest
 def test_how_it_was_chosen_is_said_in_one_notation_and_three_digits(pin_sensor):
-    choice = choose_alpha(imaging_problem(pin_sensor(radius_mm=35.17)), given=None, noise_dB=40.0).choice
+    choice, _ = choose_alpha(imaging_problem(pin_sensor(radius_mm=35.17)), given=None, noise_dB=40.0)
     assert "target of 9.14 mm and 20% contrast" in choice.how
     assert "at 200% contrast, on elements of 4.22 mm" in choice.how
