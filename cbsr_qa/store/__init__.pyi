@@ -6,7 +6,6 @@ from .engine import (
     sqlite_file as sqlite_file,
     writing as writing,
 )
-from .figures import RunFilter as RunFilter, run_figures as run_figures, run_lines as run_lines
 from .opening import check_usable as check_usable, database_exists as database_exists, open_store as open_store
 from .repository import Repository as Repository
 from .schema import HEAD as HEAD, Age as Age, found_version as found_version, refusal as refusal, upgrade as upgrade

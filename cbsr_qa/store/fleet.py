@@ -1,15 +1,25 @@
 """Runs of a fleet with the values of their latest analyses, in a fixed number of queries."""
 
-from collections.abc import Sequence
-from datetime import UTC, date, datetime, time
-from difflib import get_close_matches
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, time
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Engine, Row, Select, or_, select
+from sqlalchemy import ColumnElement, Connection, Engine, Row, Select, select
+from sqlalchemy.exc import OperationalError
 
-from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.domain.results import Bound, EndReason, FleetRun, FleetTable, Kind, MetricKey, Outcome, State
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import (
+    Bound,
+    EndReason,
+    FleetTable,
+    Kind,
+    MetricKey,
+    Outcome,
+    RunLine,
+    RunSelection,
+    State,
+)
 from cbsr_qa.store.chain import (
     AT_ONCE,
     BETWEEN,
@@ -27,7 +37,10 @@ from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow, RunStateRow, StationCheckRow
 from cbsr_qa.store.types import made_at
 
+Conditions: TypeAlias = list[ColumnElement[bool]]
+
 _BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
+_TEXTS: Final = ("serial", "batch", "station", "recipe", "operator")
 #: State of a value by its outcome and what it says of its quantity.
 _STATES: Final = {
     (str(outcome), str(bound)): int(
@@ -38,75 +51,98 @@ _STATES: Final = {
 }
 
 
-def metric_names(engine: Engine) -> tuple[str, ...]:
-    """Return all measurement names in the database, sorted."""
-    with reading(engine) as connection:
-        names = connection.scalars(select(MeasurementRow.name).distinct().order_by(MeasurementRow.name))
-        return tuple(names)
+_T = TypeVar("_T")
+#: Raised by a cell that holds a value of another type than its column.
+_UNREADABLE: Final = (AttributeError, KeyError, TypeError, ValueError, OperationalError)
+_REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
-def fleet_table(
-    engine: Engine,
-    *,
-    recipe: str | None = None,
-    since: date | None = None,
-    until: date | None = None,
-    names: Sequence[str] = (),
-) -> FleetTable:
+def run_lines(engine: Engine, selection: RunSelection) -> tuple[RunLine, ...]:
+    """Return the selected runs in the order they were made in. StoreError as for :func:`fleet_table`."""
+    return _read(engine, selection, lambda connection, chosen: tuple(_runs(connection, chosen)[0]))
+
+
+def fleet_table(engine: Engine, selection: RunSelection) -> FleetTable:
     """Return runs with the values of their latest analyses.
-
-    Parameters
-    ----------
-    recipe : only its runs.
-    since, until : first and last day a run began on, UTC.
-    names : only values of these metrics, and those outside their limits; none for all.
 
     Raises
     ------
-    RefusedError
-        If no run is of the recipe (with the nearest name).
     StoreError
-        If the database cannot be read, holds an outcome or a bound that is none, or something that is read of a
-        chained run is not what was stored.
+        If the database cannot be read, holds an outcome or a bound that is none, or a cell of another type than was
+        stored, or something that is read of a chained run is not what was stored.
     """
-    chosen = _chosen(recipe, since, until)
-    with reading(engine) as connection:
+
+    def table(connection: Connection, chosen: Conditions) -> FleetTable:
         runs, places, known = _runs(connection, chosen)
-        if recipe is not None and not runs:
-            _check_recipe(connection, recipe)
-        kinds, columns = _values(connection, chosen, names, places, known)
-        run, kind, value, state = columns
+        kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
         return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
 
-
-def _chosen(recipe: str | None, since: date | None, until: date | None) -> list[ColumnElement[bool]]:
-    wanted: list[ColumnElement[bool]] = []
-    if recipe is not None:
-        wanted.append(RunRow.recipe == recipe)
-    if since is not None:
-        wanted.append(RunRow.started_at >= _midnight(since))
-    if until is not None:
-        wanted.append(RunRow.started_at <= datetime.combine(until, time.max, UTC))
-    return wanted
+    return _read(engine, selection, table)
 
 
-def _check_recipe(connection: Connection, recipe: str) -> None:
-    known = list(connection.scalars(select(RunRow.recipe).distinct().order_by(RunRow.recipe)))
-    if known and recipe not in known:
-        near = get_close_matches(recipe, known, n=1)
-        raise RefusedError(
-            f"no stored run uses recipe {recipe[:64]!r}",
-            remedy=(f"did you mean {near[0]!r}? " if near else "") + f"recipes: {', '.join(known)}",
+def _read(engine: Engine, selection: RunSelection, read: Callable[[Connection, Conditions], _T]) -> _T:
+    """Read something of the selected runs; refuse by its name the first run that cannot be read."""
+    with reading(engine) as connection:
+        chosen = _conditions(selection)
+        try:
+            return read(connection, chosen)
+        except _UNREADABLE as error:
+            run = _first_unreadable(connection, chosen, read)
+            if run is None:  # it is the database that failed, not a run
+                raise
+            said = str(error.orig if isinstance(error, OperationalError) else error).partition("\n")[0]
+            raise StoreError(
+                f"run {run}: a cell of it holds a value of another type than was stored: {said}", remedy=_REMEDY
+            ) from error
+
+
+def _first_unreadable(
+    connection: Connection, chosen: Conditions, read: Callable[[Connection, Conditions], object]
+) -> str | None:
+    """Find the first run that cannot be read, by halves."""
+    runs = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
+
+    def fails(some: Sequence[str]) -> bool:
+        try:
+            read(connection, [*chosen, RunRow.run.between(some[0], some[-1])])
+        except _UNREADABLE:
+            return True
+        return False
+
+    while len(runs) > 1:
+        half = runs[: len(runs) // 2]
+        runs = half if fails(half) else runs[len(half) :]
+    return runs[0] if runs and fails(runs) else None
+
+
+def _conditions(selection: RunSelection) -> Conditions:
+    chosen: Conditions = [
+        column.in_(names)
+        for column, names in (
+            (RunRow.serial, selection.serials),
+            (RunRow.station, selection.stations),
+            (RunRow.operator, selection.operators),
         )
+        if names
+    ]
+    for column, name in ((RunRow.recipe, selection.recipe), (RunRow.batch, selection.batch)):
+        chosen += [] if name is None else [column == name]
+    if selection.since is not None:
+        chosen.append(RunRow.started_at >= datetime.combine(selection.since, time(), UTC))
+    if selection.until is not None:
+        chosen.append(RunRow.started_at <= datetime.combine(selection.until, time.max, UTC))
+    chosen += [RunRow.run > selection.after] if selection.after else []
+    chosen += [RunRow.run <= selection.up_to] if selection.up_to else []
+    if not selection.checks:
+        of_checks = select(StationCheckRow.golden_run).where(StationCheckRow.golden_run.is_not(None))
+        chosen.append(RunRow.run.not_in(of_checks))
+    if selection.latest is not None:
+        latest = select(RunRow.run).where(*chosen).order_by(RunRow.run.desc()).limit(selection.latest)
+        chosen.append(RunRow.run.in_(latest))
+    return chosen
 
 
-def _midnight(day: date) -> datetime:
-    return datetime.combine(day, time(), UTC)
-
-
-def _runs(
-    connection: Connection, chosen: list[ColumnElement[bool]]
-) -> tuple[list[FleetRun], dict[str, int], list[Known | None]]:
+def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], dict[str, int], list[Known | None]]:
     """Runs in order, the place of each latest analysis, and the rows read of chained runs.
 
     States and analyses are put to their runs here: a database that has no statistics of its tables yet may join them
@@ -114,11 +150,11 @@ def _runs(
     """
     ends = _latest_of(connection, select(RunStateRow.run, RunStateRow.end).order_by(RunStateRow.number), chosen)
     a = AnalysisRow
-    analysed = select(a.run, a.analysis, a.outcome, a.software).order_by(a.analysis)
+    analysed = select(a.run, a.analysis, a.outcome, a.reason, a.software).order_by(a.analysis)
     analyses = _latest_of(connection, analysed, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
     query = select(*RUN_COLUMNS, RunRow.chain).where(*chosen).order_by(RunRow.run)
-    runs: list[FleetRun] = []
+    runs: list[RunLine] = []
     places: dict[str, int] = {}
     known: list[Known | None] = []
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
@@ -134,7 +170,7 @@ def _runs(
 
 
 def _latest_of(
-    connection: Connection, query: Select[*tuple[Any, ...]], chosen: list[ColumnElement[bool]]
+    connection: Connection, query: Select[*tuple[Any, ...]], chosen: Conditions
 ) -> dict[str, Row[*tuple[Any, ...]]]:
     """The last row of each run, of rows in their order."""
     if chosen:
@@ -149,11 +185,13 @@ def _run(
     shared: dict[Any, Any],
     *,
     of_check: bool,
-) -> FleetRun:
+) -> RunLine:
+    for name in _TEXTS:
+        if not isinstance(cell := getattr(row, name), str):
+            raise TypeError(f"runs.{name} is {type(cell).__name__}")
     software = () if analysis is None else tuple((name, version) for name, version in analysis.software)
-    ended = None if end is None else stored(EndReason, end.end, "run_states.end", f"run {row.run}")
     simulated = tuple(row.simulated)
-    return FleetRun(
+    return RunLine(
         run=row.run,
         serial=row.serial,
         batch=shared.setdefault(row.batch, row.batch),
@@ -162,53 +200,35 @@ def _run(
         recipe=shared.setdefault(row.recipe, row.recipe),
         started_at=row.started_at,
         made_at=made_at(row.run),
-        finished=ended is EndReason.FINISHED,
+        end=EndReason.RUNNING if end is None else stored(EndReason, end.end, "run_states.end", f"run {row.run}"),
         outcome=None if analysis is None else analysis_outcome(analysis),
         software=shared.setdefault(software, software),
         simulated=shared.setdefault(simulated, simulated),
         of_check=of_check,
+        operator=shared.setdefault(row.operator, row.operator),
+        reason="" if analysis is None else analysis.reason,
     )
 
 
-def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Select[*tuple[Any, ...]]:
-    """Query measurements with their texts joined: a fleet has a million values, and each column takes time."""
-    m, query = MeasurementRow, figures_query()
-    if chosen:
-        analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
-        query = query.where(m.analysis.in_(analysed))
-    if names:
-        query = query.where(or_(m.name.in_(names), m.outcome.in_(list(_BAD))))
-    return query
-
-
 def _values(
-    connection: Connection,
-    chosen: list[ColumnElement[bool]],
-    names: Sequence[str],
-    places: dict[str, int],
-    known: list[Known | None],
+    connection: Connection, chosen: Conditions, places: dict[str, int], known: list[Known | None]
 ) -> tuple[tuple[Kind, ...], tuple[Any, ...]]:
     """Kinds, and the columns of :class:`FleetTable`; chained runs are verified."""
-    # A digest is over all measurements of an analysis.
-    chained = any(known)
-    figures = Figures(connection, _measured(chosen, () if chained else names), places)
+    query = figures_query()
+    if chosen:
+        analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
+        query = query.where(MeasurementRow.analysis.in_(analysed))
+    figures = Figures(connection, query, places)
     kinds: dict[Kind, int] = {}
-    meant = [_meant(connection, saying, kinds, names) for saying in figures.sayings]
-    if chained:
+    meant = [_meant(connection, saying, kinds) for saying in figures.sayings]
+    if any(known):
         check_figures(connection, chosen, known, figures)
     kind, state = np.array(meant, dtype=np.int32).reshape(-1, 2)[figures.said].T
-    asked = kind >= 0
-    columns = figures.place[asked], kind[asked], figures.value[asked], state[asked].astype(np.uint8)
-    return tuple(kinds), columns
+    return tuple(kinds), (figures.place, kind, figures.value, state.astype(np.uint8))
 
 
-def _meant(
-    connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, int], names: Sequence[str]
-) -> tuple[int, int]:
-    """Kind and state for joined words and limits; new kinds are added.
-
-    The kind is −1 where its metric was not asked for, and it is within its limits.
-    """
+def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, int]) -> tuple[int, int]:
+    """Kind and state for joined words and limits; new kinds are added."""
     said, lower, upper = saying
     parts = said.split(BETWEEN)
     if len(parts) != len(JOINED):
@@ -222,11 +242,8 @@ def _meant(
         row = _first(connection, said)
         stored(Outcome, outcome, "measurements.outcome", row)
         stored(Bound, bound, "measurements.bound", row)
-    state = _STATES[outcome, bound]
-    if names and name not in names and outcome not in _BAD:
-        return -1, state
     kind = Kind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
-    return kinds.setdefault(kind, len(kinds)), state
+    return kinds.setdefault(kind, len(kinds)), _STATES[outcome, bound]
 
 
 def _first(connection: Connection, said: str) -> str:
@@ -237,7 +254,7 @@ def _first(connection: Connection, said: str) -> str:
     return f"analysis {row.analysis}, measurement {row.number},"
 
 
-def _places(connection: Connection, runs: Sequence[FleetRun]) -> dict[str, tuple[float, float]]:
+def _places(connection: Connection, runs: Sequence[RunLine]) -> dict[str, tuple[float, float]]:
     """Place of each load label, from the first and the last run of each recipe."""
     last = {run.recipe: run.run for run in runs if run.finished}
     first = {run.recipe: run.run for run in reversed(runs) if run.finished}

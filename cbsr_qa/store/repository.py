@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from datetime import date, datetime, timedelta
+from datetime import datetime, timedelta
 from types import TracebackType
 from typing import Final, Self
 
@@ -13,9 +13,9 @@ from cbsr_qa.domain.results import (
     FleetTable,
     LinearReconstruction,
     Outcome,
-    RunFigure,
     RunLine,
     RunResult,
+    RunSelection,
 )
 from cbsr_qa.domain.run import (
     ChangeHistory,
@@ -34,14 +34,12 @@ from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
 from cbsr_qa.store import (
     changes,
     changes as overrides,
-    figures,
     fleet as fleet_query,
     locks,
     stations as chart_references,
     stations as station_checks,
 )
 from cbsr_qa.store.engine import address, parsed_url, shown
-from cbsr_qa.store.figures import RunFilter
 from cbsr_qa.store.results import (
     CalibrationSummary,
     PrepareForce,
@@ -64,6 +62,7 @@ from cbsr_qa.store.types import IdSource, made_at
 
 #: Clocks of computers that share a database may differ by this much without anybody being told.
 _CLOCKS_DIFFER: Final = timedelta(minutes=1)
+_EVERY: Final = RunSelection()
 
 
 class Repository:
@@ -270,15 +269,13 @@ class Repository:
         """Return the overrides of one run's verdicts, or of all, oldest first."""
         return overrides.overrides(self._engine, run)
 
-    def run_lines(self, wanted: RunFilter) -> tuple[RunLine, ...]:
-        """Return the analysed runs that were asked for, the oldest name first."""
-        return figures.run_lines(self._engine, wanted)
+    def run_lines(self, selection: RunSelection = _EVERY) -> tuple[RunLine, ...]:
+        """Return the selected runs in the order they were made in."""
+        return fleet_query.run_lines(self._engine, selection)
 
-    def run_figures(
-        self, lines: Sequence[RunLine], names: Sequence[str] = (), *, by_location: bool = False
-    ) -> tuple[RunFigure, ...]:
-        """Return the figures of runs by metric: means over their loads, or over those of each location."""
-        return figures.run_figures(self._engine, lines, names, by_location=by_location)
+    def fleet(self, selection: RunSelection = _EVERY) -> FleetTable:
+        """Return the selected runs with the values of their latest analyses."""
+        return fleet_query.fleet_table(self._engine, selection)
 
     def save_chart_references(self, references: Sequence[ChartReference]) -> None:
         """Store references of control charts beside the earlier ones."""
@@ -291,25 +288,6 @@ class Repository:
     def all_chart_references(self, station: str = "") -> tuple[ChartReference, ...]:
         """Return every reference the charts of a station (empty: of all) ever had, oldest first."""
         return chart_references.all_references(self._engine, station)
-
-    def software_of(self, lines: Sequence[RunLine]) -> dict[str, str]:
-        """Return run → the version of this program its latest analysis was made with."""
-        return figures.software_of(self._engine, lines)
-
-    def metric_names(self) -> tuple[str, ...]:
-        """Return the names of everything that was ever measured, sorted."""
-        return fleet_query.metric_names(self._engine)
-
-    def fleet(
-        self,
-        *,
-        recipe: str | None = None,
-        since: date | None = None,
-        until: date | None = None,
-        names: Sequence[str] = (),
-    ) -> FleetTable:
-        """Return runs with the values of their latest analyses, see :func:`cbsr_qa.store.fleet.fleet_table`."""
-        return fleet_query.fleet_table(self._engine, recipe=recipe, since=since, until=until, names=names)
 
     def save_station_check(self, check: StationCheck, ring: RingReadings | None = None) -> None:
         """Store a check of a station, with the frames of its reference ring where there are some."""

@@ -5,3 +5,4 @@ from .fleet_demo import (
     THIRD_ON_ALL as THIRD_ON_ALL,
     build_fleet as build_fleet,
 )
+from .selection import measuring_digest as measuring_digest

@@ -8,8 +8,9 @@ import numpy as np
 from filled_databases import filled
 from stored_lots import judged, measured
 
+from cbsr_qa.domain.results import RunSelection
 from cbsr_qa.report import json_document, render_sections
-from cbsr_qa.studies.compare import By, RunChoice, Terms, compare_groups, compare_outcome
+from cbsr_qa.studies.compare import By, Terms, compare_groups, compare_outcome
 
 NOW = datetime(2026, 12, 24, tzinfo=UTC)
 ERROR = "centre_of_mass_error"
@@ -42,7 +43,7 @@ def fleet(url, *, alone=False, sensors=24, both=8, **changes):
 
 
 def compared(url, by=By.BATCH, choice=None, **terms):
-    return compare_outcome(compare_groups(choice or RunChoice(), Terms(by, **terms), database=url, now=NOW))
+    return compare_outcome(compare_groups(choice or RunSelection(), Terms(by, **terms), database=url, now=NOW))
 
 
 def json_of(made):

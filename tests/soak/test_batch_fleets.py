@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.batch_coverage import BATCHES, DESIGNS, design, values
-from cbsr_qa.domain.results import FleetRun, FleetTable, Kind, MetricKey, Outcome, State
+from cbsr_qa.domain.results import EndReason, FleetTable, Kind, MetricKey, Outcome, RunLine, State
 from cbsr_qa.studies.compare import By, Terms, compare
 
 SEEDS = 1000
@@ -17,7 +17,7 @@ TERMS = Terms(By.BATCH, groups=("batch 0", "batch 1", "batch 2"))
 def fleet(rows):
     """Runs of a design, in the order they are made in."""
     return tuple(
-        FleetRun(
+        RunLine(
             run=f"run-{number:04d}",
             serial=f"S-{sensor:03d}",
             batch=f"batch {batch}",
@@ -26,7 +26,7 @@ def fleet(rows):
             recipe="nine-locations",
             started_at=BEGAN + timedelta(hours=number),
             made_at=BEGAN + timedelta(hours=number),
-            finished=True,
+            end=EndReason.FINISHED,
             outcome=Outcome.PASS,
             software=(("cbsr-qa", "1"),),
             simulated=("figures",),

@@ -8,7 +8,8 @@ import pytest
 from stored_lots import judged, measured, store_run
 
 from cbsr_qa.cli import guarded
-from cbsr_qa.domain import RefusedError, StoreError
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import RunSelection
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import read_amounts, read_groups
 
@@ -73,12 +74,31 @@ def test_words_that_are_none_are_a_damaged_database(copied, table, column, word,
     assert guarded(["compare", "--by", "batch", "--database", url]) == 2
 
 
-def test_an_unknown_recipe_is_refused_with_the_nearest_name(copied):
-    with open_store(copied[1]) as store:
-        with pytest.raises(RefusedError, match="no stored run uses recipe 'shrot'") as raised:
-            store.fleet(recipe="shrot")
-        assert raised.value.remedy == "did you mean 'short'? recipes: short"
-        assert len(store.fleet(recipe="short").runs) == 4
+@pytest.mark.parametrize(
+    ("cell", "value"),
+    [
+        ("runs.started_at", b"\x00\xff"),
+        ("runs.started_at", "odd"),
+        ("runs.started_at", 7),
+        ("runs.serial", b"\x00\xff"),
+        ("runs.simulated", "odd"),
+        ("analyses.software", 7),
+        ("measurements.value", "odd"),
+        ("measurements.unit", b"\x00\xff"),
+    ],
+)
+@pytest.mark.parametrize("chained", [True, False])
+def test_a_cell_of_another_type_is_refused_with_its_run(copied, cell, value, chained, capsys):
+    path, url, runs = copied
+    table, _, column = cell.partition(".")
+    of_run = "analysis IN (SELECT analysis FROM analyses WHERE run = ?)" if table == "measurements" else "run = ?"
+    changed(path, f"UPDATE {table} SET {column} = ? WHERE {of_run}", value, runs[2])
+    if not chained:  # as runs from before chains
+        changed(path, "DELETE FROM run_links")
+        changed(path, "UPDATE runs SET chain = NULL")
+    for command in (["compare", "--by", "batch"], ["gauge", "--recipe", "short"]):
+        assert guarded([*command, "--database", url]) == 2
+        assert f"run {runs[2]}: a cell of it holds a value of another type" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -109,4 +129,8 @@ def test_groups_and_amounts_are_read():
 
 def test_the_last_day_there_is_leaves_no_run_out(copied, capsys):
     with open_store(copied[1]) as store:
-        assert len(store.fleet(until=date.max).runs) == len(store.fleet(until=date(2026, 11, 21)).runs) == 4
+        assert (
+            len(store.fleet(RunSelection(until=date.max)).runs)
+            == len(store.fleet(RunSelection(until=date(2026, 11, 21))).runs)
+            == 4
+        )

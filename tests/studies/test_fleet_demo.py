@@ -15,7 +15,7 @@ import pytest
 from cbsr_qa.app.run import render_stored
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Outcome
+from cbsr_qa.domain.results import Outcome, RunSelection
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.fleet_demo import DRAWN, ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet, designed
 
@@ -52,7 +52,7 @@ def test_progress_is_told_run_by_run(built):
 
 def test_batch_and_station_differ_by_one_and_a_half_deviations(built):
     with open_store(f"sqlite:///{built[0]}", create=False) as store:
-        table = store.fleet(recipe=ONE_STATION, names=["centre_of_mass_error"])
+        table = store.fleet(RunSelection(recipe=ONE_STATION))
     errors = [i for i, kind in enumerate(table.kinds) if kind.key.name == "centre_of_mass_error"]
     taken = np.isin(table.kind, errors)
     means = {run: np.mean(table.value[taken & (table.run == i)]) for i, run in enumerate(table.runs)}

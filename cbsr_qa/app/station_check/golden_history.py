@@ -12,7 +12,7 @@ from cbsr_qa.domain.run import CheckOutcome, CheckResult
 from cbsr_qa.report import fixed, number, unit_shown, with_uncertainty
 from cbsr_qa.stats import FEWEST_VALUES, Prediction, predicted
 from cbsr_qa.store import Repository
-from cbsr_qa.studies.limits import measuring_digest
+from cbsr_qa.studies import measuring_digest
 
 #: What is compared: measurement, and qualifier where it has one. A figure of several places is its mean over them.
 FIGURES: Final = (

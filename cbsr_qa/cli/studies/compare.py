@@ -1,6 +1,6 @@
 """``cbsr-qa compare``: what differs, and whether it is the material or the station."""
 
-from datetime import date, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -49,15 +49,15 @@ def compare(
     Differences between batches are separated from those between stations where the runs allow it. Exit code 3 if
     nothing could be compared.
     """
-    from cbsr_qa.cli.options import one_of
+    from cbsr_qa.cli.options import one_of, to_day
     from cbsr_qa.domain import RefusedError
+    from cbsr_qa.domain.results import RunSelection
     from cbsr_qa.studies.compare import (
         Adjustment,
         By,
         Period,
         Policy,
         Quarantine,
-        RunChoice,
         Terms,
         compare_groups,
         compare_outcome,
@@ -82,11 +82,7 @@ def compare(
         margins=read_amounts(margin or (), "--margin"),
         detect=read_amounts(detect or (), "--detect"),
     )
-    choice = RunChoice(recipe, _day(since), _day(until))
+    selection = RunSelection(recipe=recipe, since=to_day(since), until=to_day(until))
     check_page(output)  # before anything is worked out
-    comparison = compare_groups(choice, terms, database=database, now=RealClock().wall())
+    comparison = compare_groups(selection, terms, database=database, now=RealClock().wall())
     raise typer.Exit(show(compare_outcome(comparison), output=output, as_json=as_json))
-
-
-def _day(moment: datetime | None) -> date | None:
-    return None if moment is None else moment.date()

@@ -52,6 +52,7 @@ def gauge(
 
     STUDY.toml names sensors, stations, metrics, tolerances and days; or options do.
     """
+    from cbsr_qa.domain.results import RunSelection
     from cbsr_qa.studies.gauge import (
         GaugeRequest,
         MetricWanted,
@@ -67,11 +68,13 @@ def gauge(
         request = read_study(study)
     else:
         request = GaugeRequest(
-            serials=_names(serials),
-            recipe=recipe,
-            stations=_names(stations),
-            since=to_day(since),
-            until=to_day(until),
+            runs=RunSelection(
+                serials=_names(serials),
+                recipe=recipe,
+                stations=_names(stations),
+                since=to_day(since),
+                until=to_day(until),
+            ),
             metrics=tuple(map(MetricWanted, dict.fromkeys(metric or ()))),
             by_location=by_location,
             appraiser=appraiser,

@@ -48,16 +48,19 @@ def propose(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> None:
     """Propose limits and guard bands from stored runs of sensors known to be good, a golden lot."""
+    from cbsr_qa.domain.results import RunSelection
     from cbsr_qa.studies.limits import LotChoice, Terms, limits_outcome, propose_limits, read_serials
     from cbsr_qa.system import RealClock
 
     named = (*(serial or ()), *(read_serials(serials) if serials else ()))
     choice = LotChoice(
-        serials=tuple(dict.fromkeys(named)),
-        batch=batch,
-        recipe=recipe,
-        since=to_day(since),
-        until=to_day(until),
+        runs=RunSelection(
+            serials=tuple(dict.fromkeys(named)),
+            batch=batch,
+            recipe=recipe,
+            since=to_day(since),
+            until=to_day(until),
+        ),
         without=tuple(without or ()),
         include_failed=include_failed,
         allow_mixed=allow_mixed,

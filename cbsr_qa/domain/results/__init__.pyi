@@ -21,12 +21,12 @@ from .characterisation import (
     StripFacts as StripFacts,
 )
 from .fleet import (
-    FleetRun as FleetRun,
     FleetTable as FleetTable,
     Kind as Kind,
     MetricKey as MetricKey,
     RunFigure as RunFigure,
     RunLine as RunLine,
+    RunSelection as RunSelection,
     State as State,
 )
 from .image import (

@@ -1,7 +1,4 @@
-"""Values of many runs: one number per run and metric, for studies.
-
-Many runs of many sensors as columns: what a comparison of batches, stations or periods is made from.
-"""
+"""Runs of studies, and their values: which runs are meant, one line a run, and every value as columns."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,7 +8,9 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.results.measurement import Outcome
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import of_kind
+from cbsr_qa.domain.results.measurement import EndReason, Outcome
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -37,27 +36,90 @@ class MetricKey:
 
 
 @dataclass(frozen=True, slots=True)
-class RunLine:
-    """A run as a data point of a study.
+class RunSelection:
+    """Which stored runs are meant; all given criteria must hold.
 
     Parameters
     ----------
-    started_at : by the station's clock, which may have been wrong: the order of runs is that of their names.
-    analysis : the latest one of the run.
+    serials, stations, operators : names; none for any.
+    recipe, batch : a name; None for any.
+    since, until : first and last day a run began on, UTC.
+    checks : False leaves out runs of golden sensors that checked a station.
+    after, up_to : runs whose identifiers sort after the one and not after the other; empty for no bound.
+    latest : only so many of the latest; None for all.
+
+    Raises
+    ------
+    RefusedError
+        If the last day is before the first.
+    """
+
+    serials: tuple[str, ...] = ()
+    recipe: str | None = None
+    batch: str | None = None
+    stations: tuple[str, ...] = ()
+    operators: tuple[str, ...] = ()
+    since: date | None = None
+    until: date | None = None
+    checks: bool = True
+    after: str = ""
+    up_to: str = ""
+    latest: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.since and self.until and self.since > self.until:
+            raise RefusedError(
+                f"no day is after {self.since} and before {self.until}", remedy="swap --since and --until"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class RunLine:
+    """One run in a study: what it was, and what came of it.
+
+    Parameters
+    ----------
+    run : its identifier; sorted as text, runs are in the order they were made in, whatever the clock said.
+    started_at : by the station's clock, which may have been wrong.
+    made_at : when the identifier was made; None where it does not say.
+    end : RUNNING where it was cut off, or is under way.
+    outcome, reason, software : of its latest analysis; None and empty where it has none. Software as (distribution,
+        version) pairs.
+    simulated : in words; empty for a real bench.
+    of_check : whether it is a golden sensor's, made to check its station.
     """
 
     run: str
     serial: str
+    batch: str
+    material: str
     station: str
     recipe: str
-    operator: str
     started_at: datetime
-    analysis: str
+    made_at: datetime | None
+    end: EndReason
+    outcome: Outcome | None
+    software: tuple[tuple[str, str], ...]
+    simulated: tuple[str, ...]
+    of_check: bool = False
+    operator: str = ""
+    reason: str = ""
+
+    @property
+    def finished(self) -> bool:
+        """Whether it ran to its end."""
+        return self.end is EndReason.FINISHED
 
     @property
     def day(self) -> date:
-        """Start day, UTC, by the same clock."""
+        """Start day, UTC, by the station's clock."""
         return self.started_at.astimezone(UTC).date()
+
+    @property
+    def words(self) -> str:
+        """Describe the run to people: its sensor, and in brackets batch, station, day and identifier."""
+        batch = f"batch {self.batch}, " if self.batch else ""
+        return f"{self.serial} ({batch}{of_kind('station', self.station)}, {self.day}, run {self.run})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,36 +166,6 @@ class State(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class FleetRun:
-    """One run in a comparison.
-
-    Parameters
-    ----------
-    run : its identifier; sorted as text, runs are in the order they were made in, whatever the clock said.
-    made_at : when the identifier was made; None where it does not say.
-    finished : whether it ran to its end.
-    outcome : of its latest analysis; None where it has none.
-    software : (distribution, version) pairs it was analysed with.
-    simulated : in words; empty for a real bench.
-    of_check : whether it is a golden sensor's, made to check its station.
-    """
-
-    run: str
-    serial: str
-    batch: str
-    material: str
-    station: str
-    recipe: str
-    started_at: datetime
-    made_at: datetime | None
-    finished: bool
-    outcome: Outcome | None
-    software: tuple[tuple[str, str], ...]
-    simulated: tuple[str, ...]
-    of_check: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class Kind:
     """Common attributes of values of one kind.
 
@@ -165,7 +197,7 @@ class FleetTable:
     places_mm : label of a load → where it is pressed.
     """
 
-    runs: tuple[FleetRun, ...]
+    runs: tuple[RunLine, ...]
     kinds: tuple[Kind, ...]
     run: NDArray[np.int32]
     kind: NDArray[np.int32]

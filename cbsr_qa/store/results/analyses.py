@@ -12,8 +12,7 @@ from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, RunResult
 from cbsr_qa.store.chain import FIGURES, RESULTS, add_links, add_rows, check_run, stored_figures
 from cbsr_qa.store.engine import reading, stored, writing
 from cbsr_qa.store.results.calibrations import insert_calibration
-from cbsr_qa.store.runs import run_row
-from cbsr_qa.store.tables import AnalysisRow, CalibrationRow, MeasurementRow, WarningRow
+from cbsr_qa.store.tables import AnalysisRow, CalibrationRow, MeasurementRow, RunRow, WarningRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +87,7 @@ def save_result(
 def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
     """Return every analysis of a run, the latest first. StoreError if stored rows were changed."""
     with reading(engine) as connection:
-        if run_row(connection, run) is not None:
+        if connection.scalar(select(RunRow.run).where(RunRow.run == run)) is not None:
             check_run(connection, run, RESULTS)
         query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run)
         rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()

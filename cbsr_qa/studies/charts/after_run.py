@@ -1,15 +1,29 @@
 """How a station's charts stand at the end of a run: only those with a stored reference, and only the latest runs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import Bound, Measurement, MetricKey, RunFigure, RunLine
+from cbsr_qa.domain.results import (
+    Bound,
+    EndReason,
+    FleetTable,
+    Kind,
+    Measurement,
+    MetricKey,
+    Outcome,
+    RunFigure,
+    RunLine,
+    RunSelection,
+    State,
+)
 from cbsr_qa.domain.run import ChartKind, ChartReference, RunIdentity, StandingSignal, StationCharts
 from cbsr_qa.stats import Standard
-from cbsr_qa.store import Repository, RunFilter
+from cbsr_qa.store import Repository
 from cbsr_qa.studies.charts.charting import charts_of, reference_figures, standing
-from cbsr_qa.studies.figure_series import clock_notes, figures_by_run
+from cbsr_qa.studies.selection import clock_notes
 
 #: Runs that are looked back; an average or a sum of earlier ones says nothing of today.
 LOOK_BACK: Final = 100
@@ -32,16 +46,21 @@ def charts_after(
     references = store.chart_references(identity.station, until)
     if not references:
         return None
-    own = None if measurements is None else _own(identity.run, measurements)
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((one.recipe, one.golden) for one in references):
         members = [one for one in references if (one.recipe, one.golden) == (recipe, golden)]
-        lines = _lines(store, identity.station, members, until)
-        figures = reference_figures(store, lines, members)
+        table = store.fleet(_looked_at(identity.station, members, until))
+        figures = reference_figures(table, members)
+        lines = tuple(run for run in table.runs if run.outcome is not None)
         notes |= dict.fromkeys(clock_notes(lines))
-        if own is not None and recipe == identity.recipe and golden in (None, identity.sensor.serial):
-            lines, figures = _with_own(lines, figures, identity, own)
+        if measurements is not None and recipe == identity.recipe and golden in (None, identity.sensor.serial):
+            own = _table_of(identity, measurements)
+            for key, of in reference_figures(own, members).items():
+                figures.setdefault(key, {}).update(of)
+            # A run that was resumed has an earlier name than some.
+            others = (run for run in lines if run.run != identity.run)
+            lines = tuple(sorted((*others, *own.runs), key=lambda run: run.run))
         for one in members:
             try:
                 signals += filter(None, [_signal(one, lines, figures)])
@@ -50,54 +69,50 @@ def charts_after(
     return StationCharts(identity.station, len(references), tuple(signals), tuple(notes))
 
 
-def _own(run: str, measurements: Iterable[Measurement]) -> dict[MetricKey, RunFigure]:
-    """Return the figures of measurements as the store would: of all places together, and of each."""
-    groups: dict[tuple[MetricKey, str], list[Measurement]] = {}
-    for m in measurements:
-        for location in dict.fromkeys(("", m.location)):
-            groups.setdefault((MetricKey(m.name, m.phase, m.qualifier, location), m.unit), []).append(m)
-    figures = (_figure(run, key, unit, members) for (key, unit), members in groups.items())
-    return {key: of[run] for key, of in figures_by_run(figures).items()}
-
-
-def _figure(run: str, key: MetricKey, unit: str, members: Sequence[Measurement]) -> RunFigure:
-    values = [m.value for m in members if m.value is not None]
-    missing = len(members) - len(values)
-    bounded = sum(m.bound is not Bound.EXACT for m in members)
-    mean = None if missing or bounded else sum(values) / len(values)
-    return RunFigure(run, key, unit, mean, len(members), missing, bounded)
-
-
-def _lines(store: Repository, station: str, members: Sequence[ChartReference], until: str) -> tuple[RunLine, ...]:
-    """The latest runs of one recipe, of one golden sensor or of production."""
-    first = members[0]
-    grouped = any(one.chart is ChartKind.MEANS for one in members)
-    return store.run_lines(
-        RunFilter(
-            serials=(first.golden,) if first.golden else (),
-            station=station,
-            recipe=first.recipe,
-            golden=bool(first.golden),
-            after=min(one.last_run for one in members),
-            until=until,
-            latest=None if grouped else LOOK_BACK,  # groups are counted from the end of the reference
-        )
+def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> FleetTable:
+    """Return measurements of a run as the store would, which does not hold them yet."""
+    line = RunLine(
+        run=identity.run,
+        serial=identity.sensor.serial,
+        batch=identity.sensor.batch,
+        material="",
+        station=identity.station,
+        recipe=identity.recipe,
+        started_at=identity.started_at,
+        made_at=None,
+        end=EndReason.FINISHED,
+        outcome=Outcome.NOT_JUDGED,
+        software=(),
+        simulated=identity.simulated,
+    )
+    count = len(measurements)
+    return FleetTable(
+        runs=(line,),
+        kinds=tuple(
+            Kind(MetricKey(m.name, m.phase, m.qualifier), m.unit, m.location, None, None) for m in measurements
+        ),
+        run=np.zeros(count, dtype=np.int32),
+        kind=np.arange(count, dtype=np.int32),
+        value=np.array([m.value for m in measurements], dtype=np.float64),
+        state=np.array(
+            [State.PLAIN if m.bound is Bound.EXACT else State.LOWER_BOUND for m in measurements], dtype=np.uint8
+        ),
     )
 
 
-def _with_own(
-    lines: tuple[RunLine, ...],
-    figures: dict[MetricKey, dict[str, RunFigure]],
-    identity: RunIdentity,
-    own: dict[MetricKey, RunFigure],
-) -> tuple[tuple[RunLine, ...], dict[MetricKey, dict[str, RunFigure]]]:
-    """Put the run that just ended among the stored ones; one that was resumed has an earlier name than some."""
-    named = identity.station, identity.recipe, identity.operator
-    line = RunLine(identity.run, identity.sensor.serial, *named, identity.started_at, "")
-    others = tuple(one for one in lines if one.run != identity.run)
-    for key, figure in own.items():
-        figures.setdefault(key, {})[identity.run] = figure
-    return tuple(sorted((*others, line), key=lambda each: each.run)), figures
+def _looked_at(station: str, members: Sequence[ChartReference], until: str) -> RunSelection:
+    """Select the latest runs of one recipe, of one golden sensor or of production."""
+    first = members[0]
+    grouped = any(one.chart is ChartKind.MEANS for one in members)
+    return RunSelection(
+        serials=(first.golden,) if first.golden else (),
+        stations=(station,),
+        recipe=first.recipe,
+        checks=bool(first.golden),
+        after=min(one.last_run for one in members),
+        up_to=until,
+        latest=None if grouped else LOOK_BACK,  # groups are counted from the end of the reference
+    )
 
 
 def _signal(

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
+from cbsr_qa.domain.results import FleetTable, MetricKey, RunFigure, RunLine
 from cbsr_qa.domain.run import ChartKind, ChartReference, ChartSettings, StandingSignal
 from cbsr_qa.report import named, plural
 from cbsr_qa.stats import (
@@ -26,8 +26,7 @@ from cbsr_qa.stats import (
     means_and_ranges,
     moving_range,
 )
-from cbsr_qa.store import Repository
-from cbsr_qa.studies.figure_series import Series, figures_by_run
+from cbsr_qa.studies.figure_series import Series, figures_of
 
 #: Points without a signal after which one does not stand any more: what lasts signals again and again, and false
 #: alarms are shown no longer than need be.
@@ -283,12 +282,10 @@ def _names(lines: Sequence[RunLine]) -> tuple[str, ...]:
 
 
 def reference_figures(
-    store: Repository, lines: Sequence[RunLine], references: Iterable[ChartReference]
+    table: FleetTable, references: Iterable[ChartReference]
 ) -> dict[MetricKey, dict[str, RunFigure]]:
-    """Return the figures of runs that references are of, by metric and run."""
+    """Return the figures that references are of, by metric and run."""
     found: dict[MetricKey, dict[str, RunFigure]] = {}
-    names = {(bool(one.location), one.name) for one in references}
-    for by_location in {each for each, _ in names}:
-        of = sorted(name for each, name in names if each == by_location)
-        found |= figures_by_run(store.run_figures(lines, of, by_location=by_location))
+    for by_location in {bool(reference.location) for reference in references}:
+        found |= figures_of(table, by_location=by_location)
     return found

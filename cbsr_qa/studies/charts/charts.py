@@ -8,15 +8,16 @@ from dataclasses import asdict, astuple, dataclass, replace
 from typing import Final
 
 from cbsr_qa.config import database_url
-from cbsr_qa.domain import NumericsError, RefusedError, did_you_mean, of_kind
-from cbsr_qa.domain.results import RunLine
+from cbsr_qa.domain import NumericsError, RefusedError, of_kind
+from cbsr_qa.domain.results import FleetTable, RunLine, RunSelection
 from cbsr_qa.domain.run import ChartReference, StandingSignal
 from cbsr_qa.plugin import echo
 from cbsr_qa.report import named, plural
-from cbsr_qa.store import Repository, RunFilter, open_store
+from cbsr_qa.store import Repository, open_store
 from cbsr_qa.studies.charts.charting import MetricChart, metric_chart, no_chart, reference_figures, standard_of
 from cbsr_qa.studies.charts.request import FEWEST_GROUPS, FEWEST_RUNS, ChartsRequest, ReferencePeriod, check_request
-from cbsr_qa.studies.figure_series import Series, clock_notes, recipe_note, series_of, software_note
+from cbsr_qa.studies.figure_series import Series, figures_of, series_of
+from cbsr_qa.studies.selection import check_names, clock_notes, likeness_notes, nearest, several_recipes
 from cbsr_qa.system import RealClock
 
 # What is noted of all charts, or why a metric has none.
@@ -71,49 +72,48 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
     check_request(request)
     period = request.period
     with open_store(database_url(database), create=False) as store:
-        lines, recipe = _charted_runs(store, request)
-        notes = (*clock_notes(lines), *filter(None, [store.from_the_future()]))
-        notes += software_note(store.software_of(lines)) + recipe_note(store, lines)
+        table = store.fleet(_charted_runs(store, request))
+        lines = tuple(run for run in table.runs if run.outcome is not None)
+        recipe = lines[0].recipe
+        notes = (*clock_notes(lines), *filter(None, [store.from_the_future()]), *likeness_notes(store, lines))
         if period is not None:
             notes += () if period.since else (_FROM_FIRST.format(day=lines[0].day),)
-            charts = _with_period(store, request, period, recipe, lines)
+            charts = _with_period(store, request, period, table, lines)
         else:
             held = _held_references(store, request, recipe)
             if request.retire is not None:
                 notes += (_retired(store, request, held),)
                 held = _held_references(store, request, recipe)
             empty = request.retire is not None and not held
-            charts = () if empty else _against_stored(store, request, recipe, lines, held)
+            charts = () if empty else _against_stored(table, request, recipe, lines, held)
         stored = period is not None and not request.dry_run
         if stored:
             store.save_chart_references([one.reference for one in charts if one.reference is not None])
-        simulated = bool(store.identity(lines[-1].run).simulated)
     in_control = all(one.signal is None for one in charts)
     golden = request.golden
+    simulated = bool(lines[-1].simulated)
     return Charts(request.station, recipe, golden, len(lines), in_control, stored, simulated, notes, charts)
 
 
-def _charted_runs(store: Repository, request: ChartsRequest) -> tuple[tuple[RunLine, ...], str]:
-    """Return the runs of the station that are charted, and their recipe; refuse none, or those of several recipes."""
+def _charted_runs(store: Repository, request: ChartsRequest) -> RunSelection:
+    """Return which runs are charted, of one recipe; refuse where there are none, or several recipes."""
     golden, here = request.golden, of_kind("station", request.station)
-    wanted = RunFilter(serials=(golden,) if golden else (), station=request.station, golden=bool(golden))
-    lines = store.run_lines(wanted)
-    recipes = sorted({line.recipe for line in lines})
-    recipe = request.recipe or (recipes[0] if len(recipes) == 1 else "")
-    if recipe in recipes:
-        return tuple(line for line in lines if line.recipe == recipe), recipe
-    stations = sorted({run.station for run in store.find_runs()})
-    if request.station not in stations:
-        hint = did_you_mean(request.station, stations, f"stored: {named(stations) or 'no runs at all'}")
-        raise RefusedError(f"no run of station {echo(request.station, 64)} is stored", remedy=hint)
-    if not lines:
-        of = f"of sensor {echo(golden, 64)}" if golden else "of production"
-        remedy = "golden sensors are charted by --golden SERIAL"
-        raise RefusedError(f"{here} has no analysed run {of}", remedy=remedy)
-    if not recipe:
-        raise RefusedError(f"{here} ran {len(recipes)} recipes: {named(recipes)}", remedy="choose one by --recipe")
-    hint = did_you_mean(recipe, recipes, f"it ran: {named(recipes)}")
-    raise RefusedError(f"{here} has no runs of recipe {echo(recipe, 64)}", remedy=hint)
+    selection = RunSelection(
+        serials=(golden,) if golden else (), stations=(request.station,), checks=bool(golden), recipe=request.recipe
+    )
+    recipes = {run.recipe for run in store.run_lines(selection) if run.outcome is not None}
+    if len(recipes) == 1:
+        return replace(selection, recipe=recipes.pop())
+    if recipes:
+        raise RefusedError(f"{here} ran {several_recipes(recipes)}", remedy="choose one by --recipe")
+    check_names(store, replace(selection, serials=()))
+    ran = {run.recipe for run in store.run_lines(replace(selection, recipe=None)) if run.outcome is not None}
+    if ran and request.recipe is not None:
+        raise RefusedError(
+            f"{here} has no runs of recipe {echo(request.recipe, 64)}", remedy=nearest(request.recipe, ran, "it ran")
+        )
+    of = f"of sensor {echo(golden, 64)}" if golden else "of production"
+    raise RefusedError(f"{here} has no analysed run {of}", remedy="golden sensors are charted by --golden SERIAL")
 
 
 def _held_references(store: Repository, request: ChartsRequest, recipe: str) -> list[ChartReference]:
@@ -145,43 +145,40 @@ def _retired(store: Repository, request: ChartsRequest, held: Sequence[ChartRefe
 
 
 def _against_stored(
-    store: Repository,
-    request: ChartsRequest,
-    recipe: str,
-    lines: Sequence[RunLine],
-    held: Sequence[ChartReference],
+    table: FleetTable, request: ChartsRequest, recipe: str, lines: Sequence[RunLine], held: Sequence[ChartReference]
 ) -> tuple[MetricChart, ...]:
     lacking = [name for name in request.metrics if name not in {one.name for one in held}]
     if not held or lacking:
         of = f" for {named(lacking)}" if lacking else ""
-        series_of(lines, store.run_figures(lines), request.metrics)  # a name that nobody measured is said first
+        series_of(lines, figures_of(table), request.metrics)  # a name that nobody measured is refused first
         raise RefusedError(
             f"no reference period is stored{of} for recipe {recipe} on {of_kind('station', request.station)}",
             remedy="store one with --reference-runs N or --reference-until DATE, and --operator",
         )
-    since = [line for line in lines if line.run >= min(one.first_run for one in held)]
-    figures = reference_figures(store, since, held)
+    figures = reference_figures(table, held)
     charts: list[MetricChart] = []
     for one in held:
-        own = [line for line in since if line.run >= one.first_run]
-        found = series_of(own, figures.get(one.key, {}).values(), [one.name])
+        own = [line for line in lines if line.run >= one.first_run]
+        found = series_of(own, {one.key: figures.get(one.key, {})}, [one.name])
         charts += [metric_chart(series, one) for series in found]
     return tuple(charts)
 
 
 def _with_period(
-    store: Repository, request: ChartsRequest, period: ReferencePeriod, recipe: str, lines: Sequence[RunLine]
+    store: Repository, request: ChartsRequest, period: ReferencePeriod, table: FleetTable, lines: Sequence[RunLine]
 ) -> tuple[MetricChart, ...]:
     """Charts with limits of a new reference period."""
     own = [line for line in lines if period.since is None or line.day >= period.since]
     if not own:
         here = of_kind("station", request.station)
         raise RefusedError(f"{here} has no run since {period.since}", remedy="begin earlier")
-    figures = store.run_figures(own, request.metrics, by_location=request.by_location)
+    figures = figures_of(table, by_location=request.by_location)
     if request.by_location:
-        figures = tuple(figure for figure in figures if figure.key.location)
-    series = series_of(own, figures or store.run_figures(own), request.metrics)
-    charts = tuple(_new_chart(store, one, request, period, recipe) for one in series)
+        wanted = request.metrics or {key.name for key in figures}
+        of_locations = {key: of for key, of in figures.items() if key.location and key.name in wanted}
+        figures = of_locations or figures_of(table)
+    series = series_of(own, figures, request.metrics)
+    charts = tuple(_new_chart(store, one, request, period, own[0].recipe) for one in series)
     if not charts:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     if all(one.reference is None for one in charts):

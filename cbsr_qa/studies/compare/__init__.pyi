@@ -6,7 +6,6 @@ from .terms import (
     Period as Period,
     Policy as Policy,
     Quarantine as Quarantine,
-    RunChoice as RunChoice,
     Terms as Terms,
     read_amounts as read_amounts,
     read_groups as read_groups,

@@ -10,7 +10,7 @@ from statistics import median
 from typing import Final
 
 from cbsr_qa.domain import of_kind
-from cbsr_qa.domain.results import FleetRun
+from cbsr_qa.domain.results import RunLine
 from cbsr_qa.report import named, plural
 from cbsr_qa.studies.compare.groups import NO_BATCH, Design, Grouping, software_words
 from cbsr_qa.studies.compare.terms import By, Terms
@@ -45,7 +45,7 @@ _PERIODS: Final = "Periods are taken from these clocks: compare by batch, or lea
 
 
 def cautions(
-    members: Sequence[FleetRun], grouping: Grouping, design: Design, terms: Terms, now: datetime
+    members: Sequence[RunLine], grouping: Grouping, design: Design, terms: Terms, now: datetime
 ) -> Iterator[str]:
     """Say what is to be kept in mind.
 
@@ -74,7 +74,7 @@ def cautions(
         yield _PERIODS
 
 
-def _of_groups(members: Sequence[FleetRun], grouping: Grouping, terms: Terms) -> Iterator[str]:
+def _of_groups(members: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Iterator[str]:
     if len(grouping.names) == 1:
         yield _ONE_GROUP.format(by=terms.by, name=grouping.reference)
     yield from (_ONE_SENSOR.format(name=name) for name in grouping.names if len(grouping.tests[name]) == 1)
@@ -99,13 +99,13 @@ def _shared_batches(grouping: Grouping, design: Design) -> Iterator[str]:
             yield _RESTS_ON.format(noun=design.noun, reference=grouping.reference, groups=groups)
 
 
-def _from_the_future(runs: Sequence[FleetRun], now: datetime) -> Iterator[str]:
+def _from_the_future(runs: Sequence[RunLine], now: datetime) -> Iterator[str]:
     for station, members in _by_station(run for run in runs if run.started_at > now + _DAY):
         latest = max(run.started_at for run in members)
         yield _STILL_TO_COME.format(station=station, runs=_runs(members), day=f"{latest:%Y-%m-%d}")
 
 
-def _out_of_order(runs: Sequence[FleetRun]) -> Iterator[str]:
+def _out_of_order(runs: Sequence[RunLine]) -> Iterator[str]:
     """Name stations whose clock was set back: a run was made after another one and began before it."""
     for station, members in _by_station(runs):
         latest, back = members[0], []
@@ -121,7 +121,7 @@ def _out_of_order(runs: Sequence[FleetRun]) -> Iterator[str]:
             yield _SET_BACK.format(station=station, runs=_runs(back), back=first, day=last)
 
 
-def _unlike_identifiers(runs: Sequence[FleetRun]) -> Iterator[str]:
+def _unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
     """Name runs that state another day than their identifiers were made on, though most runs do not.
 
     Where most do, the fleet was stored all at once (simulated, or copied), and identifiers say nothing of clocks.
@@ -138,7 +138,7 @@ def _unlike_identifiers(runs: Sequence[FleetRun]) -> Iterator[str]:
         )
 
 
-def _far_from_others(runs: Sequence[FleetRun]) -> Iterator[str]:
+def _far_from_others(runs: Sequence[RunLine]) -> Iterator[str]:
     """Name stations that say they tested their batches in another year than the other stations did."""
     days: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
@@ -156,12 +156,12 @@ def _far_from_others(runs: Sequence[FleetRun]) -> Iterator[str]:
             yield _FAR.format(station=of_kind("station", station), batches=named(far), days=max(gaps)[0])
 
 
-def _by_station(runs: Iterable[FleetRun]) -> Iterator[tuple[str, list[FleetRun]]]:
-    found: dict[str, list[FleetRun]] = {}
+def _by_station(runs: Iterable[RunLine]) -> Iterator[tuple[str, list[RunLine]]]:
+    found: dict[str, list[RunLine]] = {}
     for run in runs:
         found.setdefault(run.station, []).append(run)
     return ((of_kind("station", station), members) for station, members in found.items())
 
 
-def _runs(members: Sequence[FleetRun]) -> str:
+def _runs(members: Sequence[RunLine]) -> str:
     return f"{plural(len(members), 'run')} ({named(sorted({run.serial for run in members}))})"

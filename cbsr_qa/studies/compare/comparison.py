@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
-from difflib import get_close_matches
 from itertools import chain
 from typing import Annotated, Final
 
@@ -14,7 +13,7 @@ from pydantic import Field, InstanceOf
 
 from cbsr_qa.config import database_url
 from cbsr_qa.domain import Array, RefusedError
-from cbsr_qa.domain.results import FleetRun, FleetTable
+from cbsr_qa.domain.results import FleetTable, RunLine, RunSelection
 from cbsr_qa.stats import IntArray, benjamini_hochberg, holm
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare.cautions import cautions
@@ -29,8 +28,9 @@ from cbsr_qa.studies.compare.differences import (
     stations_above,
 )
 from cbsr_qa.studies.compare.groups import Design, Grouping, design_of, grouped, referred_to
-from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, RunChoice, Terms
+from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import BoolArray, MetricValues, values_of
+from cbsr_qa.studies.selection import check_names, not_measured
 
 #: What all places of a grid share is how the disc was seated and where the axes are: the station's, not the sensor's.
 OF_THE_STATION: Final = ("registration_shift", "registration_rotation", "registration_scale")
@@ -100,7 +100,7 @@ class Comparison:
     rules: tuple[str, ...] = ()
 
 
-def compare_groups(choice: RunChoice, terms: Terms, *, database: str | None, now: datetime) -> Comparison:
+def compare_groups(selection: RunSelection, terms: Terms, *, database: str | None, now: datetime) -> Comparison:
     """Compare groups of stored runs.
 
     Raises
@@ -110,18 +110,10 @@ def compare_groups(choice: RunChoice, terms: Terms, *, database: str | None, now
     StoreError
         If the database is missing or cannot be read.
     """
-    if choice.since and choice.until and choice.since > choice.until:
-        raise RefusedError(
-            f"no day is after {choice.since} and before {choice.until}", remedy="swap --since and --until"
-        )
-    asked = (*terms.names, *terms.margins, *terms.detect)
     with _uncollected(), open_store(database_url(database), create=False) as store:
-        known = store.metric_names() if asked else ()
-        for name in asked:
-            if name not in known:
-                raise _unknown_metric(name, known)
-        names = tuple(dict.fromkeys(asked)) if terms.names else ()
-        table = store.fleet(recipe=choice.recipe, since=choice.since, until=choice.until, names=names)
+        table = store.fleet(selection)
+        if not table.runs:
+            check_names(store, selection)
         return compare(table, terms, now)
 
 
@@ -192,10 +184,10 @@ def _measured(every: Sequence[MetricValues], runs: int) -> BoolArray:
 
 
 def _wanted(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
-    known = sorted({values.key.name for values in every})
+    known = {values.key.name for values in every}
     for name in (*terms.names, *terms.margins, *terms.detect):
         if name not in known:
-            raise _unknown_metric(name, known)
+            raise not_measured(name, known)
     for option, asked in (("--margin", terms.margins), ("--detect", terms.detect)):
         for name in asked if terms.names else ():
             if name not in terms.names:
@@ -204,15 +196,6 @@ def _wanted(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
                     remedy=f"name it too (--metric {name}), or leave its {option} out",
                 )
     return [values for values in every if not terms.names or values.key.name in terms.names]
-
-
-def _unknown_metric(name: str, known: Sequence[str]) -> RefusedError:
-    """Refuse a metric nobody measured, with the nearest name."""
-    near = get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return RefusedError(
-        f"no run that counts measured {name[:64]!r}", remedy=f"{hint}measured: {', '.join(known) or 'nothing'}"
-    )
 
 
 def _compared(
@@ -254,7 +237,7 @@ def _of_the_stations(model: Fitted, metric: MetricValues, design: Design) -> Fit
 
 
 def _samples(
-    metric: MetricValues, runs: Sequence[FleetRun], known: Mapping[str, IntArray]
+    metric: MetricValues, runs: Sequence[RunLine], known: Mapping[str, IntArray]
 ) -> tuple[tuple[str, str, Array], ...]:
     found = []
     for name, indices in known.items():

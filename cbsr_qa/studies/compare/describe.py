@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.domain.results import FleetRun, Outcome
+from cbsr_qa.domain.results import Outcome, RunLine
 from cbsr_qa.stats import (
     Capability,
     IntArray,
@@ -86,7 +86,7 @@ class Distribution(OfMetric):
 
 
 def groups_of(
-    runs: Sequence[FleetRun], grouping: Grouping, values: Sequence[MetricValues], terms: Terms
+    runs: Sequence[RunLine], grouping: Grouping, values: Sequence[MetricValues], terms: Terms
 ) -> list[Group]:
     """Describe every group."""
     failing = [(one.key.label, one.failed) for one in values if one.failed.any()]
@@ -94,7 +94,7 @@ def groups_of(
 
 
 def _group(
-    name: str, runs: Sequence[FleetRun], grouping: Grouping, failing: Sequence[tuple[str, np.ndarray]], terms: Terms
+    name: str, runs: Sequence[RunLine], grouping: Grouping, failing: Sequence[tuple[str, np.ndarray]], terms: Terms
 ) -> Group:
     tests = grouping.tests[name]
     members = [index for indices in tests.values() for index in indices]
@@ -132,7 +132,7 @@ def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> tuple[float | No
 
 
 def distribution(
-    metric: MetricValues, runs: Sequence[FleetRun], name: str, indices: IntArray, terms: Terms
+    metric: MetricValues, runs: Sequence[RunLine], name: str, indices: IntArray, terms: Terms
 ) -> Distribution:
     """Describe one metric of a group.
 
@@ -161,7 +161,7 @@ def distribution(
 
 
 def _capability(
-    metric: MetricValues, runs: Sequence[FleetRun], indices: IntArray, terms: Terms
+    metric: MetricValues, runs: Sequence[RunLine], indices: IntArray, terms: Terms
 ) -> tuple[Capability | None, str | None]:
     """Capability of what the limit judges: of several values a run, those nearest to each limit."""
     if not metric.limited:
@@ -182,7 +182,7 @@ def _capability(
         return None, error.reason
 
 
-def _subgroups(values: Array, runs: Sequence[FleetRun], indices: IntArray) -> list[list[float]]:
+def _subgroups(values: Array, runs: Sequence[RunLine], indices: IntArray) -> list[list[float]]:
     """Values of each batch on each station."""
     found: dict[tuple[str, str], list[float]] = {}
     for index, value in zip(indices.tolist(), values[indices].tolist(), strict=True):

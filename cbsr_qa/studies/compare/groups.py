@@ -4,18 +4,19 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from difflib import get_close_matches
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import FleetRun, Outcome
+from cbsr_qa.domain.results import Outcome, RunLine
+from cbsr_qa.plugin import echo
 from cbsr_qa.report import named
 from cbsr_qa.stats import Crossing, IntArray, crossing
 from cbsr_qa.studies.compare.terms import By, Period, Policy, Terms
 from cbsr_qa.studies.compare.values import BoolArray
+from cbsr_qa.studies.selection import nearest
 
 PASSED: Final = (Outcome.PASS, Outcome.MARGINAL)
 #: What a run without a batch is of.
@@ -48,7 +49,7 @@ class Grouping:
         """The group the others are compared with."""
         return self.names[0]
 
-    def deciding(self, runs: Sequence[FleetRun], policy: Policy) -> dict[str, IntArray]:
+    def deciding(self, runs: Sequence[RunLine], policy: Policy) -> dict[str, IntArray]:
         """Return the run of each sensor that decides, by group."""
         return {
             name: np.array([decides(runs, tests, policy) for tests in self.tests[name].values()], dtype=np.intp)
@@ -56,7 +57,7 @@ class Grouping:
         }
 
 
-def grouped(runs: Sequence[FleetRun], terms: Terms) -> Grouping:
+def grouped(runs: Sequence[RunLine], terms: Terms) -> Grouping:
     """Sort runs into groups.
 
     Raises
@@ -86,7 +87,7 @@ def grouped(runs: Sequence[FleetRun], terms: Terms) -> Grouping:
     return Grouping(names, tuple(kept), used, tests, left_out)
 
 
-def decides(runs: Sequence[FleetRun], tests: Sequence[int], policy: Policy) -> int:
+def decides(runs: Sequence[RunLine], tests: Sequence[int], policy: Policy) -> int:
     """Return which of a sensor's runs decides."""
     if policy is Policy.FIRST:
         return tests[0]
@@ -95,7 +96,7 @@ def decides(runs: Sequence[FleetRun], tests: Sequence[int], policy: Policy) -> i
     return tests[-1]
 
 
-def software_words(runs: Sequence[FleetRun]) -> list[str]:
+def software_words(runs: Sequence[RunLine]) -> list[str]:
     """Name the software each run was analysed with: of what is not the same for all, and the program itself."""
     versions = {run.software for run in runs}
     common = set.intersection(*(set(pairs) for pairs in versions)) if versions else set()
@@ -117,7 +118,7 @@ def period_of(moment: datetime, period: Period) -> str:
     return {Period.YEAR: f"{day:%Y}", Period.MONTH: f"{day:%Y-%m}"}.get(period, day.isoformat())
 
 
-def _labels(runs: Sequence[FleetRun], by: By, period: Period) -> list[str]:
+def _labels(runs: Sequence[RunLine], by: By, period: Period) -> list[str]:
     if by is By.SOFTWARE:
         return software_words(runs)
     if by is By.PERIOD:
@@ -125,7 +126,7 @@ def _labels(runs: Sequence[FleetRun], by: By, period: Period) -> list[str]:
     return [str(getattr(run, by.value)) for run in runs]
 
 
-def _left_out(run: FleetRun, label: str, by: By) -> str:
+def _left_out(run: RunLine, label: str, by: By) -> str:
     """Say why a run does not count; empty where it does."""
     if run.of_check:
         return "of golden sensors that checked a station"
@@ -136,7 +137,7 @@ def _left_out(run: FleetRun, label: str, by: By) -> str:
     return "" if label else f"without a {by}"
 
 
-def _names(runs: Sequence[FleetRun], labels: Sequence[str], terms: Terms) -> tuple[str, ...]:
+def _names(runs: Sequence[RunLine], labels: Sequence[str], terms: Terms) -> tuple[str, ...]:
     """Names of the groups, the reference first: as they were given, or the one with most sensors and the others.
 
     Of periods the reference is the earliest: what is asked is what changed since.
@@ -161,10 +162,8 @@ def reference_rank(name: str, sensors: int, by: By) -> tuple[int, str]:
 def _check_known(wanted: Iterable[str], known: Sequence[str], by: By) -> None:
     for name in wanted:
         if name not in known:
-            near = get_close_matches(name, known, n=1)
             raise RefusedError(
-                f"no run that counts is of {by} {name[:64]!r}",
-                remedy=(f"did you mean {near[0]!r}? " if near else "") + f"there are: {named(known, 10)}",
+                f"no run that counts is of {by} {echo(name, 64)}", remedy=nearest(name, known, "there are")
             )
 
 
@@ -242,7 +241,7 @@ class Design:
         return named([f"{_batch(batch)} at {station}" for station, batch in pairs], 3)
 
 
-def design_of(runs: Sequence[FleetRun], grouping: Grouping, terms: Terms) -> Design:
+def design_of(runs: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Design:
     """Cross the runs that count."""
     rows = np.flatnonzero(grouping.used)
     members = [runs[row] for row in rows.tolist()]
@@ -276,7 +275,7 @@ def _by_runs(made: Crossing) -> tuple[str, ...]:
     return tuple(made.stations[index] for index in order)
 
 
-def _level(run: FleetRun) -> str:
+def _level(run: RunLine) -> str:
     return f"{run.station} ({_batch(run.batch or NO_BATCH)})"
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import date
 from enum import StrEnum
 from math import isfinite
 
@@ -49,21 +48,6 @@ class Adjustment(StrEnum):
     HOLM = "holm"
     BENJAMINI_HOCHBERG = "benjamini-hochberg"
     NONE = "none"
-
-
-@dataclass(frozen=True, slots=True)
-class RunChoice:
-    """Which stored runs are compared.
-
-    Parameters
-    ----------
-    recipe : only its runs; None for all.
-    since, until : first and last day a run began on, UTC.
-    """
-
-    recipe: str | None = None
-    since: date | None = None
-    until: date | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,15 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
+from cbsr_qa.domain.results import FleetTable, MetricKey, RunLine
 from cbsr_qa.plugin import echo
 from cbsr_qa.report import named
-from cbsr_qa.store import Repository
-from cbsr_qa.studies.figure_series import Series, series_of
+from cbsr_qa.studies.figure_series import Figures, Series, figures_of, series_of
 from cbsr_qa.studies.gauge.request import GaugeRequest, MetricWanted
+from cbsr_qa.studies.selection import not_measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +28,7 @@ class Toleranced:
     of: str
 
 
-def wanted_metrics(store: Repository, request: GaugeRequest, lines: Sequence[RunLine]) -> list[Toleranced]:
+def wanted_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunLine]) -> list[Toleranced]:
     """Return what a study is of, one series a metric.
 
     Raises
@@ -38,43 +37,37 @@ def wanted_metrics(store: Repository, request: GaugeRequest, lines: Sequence[Run
         If no run measured a metric that is named (with the nearest one), it is not in the unit that is stated, it is
         not of locations where these are asked for, or nothing was measured.
     """
-    figures = store.run_figures(lines, request.names, by_location=request.by_location)
-    if not figures and request.names:
-        figures = store.run_figures(lines)
-    _check_known(request, {figure.key for figure in figures})
-    figures = _of_locations(request, figures)
-    found = [one for series in series_of(lines, figures, request.names) for one in _toleranced(request, series)]
+    _check_known(request, {kind.key for kind in table.kinds})
+    figures = _of_locations(request, figures_of(table, by_location=request.by_location))
+    series = series_of(runs, figures, tuple(dict.fromkeys(metric.name for metric in request.metrics)))
+    found = [one for of_metric in series for one in _toleranced(request, of_metric)]
     if not found:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
-    _check_references(request, lines, found)
+    _check_references(request, runs, found)
     return found
 
 
 def _check_known(request: GaugeRequest, known: set[MetricKey]) -> None:
-    names = sorted({key.name for key in known})
-    for index, one in enumerate(request.metrics):
-        if not known or any(one.means(key) for key in known):
+    for index, wanted in enumerate(request.metrics):
+        if not known or any(wanted.means(key) for key in known):
             continue
-        if one.name not in names:
-            near = get_close_matches(one.name, names, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise RefusedError(
-                f"{request.at('metrics', index, 'name')}no run of these measured {echo(one.name, 64)}",
-                remedy=f"{hint}measured: {', '.join(names)}",
-            )
-        own = [key for key in sorted(known) if key.name == one.name]
+        at = request.at("metrics", index, "name")
+        own = [key for key in sorted(known) if key.name == wanted.name]
+        if not own:
+            raise not_measured(wanted.name, {key.name for key in known}, at)
         variants = dict.fromkeys(f"phase {key.phase!r}, qualifier {key.qualifier!r}" for key in own)
         raise RefusedError(
-            f"{request.at('metrics', index, 'name')}no run of these measured {one.name} of "
-            f"{f'phase {echo(one.phase)} and ' if one.phase else ''}qualifier {echo(one.qualifier or '')}",
+            f"{at}no run of these measured {wanted.name} of "
+            f"{f'phase {echo(wanted.phase)} and ' if wanted.phase else ''}qualifier {echo(wanted.qualifier or '')}",
             remedy=f"measured: {'; '.join(variants)}",
         )
 
 
-def _of_locations(request: GaugeRequest, figures: tuple[RunFigure, ...]) -> tuple[RunFigure, ...]:
+def _of_locations(request: GaugeRequest, figures: Figures) -> Figures:
     if not request.by_location or not figures:
         return figures
-    found = tuple(figure for figure in figures if figure.key.location)
+    names = {metric.name for metric in request.metrics}
+    found = {key: of for key, of in figures.items() if key.location and (not names or key.name in names)}
     if not found:
         raise RefusedError(
             f"{request.at('study', 'by_location')}these metrics are not of locations",

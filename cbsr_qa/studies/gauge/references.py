@@ -16,7 +16,8 @@ from cbsr_qa.domain.results import RunLine
 from cbsr_qa.plugin import Table, echo
 from cbsr_qa.stats import Estimate
 from cbsr_qa.stats.gauge import bias, linearity, stability
-from cbsr_qa.studies.figure_series import Series, clock_notes
+from cbsr_qa.studies.figure_series import Series
+from cbsr_qa.studies.selection import clock_notes
 
 _GIVEN = re.compile(
     r"(?P<serial>.+)\.(?P<metric>[a-z][a-z0-9_]*)=(?P<value>[^±\s]+?)\s*"

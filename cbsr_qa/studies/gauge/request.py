@@ -9,18 +9,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
 from cbsr_qa.config import DocumentKind, FileModel, line_of, open_document, validated
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import MetricKey, RunLine
+from cbsr_qa.domain.results import MetricKey, RunSelection
 from cbsr_qa.plugin import KeyPath, Problem, Table, dotted, echo
 from cbsr_qa.studies.gauge.references import ReferenceTable, ReferenceValue
 
 #: What may be an appraiser.
 APPRAISERS = ("station", "operator")
+_EVERY: Final = RunSelection()
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +81,7 @@ class GaugeRequest:
 
     Parameters
     ----------
-    serials, recipe : which runs; at least one of them.
-    stations, operators : only their runs; none for any.
-    since, until : first and last day the runs began on, UTC.
+    runs : which; with serials, a recipe or both.
     metrics : none for those the recipe limits.
     by_location : one study a location instead of one of the mean over all.
     appraiser : ``"station"`` or ``"operator"``.
@@ -91,12 +90,7 @@ class GaugeRequest:
     source : the file this was read from; None for options.
     """
 
-    serials: tuple[str, ...] = ()
-    recipe: str | None = None
-    stations: tuple[str, ...] = ()
-    operators: tuple[str, ...] = ()
-    since: date | None = None
-    until: date | None = None
+    runs: RunSelection = _EVERY
     metrics: tuple[MetricWanted, ...] = ()
     by_location: bool = False
     appraiser: str = "station"
@@ -105,11 +99,6 @@ class GaugeRequest:
     confidence: float = 0.95
     source: StudySource | None = None
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the metrics, each once."""
-        return tuple(dict.fromkeys(one.name for one in self.metrics))
-
     def at(self, *path: str | int) -> str:
         """Where a refusal is about a key of the study's file, its line and the key; empty for options."""
         if self.source is None:
@@ -117,34 +106,24 @@ class GaugeRequest:
         line = line_of(self.source.text, path)
         return f"{self.source.file}{f' line {line}' if line else ''}: {dotted(path)}: "
 
-    def takes(self, line: RunLine) -> bool:
-        """Whether a run is of the period, the stations and the operators."""
-        in_period = (self.since is None or line.day >= self.since) and (self.until is None or line.day <= self.until)
-        at_station = not self.stations or line.station in self.stations
-        return in_period and at_station and (not self.operators or line.operator in self.operators)
-
     def check(self) -> None:
         """Refuse what cannot be meant, before anything is read.
 
         Raises
         ------
         RefusedError
-            If nothing says which runs, the appraiser or the confidence is none, or the period ends before it begins.
+            If nothing says which runs, or the appraiser or the confidence is not allowed.
         """
         if self.appraiser not in APPRAISERS:
             raise RefusedError(f"--appraiser is {echo(self.appraiser)}", remedy=f"allowed: {', '.join(APPRAISERS)}")
         if not 0.5 < self.confidence < 1:
             raise RefusedError(
-                f"a confidence of {100 * self.confidence:g} % is none",
-                remedy="allowed: above 50 and below 100 %; give per cent, 95 for 95 %",
+                f"confidence is {100 * self.confidence:g} %; it must lie between 50 and 100 %",
+                remedy="give per cent, 95 for 95 %",
             )
-        if not self.serials and self.recipe is None:
+        if not self.runs.serials and self.runs.recipe is None:
             raise RefusedError(
                 "no study is named", remedy="name a study's file, or choose runs by --serials S1,S2,… or --recipe R"
-            )
-        if self.since and self.until and self.since > self.until:
-            raise RefusedError(
-                f"no day is after {self.since} and before {self.until}", remedy="swap --since and --until"
             )
 
 
@@ -258,12 +237,14 @@ class StudyFile(FileModel[GaugeRequest]):
         """Return what is asked for; per cent become a fraction."""
         study = self.study
         return GaugeRequest(
-            serials=tuple(study.serials or ()),
-            recipe=study.recipe,
-            stations=tuple(study.stations or ()),
-            operators=tuple(study.operators or ()),
-            since=study.since,
-            until=study.until,
+            runs=RunSelection(
+                serials=tuple(study.serials or ()),
+                recipe=study.recipe,
+                stations=tuple(study.stations or ()),
+                operators=tuple(study.operators or ()),
+                since=study.since,
+                until=study.until,
+            ),
             metrics=tuple(metric.to_domain() for metric in self.metrics or ()),
             by_location=study.by_location,
             appraiser=study.appraiser,

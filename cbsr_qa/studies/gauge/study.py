@@ -4,18 +4,16 @@ The runs of a gauge study, and what is said where they are not there.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
-from difflib import get_close_matches
 from typing import Annotated
 
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.config import database_url
 from cbsr_qa.domain import NumericsError, RefusedError, of_kind
-from cbsr_qa.domain.results import MetricKey, RunLine
-from cbsr_qa.plugin import echo
+from cbsr_qa.domain.results import FleetTable, MetricKey, RunLine, RunSelection
 from cbsr_qa.report import named, plural
 from cbsr_qa.stats.gauge import (
     GaugeAnova,
@@ -28,28 +26,11 @@ from cbsr_qa.stats.gauge import (
     on,
     study,
 )
-from cbsr_qa.store import Repository, RunFilter, open_store
-from cbsr_qa.studies.figure_series import clock_notes, recipe_note, software_note
+from cbsr_qa.store import Repository, open_store
 from cbsr_qa.studies.gauge.metrics import Toleranced, wanted_metrics
 from cbsr_qa.studies.gauge.references import AgainstReferences, against_references
 from cbsr_qa.studies.gauge.request import GaugeRequest, StudySource
-
-
-@dataclass(frozen=True, slots=True)
-class _Named:
-    """One name of a request.
-
-    Parameters
-    ----------
-    noun : what it is of.
-    at : where it stands in the study's file.
-    there : whether a run that fits has it.
-    """
-
-    noun: str
-    name: str
-    at: str
-    there: bool
+from cbsr_qa.studies.selection import check_names, clock_notes, likeness_notes, several_recipes
 
 
 def appraiser_of(line: RunLine, kind: str) -> str:
@@ -57,80 +38,63 @@ def appraiser_of(line: RunLine, kind: str) -> str:
     return line.station if kind == "station" else line.operator
 
 
-def chosen_runs(store: Repository, request: GaugeRequest) -> tuple[tuple[RunLine, ...], tuple[str, ...]]:
-    """Return the runs of a study, and what is to be said of them all.
+def chosen_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, tuple[RunLine, ...], tuple[str, ...]]:
+    """Return stored values, the runs of a study among them, and what is to be said of them all.
 
     Raises
     ------
     RefusedError
         If none fits, a name is of no run (with the nearest one), or they are of several recipes.
     """
-    of_names = store.run_lines(RunFilter(serials=request.serials, recipe=request.recipe))
-    lines = tuple(line for line in of_names if request.takes(line))
-    _check_found(store, request, of_names, lines)
-    recipes = sorted({line.recipe for line in lines})
+    table = store.fleet(request.runs)
+    runs = tuple(run for run in table.runs if run.outcome is not None)
+    _check_found(store, request, runs)
+    recipes = {run.recipe for run in runs}
     if len(recipes) > 1:
         raise RefusedError(
-            f"{request.at('study')}these runs are of {len(recipes)} recipes: {named(recipes)}",
+            f"{request.at('study')}these runs are of {several_recipes(recipes)}",
             remedy="choose one by its name: recipe in the study, or --recipe",
         )
-    nobody = [line for line in lines if not appraiser_of(line, request.appraiser)]
-    lines = tuple(line for line in lines if appraiser_of(line, request.appraiser))
-    if not lines:
+    known = tuple(run for run in runs if appraiser_of(run, request.appraiser))
+    if not known:
         raise RefusedError(f"none of these runs names its {request.appraiser}", remedy="study stations instead")
-    notes = clock_notes(lines)
-    if nobody:
-        notes += (f"left out: {plural(len(nobody), 'run')} without the name of the {request.appraiser}",)
-    return lines, notes
+    notes = clock_notes(known)
+    if len(known) < len(runs):
+        unknown = plural(len(runs) - len(known), "run")
+        notes += (f"left out: {unknown} without the name of the {request.appraiser}",)
+    return table, known, notes
 
 
-def _check_found(
-    store: Repository, request: GaugeRequest, of_names: Sequence[RunLine], lines: Sequence[RunLine]
-) -> None:
+def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLine]) -> None:
     """Refuse names without a run, each with its line in the study's file; unknown names come first."""
-    absent = [one for one in _names(request, lines) if not one.there]
-    if lines and not absent:
+    wanted = request.runs
+    absent = [
+        (noun, key, name)
+        for noun, key, names, there in (
+            ("sensor", "serials", wanted.serials, {run.serial for run in runs}),
+            ("station", "stations", wanted.stations, {run.station for run in runs}),
+            ("operator", "operators", wanted.operators, {run.operator for run in runs}),
+        )
+        for name in names
+        if name not in there
+    ]
+    if runs and not absent:
         return
-    stored = store.run_lines(RunFilter())
-    known: dict[str, set[str]] = {
-        "recipe": {run.recipe for run in stored},
-        "sensor": {run.serial for run in stored},
-        "station": {run.station for run in stored},
-        "operator": {run.operator for run in stored},
-    }
-    unknown = [one for one in absent if one.name not in known[one.noun]]
-    if unknown:
-        said = [f"{one.at}no analysed run is of {one.noun} {echo(one.name, 64)}" for one in unknown]
-        raise RefusedError("\n".join(said), remedy=_hint(unknown[0].name, known[unknown[0].noun]))
+    keys = ("recipe", "serials", "stations", "operators")
+    check_names(store, wanted, {key: request.at("study", key) for key in keys})
+    of_names = store.run_lines(RunSelection(serials=wanted.serials, recipe=wanted.recipe))
     remedy = f"choose other days, other names or another recipe{_days(of_names)}"
     # Without any run that fits, every name is absent, and it is no name that is wrong.
-    if lines:
-        said = [f"{one.at}{of_kind(one.noun, one.name)} has no analysed run that fits" for one in absent]
+    if runs:
+        said = [f"{request.at('study', key)}{of_kind(noun, name)} has no run that fits" for noun, key, name in absent]
         raise RefusedError("\n".join(said), remedy=remedy)
     raise RefusedError(f"{request.at('study')}no analysed run fits this study", remedy=remedy)
 
 
-def _names(request: GaugeRequest, lines: Sequence[RunLine]) -> Iterator[_Named]:
-    if request.recipe is not None:
-        yield _Named("recipe", request.recipe, request.at("study", "recipe"), bool(lines))
-    for noun, key, wanted, there in (
-        ("sensor", "serials", request.serials, {line.serial for line in lines}),
-        ("station", "stations", request.stations, {line.station for line in lines}),
-        ("operator", "operators", request.operators, {line.operator for line in lines}),
-    ):
-        for name in wanted:
-            yield _Named(noun, name, request.at("study", key), name in there)
-
-
-def _days(lines: Sequence[RunLine]) -> str:
+def _days(runs: Sequence[RunLine]) -> str:
     """Say when runs of the sensors and the recipe were begun, whatever the days and stations; empty without any."""
-    days = sorted(line.day for line in lines)
+    days = sorted(run.day for run in runs)
     return f"; runs of its sensors and recipe began from {days[0]} to {days[-1]}" if days else ""
-
-
-def _hint(name: str, known: Collection[str]) -> str:
-    near = get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else "cbsr-qa db status shows which database is used"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,18 +183,17 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
     """
     request.check()
     with open_store(database_url(database), create=False) as store:
-        lines, notes = chosen_runs(store, request)
-        wanted = wanted_metrics(store, request, lines)
-        notes += software_note(store.software_of(lines)) + recipe_note(store, lines)
-        simulated = bool(store.identity(lines[-1].run).simulated)
+        table, lines, notes = chosen_runs(store, request)
+        wanted = wanted_metrics(table, request, lines)
+        notes += likeness_notes(store, lines)
     metrics = tuple(_metric(one, request) for one in wanted)
     _check_any(metrics, largest_balanced=request.largest_balanced)
     return GaugeStudy(
         study=request.source,
         appraiser=request.appraiser,
         confidence=request.confidence,
-        since=request.since,
-        until=request.until,
+        since=request.runs.since,
+        until=request.runs.until,
         by_location=request.by_location,
         largest_balanced=request.largest_balanced,
         recipe=lines[0].recipe,
@@ -238,7 +201,7 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
         stations=tuple(sorted({line.station for line in lines})),
         appraisers=tuple(sorted({appraiser_of(line, request.appraiser) for line in lines})),
         runs=tuple(line.run for line in lines),
-        simulated=simulated,
+        simulated=bool(lines[-1].simulated),
         notes=notes,
         metrics=metrics,
     )

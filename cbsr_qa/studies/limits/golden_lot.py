@@ -1,78 +1,57 @@
 """Golden lots: stored runs of sensors known to be good, chosen by the user and checked to belong together."""
 
 import hashlib
-import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, date
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.config import canonical_json, validate_serial
-from cbsr_qa.domain import RefusedError, did_you_mean
-from cbsr_qa.domain.results import EndReason, Outcome
-from cbsr_qa.plugin import echo
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import EndReason, Outcome, RunLine, RunSelection
 from cbsr_qa.report import named
 from cbsr_qa.store import Repository
 from cbsr_qa.store.results import StoredAnalysis
-from cbsr_qa.store.runs import RunSummary
+from cbsr_qa.studies.selection import check_names, measuring_digest
 
-#: Tables of a recipe that change what is judged or shown, but no number.
-_NOT_MEASURING = ("limits", "limits_version", "report")
 _GOOD = (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)
 
 
 @dataclass(frozen=True, slots=True)
 class LotChoice:
-    """Which stored runs are the golden lot; what is given must all hold.
+    """Which stored runs are the golden lot.
 
     Parameters
     ----------
-    serials : sensors; none for any.
-    batch, recipe : names as stored with the runs; None for any.
-    since, until : first and last day the run began on, UTC.
+    runs : in which sensors, batch, recipe or days are named.
     without : sensors that are left out, by name.
     include_failed : take runs that failed, or in which something could not be measured.
     allow_mixed : take runs of several recipes or software versions.
     """
 
-    serials: tuple[str, ...] = ()
-    batch: str | None = None
-    recipe: str | None = None
-    since: date | None = None
-    until: date | None = None
+    runs: RunSelection
     without: tuple[str, ...] = ()
     include_failed: bool = False
     allow_mixed: bool = False
 
-    def holds(self, run: RunSummary) -> bool:
-        """Whether a run was chosen."""
-        day = run.started_at.astimezone(UTC).date()
-        return (
-            (not self.serials or run.serial in self.serials)
-            and self.batch in (None, run.batch)
-            and self.recipe in (None, run.recipe)
-            and (self.since is None or day >= self.since)
-            and (self.until is None or day <= self.until)
-        )
-
     def words(self) -> str:
         """Return the choice as a reader would say it."""
-        said = [f"batch {self.batch}"] if self.batch is not None else []
-        said += [f"recipe {self.recipe}"] if self.recipe is not None else []
-        said += [f"since {self.since}"] if self.since else []
-        said += [f"until {self.until}"] if self.until else []
-        return ", ".join([*said, *(["named sensors"] if self.serials else [])])
+        wanted = self.runs
+        said = [f"batch {wanted.batch}"] if wanted.batch is not None else []
+        said += [f"recipe {wanted.recipe}"] if wanted.recipe is not None else []
+        said += [f"since {wanted.since}"] if wanted.since else []
+        said += [f"until {wanted.until}"] if wanted.until else []
+        return ", ".join([*said, *(["named sensors"] if wanted.serials else [])])
 
 
 @dataclass(frozen=True, slots=True)
 class LotRun:
     """One run of the lot with its latest analysis."""
 
-    summary: RunSummary
+    line: RunLine
     analysis: StoredAnalysis
 
 
@@ -115,7 +94,7 @@ class Lot:
 def _data_rows(run: LotRun) -> Iterable[list[Any]]:
     for m in run.analysis.measurements:
         where = [m.phase, m.location, m.trial, m.load, m.qualifier]
-        yield [run.summary.serial, run.summary.run, m.name, m.unit, *where, m.value, m.uncertainty, str(m.bound)]
+        yield [run.line.serial, run.line.run, m.name, m.unit, *where, m.value, m.uncertainty, str(m.bound)]
 
 
 #: More than a list of serial numbers has.
@@ -163,11 +142,14 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
             "no golden lot is named",
             remedy="choose runs of sensors known to be good: --serial, --serials FILE, --batch, --recipe, --since",
         )
-    stored = store.find_runs()
-    _check_known("sensor", (*choice.serials, *choice.without), {run.serial for run in stored})
-    chosen = [run for run in reversed(stored) if choice.holds(run)]
+    check_names(store, RunSelection(serials=(*choice.runs.serials, *choice.without)))
+    chosen = store.run_lines(choice.runs)
     if not chosen:
-        raise _nothing_fits(choice, stored)
+        check_names(store, choice.runs)
+        raise RefusedError(
+            f"no stored run fits the golden lot ({choice.words()})",
+            remedy="each of the choices fits some runs, or there are none yet, but no run fits all",
+        )
     kept = [run for run in chosen if run.serial not in choice.without]
     not_good = _not_good(kept, choice)
     runs = [LotRun(run, store.analyses(run.run)[0]) for run in kept if _analysed(run)]
@@ -175,54 +157,32 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
         raise RefusedError("no run of the lot has measurements", remedy="choose runs that were finished and analysed")
     mixed = _mixed(store, runs, choice)
     analysed: dict[str, tuple[LotRun, ...]] = {}
-    for run in sorted(runs, key=lambda one: one.summary.serial):
-        analysed[run.summary.serial] = (*analysed.get(run.summary.serial, ()), run)
+    for run in sorted(runs, key=lambda one: one.line.serial):
+        analysed[run.line.serial] = (*analysed.get(run.line.serial, ()), run)
     return Lot(
         chosen=choice.words(),
-        sensors={serial: tuple(run.summary.run for run in of) for serial, of in analysed.items()},
-        stations=tuple(sorted({run.summary.station for run in runs})),
+        sensors={serial: tuple(run.line.run for run in of) for serial, of in analysed.items()},
+        stations=tuple(sorted({run.line.station for run in runs})),
         software=tuple(next(iter(analysed.values()))[0].analysis.software),
         left_out=tuple(sorted({run.serial for run in chosen} & set(choice.without))),
         not_good=not_good,
         mixed=mixed,
-        simulated=_simulated(store, runs),
+        simulated=_simulated(runs),
         analysed=analysed,
     )
 
 
-def _simulated(store: Repository, runs: Sequence[LotRun]) -> tuple[str, ...]:
+def _simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
     """Say what was simulated, each thing once: seeds differ from run to run."""
-    words = {said for run in runs for said in store.identity(run.summary.run).simulated}
+    words = {said for run in runs for said in run.line.simulated}
     return tuple(sorted({re.sub(r", seed \d+$", "", said) for said in words}))
 
 
-def _analysed(run: RunSummary) -> bool:
+def _analysed(run: RunLine) -> bool:
     return run.end is EndReason.FINISHED and run.outcome is not None
 
 
-def _check_known(noun: str, names: Iterable[str], known: set[str]) -> None:
-    for name in names:
-        if name not in known:
-            remedy = did_you_mean(name, known, "cbsr-qa db status shows which database is used")
-            raise RefusedError(f"there is no {noun} {echo(name, 64)} in this database", remedy=remedy)
-
-
-def _nothing_fits(choice: LotChoice, stored: Sequence[RunSummary]) -> RefusedError:
-    """Say that nothing fits, with the nearest name where one is unknown."""
-    for noun, name, known in (
-        ("batch", choice.batch, {run.batch for run in stored}),
-        ("recipe", choice.recipe, {run.recipe for run in stored}),
-    ):
-        if name is not None and name not in known:
-            hint = did_you_mean(name, known, f"stored: {named(sorted(known)) or 'no runs at all'}")
-            return RefusedError(f"no stored run is of {noun} {echo(name, 64)}", remedy=hint)
-    return RefusedError(
-        f"no stored run fits the golden lot ({choice.words()})",
-        remedy="each of the choices fits some runs, or there are none yet, but no run fits all",
-    )
-
-
-def _not_good(runs: Sequence[RunSummary], choice: LotChoice) -> tuple[str, ...]:
+def _not_good(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
     bad = [run for run in runs if not (_analysed(run) and run.outcome in _GOOD)]
     said = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
     if bad and not choice.include_failed:
@@ -233,7 +193,7 @@ def _not_good(runs: Sequence[RunSummary], choice: LotChoice) -> tuple[str, ...]:
     return said
 
 
-def _fate(run: RunSummary) -> str:
+def _fate(run: RunLine) -> str:
     if run.end is not EndReason.FINISHED:
         return str(run.end)
     return "never analysed" if run.outcome is None else f"{run.outcome}: {run.reason}"
@@ -241,7 +201,7 @@ def _fate(run: RunSummary) -> str:
 
 def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tuple[str, ...]:
     """Say in what the runs differ that changes numbers; refuse it unless it was asked for."""
-    recipes = _shared_by((run, _recipe_words(run, store.configuration(run.summary.run))) for run in runs)
+    recipes = _shared_by((run, _recipe_words(run, store.configuration(run.line.run))) for run in runs)
     software = _shared_by((run, _software_words(run, runs)) for run in runs)
     found = tuple(
         f"{noun}: {'; '.join(f'{what} ({named(serials)})' for what, serials in groups.items())}"
@@ -260,37 +220,14 @@ def _shared_by(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
     for run, words in pairs:
         serials = groups.setdefault(words, [])
-        if run.summary.serial not in serials:
-            serials.append(run.summary.serial)
+        if run.line.serial not in serials:
+            serials.append(run.line.serial)
     return groups
 
 
 def _recipe_words(run: LotRun, configuration: str) -> str:
     """Name a recipe with the digest of all that decides its numbers."""
-    return f"{run.summary.recipe} {measuring_digest(configuration)[:8]}"
-
-
-def measuring_digest(configuration: str) -> str:
-    """SHA-256 of all that decides a run's numbers: not of its limits, nor of the seed of a simulation.
-
-    Parameters
-    ----------
-    configuration : canonical JSON, as stored with a run.
-    """
-    content = json.loads(configuration)
-    recipe = _table(content, "recipe")
-    measuring = {
-        "recipe": {key: value for key, value in recipe.items() if key not in _NOT_MEASURING},
-        "sensor_type": _table(content, "sensor_type"),
-        "material": _table(content, "material"),
-        "indenter": _table(_table(content, "station"), "indenter"),
-    }
-    return hashlib.sha256(canonical_json(measuring).encode()).hexdigest()
-
-
-def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    found = content.get(key, {})
-    return found if isinstance(found, Mapping) else {}
+    return f"{run.line.recipe} {measuring_digest(configuration)[:8]}"
 
 
 def _software_words(run: LotRun, runs: Sequence[LotRun]) -> str:

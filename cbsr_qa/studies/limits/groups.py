@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from cbsr_qa.domain import RefusedError, did_you_mean
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Bound, Limit, Measurement
-from cbsr_qa.plugin import echo
 from cbsr_qa.studies.limits.golden_lot import Lot, LotRun
+from cbsr_qa.studies.selection import not_measured
 
 #: What one limit judges: measurement, phase, qualifier.
 Key = tuple[str, str, str]
@@ -71,13 +71,12 @@ def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, 
         If nobody measured a name (with the nearest one), or one measurement has several units.
     """
     runs = {serial: tuple(_by_key(run) for run in members) for serial, members in lot.analysed.items()}
-    latest = _by_key(max(lot.runs, key=lambda run: run.summary.started_at))
+    latest = _by_key(max(lot.runs, key=lambda run: run.line.started_at))
     keys = dict.fromkeys((*latest, *(key for members in runs.values() for run in members for key in run)))
-    known = sorted({name for name, _, _ in keys})
+    known = {name for name, _, _ in keys}
     for name in names:
         if name not in known:
-            remedy = f"{did_you_mean(name, known)} measured: {', '.join(known)}".lstrip()
-            raise RefusedError(f"no run of the lot measured {echo(name, 64)}", remedy=remedy)
+            raise not_measured(name, known)
     groups = [_group(key, runs, latest) for key in keys if not names or key[0] in names]
     limited = [group for group in groups if group.present is not None]
     return tuple(groups if names or everything or not limited else limited)

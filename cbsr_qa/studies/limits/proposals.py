@@ -283,7 +283,7 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
     """Find how well one run measures: from repeated runs, else from what the measurements state of themselves."""
     picks = [min if side == "lower" else max for side in bounds]
     repeats = sum(len(runs) - 1 for runs in group.sensors.values())
-    moved = any(len({run.summary.station for run in runs}) > 1 for runs in lot.analysed.values())
+    moved = any(len({run.line.station for run in runs}) > 1 for runs in lot.analysed.values())
     over = f", at stations {', '.join(lot.stations)}" if moved else ""
     source = f"repeatability of {repeats} repeated runs{over}"
     repeated = [repeatability(_worst(group, pick), source) for pick in picks]

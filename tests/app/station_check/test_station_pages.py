@@ -9,7 +9,8 @@ import sqlalchemy as sa
 from test_gauge_command import fill, runs
 
 from cbsr_qa.cli import guarded
-from cbsr_qa.store import RunFilter, open_store, run_figures, run_lines
+from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.store.fleet import fleet_table
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -66,10 +67,8 @@ def test_the_end_of_a_run_asks_what_indices_answer(database):
     engine = sa.create_engine(f"sqlite:///{database}")
     asked = []
     sa.event.listen(engine, "before_cursor_execute", lambda *told: asked.append((told[2], told[3])))
-    lines = run_lines(
-        engine, RunFilter(station="bench-a", recipe="nine-locations", golden=False, after="0", latest=20)
-    )
-    assert len(run_figures(engine, lines, ["force_gain"])) == len(lines) == 20
+    selection = RunSelection(stations=("bench-a",), recipe="nine-locations", checks=False, after="0", latest=20)
+    assert len(fleet_table(engine, selection).runs) == 20
     plans = []
     with engine.connect() as connection:
         for statement, given in list(asked):
@@ -78,4 +77,3 @@ def test_the_end_of_a_run_asks_what_indices_answer(database):
     assert "ix_runs_station_run (station=? AND run>?)" in plans[0]
     assert any("sqlite_autoindex_measurements_1 (analysis=?)" in plan for plan in plans)
     assert not [plan for plan in plans if re.search(r"SCAN (runs|analyses|measurements|run_links)\b", plan)]
-    assert open_store(f"sqlite:///{database}").run_lines(RunFilter(recipe="other")) == ()

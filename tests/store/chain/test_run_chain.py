@@ -12,13 +12,12 @@ from stored_runs import calibration, identity, journalled, short_run
 
 from cbsr_qa.calibration.file import stamped
 from cbsr_qa.domain import ConfigError, StoreError
-from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, decide
+from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, RunSelection, decide
 from cbsr_qa.domain.run import ChainState, RunStarted
 from cbsr_qa.store import open_store
 from cbsr_qa.store.chain import fleet
 from cbsr_qa.store.chain.links import VARIABLE, SigningKey
 from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
-from cbsr_qa.store.figures import RunFilter
 from cbsr_qa.store.tables import Base, records as check_tables
 from cbsr_qa.store.types import FiniteDouble, Whole
 
@@ -189,13 +188,8 @@ READERS = {
         lambda store, _, issued: store.calibration_file(issued),
     ),
     "override": (VALUE, lambda store, run, _: store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")),
-    "figures": (VALUE, lambda store, *_: store.run_figures(store.run_lines(RunFilter(serials=("S-1",))))),
-    "figures of a station": (
-        "update runs set station = 'B' where run = :run",
-        lambda store, *_: store.run_figures(store.run_lines(RunFilter(serials=("S-1",)))),
-    ),
+    "fleet of a sensor": (VALUE, lambda store, *_: store.fleet(RunSelection(serials=("S-1",)))),
     "fleet": (RUN, lambda store, *_: store.fleet()),
-    "fleet of a metric": (VALUE, lambda store, *_: store.fleet(names=("drift",))),
 }
 
 

@@ -259,7 +259,7 @@ def test_odd_runs_are_named(tmp_path, document):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--station", "bench-q", *NEW), "no run of station 'bench-q' is stored\ndid you mean 'bench-a'?"),
+        (("--station", "bench-q", *NEW), "no stored run is of station 'bench-q'\ndid you mean 'bench-a'?"),
         (("--station", STATION, "--recipe", "shirt", *NEW), "did you mean 'short'?"),
         (("--station", STATION, "--metric", "force_gian", *NEW), "did you mean 'force_gain'?"),
         (("--station", STATION, "--metric", "force_gian"), "did you mean 'force_gain'?"),

@@ -8,9 +8,9 @@ import pytest
 from compared_fleets import BATCH_MM, ERROR, STATION_MM, compared, fleet, json_of, metric
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, Verdict
+from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, RunSelection, Verdict
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import Adjustment, By, Period, Policy, Quarantine, RunChoice
+from cbsr_qa.studies.compare import Adjustment, By, Period, Policy, Quarantine
 
 
 def test_the_batch_is_told_from_the_station(two):
@@ -159,9 +159,9 @@ def test_periods_are_days_weeks_months_and_years(url):
     assert names[Period.MONTH] == ["2026-11", "2026-12"]
     assert names[Period.WEEK] == ["2026-W47", "2026-W49"]
     assert names[Period.YEAR] == ["2026"]
-    since = RunChoice(since=(datetime(2026, 11, 21) + timedelta(days=1)).date())
+    since = RunSelection(since=(datetime(2026, 11, 21) + timedelta(days=1)).date())
     assert [g["n"] for g in json_of(compared(url, By.PERIOD, since))["groups"]] == [4]
-    until = RunChoice(until=datetime(2026, 11, 21).date())
+    until = RunSelection(until=datetime(2026, 11, 21).date())
     assert [g["n"] for g in json_of(compared(url, By.PERIOD, until))["groups"]] == [4]
 
 
@@ -169,7 +169,7 @@ def test_a_material_of_one_batch_cannot_be_told_from_it(url):
     fleet(url, sensors=4, both=0)
     warnings = json_of(compared(url, By.MATERIAL))["warnings"]
     assert any("Batches of one material are taken for alike" in words for words in warnings)
-    only = json_of(compared(url, By.MATERIAL, RunChoice(recipe="short")))
+    only = json_of(compared(url, By.MATERIAL, RunSelection(recipe="short")))
     assert [g["name"] for g in only["groups"]] == ["cbsr-8wt"]
 
 

@@ -9,9 +9,9 @@ from compared_fleets import ERROR, compared, fleet, json_of, metric
 from stored_lots import judged, measured, store_run
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Bound, Measurement
+from cbsr_qa.domain.results import Bound, Measurement, RunSelection
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import By, RunChoice, read_amounts
+from cbsr_qa.studies.compare import By, read_amounts
 
 
 @pytest.mark.rest
@@ -105,11 +105,11 @@ def test_an_empty_database_and_runs_that_do_not_fit_are_refused(url):
     with pytest.raises(RefusedError, match="no stored run fits"):
         compared(url)
     fleet(url, sensors=2, both=0)
-    with pytest.raises(RefusedError, match="no stored run uses recipe 'shrot'") as raised:
-        compared(url, choice=RunChoice(recipe="shrot"))
+    with pytest.raises(RefusedError, match="no stored run is of recipe 'shrot'") as raised:
+        compared(url, choice=RunSelection(recipe="shrot"))
     assert "did you mean 'short'? recipes: short" in raised.value.remedy
     with pytest.raises(RefusedError, match="no stored run fits"):
-        compared(url, choice=RunChoice(until=datetime(2020, 1, 1).date()))
+        compared(url, choice=RunSelection(until=datetime(2020, 1, 1).date()))
 
 
 @pytest.mark.parametrize("said", ["drift", "drift=", "=1", "drift=0", "drift=-1", "drift=nan", "drift=inf"])

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from stored_lots import judged, measured, store_run
 
+from cbsr_qa.domain.results import RunSelection
 from cbsr_qa.report import json_document, number, render_sections, terminal_lines
 from cbsr_qa.stats import power, power_of_equivalence
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import Adjustment, By, RunChoice, Terms, compare_groups, compare_outcome
+from cbsr_qa.studies.compare import Adjustment, By, Terms, compare_groups, compare_outcome
 
 pytestmark = pytest.mark.rest
 
@@ -32,7 +33,7 @@ def url(tmp_path_factory):
 
 
 def compared(url, by=By.BATCH, **terms):
-    return compare_outcome(compare_groups(RunChoice(), Terms(by, **terms), database=url, now=NOW))
+    return compare_outcome(compare_groups(RunSelection(), Terms(by, **terms), database=url, now=NOW))
 
 
 def json_of(made):

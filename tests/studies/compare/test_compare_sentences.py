@@ -9,7 +9,7 @@ from stored_lots import judged, store_run
 
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import FleetRun, FleetTable, Kind, Measurement, MetricKey, Outcome, Verdict
+from cbsr_qa.domain.results import EndReason, FleetTable, Kind, Measurement, MetricKey, Outcome, RunLine, Verdict
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import By, Terms, compare, compare_outcome
 from cbsr_qa.studies.compare.figures import strips
@@ -23,7 +23,7 @@ def made_of(plan, values=None, terms=None, names=("gap", "noise"), material=None
     random = np.random.default_rng(4)
     values = random.standard_normal((len(plan), len(names))) if values is None else np.asarray(values, float)
     runs = tuple(
-        FleetRun(
+        RunLine(
             run=f"run-{number:04d}",
             serial=f"S-{number:03d}",
             batch=batch,
@@ -32,7 +32,7 @@ def made_of(plan, values=None, terms=None, names=("gap", "noise"), material=None
             recipe="short",
             started_at=NOW,
             made_at=NOW,
-            finished=True,
+            end=EndReason.FINISHED,
             outcome=Outcome.PASS,
             software=(("cbsr-qa", "1.0"),),
             simulated=(),

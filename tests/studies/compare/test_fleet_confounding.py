@@ -8,7 +8,7 @@ import pytest
 from compared_fleets import page_of
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import FleetRun, FleetTable, Kind, MetricKey, Outcome
+from cbsr_qa.domain.results import EndReason, FleetTable, Kind, MetricKey, Outcome, RunLine
 from cbsr_qa.studies.compare import By, Period, Policy, Terms, compare, compare_outcome
 from cbsr_qa.studies.compare.groups import design_of, grouped
 
@@ -21,7 +21,7 @@ DAYS = Terms(By.PERIOD, period=Period.DAY)
 
 def run_of(number, batch, station="A", day=0, serial=None, **changes):
     began = BEGAN + timedelta(days=day, minutes=number)
-    one = FleetRun(
+    one = RunLine(
         run=f"run-{number:04d}",
         serial=serial or f"S-{number:03d}",
         batch=batch,
@@ -30,7 +30,7 @@ def run_of(number, batch, station="A", day=0, serial=None, **changes):
         recipe="short",
         started_at=began,
         made_at=began,
-        finished=True,
+        end=EndReason.FINISHED,
         outcome=Outcome.PASS,
         software=(("cbsr-qa", "1.0"),),
         simulated=(),

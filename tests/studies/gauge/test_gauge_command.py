@@ -260,7 +260,7 @@ def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
     [
         ((), "no study is named"),
         (("--recipe", "shirt"), "did you mean 'short'?"),
-        (("--serials", "S-01,S-99"), "no analysed run is of sensor 'S-99'"),
+        (("--serials", "S-01,S-99"), "no stored run is of sensor 'S-99'"),
         (("--recipe", "short", "--metric", "force_gian"), "did you mean 'force_gain'?"),
         (("--recipe", "short", "--appraiser", "robot"), "allowed: station, operator"),
         (("--recipe", "short", "--reference", "S-01.force_gain"), "cannot be read"),
@@ -270,7 +270,7 @@ def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
         (("--serials", "S-01"), "all 6 runs are of one sensor, S-01"),
         (("--recipe", "short", "--since", "2030-01-01"), "no analysed run fits"),
         (("--recipe", "short", "--since", "2026-03-02", "--until", "2026-03-01"), "swap --since and --until"),
-        (("--recipe", "short", "--stations", "bench-a,bench-d"), "no analysed run is of station 'bench-d'"),
+        (("--recipe", "short", "--stations", "bench-a,bench-d"), "no stored run is of station 'bench-d'"),
         (("--recipe", "short", "--reference", "S-01.force_gain=10±0.1 mm"), "measured in N/V"),
         (("--recipe", "short", "--confidence", "0"), "0 %"),
     ],

@@ -149,7 +149,7 @@ def test_operators_are_chosen_as_stations_are(studied):
     text = changed(("until =", 'operators = ["Zoë Otani"]\nuntil ='))
     code, _, err = studied(text)
     assert code == 2
-    assert "line 7: study.operators: no analysed run is of operator 'Zoë Otani'" in err
+    assert "line 7: study.operators: no stored run is of operator 'Zoë Otani'" in err
     assert "did you mean 'Zoë Ōtani'?" in err
 
 
@@ -211,15 +211,15 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(studied, old, new, word
         (
             '"bench-c"]',
             '"bench-x"]',
-            ["line 5: study.stations: no analysed run is of station 'bench-x'", "did you mean"],
+            ["line 5: study.stations: no stored run is of station 'bench-x'", "did you mean"],
         ),
         ('"bench-c"]', '"bench-d"]', ["line 5: study.stations: station bench-d has no analysed run that fits"]),
         ('"S-04"]', '"S-09"]', ["line 4: study.serials: sensor S-09 has no analysed run that fits"]),
-        ('"S-04"]', '"S-44", "T-1"]', ["study.serials: no analysed run is of sensor 'S-44'", "of sensor 'T-1'"]),
+        ('"S-04"]', '"S-44", "T-1"]', ["study.serials: no stored run is of sensor 'S-44'", "of sensor 'T-1'"]),
         (
             'recipe = "short"',
             'recipe = "shirt"',
-            ["line 3: study.recipe: no analysed run is of recipe 'shirt'", "'short'?"],
+            ["line 3: study.recipe: no stored run is of recipe 'shirt'", "'short'?"],
         ),
         (
             "until = 2026-11-30",

@@ -1,0 +1,132 @@
+"""Runs that were chosen for a study: refused names, and how runs differ that stand beside each other."""
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from datetime import timedelta
+from itertools import pairwise
+from typing import Any, Final
+
+from cbsr_qa.config import canonical_json
+from cbsr_qa.domain import RefusedError, did_you_mean, of_kind
+from cbsr_qa.domain.results import RunLine, RunSelection
+from cbsr_qa.plugin import echo
+from cbsr_qa.report import named, plural
+from cbsr_qa.store import Repository
+
+#: Runs may be stored a little out of the order they began in; beyond this a clock was wrong.
+_CLOCK_STEP: Final = timedelta(days=1)
+#: Tables of a recipe that change what is judged or shown, but no number.
+_NOT_MEASURING: Final = ("limits", "limits_version", "report")
+#: Of known names in a remedy.
+_MOST_NAMED: Final = 20
+_OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
+
+
+def nearest(name: str, known: Collection[str], there_are: str) -> str:
+    """Word the remedy of an unknown name: the nearest one, and which there are."""
+    every = f"{there_are}: {named(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
+    return f"{did_you_mean(name, known)} {every}".lstrip()
+
+
+def not_measured(name: str, known: Collection[str], at: str = "") -> RefusedError:
+    """Return the refusal of a metric that no run of a study measured."""
+    return RefusedError(f"{at}no run of these measured {echo(name, 64)}", remedy=nearest(name, known, "measured"))
+
+
+def check_names(store: Repository, selection: RunSelection, at: Mapping[str, str] | None = None) -> None:
+    """Refuse names of a selection that no stored run has.
+
+    Parameters
+    ----------
+    at : field of the selection → where it stands in a file, to begin the sentence with.
+
+    Raises
+    ------
+    RefusedError
+        Naming all of them, with the name that is nearest to the first.
+    """
+    stored, said, remedy = store.run_lines(), [], ""
+    for noun, field, attribute in (
+        ("recipe", "recipe", "recipe"),
+        ("batch", "batch", "batch"),
+        ("sensor", "serials", "serial"),
+        ("station", "stations", "station"),
+        ("operator", "operators", "operator"),
+    ):
+        wanted = getattr(selection, field)
+        known = {getattr(run, attribute) for run in stored} - {""}
+        for name in (wanted,) if isinstance(wanted, str) else wanted or ():
+            if name not in known:
+                said.append(f"{(at or {}).get(field, '')}no stored run is of {noun} {echo(name, 64)}")
+                remedy = remedy or nearest(name, known, f"{noun}s" if noun != "batch" else "batches")
+    if said:
+        raise RefusedError("\n".join(said), remedy=remedy)
+
+
+def clock_notes(runs: Sequence[RunLine]) -> tuple[str, ...]:
+    """Name runs by whose times a station's clock must have been wrong; their order is that of their names."""
+    notes = []
+    for station in sorted({run.station for run in runs}):
+        own = [run for run in runs if run.station == station]
+        for before, after in pairwise(own):
+            back = before.started_at - after.started_at
+            if back > _CLOCK_STEP:
+                notes.append(
+                    f"the clock of {of_kind('station', station)} was wrong by about {_span(back)} at one of two "
+                    f"runs: {after.words} came after {before.words}; "
+                    "runs are in the order they were made in, not in that of the clock"
+                )
+    return tuple(notes)
+
+
+def likeness_notes(store: Repository, runs: Sequence[RunLine]) -> tuple[str, ...]:
+    """Say where runs were analysed with several versions, or the first and the last were not measured alike."""
+    versions = Counter(dict(run.software).get("cbsr-qa") or "not noted" for run in runs)
+    notes = []
+    if len(versions) > 1:
+        said = ", ".join(f"{version} ({plural(count, 'run')})" for version, count in sorted(versions.items()))
+        notes.append(
+            f"the runs were analysed with several versions of cbsr-qa: {said}; a change may be the software's"
+        )
+    first, last = runs[0], runs[-1]
+    if measuring_digest(store.configuration(first.run)) != measuring_digest(store.configuration(last.run)):
+        notes.append(
+            f"recipe {last.recipe}, sensor type, material or head was not the same at the first of these runs, "
+            f"{first.words}, and at the last, {last.words}; a change may be theirs"
+        )
+    return tuple(notes)
+
+
+def several_recipes(recipes: Collection[str]) -> str:
+    """Return a clause on runs of several recipes, of which a study takes one."""
+    return f"{len(recipes)} recipes: {named(sorted(recipes))}"
+
+
+def measuring_digest(configuration: str) -> str:
+    """SHA-256 of all that decides a run's numbers: not of its limits, nor of the seed of a simulation.
+
+    Parameters
+    ----------
+    configuration : canonical JSON, as stored with a run.
+    """
+    content = json.loads(configuration)
+    recipe = _table(content, "recipe")
+    measuring = {
+        "recipe": {key: value for key, value in recipe.items() if key not in _NOT_MEASURING},
+        "sensor_type": _table(content, "sensor_type"),
+        "material": _table(content, "material"),
+        "indenter": _table(_table(content, "station"), "indenter"),
+    }
+    return hashlib.sha256(canonical_json(measuring).encode()).hexdigest()
+
+
+def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    table = content.get(key, {})
+    return table if isinstance(table, Mapping) else {}
+
+
+def _span(span: timedelta) -> str:
+    days = span / timedelta(days=1)
+    return f"{days / 365.25:.1f} years" if days > 300 else f"{days:.0f} days"
