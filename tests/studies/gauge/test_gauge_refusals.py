@@ -93,8 +93,8 @@ def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
     )
     fill(path, runs())
     with open_store(f"sqlite:///{path}", durable=False) as store:
-        run = store_run(store, "S-02", odd, station="bench-a", day=9)
-    said = f"values are in several units within the run, N/V and kN/V: S-02 (batch golden, station bench-a, "
+        store_run(store, "S-02", odd, station="bench-a", day=9)
+    said = "values are in several units within the run, N/V and kN/V: S-02 (batch golden, station bench-a, "
     code, out, _ = command("--recipe", "short", "--metric", "force_gain", "--database", path)
     assert code == 0
     assert said in out

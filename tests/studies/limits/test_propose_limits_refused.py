@@ -15,7 +15,7 @@ def test_no_lot_or_an_empty_one_is_refused(lot_database, refused, tmp_path):
     refused(lot_database, said=["no golden lot is named", "--batch"])
     refused(lot_database, "--batch", "goldn", said=["'goldn'", "did you mean 'golden'"])
     refused(lot_database, "--recipe", "shrt", said=["did you mean 'short'"])
-    refused(lot_database, "--serial", "S-1", said=["no sensor 'S-1'", "did you mean"])
+    refused(lot_database, "--serial", "S-1", said=["of sensor 'S-1'", "did you mean"])
     refused(lot_database, "--batch", "golden", "--since", "2030-01-01", said=["no stored run fits"])
     refused(lot_database, "--serial", "S-01", said=["1 sensors are too few"])
     refused(lot_database, "--serials", tmp_path / "nowhere.txt", said=["nowhere.txt", "No such file"])
@@ -116,7 +116,7 @@ def test_nothing_is_written_where_nothing_is_proposed(lot_database, refused, tmp
 
 
 def test_a_database_without_runs_or_none_at_all_is_refused(tmp_path, database, refused):
-    refused(database(), "--batch", "golden", said=["no stored run is of batch", "no runs at all"])
+    refused(database(), "--batch", "golden", said=["no stored run is of batch", "cbsr-qa db status"])
     refused(tmp_path / "nowhere.db", "--batch", "golden", said=["nowhere.db"])
 
 
