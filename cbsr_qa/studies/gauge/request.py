@@ -118,8 +118,8 @@ class GaugeRequest:
             raise RefusedError(f"--appraiser is {echo(self.appraiser)}", remedy=f"allowed: {', '.join(APPRAISERS)}")
         if not 0.5 < self.confidence < 1:
             raise RefusedError(
-                f"confidence is {100 * self.confidence:g} %; it must lie between 50 and 100 %",
-                remedy="give per cent, 95 for 95 %",
+                f"confidence is {100 * self.confidence:g} %",
+                remedy="allowed: above 50 and below 100 %; give per cent, 95 for 95 %",
             )
         if not self.runs.serials and self.runs.recipe is None:
             raise RefusedError(

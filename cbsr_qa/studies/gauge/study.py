@@ -86,7 +86,10 @@ def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLin
     remedy = f"choose other days, other names or another recipe{_days(of_names)}"
     # Without any run that fits, every name is absent, and it is no name that is wrong.
     if runs:
-        said = [f"{request.at('study', key)}{of_kind(noun, name)} has no run that fits" for noun, key, name in absent]
+        said = [
+            f"{request.at('study', key)}{of_kind(noun, name)} has no analysed run that fits"
+            for noun, key, name in absent
+        ]
         raise RefusedError("\n".join(said), remedy=remedy)
     raise RefusedError(f"{request.at('study')}no analysed run fits this study", remedy=remedy)
 
