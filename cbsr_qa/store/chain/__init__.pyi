@@ -3,7 +3,6 @@ from .fleet import (
     AT_ONCE as AT_ONCE,
     Figures as Figures,
     Known as Known,
-    check_analyses as check_analyses,
     check_figures as check_figures,
     figures_query as figures_query,
 )

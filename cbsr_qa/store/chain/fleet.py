@@ -12,7 +12,7 @@ from sqlalchemy.orm import aliased
 
 from cbsr_qa.store.chain.check import check_run
 from cbsr_qa.store.chain.links import key_id_of, link_digest, signing_key
-from cbsr_qa.store.chain.run_documents import FIGURES, RUN_COLUMNS, contents, facts, words
+from cbsr_qa.store.chain.run_documents import FIGURES, contents, words
 from cbsr_qa.store.tables import AnalysisRow, LinkRow, MeasurementRow, RunRow
 
 #: Rows that are asked of a server at once.
@@ -103,19 +103,6 @@ def _in_order(connection: Connection, analyses: Sequence[str]) -> Figures:
     m = MeasurementRow
     query = figures_query().where(m.analysis.in_(analyses)).order_by(m.analysis, m.number)
     return Figures(connection, query, {analysis: place for place, analysis in enumerate(analyses)})
-
-
-def check_analyses(connection: Connection, analyses: Sequence[str]) -> None:
-    """Check measurements and runs of some analyses against their chains; StoreError as :func:`check_figures`."""
-    a = AnalysisRow
-    query = select(*RUN_COLUMNS, a.analysis, a.outcome, a.software).join(a, a.run == RunRow.run)
-    rows = connection.execute(query.where(a.analysis.in_(analyses), RunRow.chain.is_not(None))).all()
-    if rows:
-        known: list[Known | None] = [
-            (row.run, row.analysis, facts(row, row.analysis, row.outcome, row.software)) for row in rows
-        ]
-        figures = _in_order(connection, [row.analysis for row in rows])
-        check_figures(connection, [a.analysis.in_(analyses)], known, figures)
 
 
 def _linked(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -> dict[str, tuple[str, str]]:
