@@ -12,11 +12,8 @@ _NOT_YET = {
     "docs/explanation/force.md",
     "docs/explanation/metrics.md",
     "docs/explanation/simulation.md",
-    "docs/how-to/watch-a-station.md",  # sections 1 to 3
     "docs/how-to/write-a-plugin.md",
-    "docs/reference/calibration-file.md",
     "docs/reference/performance.md",
-    "docs/reference/station-statistics.md",
 }
 
 #: Regular expression, in which a space is any white space, and what to write instead.
