@@ -19,6 +19,7 @@ from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
 from cbsr_qa.eit.inverse import imaging_problem
 from cbsr_qa.eit.inverse.greit import matrix as greit_matrix
 from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.report import json_document
 
 Array = NDArray[np.float64]
 Method = Callable[[ImagingProblem], LinearReconstruction]
@@ -187,7 +188,7 @@ def _balls(reconstruction: str | None) -> tuple[list[float], list[float]]:
     turned, out = [], []
     for name, electrodes in (("vvAvg2", (4,)), ("vvAvg3", (0, 4))):
         choice = {} if reconstruction is None else {"reconstruction": reconstruction}
-        events = analyse_file(_PHANTOM, AnalyseRequest(dataset=name, report=False, **choice)).document["events"]
+        events = json_document(analyse_file(_PHANTOM, AnalyseRequest(dataset=name, report=False, **choice)))["events"]
         places = [event if reconstruction is None else event["image"] for event in events]
         for place, true in zip(sorted(places, key=lambda one: (one["electrode"] + 2) % 16), electrodes, strict=True):
             turned.append(abs((place["electrode"] - true + 8) % 16 - 8))

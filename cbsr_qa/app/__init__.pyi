@@ -1,20 +1,30 @@
 from .apply import (
+    AppliedCalibration as AppliedCalibration,
     ApplyRequest as ApplyRequest,
-    applied_document as applied_document,
     apply_calibration as apply_calibration,
+    apply_outcome as apply_outcome,
     as_csv as as_csv,
     write_table as write_table,
 )
 from .calibration_file import (
+    Converted as Converted,
+    VerifiedFile as VerifiedFile,
     export_calibration as export_calibration,
     read_any as read_any,
-    show_calibration as show_calibration,
     verify_file as verify_file,
 )
-from .changes import list_changes as list_changes, override_verdict as override_verdict
+from .calibration_shown import ShownCalibration as ShownCalibration, show_calibration as show_calibration
+from .changes import (
+    Changes as Changes,
+    Overridden as Overridden,
+    list_changes as list_changes,
+    override_verdict as override_verdict,
+)
+from .command_hints import database_option as database_option
 from .database import (
+    DatabaseStatus as DatabaseStatus,
+    Upgrade as Upgrade,
     database_status as database_status,
-    state_words as state_words,
     upgrade_database as upgrade_database,
 )
-from .export import export_run as export_run
+from .export import Exported as Exported, export_run as export_run

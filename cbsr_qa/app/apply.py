@@ -5,20 +5,23 @@ Frames of a recording as the volts a calibration is of, or why they are not.
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.recording import read_recording_file
 from cbsr_qa.calibration.file import read_contained
-from cbsr_qa.calibration.runtime import Calibration, Flag, Forces
+from cbsr_qa.calibration.runtime import Calibration, Flag
 from cbsr_qa.config import validate_serial
 from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.results import CommandOutcome, Section, Table
 from cbsr_qa.plugin import discover
+from cbsr_qa.report import IF_GIVEN, Refusal, answer, filled, fixed, plural, text_table, with_uncertainty
 from cbsr_qa.system import csv_text, written_whole
 
 Array = NDArray[np.float64]
@@ -144,6 +147,8 @@ Tell = Callable[[str], None]
 
 #: Frames that are worked on between two messages.
 _AT_ONCE: Final = 5000
+#: Rows of a table in a terminal.
+_MOST_ROWS: Final = 12
 _SAID: Final = {
     Flag.NOT_DETECTED: "no load detected",
     Flag.OUTSIDE: "outside what was calibrated",
@@ -155,16 +160,28 @@ _SAID: Final = {
     Flag.OTHER_SENSOR: "not a frame of this sensor",
     Flag.OTHER_HEAD: "a head of another size than was calibrated",
 }
-COLUMNS: Final = (
-    "time_s",
-    "force_N",
-    "stderr_N",
-    "x_mm",
-    "y_mm",
-    "place_stderr_mm",
-    "detectability",
-    "flags",
-)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameForce:
+    """Force in one frame; what is no number is None.
+
+    Parameters
+    ----------
+    flags : what is to be said of it, in words; empty where nothing is.
+    """
+
+    time_s: float | None
+    force_N: float | None
+    stderr_N: float | None
+    x_mm: float | None
+    y_mm: float | None
+    place_stderr_mm: float | None
+    detectability: float | None
+    flags: str
+
+
+COLUMNS: Final = tuple(field.name for field in fields(FrameForce))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,28 +206,36 @@ class ApplyRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Applied:
-    """What came of one recording; ``forces`` and ``time_s`` are None where it was refused, and ``refused`` why."""
+    """Forces of one recording, or why it was refused.
 
-    path: Path
-    time_s: np.ndarray[Any, np.dtype[np.float64]] | None
-    forces: Forces | None
-    remarks: tuple[str, ...]
-    refused: CbsrError | None = None
+    Parameters
+    ----------
+    remarks : what was done to its readings, in words.
+    """
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield one row a frame by :data:`COLUMNS`; what is no number is None."""
-        if self.forces is None or self.time_s is None:
-            return
-        f = self.forces
-        columns = (self.time_s, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability)
-        for *numbers, flags in zip(*columns, f.flags.tolist(), strict=True):
-            told = [float(number) if np.isfinite(number) else None for number in numbers]
-            yield dict(zip(COLUMNS, (*told, flag_words(flags)), strict=True))
+    file: Path
+    frames: tuple[FrameForce, ...] = ()
+    remarks: tuple[str, ...] = ()
+    refused: Annotated[Refusal | None, IF_GIVEN] = None
+    error: Annotated[InstanceOf[CbsrError] | None, Field(exclude=True)] = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AppliedCalibration:
+    """Forces of several recordings."""
+
+    calibration: Path
+    recordings: tuple[Applied, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """2 where a recording was refused, else 0."""
+        return max(0 if recording.error is None else recording.error.exit_code for recording in self.recordings)
 
 
 def apply_calibration(
-    calibration: Path, recordings: list[Path], request: ApplyRequest, *, tell: Tell = lambda said: None
-) -> tuple[Applied, ...]:
+    calibration: Path, recordings: list[Path], request: ApplyRequest, *, tell: Tell = lambda stage: None
+) -> AppliedCalibration:
     """Turn the frames of recordings into force. A recording that is refused is a result, not an exception.
 
     Raises
@@ -222,40 +247,46 @@ def apply_calibration(
     """
     sensor, plugins = Calibration(read_contained(calibration)), discover()
     remarks = _serial_remarks(sensor.issued.sensor.serial, request.serial)
-    found = []
+    applied = []
     for path in recordings:
         try:
             tell(f"reading {path.name}")
             recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
-            one = _applied(sensor, path, recording, request, tell)
-            found.append(replace(one, remarks=(*one.remarks, *remarks)))
+            frames = recorded_frames(sensor, recording, request.reference)
+            forces = tuple(_forces(sensor, recording, frames.voltages, request, tell))
+            applied.append(Applied(path, forces, (*frames.remarks, *remarks)))
         except CbsrError as error:
-            found.append(Applied(path, None, None, (), error))
-    return tuple(found)
+            applied.append(Applied(path, refused=filled(Refusal, error), error=error))
+    return AppliedCalibration(calibration, tuple(applied))
 
 
-def _serial_remarks(own: str, said: str | None) -> tuple[str, ...]:
+def _serial_remarks(own: str, stated: str | None) -> tuple[str, ...]:
     """Say that nobody knows whether a recording is of the calibration's sensor, unless it was said to be."""
-    if said is None:
+    if stated is None:
         why = "recordings state no serial number; --serial is held against it"
         return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",)
-    if validate_serial(said) != own:
+    if validate_serial(stated) != own:
         raise CalibrationError(
-            f"the calibration is of sensor {own}, the recordings are said to be of {said}",
+            f"the calibration is of sensor {own}, the recordings are said to be of {stated}",
             remedy="apply the calibration that was issued for this sensor",
         )
     return ()
 
 
-def _applied(sensor: Calibration, path: Path, recording: Recording, request: ApplyRequest, tell: Tell) -> Applied:
-    frames = recorded_frames(sensor, recording, request.reference)
-    count, parts = len(frames.voltages), []
+def _forces(
+    sensor: Calibration, recording: Recording, voltages: Array, request: ApplyRequest, tell: Tell
+) -> Iterator[FrameForce]:
+    count = len(voltages)
     for first in range(0, count, _AT_ONCE):
-        tell(f"{path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
-        parts.append(sensor.force(frames.voltages[first : first + _AT_ONCE], place_mm=request.place_mm))
-    names = ("force_N", "stderr_N", "place_mm", "place_stderr_mm", "detectability", "flags")
-    forces = Forces(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-    return Applied(path, recording.frames.time_s, forces, frames.remarks)
+        part = slice(first, first + _AT_ONCE)
+        tell(f"{recording.path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
+        f = sensor.force(voltages[part], place_mm=request.place_mm)
+        times = recording.frames.time_s[part]
+        columns = (times, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability)
+        for *values, flags in zip(*columns, f.flags.tolist(), strict=True):
+            row: list[Any] = [float(value) if np.isfinite(value) else None for value in values]
+            row.append(flag_words(flags))
+            yield FrameForce(*row)
 
 
 def flag_words(flags: int) -> str:
@@ -263,21 +294,43 @@ def flag_words(flags: int) -> str:
     return "; ".join(words for flag, words in _SAID.items() if flags & flag)
 
 
-def as_csv(applied: tuple[Applied, ...]) -> str:
+def as_csv(applied: AppliedCalibration) -> str:
     """Return all rows as one CSV table; a column names the recording."""
-    rows = ((one.path.name, *row.values()) for one in applied for row in one.rows())
+    rows = ((recording.file.name, *astuple(frame)) for recording in applied.recordings for frame in recording.frames)
     return csv_text([("recording", *COLUMNS), *rows])
 
 
-def applied_document(calibration: Path, applied: tuple[Applied, ...]) -> dict[str, Any]:
-    """Return everything as one JSON document."""
-    return {"calibration": str(calibration), "recordings": [_document(one) for one in applied]}
+def apply_outcome(applied: AppliedCalibration, output: Path | None) -> CommandOutcome[AppliedCalibration]:
+    """Lay the forces of recordings out in short tables, or name the file that holds them.
+
+    Parameters
+    ----------
+    output : CSV file that was written; None for tables.
+    """
+    good = [recording for recording in applied.recordings if recording.error is None]
+    frames = sum(len(recording.frames) for recording in good)
+    reason = f"{plural(frames, 'frame')} of {plural(len(good), 'recording')}"
+    printed = () if output is None else (("Forces", str(output)),)
+    sections = () if output else tuple(Section(recording.file.name, (_table(recording),)) for recording in good)
+    remarks = tuple(f"{recording.file.name}: {remark}" for recording in good for remark in recording.remarks)
+    outcome = answer(applied, "applied", reason, printed=printed)
+    return replace(
+        outcome, page=replace(outcome.page, remarks=remarks), sections=sections, exit_code=applied.exit_code
+    )
 
 
-def _document(one: Applied) -> dict[str, Any]:
-    if one.refused is not None:
-        return {"file": str(one.path), "frames": [], "remarks": [], **one.refused.document()}
-    return {"file": str(one.path), "remarks": list(one.remarks), "frames": list(one.rows())}
+def _table(recording: Applied) -> Table:
+    """Some frames of a recording, evenly spread."""
+    count = len(recording.frames)
+    chosen = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
+    rows = []
+    for frame in (recording.frames[n] for n in chosen):
+        force = "–" if frame.force_N is None else with_uncertainty(frame.force_N, frame.stderr_N)
+        time, x, y = ("–" if value is None else fixed(value, 1) for value in (frame.time_s, frame.x_mm, frame.y_mm))
+        rows.append((time, force, x, y, frame.flags))
+    spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
+    caption = f"{spread}Force with one standard error, and where the head presses."
+    return text_table(caption, ("time [s]", "force [N]", "x [mm]", "y [mm]", "flags"), rows, (0, 1, 2, 3))
 
 
 def write_table(path: Path, table: str) -> None:

@@ -3,67 +3,40 @@
 Override a verdict: a decision of a person, stored beside what was found.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
 
+from cbsr_qa.app.command_hints import report_command
 from cbsr_qa.app.run import check_decided
 from cbsr_qa.config import database_url, restore, validate_operator, validate_reason
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.results import Outcome
+from cbsr_qa.domain.results import CommandOutcome, Outcome, Paragraph, Section
 from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride
-from cbsr_qa.report import json_document, number, unit_shown
+from cbsr_qa.report import answer, filled, number, plural, run_named, unit_shown
 from cbsr_qa.store import Repository, open_store
 
+_UNCHANGED: Final = "no file was changed, no limits of a control chart set, and no verdict overridden"
+_AT: Final = "%Y-%m-%d %H:%M"
 
-@dataclass(frozen=True, slots=True)
-class ChartChange:
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChartChange(ChartReference):
     """Limits of a control chart that were set; ``earlier`` are those that held before, None for the chart's first."""
 
-    reference: ChartReference
     earlier: ChartReference | None
-
-    def document(self) -> dict[str, Any]:
-        """Return the same for ``--json``."""
-        one = self.reference
-        earlier = None if self.earlier is None else json_document(self.earlier)
-        return json_document(one) | {"why": one.why or NO_REASON, "earlier": earlier}
-
-    def words(self) -> Iterator[str]:
-        """Say what was set, and what it was before."""
-        now, before = self.reference, self.earlier
-        if now.retired:
-            yield "retired: nothing is charted against these limits from here on"
-            return
-        unit = unit_shown(now.unit)
-        for name, old, new in (
-            ("mean", None if before is None else before.mean, now.mean),
-            ("deviation", None if before is None else before.deviation, now.deviation),
-        ):
-            was = "" if old is None else f"{number(old, 4)} → "
-            yield f"{name} {was}{number(new, 4)} {unit}".rstrip()
-        if before is not None and before.settings != now.settings:
-            yield f"settings {_settings(before)} → {_settings(now)}"
 
 
 @dataclass(frozen=True, slots=True)
 class Changes:
     """Every change a database knows of, oldest first."""
 
-    files: tuple[ConfigurationChange, ...]
-    charts: tuple[ChartChange, ...]
+    changes: tuple[ConfigurationChange, ...]
+    chart_references: tuple[ChartChange, ...]
     overrides: tuple[VerdictOverride, ...]
 
-    def document(self) -> dict[str, Any]:
-        """Return the same for ``--json``."""
-        return {
-            "changes": [change_row(change) for change in self.files],
-            "chart_references": [change.document() for change in self.charts],
-            "overrides": [override.document() for override in self.overrides],
-        }
 
-
-def list_changes(database: str | None) -> Changes:
+def list_changes(database: str | None) -> CommandOutcome[Changes]:
     """List changes of files, limits of control charts that were set, and overrides of verdicts.
 
     Parameters
@@ -76,38 +49,61 @@ def list_changes(database: str | None) -> Changes:
         If there is no such database, or it is of another version.
     """
     with open_store(database_url(database), create=False) as store:
-        charts = tuple(_chart_changes(store.all_chart_references()))
-        return Changes(store.changes(), charts, store.overrides())
+        changes = Changes(store.changes(), tuple(_chart_changes(store.all_chart_references())), store.overrides())
+        names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.find_runs()}
+    listed = {"file": changes.changes, "control chart": changes.chart_references, "verdict": changes.overrides}
+    counts = ", ".join(plural(len(rows), noun) for noun, rows in listed.items() if rows)
+    outcome = answer(changes, f"changes of {counts}" if counts else _UNCHANGED)
+    return replace(outcome, sections=tuple(_sections(changes, lambda run: names.get(run, run))))
 
 
 def _chart_changes(references: Iterable[ChartReference]) -> Iterator[ChartChange]:
     """Yield each reference with the one that it took the place of."""
-    holds: dict[tuple[object, ...], ChartReference] = {}
-    for one in references:
-        chart = (one.station, one.recipe, one.golden, one.key, one.chart)
-        yield ChartChange(one, holds.get(chart))
-        holds[chart] = one
+    latest: dict[tuple[object, ...], ChartReference] = {}
+    for reference in references:
+        chart = (reference.station, reference.recipe, reference.golden, reference.key, reference.chart)
+        yield filled(ChartChange, reference, why=reference.why or NO_REASON, earlier=latest.get(chart))
+        latest[chart] = reference
 
 
-def _settings(one: ChartReference) -> str:
-    grouped = f"groups of {one.subgroup}, " if one.subgroup > 1 else ""
-    return f"{grouped}rules {', '.join(map(str, one.rules))}"
+def _sections(changes: Changes, named: Callable[[str], str]) -> Iterator[Section]:
+    """Yield a section a change: what, when, by whom, why, and what it was before."""
+    for file in changes.changes:
+        title = f"{file.at:{_AT}}  {file.kind} {file.name}, by {file.by or 'nobody named'}"
+        runs = f"runs: {named(file.run)}; before it {named(file.earlier_run)}"
+        content = f"content (SHA-256): {file.old_digest[:12]} → {file.new_digest[:12]}"
+        yield _section(title, file.why, runs, content, *(difference.words for difference in file.differences))
+    for chart in changes.chart_references:
+        title = f"{chart.made_at:{_AT}}  limits of {chart.label}, on station {chart.station}, by {chart.operator}"
+        period = f"from {named(chart.first_run)} to {named(chart.last_run)}"
+        runs = f"runs: {chart.runs} of recipe {chart.recipe}, {period}"
+        verb = "set" if chart.earlier is None else "changed"
+        yield _section(title, chart.why, runs, *(f"{verb}: {words}" for words in _differences(chart)))
+    for override in changes.overrides:
+        title = f"{override.at:{_AT}}  verdict of {named(override.run)}, by {override.by}"
+        yield _section(title, override.why, f"{override.verdict} overridden to {override.outcome}")
 
 
-def change_row(change: ConfigurationChange) -> dict[str, Any]:
-    """Return one change as a JSON object; a key that was not there has no value before, or after."""
-    return {
-        "run": change.run,
-        "kind": str(change.kind),
-        "name": change.name,
-        "earlier_run": change.earlier_run,
-        "old_digest": change.old_digest,
-        "new_digest": change.new_digest,
-        "differences": [{"key": one.key, "before": one.before, "after": one.after} for one in change.differences],
-        "by": change.operator,
-        "at": change.noted_at.isoformat(),
-        "why": change.why,
-    }
+def _section(title: str, why: str, *lines: str) -> Section:
+    return Section(title, tuple(map(Paragraph, (f"why: {why}", *lines))))
+
+
+def _differences(now: ChartChange) -> Iterator[str]:
+    """Yield what was set of a chart's limits, and what it was before."""
+    before = now.earlier
+    if now.retired:
+        yield "retired: nothing is charted against these limits from here on"
+        return
+    for name in ("mean", "deviation"):
+        was = "" if before is None else f"{number(getattr(before, name), 4)} → "
+        yield f"{name} {was}{number(getattr(now, name), 4)} {unit_shown(now.unit)}".rstrip()
+    if before is not None and before.settings != now.settings:
+        yield f"settings {_settings(before)} → {_settings(now)}"
+
+
+def _settings(reference: ChartReference) -> str:
+    grouped = f"groups of {reference.subgroup}, " if reference.subgroup > 1 else ""
+    return f"{grouped}rules {', '.join(map(str, reference.rules))}"
 
 
 def unexplained(changes: Iterable[ConfigurationChange]) -> tuple[str, ...]:
@@ -124,34 +120,30 @@ _OUTCOMES: Final = {"pass": Outcome.PASS, "fail": Outcome.FAIL}
 
 
 @dataclass(frozen=True, slots=True)
-class Overridden:
-    """What was stored.
+class Overridden(VerdictOverride):
+    """The override that was stored.
 
     Parameters
     ----------
     calibration : of the run, as it was issued; None where none was.
+    note : what becomes of it.
     """
 
-    override: VerdictOverride
     calibration: str | None
-
-    @property
-    def about_calibration(self) -> str:
-        """Say what becomes of the run's calibration."""
-        if self.calibration is None:
-            return "no calibration was issued, and an override issues none"
-        if self.override.outcome is Outcome.FAIL:
-            return (
-                f"calibration {self.calibration} stays stored: an override withdraws none; take its file out of use"
-            )
-        return f"calibration {self.calibration} stays as it was issued"
-
-    def document(self) -> dict[str, Any]:
-        """Return the same for ``--json``."""
-        return {**self.override.document(), "calibration": self.calibration, "note": self.about_calibration}
+    note: str
 
 
-def override_verdict(run: str, outcome: str, *, by: str, why: str, database: str | None) -> Overridden:
+def _about_calibration(calibration: str | None, outcome: Outcome) -> str:
+    if calibration is None:
+        return "no calibration was issued, and an override issues none"
+    if outcome is Outcome.FAIL:
+        return f"calibration {calibration} stays stored: an override withdraws none; take its file out of use"
+    return f"calibration {calibration} stays as it was issued"
+
+
+def override_verdict(
+    run: str, outcome: str, *, by: str, why: str, database: str | None
+) -> CommandOutcome[Overridden]:
     """Store a decision against the verdict of a run; nothing that was found is changed.
 
     Parameters
@@ -177,7 +169,11 @@ def override_verdict(run: str, outcome: str, *, by: str, why: str, database: str
         _check_decided(store, run)
         made = store.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
         (analysis, *_) = store.analyses(run)
-    return Overridden(made, analysis.calibration)
+        identity, report = store.identity(run), report_command(run, store)
+    note = _about_calibration(analysis.calibration, made.outcome)
+    facts = (("Run", run_named(identity.sensor.serial, identity.started_at, run)), ("Calibration", note))
+    done = filled(Overridden, made, calibration=analysis.calibration, note=note)
+    return answer(done, f"verdict {made.words}", "", facts, printed=(("Report", f"{report} writes it with this"),))
 
 
 def _check_decided(store: Repository, run: str) -> None:

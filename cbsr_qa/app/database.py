@@ -1,12 +1,14 @@
 """Looking after the database: bring it up to date, say how it stands."""
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Final
 
+from cbsr_qa.app.command_hints import database_option
 from cbsr_qa.config import database_url
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.results import CommandOutcome, EndReason
+from cbsr_qa.report import answer, filled, run_named
 from cbsr_qa.station import on_stderr
-from cbsr_qa.store import HEAD, Age, found_version, open_engine, open_store, parsed_url, refusal, upgrade
+from cbsr_qa.store import HEAD, Age, found_version, made_at, open_engine, open_store, parsed_url, refusal, upgrade
 from cbsr_qa.store.runs import IncompleteRun, counts, incomplete_runs, runs_without_result
 
 #: Ends of runs that somebody or something stopped, as against those that were cut off.
@@ -20,20 +22,43 @@ class Upgrade:
     url: str
     before: str | None
     after: str
+    changed: bool
 
-    @property
-    def changed(self) -> bool:
-        """Whether anything had to be done."""
-        return self.before != self.after
 
-    def document(self) -> dict[str, Any]:
-        """Return the same for ``--json``."""
-        return {**asdict(self), "changed": self.changed}
+@dataclass(frozen=True, slots=True)
+class UnfinishedRun:
+    """A run that was cut off or is under way; see :class:`~cbsr_qa.store.runs.IncompleteRun`."""
+
+    run: str
+    serial: str
+    phase: str
+    next: str
+    state: str
+
+
+@dataclass(frozen=True, slots=True)
+class StoppedRun:
+    """A run that was aborted or broken, which can be resumed too; see :class:`~cbsr_qa.store.runs.IncompleteRun`."""
+
+    run: str
+    serial: str
+    phase: str
+    next: str
+    end: str
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class UnconcludedRun:
+    """A run whose every step was carried out, and that has no result yet."""
+
+    run: str
+    serial: str
 
 
 @dataclass(frozen=True, slots=True)
 class DatabaseStatus:
-    """How a database stands.
+    """How a database stands; nothing is counted or listed unless it is current.
 
     Parameters
     ----------
@@ -42,11 +67,6 @@ class DatabaseStatus:
     state : ``"empty"``, ``"current"``, ``"older"``, ``"newer"`` or ``"of another program"``.
     remedy : what to do where it is not current.
     counts : rows by kind.
-    incomplete : runs that were cut off or are under way.
-    stopped : runs that were aborted or broken, which can be resumed too.
-    without_result : (run, serial) of runs whose every step was carried out, and that have no result yet.
-
-    All of them are empty unless the database is current.
     """
 
     url: str
@@ -55,27 +75,13 @@ class DatabaseStatus:
     state: str
     remedy: str
     counts: dict[str, int]
-    incomplete: tuple[IncompleteRun, ...]
-    stopped: tuple[IncompleteRun, ...] = ()
-    without_result: tuple[tuple[str, str], ...] = ()
-
-    def document(self) -> dict[str, Any]:
-        """Return the same for ``--json``."""
-        incomplete = [{**_place(run), "state": state_words(run)} for run in self.incomplete]
-        stopped = [{**_place(run), "end": run.end, "detail": run.detail} for run in self.stopped]
-        without = [{"run": run, "serial": serial} for run, serial in self.without_result]
-        return {**asdict(self), "incomplete": incomplete, "stopped": stopped, "without_result": without}
+    incomplete: tuple[UnfinishedRun, ...]
+    stopped: tuple[StoppedRun, ...]
+    without_result: tuple[UnconcludedRun, ...]
 
 
-def _place(run: IncompleteRun) -> dict[str, str]:
-    return {"run": run.run, "serial": run.serial, "phase": run.phase, "next": run.next}
-
-
-def state_words(run: IncompleteRun) -> str:
-    """Say how a run that did not finish stands: cut off, under way and by whom, aborted or broken."""
-    if run.writer:
-        return f"under way: {run.writer}"
-    return run.end if run.end in _STOPPED else "cut off"
+def _state(run: IncompleteRun) -> str:
+    return f"under way: {run.writer}" if run.writer else run.end if run.end in _STOPPED else "cut off"
 
 
 def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun, ...]:
@@ -92,7 +98,7 @@ def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun
     )
 
 
-def upgrade_database(option: str | None) -> Upgrade:
+def upgrade_database(option: str | None) -> CommandOutcome[Upgrade]:
     """Bring a database to this program's schema, making it where there is none.
 
     Parameters
@@ -109,10 +115,12 @@ def upgrade_database(option: str | None) -> Upgrade:
         before = upgrade(engine, tell=on_stderr)
     finally:
         engine.dispose()
-    return Upgrade(engine.url.render_as_string(hide_password=True), before.revision, HEAD)
+    url, found = engine.url.render_as_string(hide_password=True), before.revision
+    done = Upgrade(url, found, HEAD, changed=found != HEAD)
+    return answer(done, url, f"schema {found or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date")
 
 
-def database_status(option: str | None) -> DatabaseStatus:
+def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
     """Say how a database stands, without changing it.
 
     Raises
@@ -124,19 +132,44 @@ def database_status(option: str | None) -> DatabaseStatus:
     try:
         version = found_version(engine)
         current = version.age is Age.CURRENT
-        unfinished = incomplete_runs(engine) if current else ()
-        if unfinished:
-            unfinished = _with_next(unfinished, database_url(option))
-        return DatabaseStatus(
+        runs = incomplete_runs(engine) if current else ()
+        if runs:
+            runs = _with_next(runs, database_url(option))
+        status = DatabaseStatus(
             url=engine.url.render_as_string(hide_password=True),
             schema=version.revision,
             head=HEAD,
             state=version.age.value,
             remedy="" if current else refusal(engine, version).remedy,
             counts=counts(engine) if current else {},
-            incomplete=tuple(run for run in unfinished if run.end not in _STOPPED),
-            stopped=tuple(run for run in unfinished if run.end in _STOPPED),
-            without_result=runs_without_result(engine) if current else (),
+            incomplete=tuple(
+                filled(UnfinishedRun, run, state=_state(run)) for run in runs if run.end not in _STOPPED
+            ),
+            stopped=tuple(filled(StoppedRun, run) for run in runs if run.end in _STOPPED),
+            without_result=tuple(UnconcludedRun(*run) for run in runs_without_result(engine)) if current else (),
         )
     finally:
         engine.dispose()
+    return _laid_out(status, runs, option)
+
+
+def _laid_out(
+    status: DatabaseStatus, runs: tuple[IncompleteRun, ...], option: str | None
+) -> CommandOutcome[DatabaseStatus]:
+    facts = [("Schema", f"{status.schema or 'none'} ({status.state}; this program's is {status.head})")]
+    facts += [("What to do", status.remedy)] if status.remedy else []
+    facts += [(kind, str(count)) for kind, count in status.counts.items()]
+    for run in runs:
+        phase = f" in {run.phase!r}" if run.phase else ""
+        kind = "stopped" if run.end in _STOPPED else "incomplete"
+        facts.append((kind, f"{_named(run.run, run.serial)}: {_state(run)}{phase}; next: {run.next}"))
+    for finished in status.without_result:
+        facts.append(("no result", f"{_named(finished.run, finished.serial)}: finished; next: its result"))
+    resume = f"cbsr-qa run --resume RUN{database_option(option)} goes on with one of them"
+    resumable = status.without_result or any(not run.writer for run in runs)
+    return answer(status, status.url, "", facts, printed=(("Go on with", resume),) if resumable else ())
+
+
+def _named(run: str, serial: str) -> str:
+    began = made_at(run)
+    return f"run {run} of {serial}" if began is None else run_named(serial, began, run)

@@ -7,7 +7,9 @@ from cbsr_qa.analysis import write_recording
 from cbsr_qa.config import database_url
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.readings import Recording, SampleBlock, ScanKind, join_frames, join_samples
+from cbsr_qa.domain.results import CommandOutcome
 from cbsr_qa.domain.run import PhaseRecord, RunRecord, VerdictOverride
+from cbsr_qa.report import answer, plural, run_named
 from cbsr_qa.store import open_store
 
 
@@ -16,12 +18,13 @@ class Exported:
     """What was written."""
 
     run: str
+    recording: Path
     frames: int
     loads: int
-    overrides: tuple[VerdictOverride, ...] = ()
+    overrides: tuple[VerdictOverride, ...]
 
 
-def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str | None) -> Exported:
+def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str | None) -> CommandOutcome[Exported]:
     """Write frames, samples and presses of a stored run to one file.
 
     Parameters
@@ -45,7 +48,11 @@ def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str
     notes = tuple(f"the verdict was {override.words}" for override in overrides)
     recording = replace(recording, notes=(*recording.notes, *notes))
     write_recording(to, recording)
-    return Exported(record.identity.run, len(recording.frames), len(recording.loads), overrides)
+    identity = record.identity
+    exported = Exported(identity.run, to, len(recording.frames), len(recording.loads), overrides)
+    frames, presses = plural(exported.frames, "frame"), plural(exported.loads, "press", "presses")
+    facts = (("Run", run_named(identity.sensor.serial, identity.started_at, identity.run)),)
+    return answer(exported, "exported", f"{frames} and {presses}", facts, printed=(("Recording", str(to)),))
 
 
 def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...]) -> Recording:

@@ -5,11 +5,14 @@ Options that take one of a few words.
 
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import date, datetime
 from difflib import get_close_matches
 from enum import StrEnum
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
 
 from cbsr_qa.config import not_finite
 from cbsr_qa.domain import ConfigError, RefusedError
@@ -17,8 +20,15 @@ from cbsr_qa.plugin import echo
 
 _Word = TypeVar("_Word", bound=StrEnum)
 
+#: Options that most commands have.
+Database = Annotated[str | None, typer.Option(help="SQLAlchemy URL or SQLite file; by default var/cbsr-qa.db.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+Since = Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Runs from this day on (UTC).")]
+Until = Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Runs to the end of this day (UTC).")]
+PageOutput = Annotated[Path | None, typer.Option("--output", help="HTML page to write.")]
 
-def one_of(words: type[_Word], said: str, option: str) -> _Word:
+
+def one_of(words: type[_Word], given: str, option: str) -> _Word:
     """Return the word meant.
 
     Raises
@@ -27,11 +37,23 @@ def one_of(words: type[_Word], said: str, option: str) -> _Word:
         If it is none of them, with the nearest one.
     """
     allowed = [str(word) for word in words]
-    if said in allowed:
-        return words(said)
-    near = get_close_matches(said, allowed, n=1)
+    if given in allowed:
+        return words(given)
+    near = get_close_matches(given, allowed, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    raise RefusedError(f"{option} {said[:64]!r} is not known", remedy=f"{hint}allowed: {', '.join(allowed)}")
+    raise RefusedError(f"{option} {given[:64]!r} is not known", remedy=f"{hint}allowed: {', '.join(allowed)}")
+
+
+def given_options(context: typer.Context) -> set[str]:
+    """Return the names of the parameters that were given on the command line or in the environment."""
+    # A source is an enumeration of click's, which typer brings a copy of: told apart by name.
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return {name for name, source in sources.items() if source is not None and source.name != "DEFAULT"}
+
+
+def option_names(parameters: Iterable[str]) -> str:
+    """Return parameters as they are typed: ``--by-location, --since``."""
+    return ", ".join(f"--{name.replace('_', '-')}" for name in parameters)
 
 
 def to_day(moment: datetime | None) -> date | None:

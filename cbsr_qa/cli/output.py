@@ -7,22 +7,16 @@ Progress of work that is counted, only on stderr: on a terminal a bar, elsewhere
 
 import json
 import os
-import shlex
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, TextIO
 
-import typer
-
 from cbsr_qa.domain import AbortedError
 
 if TYPE_CHECKING:
     from cbsr_qa.domain.results import CommandOutcome
-
-#: Common option: ``--json`` prints one document on stdout and nothing else.
-JsonOption = typer.Option(False, "--json", help="Print one JSON document on stdout and nothing else.")
 
 
 def emit_json(document: Mapping[str, Any]) -> None:
@@ -73,17 +67,17 @@ def say(text: str = "") -> None:
     _print(text)
 
 
-def again(database: str | None) -> str:
-    """Return the option that names a database once more in a command to type, after a blank; empty where none was."""
-    return f" --database {shlex.quote(database)}" if database else ""
-
-
 def note(text: str) -> None:
     """Print a message on stderr; where that is a full disk or a terminal that has gone, nothing stops for it."""
     if sys.stderr is not None:
         with suppress(OSError, ValueError):
             sys.stderr.write(text + "\n")
             sys.stderr.flush()
+
+
+def announce(stage: str) -> None:
+    """Print on stderr what the computer is busy with."""
+    note(f"{stage} …")
 
 
 def lost_output() -> str:

@@ -1,84 +1,76 @@
 """``cbsr-qa schema``: the JSON Schema of the document that a command prints with ``--json``."""
 
-from collections.abc import Callable
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 
 from cbsr_qa.cli.output import emit_json, say
+from cbsr_qa.cli.plugins import ListedPlugins
 from cbsr_qa.domain import RefusedError
 
 
-def _charts() -> type:
+def results() -> dict[str, type]:
+    """Return the dataclass of each command's document."""
+    from cbsr_qa.app import (
+        AppliedCalibration,
+        Changes,
+        Converted,
+        DatabaseStatus,
+        Exported,
+        Overridden,
+        ShownCalibration,
+        Upgrade,
+        VerifiedFile,
+    )
+    from cbsr_qa.app.analyse import Analysed
+    from cbsr_qa.app.run import PlannedRun, Rendered, RunOutcome
+    from cbsr_qa.app.station_check import CheckedStation
     from cbsr_qa.studies.charts import Charts
-
-    return Charts
-
-
-def _compare() -> type:
     from cbsr_qa.studies.compare import Comparison
-
-    return Comparison
-
-
-def _gauge() -> type:
     from cbsr_qa.studies.gauge import GaugeStudy
-
-    return GaugeStudy
-
-
-def _limits() -> type:
-    from cbsr_qa.studies.limits import ProposedLimits
-
-    return ProposedLimits
-
-
-def _reproduce() -> type:
-    from cbsr_qa.studies.reproduce import Reproduction
-
-    return Reproduction
-
-
-def _scene_explain() -> type:
-    from cbsr_qa.studies.scenes import Explained
-
-    return Explained
-
-
-def _scene_run() -> type:
-    from cbsr_qa.studies.scenes import SceneRun
-
-    return SceneRun
-
-
-def _stability() -> type:
     from cbsr_qa.studies.hard_cases import Stability
+    from cbsr_qa.studies.limits import ProposedLimits
+    from cbsr_qa.studies.reproduce import Reproduction
+    from cbsr_qa.studies.scenes import Explained, SceneRun
 
-    return Stability
-
-
-#: What each command's document is made of; loaded only for the one that is asked for.
-RESULTS: Final[dict[str, Callable[[], type]]] = {
-    "charts": _charts,
-    "compare": _compare,
-    "gauge": _gauge,
-    "limits": _limits,
-    "reproduce": _reproduce,
-    "scene-explain": _scene_explain,
-    "scene-run": _scene_run,
-    "stability": _stability,
-}
+    return {
+        "analyse": Analysed,
+        "calibration apply": AppliedCalibration,
+        "calibration export": Converted,
+        "calibration show": ShownCalibration,
+        "calibration verify": VerifiedFile,
+        "charts": Charts,
+        "compare": Comparison,
+        "db changes": Changes,
+        "db status": DatabaseStatus,
+        "db upgrade": Upgrade,
+        "dry run": PlannedRun,
+        "export": Exported,
+        "gauge": GaugeStudy,
+        "limits": ProposedLimits,
+        "plugins list": ListedPlugins,
+        "report": Rendered,
+        "reproduce": Reproduction,
+        "run": RunOutcome,
+        "scene explain": Explained,
+        "scene run": SceneRun,
+        "stability": Stability,
+        "station check": CheckedStation,
+        "verdict override": Overridden,
+    }
 
 
 def schema(
-    command: Annotated[str | None, typer.Argument(help="For example gauge; by default list them.")] = None,
+    command: Annotated[
+        list[str] | None, typer.Argument(help="For example gauge, or db status; by default list them.")
+    ] = None,
 ) -> None:
     """Print the JSON Schema (draft 2020-12) of what a command prints with --json."""
-    if command is None:
-        for name in RESULTS:
+    if not command:
+        for name in results():
             say(name)
         return
-    emit_json(document_schema(command))
+    emit_json(document_schema(" ".join(command).replace("-", " ")))
 
 
 def document_schema(command: str) -> dict[str, Any]:
@@ -91,6 +83,7 @@ def document_schema(command: str) -> dict[str, Any]:
     """
     from cbsr_qa.report import json_schema
 
-    if command not in RESULTS:
-        raise RefusedError(f"no schema for {command!r}", remedy=f"choose one of: {', '.join(RESULTS)}")
-    return json_schema(RESULTS[command]())
+    known = results()
+    if command not in known:
+        raise RefusedError(f"no schema for {command!r}", remedy=f"choose one of: {', '.join(known)}")
+    return json_schema(known[command])

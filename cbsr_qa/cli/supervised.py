@@ -16,7 +16,7 @@ import time
 from contextlib import suppress
 from typing import Any, ClassVar, Final
 
-from cbsr_qa.cli.output import again, claim_stdout, note, say
+from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain import BrokenRunError, CbsrError
 
 #: Signals that are handed on to the child; a run stops in order.
@@ -268,12 +268,14 @@ def _concluded(reported: dict[str, Any], status: int, *, judges: bool) -> int:
 
 
 def _broken(run: str | None, database: str | None, why: str, *, judges: bool) -> CbsrError:
+    from cbsr_qa.app import database_option
+
     look = "look at the bench before you touch it: the head may be down and the source on"
     if not judges:
         return BrokenProcessError(why, remedy=f"if the command uses the bench, {look}. Then start it again")
     if run is None:
         return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
-    on = f"cbsr-qa run --resume {run}{again(database)}"
+    on = f"cbsr-qa run --resume {run}{database_option(database)}"
     return BrokenRunError(run, why, remedy=f"{look}. What was stored stays, and this goes on: {on}")
 
 
@@ -307,6 +309,6 @@ def _in_database(run: str, database: str | None) -> tuple[bool, str]:
     try:
         outcome = latest_outcome(database_url(database), run)
     except CbsrError as error:
-        return False, f"its verdict cannot be read back: {error.reason}"
+        return False, f"its verdict cannot be read back: {error.reason.removeprefix(f'run {run}: ')}"
     held = "no verdict" if outcome is None else f"the verdict {str(outcome)!r}"
     return outcome is not None and not outcome.exit_code, f"the database holds {held}"

@@ -122,7 +122,8 @@ class BrokenRunError(CbsrError):
     exit_code = 3
 
     def __init__(self, run: str, reason: str, *, remedy: str = "") -> None:
-        super().__init__(f"run {run}: {reason}", remedy=remedy)
+        prefix = f"run {run}: "  # which refusals of the database have already
+        super().__init__(prefix + reason.removeprefix(prefix), remedy=remedy)
         self.run = run
 
     def document(self) -> dict[str, Any]:

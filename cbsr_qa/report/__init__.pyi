@@ -1,5 +1,11 @@
-from .document import json_document as json_document, json_schema as json_schema
-from .page import run_page as run_page
+from .document import (
+    IF_GIVEN as IF_GIVEN,
+    Refusal as Refusal,
+    filled as filled,
+    json_document as json_document,
+    json_schema as json_schema,
+)
+from .page import answer as answer, recording_page as recording_page, run_page as run_page
 from .render import (
     check_replaceable as check_replaceable,
     render_recording as render_recording,
@@ -42,6 +48,7 @@ from .tables import (
     plain as plain,
     plural as plural,
     quantity as quantity,
+    run_named as run_named,
     scaled_unit as scaled_unit,
     text_table as text_table,
     unit_column as unit_column,

@@ -1,11 +1,32 @@
 """An outcome as a JSON document, and the JSON Schema of it: both from the fields of its dataclass."""
 
 import json
+from dataclasses import dataclass, fields
 from datetime import date
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import Any, Final, TypeVar
 
-from pydantic import TypeAdapter
+from pydantic import Field, TypeAdapter
+
+T = TypeVar("T")
+
+#: Annotation of a key that a document leaves out where there is nothing to say: no null.
+IF_GIVEN: Final = Field(exclude_if=lambda value: value is None)
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why something was refused, and what to do about it."""
+
+    reason: str
+    remedy: str
+
+
+def filled(kind: type[T], source: object, **rest: Any) -> T:
+    """Return a dataclass of the attributes that ``source`` has by the names of its fields; ``rest`` goes first."""
+    names = (field.name for field in fields(kind) if field.name not in rest)  # type: ignore[arg-type]
+    return kind(**{name: getattr(source, name) for name in names if hasattr(source, name)}, **rest)
 
 
 def json_document(result: Any) -> dict[str, Any]:
@@ -18,8 +39,8 @@ def json_document(result: Any) -> dict[str, Any]:
     return document
 
 
-def _text(moment: date) -> str:
-    return moment.isoformat()
+def _text(value: date | Path) -> str:
+    return str(value) if isinstance(value, Path) else value.isoformat()
 
 
 def json_schema(kind: type) -> dict[str, Any]:

@@ -1,9 +1,11 @@
 """What the head of a report says: the banner, who and what it is about, and what was simulated."""
 
-from typing import Final
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, TypeVar
 
 from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Banner, EndReason, Outcome, Page, RunResult, explained
+from cbsr_qa.domain.results import Banner, CommandOutcome, EndReason, Outcome, Page, RunResult, explained
 from cbsr_qa.report.tables import duration, plural
 
 _SYMBOLS: Final = {
@@ -22,8 +24,29 @@ _ENDS: Final = {
 }
 
 
+R = TypeVar("R")
+Facts = Sequence[tuple[str, str]]
+
 #: What a recording's times are from, where "the computer's" would not do.
 _CLOCKS = {"none": "no time recorded", "documented": "as the format documents it"}
+
+
+def answer(
+    result: R,
+    headline: str,
+    reason: str = "",
+    facts: Facts = (),
+    printed: Facts = (),
+    warnings: Sequence[str] = (),
+) -> CommandOutcome[R]:
+    """Return the outcome of a command that did what it was asked for, and has no page of its own.
+
+    Parameters
+    ----------
+    facts, printed : as of :class:`~cbsr_qa.domain.results.Page`.
+    """
+    page = Page("", "", Banner("pass", "✓", headline, reason), tuple(facts))
+    return CommandOutcome(result, replace(page, printed=tuple(printed), warnings=tuple(warnings)))
 
 
 def run_page(result: RunResult) -> Page:
@@ -105,7 +128,7 @@ def _verdict(result: RunResult) -> Banner:
     headline = "MARGINAL PASS" if outcome is Outcome.MARGINAL else outcome.value.upper()
     if result.overrides:
         latest = result.overrides[-1]
-        headline += f", overridden to {latest.outcome.value.upper()} by {latest.operator}"
+        headline += f", overridden to {latest.outcome.value.upper()} by {latest.by}"
     return Banner(tone, _SYMBOLS[outcome], headline, reason)
 
 

@@ -4,6 +4,7 @@ Numbers as a reader expects them: as many digits as the uncertainty allows, with
 """
 
 from collections.abc import Iterable, Sequence
+from datetime import datetime
 from math import floor, log10
 from typing import Final
 
@@ -125,6 +126,11 @@ def plural(count: int, one: str, many: str = "") -> str:
     """Write a count with its noun: ``no loads``, ``1 load``, ``9 loads``."""
     noun = one if count == 1 else many or f"{one}s"
     return f"{count or 'no'} {noun}"
+
+
+def run_named(serial: str, started_at: datetime, run: str) -> str:
+    """Name a run as people do, by sensor and date, with the identifier that commands take."""
+    return f"{serial}, {started_at:%Y-%m-%d %H:%M} UTC ({run})"
 
 
 def named(names: Sequence[str], most: int = _MOST_NAMED) -> str:

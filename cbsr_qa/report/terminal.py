@@ -2,12 +2,15 @@
 
 import textwrap
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from typing import Final
 
 from cbsr_qa.domain.results import Block, Page, Paragraph, Section, Table
 from cbsr_qa.plugin import printable
 
 _WIDTH: Final = 100
+#: Longest line of a text in a table that is wider than the terminal.
+_CELL: Final = 36
 _INDENT: Final = "  "
 _LEAST_ROOM: Final = 20  # that a wrapped column has
 
@@ -15,18 +18,21 @@ _LEAST_ROOM: Final = 20  # that a wrapped column has
 def terminal_lines(page: Page, sections: Sequence[Section]) -> Iterator[str]:
     """Lay an outcome out in lines of 100 characters.
 
-    A wider table is wrapped in its last column, where that is text and has room for it; others keep their width.
+    A wider table is wrapped in its last column, where that is text and has room for it, else in its longest texts.
 
     Folded tables, figures and sections for the page alone are left out, and sections of nothing else.
     """
     banner = page.banner
-    yield from _wrapped(f"{banner.symbol} {banner.headline}", f" {banner.reason}" if banner.reason else "")
+    start = f"{banner.symbol} {banner.headline}"
+    yield from _hanging("", f"{start}: {banner.reason}" if banner.reason else start)
     facts = [(name.lower(), value) for name, value in page.identity]
     facts += [("simulated", text) for text in page.simulated]
     facts += [("warning", text) for text in page.warnings] + [("note", text) for text in page.remarks]
-    width = max((len(name) for name, _ in facts), default=0)
+    width = max((len(name) for name, _ in (*facts, *page.printed)), default=0)
     for name, value in facts:
         yield from _hanging(f"{name:<{width}}  ", value)
+    for name, value in page.printed:
+        yield f"{name.lower():<{width}}  {printable(value)}"
     for section in sections:
         lines = [line for block in section.blocks for line in _block(block)]
         if lines and not section.page_only:
@@ -45,20 +51,24 @@ def _table(table: Table) -> Iterator[str]:
     rows = [table.columns, *(tuple(printable(cell.text) for cell in row) for row in table.rows)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     room = _WIDTH - 2 * len(_INDENT) - sum(width + 2 for width in widths[:-1])
-    wraps = widths[-1] > room >= _LEAST_ROOM and len(widths) - 1 not in table.numeric
+    if widths[-1] > room >= _LEAST_ROOM and len(widths) - 1 not in table.numeric:
+        widths[-1] = room
+    elif widths[-1] > room:
+        widths = [width if place in table.numeric else min(width, _CELL) for place, width in enumerate(widths)]
     for row in rows:
-        *cells, last = (
-            f"{text:>{width}}" if place in table.numeric else f"{text:<{width}}"
-            for place, (text, width) in enumerate(zip(row, widths, strict=True))
-        )
-        start = f"{_INDENT * 2}{''.join(f'{cell}  ' for cell in cells)}"
-        first, *further = (textwrap.wrap(last, room) if wraps else []) or [last]
-        yield f"{start}{first}".rstrip()
-        yield from (f"{'':<{len(start)}}{line}" for line in further)
+        for parts in zip_longest(*map(_parts, row, widths), fillvalue=""):
+            cells = (
+                f"{text:>{width}}" if place in table.numeric else f"{text:<{width}}"
+                for place, (text, width) in enumerate(zip(parts, widths, strict=True))
+            )
+            yield f"{_INDENT * 2}{'  '.join(cells)}".rstrip()
 
 
-def _wrapped(start: str, rest: str) -> Iterator[str]:
-    yield from _hanging("", printable(f"{start}:{rest}" if rest else start))
+def _parts(cell: str, width: int) -> list[str]:
+    """The lines of a cell; words longer than it, such as addresses, stay whole."""
+    if len(cell) <= width:
+        return [cell]
+    return textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
 
 
 def _hanging(start: str, text: str) -> Iterator[str]:

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Any
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import (
@@ -103,46 +102,6 @@ class DryRun:
                 f"the recipe exceeds what this station allows:\n{listed}",
                 remedy="change the recipe's options, or the station's [safety] limits if the bench can take it",
             )
-
-    def lines(self) -> tuple[str, ...]:
-        """Return the summary as lines of text."""
-        by_kind = ", ".join(f"{kind} {duration(seconds)}" for kind, seconds in self.spent)
-        phases = tuple(
-            f"  {p.scheduled.name}: {duration(p.duration_s)}, {p.scheduled.loads} loads, {p.frames} frames"
-            for p in self.phases
-        )
-        return (
-            f"station time  {duration(self.duration_s)} ({by_kind})",
-            *phases,
-            f"loads         {self.loads}, up to {100 * self.peak_strain:g} % strain"
-            f" and {self.peak_force_N:.3g} N expected",
-            f"frames        {self.frames}",
-            f"travel        {self.travel_mm / 1000:.2f} m",
-            *(f"not allowed   {violation}" for violation in self.violations),
-        )
-
-    def document(self) -> dict[str, Any]:
-        """Return the summary as one JSON document."""
-        return {
-            "duration_s": round(self.duration_s, 3),
-            "spent_s": {kind: round(seconds, 3) for kind, seconds in self.spent},
-            "phases": [
-                {
-                    "name": p.scheduled.name,
-                    "sequence": p.scheduled.sequence,
-                    "duration_s": round(p.duration_s, 3),
-                    "loads": p.scheduled.loads,
-                    "frames": p.frames,
-                }
-                for p in self.phases
-            ],
-            "loads": self.loads,
-            "frames": self.frames,
-            "travel_mm": round(self.travel_mm, 1),
-            "peak_strain": self.peak_strain,
-            "peak_force_N": round(self.peak_force_N, 3),
-            "violations": list(self.violations),
-        }
 
 
 def dry_run(

@@ -106,8 +106,8 @@ def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[Conf
             old_digest=found.old_sha256,
             new_digest=found.new_sha256,
             differences=tuple(Difference(*one) for one in found.differences),
-            operator=found.operator,
-            noted_at=found.noted_at,
+            by=found.operator,
+            at=found.noted_at,
             why=found.why,
         )
         for found in connection.execute(query)
@@ -152,7 +152,7 @@ def save_override(
     """
     with writing(engine) as connection:
         analysis, verdict = _judged(connection, run)
-        made = VerdictOverride(override, run, analysis, verdict, outcome, operator, why, noted_at)
+        made = VerdictOverride(override, run, analysis, verdict, outcome, operator, noted_at, why)
         values = {"run": run, "analysis": analysis, "outcome": str(outcome), "operator": operator, "why": why}
         row = {"override_id": override, "noted_at": noted_at, **values}
         add_rows(connection, run, VerdictOverrideRow, [row])
@@ -177,8 +177,8 @@ def overrides(engine: Engine, run: str | None = None) -> tuple[VerdictOverride, 
             stored(Outcome, one.verdict, "analyses.outcome", f"analysis {one.analysis}"),
             stored(Outcome, one.outcome, "verdict_overrides.outcome", f"override {one.override_id}"),
             one.operator,
-            one.why,
             one.noted_at,
+            one.why,
         )
         for one in found
     )

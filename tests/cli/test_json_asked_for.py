@@ -2,8 +2,10 @@
 
 import json
 
+import pytest
+
 from cbsr_qa.cli.main import guarded
-from cbsr_qa.domain import LONGEST_PROBLEM, RowProblem
+from cbsr_qa.domain import LONGEST_PROBLEM, BrokenRunError, RowProblem
 
 
 def refused(capsys, *more):
@@ -27,6 +29,16 @@ def test_the_option_itself_asks_for_one_also_behind_such_a_reason(capsys, tmp_pa
 def test_a_misused_command_line_has_its_document_too(capsys):
     assert guarded(["report", "--jsno", "--json"]) == 2
     assert "--jsno" in json.loads(capsys.readouterr().out)["refused"]["reason"]
+
+
+def test_a_refused_calibration_has_its_document_too(capsys, tmp_path):
+    assert guarded(["calibration", "show", str(tmp_path / "gone.h5"), "--json"]) == 2
+    assert "gone.h5" in json.loads(capsys.readouterr().out)["refused"]["reason"]
+
+
+@pytest.mark.parametrize("reason", ["the database was changed", "run r-1: the database was changed"])
+def test_a_broken_run_names_its_run_once(reason):
+    assert BrokenRunError("r-1", reason).reason == "run r-1: the database was changed"
 
 
 def test_what_is_said_of_a_row_is_cut():

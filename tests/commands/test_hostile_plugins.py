@@ -105,7 +105,6 @@ def test_a_plugin_that_cannot_be_loaded_is_named_by_the_run(place, error, bench,
     assert warning in (tmp_path / document(done)["report"]).read_text().replace("&#39;", "'")
     dry = _run(bench, tmp_path, f"{place}: raise {error}", arguments=(*_arguments("without.toml"), "--dry-run"))
     assert warning in document(dry)["warnings"]
-    assert f"warning: {warning}" in dry.stderr
     refused = _run(bench, tmp_path, f"{place}: raise {error}")
     assert refused.returncode == 2
     assert "there is no metric plugin named 'hostile'" in document(refused)["refused"]["reason"]

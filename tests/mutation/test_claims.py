@@ -265,11 +265,11 @@ def test_a_file_says_what_it_is_and_other_programs_open_it_as_before(issued, tmp
 
 
 def test_a_file_of_before_is_read_and_verify_says_that_its_bytes_were_not_checked(issued):
-    assert verify_file(issued)["bytes_checked"]
+    assert verify_file(issued).result.bytes_checked
     with edited(issued):
         pass
-    assert plain_digest(issued) == show_calibration(issued)["digest"]
-    assert not verify_file(issued)["bytes_checked"]
+    assert plain_digest(issued) == show_calibration(issued).result.digest
+    assert not verify_file(issued).result.bytes_checked
 
 
 def test_json_of_millions_of_values_is_refused_before_it_is_parsed(tmp_path):

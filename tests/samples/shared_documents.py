@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.report import json_document
 
 
 @cache
@@ -13,5 +14,5 @@ def document(path: Path, dataset: str | None = None, reference: Path | None = No
         report=False, dataset=dataset, reference=None if reference is None else (reference, None)
     )
     analysed = analyse_file(path, request)
-    told = json.loads(json.dumps(analysed.document, allow_nan=False))
+    told = json.loads(json.dumps(json_document(analysed), allow_nan=False))
     return {**told, "exit": analysed.exit_code}

@@ -200,7 +200,6 @@ def test_a_loop_counts_its_deepest_strain_and_is_one_load():
 def test_durations_of_steps_add_up():
     dry = dry_run(example_plan(cycle(), cycle()), 2.5)
     assert sum(phase.duration_s for phase in dry.phases) == pytest.approx(dry.duration_s)
-    assert dry.document()["duration_s"] == pytest.approx(dry.duration_s, abs=1e-3)
 
 
 def test_done_loads_cost_nothing():
@@ -229,7 +228,6 @@ def test_every_violation_is_listed_before_anything_moves():
         dry.refuse()
     assert all(violation in refused.value.reason for violation in dry.violations)
     assert refused.value.exit_code == 2
-    assert any("36 %" in line for line in dry.lines())
 
 
 def test_expected_force_is_held_against_the_ceiling():

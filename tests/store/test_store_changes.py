@@ -99,8 +99,8 @@ def test_a_limit_that_changed_is_noted_with_who_when_and_why(repository):
     (change,) = repository.changes()
     assert (change.run, change.earlier_run, change.kind, change.name) == (second, first, FileKind.RECIPE, "short")
     assert change.differences == (Difference("limits[drift].upper", "6.5", "5.0"),)
-    assert (change.operator, change.why) == ("Zoë", "the lot of May")
-    assert change.noted_at == identity(second).started_at
+    assert (change.by, change.why) == ("Zoë", "the lot of May")
+    assert change.at == identity(second).started_at
     assert change.old_digest != change.new_digest
     assert third not in (change.run, change.earlier_run)
 

@@ -11,6 +11,7 @@ from cbsr_qa.app import database_status, upgrade_database
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import FramesTaken, RunEnded
+from cbsr_qa.report import json_document
 from cbsr_qa.store import engine as engines, open_store, schema
 from cbsr_qa.store.engine import open_engine, parsed_url
 from cbsr_qa.store.runs import Journal
@@ -45,7 +46,7 @@ def test_a_missing_database_is_made_only_where_that_is_meant(path):
 
 
 def test_looking_does_not_make_one(path):
-    status = database_status(str(path))
+    status = database_status(str(path)).result
     assert (status.state, status.schema, status.counts, status.incomplete) == ("empty", None, {}, ())
     assert not path.exists()
 
@@ -53,7 +54,7 @@ def test_looking_does_not_make_one(path):
 def test_an_empty_file_becomes_a_database(path):
     path.touch()
     open_store(f"sqlite:///{path}").close()
-    assert database_status(str(path)).state == "current"
+    assert database_status(str(path)).result.state == "current"
 
 
 def test_a_file_that_is_no_database_is_left_alone(path):
@@ -113,12 +114,12 @@ def test_an_older_schema_says_what_to_run_and_running_it_helps(filled):
     schema.downgrade(engine, "0001")
     engine.dispose()
     assert "cbsr-qa db upgrade" in refused(filled)
-    assert database_status(str(filled)).state == "older"
-    done = upgrade_database(str(filled))
+    assert database_status(str(filled)).result.state == "older"
+    done = upgrade_database(str(filled)).result
     assert (done.before, done.after, done.changed) == ("0001", schema.HEAD, True)
     with open_store(f"sqlite:///{filled}") as repository:
         assert len(repository.load_run("run-1").phases[0].frames) == 9
-    assert not upgrade_database(str(filled)).changed
+    assert not upgrade_database(str(filled)).result.changed
 
 
 def test_a_newer_schema_is_not_touched(filled):
@@ -127,7 +128,7 @@ def test_a_newer_schema_is_not_touched(filled):
     assert "schema 9999" in refused(filled)
     with pytest.raises(StoreError, match="9999"):
         upgrade_database(str(filled))
-    assert database_status(str(filled)).state == "newer"
+    assert database_status(str(filled)).result.state == "newer"
 
 
 def test_a_read_only_database_can_be_read_and_refuses_to_be_written(filled):
@@ -212,7 +213,7 @@ def test_a_server_that_does_not_answer_is_named_without_its_password():
 def test_the_status_document_hides_the_password_and_names_runs_that_were_cut_off(filled):
     with open_store(f"sqlite:///{filled}") as repository:
         journalled(repository, short_run("run-2")[:8])
-    document = database_status(str(filled)).document()
+    document = json_document(database_status(str(filled)).result)
     assert document["url"] == f"sqlite:///{filled}"
     assert (document["schema"], document["head"]) == (schema.HEAD, schema.HEAD)
     assert document["counts"]["runs"] == 2
@@ -232,7 +233,7 @@ def test_aborted_and_broken_runs_are_told_apart_from_those_that_were_cut_off(fil
     with open_store(f"sqlite:///{filled}") as repository:
         ended = RunEnded(EndReason.BROKEN, "rule 'force': 21 N measured", 160.0, ())
         journalled(repository, [*short_run("run-2")[:11], ended])
-    document = database_status(str(filled)).document()
+    document = json_document(database_status(str(filled)).result)
     assert document["incomplete"] == []
     (stopped,) = document["stopped"]
     assert (stopped["run"], stopped["end"], stopped["detail"]) == ("run-2", "broken", "rule 'force': 21 N measured")

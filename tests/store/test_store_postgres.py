@@ -104,7 +104,7 @@ def test_a_hostile_name_finds_nothing(repository):
 def test_the_status_names_a_run_that_was_cut_off(repository, url):
     run = repository.new_id()
     journalled(repository, short_run(run, "S-cut")[:8])
-    status = database_status(url)
+    status = database_status(url).result
     assert [(one.run, one.serial) for one in status.incomplete] == [(run, "S-cut")]
     assert status.state == "current"
 

@@ -1,2 +1,7 @@
-from .analyse import Analysed as Analysed, AnalyseRequest as AnalyseRequest, analyse_file as analyse_file
-from .document import parameter_document as parameter_document
+from .analyse import AnalyseRequest as AnalyseRequest, analyse_file as analyse_file
+from .outcome import (
+    Analysed as Analysed,
+    AnalysedFiles as AnalysedFiles,
+    ChosenParameter as ChosenParameter,
+    analyse_outcome as analyse_outcome,
+)

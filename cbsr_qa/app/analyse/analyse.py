@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording, guarded, recognised
-from cbsr_qa.app.analyse.document import recording_document, result_document, unread_document
+from cbsr_qa.app.analyse.outcome import Analysed, ReadRecording
 from cbsr_qa.app.run import report_sections
 from cbsr_qa.config import DocumentKind, load_sensor_type, reports_folder, shipped_names
 from cbsr_qa.domain import CbsrError, ConfigError, NumericsError, RecordingError, RowProblem
@@ -156,32 +156,6 @@ class AnalyseRequest:
         return PluginChoice(name, self.options)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Analysed:
-    """What came of one file.
-
-    Parameters
-    ----------
-    path : the file.
-    result : None where it was refused before it could be analysed.
-    refused : why, where it was refused.
-    report : file; None where none was written.
-    document : for ``--json``.
-    """
-
-    path: Path
-    result: RecordingResult | None
-    refused: CbsrError | None
-    report: Path | None
-    document: dict[str, Any]
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def exit_code(self) -> int:
-        """0 analysed, whether or not anything was found; 2 refused."""
-        return 0 if self.refused is None else self.refused.exit_code
-
-
 def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda said: None) -> Analysed:
     """Analyse one file. A refusal is a result, not an exception; nothing is written then."""
     plugins = discover()
@@ -199,20 +173,9 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
         tell(f"analysing {len(recording.frames)} frames")
         return _analysed(path, recording, reconstruction, request, plugins, datasets, tell)
     except CbsrError as error:
-        if recording is not None:
-            read = recording_document(recording, None)
-        else:
-            read = unread_document(name, error.problems if isinstance(error, RecordingError) else ())
-        return Analysed(path, None, error, None, _refused(path, read, datasets, error))
-
-
-def _refused(path: Path, read: dict[str, Any], datasets: tuple[str, ...], error: CbsrError) -> dict[str, Any]:
-    """Say why, beside what is known; what a reader of many documents looks for is there, and empty."""
-    document: dict[str, Any] = {"file": str(path), "recording": read, "channels": {}, "events": [], "warnings": []}
-    if datasets:
-        document["datasets"] = list(datasets)
-    document["refused"] = {"reason": error.reason, "remedy": error.remedy}
-    return document
+        problems = error.problems if isinstance(error, RecordingError) else ()
+        read = ReadRecording.failed(name, problems) if recording is None else ReadRecording.of(recording)
+        return Analysed(path, read, {}, datasets=datasets or None).with_refusal(error)
 
 
 def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction:
@@ -253,22 +216,16 @@ def _analysed(
     sensor_type, unknown = _sensor_type(recording, request)
     choices = AnalysisChoices(request.correct_carry_over, sensor_type, request.chosen)
     result = analyse_recording(recording, reconstruction, choices, tell=tell)
-    document: dict[str, Any] = {"file": str(path), **result_document(result)}
-    if datasets:
-        document["datasets"] = list(datasets)
+    analysed = replace(Analysed.of(path, result), datasets=datasets or None)
     if result.channels.not_connected:
         error = RecordingError(
             f"{path.name} holds no signal: all {len(recording.frames)} frames read"
             f" {recording.frames.voltages.flat[0]:g} {recording.frames.unit.value} everywhere, nothing is connected",
             remedy="connect the sensor and record again",
         )
-        document["refused"] = {"reason": error.reason, "remedy": error.remedy}
-        return Analysed(path, result, error, None, document)
+        return analysed.with_refusal(error)
     report, missing = _report(path, result, request, plugins)
-    document["report"] = None if report is None else str(report)
-    warnings = (*result.warnings, *unknown, *missing)
-    document["warnings"] = list(warnings)
-    return Analysed(path, result, None, report, document, warnings)
+    return replace(analysed, report=report, warnings=(*result.warnings, *unknown, *missing))
 
 
 def _sensor_type(recording: Recording, request: AnalyseRequest) -> tuple[SensorType | None, list[str]]:

@@ -1,16 +1,22 @@
 from .decided_again import check_decided as check_decided
 from .material_output import material_of as material_of, why_no_material as why_no_material
-from .outputs import RunOutcome as RunOutcome, report_sections as report_sections
+from .outcome import RunOutcome as RunOutcome, run_outcome as run_outcome
+from .outputs import report_sections as report_sections
+from .planned import PlannedRun as PlannedRun, plan_outcome as plan_outcome
 from .preflight import (
     check_cycles as check_cycles,
     check_recipe as check_recipe,
     check_unloaded as check_unloaded,
     past_due as past_due,
 )
-from .render import render_stored as render_stored, with_versions as with_versions
+from .render import (
+    Rendered as Rendered,
+    render_stored as render_stored,
+    rendered_outcome as rendered_outcome,
+    with_versions as with_versions,
+)
 from .resume import known_next as known_next, resume_run as resume_run
 from .run import (
-    PlannedRun as PlannedRun,
     RunRequest as RunRequest,
     default_seed as default_seed,
     plan_run as plan_run,

@@ -31,7 +31,7 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
             why = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
             raise _refused(stored, f"the verdict states {said.outcome}; the run {why}")
         return
-    _check_measurements(stored, limits if record.chain.links else None)
+    _check_measurements(stored, limits if record.chain.chained else None)
     now = decide(found)
     same_words = dict(stored.software).get("cbsr-qa") == version("cbsr-qa")
     if now.outcome is not said.outcome or (same_words and now.reason != said.reason):

@@ -1,8 +1,11 @@
 """Reports rendered again from the store."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis import characterise_run, conclude
 from cbsr_qa.analysis.run import observe_run
@@ -17,37 +20,36 @@ from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.results import (
     Calibration,
     Characterisation,
+    CommandOutcome,
     EndReason,
     Limit,
     Measurement,
+    Outcome,
     RunObservation,
     RunResult,
 )
 from cbsr_qa.domain.run import ChainState, RunRecord, VerdictOverride
 from cbsr_qa.plugin import Kind, Plugins, discover, made
-from cbsr_qa.report import render_run, report_name, write_report
+from cbsr_qa.report import render_run, report_name, run_named, run_page, write_report
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.results import StoredAnalysis
 from cbsr_qa.studies.charts import charts_after
 from cbsr_qa.system import Stages
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
     """What was rendered, where it is, and what its page warns of."""
 
     run: str
     serial: str
-    outcome: str
+    outcome: Outcome
     reason: str
     report: Path
     chain: ChainState
-    overrides: tuple[VerdictOverride, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-#: Makes the result of a run, and the names of the sections its recipe asks for, from what is stored.
-Rebuild = Callable[[str], tuple[RunResult, tuple[str, ...]]]
+    overrides: tuple[VerdictOverride, ...]
+    warnings: tuple[str, ...]
+    result: Annotated[InstanceOf[RunResult], Field(exclude=True)]
 
 
 def render_stored(run_or_serial: str, *, database: str | None = None, folder: Path | None = None) -> Rendered:
@@ -72,7 +74,7 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
         result, names = rebuilt(run, store, plugins)
     _calibration_again(result)
     _material_again(result)
-    return render_again(run, lambda _: (result, names), plugins, folder or reports_folder())
+    return render_result(result, names, plugins, folder or reports_folder())
 
 
 def _calibration_again(result: RunResult) -> None:
@@ -88,7 +90,7 @@ def _material_again(result: RunResult) -> None:
         write_material(result)
 
 
-def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> Rendered:
+def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins, folder: Path) -> Rendered:
     """Render one run's report to ``<serial>-<run>.html``, the name the run itself gave it.
 
     Raises
@@ -96,22 +98,31 @@ def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> 
     RefusedError
         If the folder cannot be written to; nothing was written then.
     """
-    result, names = rebuild(run)
     identity = result.record.identity
-    sections, missing = report_sections(names, plugins)
+    found, missing = report_sections(sections, plugins)
     path = folder / report_name(identity.sensor.serial, identity.run)
-    write_report(path, render_run(result, sections, warnings=missing))
-    verdict = result.verdict
+    write_report(path, render_run(result, found, warnings=missing))
     return Rendered(
         identity.run,
         identity.sensor.serial,
-        str(verdict.outcome),
-        verdict.reason,
+        result.verdict.outcome,
+        result.verdict.reason,
         path,
         result.record.chain,
         result.overrides,
         tuple(dict.fromkeys((*result.warnings, *missing))),
+        result,
     )
+
+
+def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
+    """Lay out which run's report was rendered, and its verdict."""
+    page = run_page(rendered.result)
+    run = run_named(rendered.serial, rendered.result.record.identity.started_at, rendered.run)
+    facts = (("Run", run), ("Rows", rendered.chain.words))
+    printed = (("Report", str(rendered.report)),)
+    page = replace(page, identity=facts, warnings=rendered.warnings, printed=printed)
+    return CommandOutcome(rendered, page)
 
 
 def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from cbsr_qa.app.run.outputs import RunOutcome, report_command
+from cbsr_qa.app.command_hints import report_command
+from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded
 from cbsr_qa.config import (
     Configuration,

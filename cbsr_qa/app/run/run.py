@@ -6,9 +6,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-from cbsr_qa.app.run.outputs import RunOutcome
+from cbsr_qa.app.run.outcome import RunOutcome
+from cbsr_qa.app.run.planned import PlannedRun
 from cbsr_qa.app.run.session import Session, check_configuration
 from cbsr_qa.config import (
     Configuration,
@@ -26,7 +27,7 @@ from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity, SensorHistory
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.station import DryRun, configure, on_stderr
+from cbsr_qa.station import configure, on_stderr
 from cbsr_qa.store import check_usable, database_exists, open_store, parsed_url, sqlite_file
 from cbsr_qa.system import RealClock, Stages
 
@@ -62,45 +63,6 @@ class RunRequest:
         return configure(self.station, self.recipe, sensor_type=self.sensor_type, material=self.material, seed=seed)
 
 
-@dataclass(frozen=True, slots=True)
-class PlannedRun:
-    """What a run would take, whether the station allows it, and the runs of the sensor so far."""
-
-    dry: DryRun
-    history: SensorHistory
-    failed_plugins: tuple[str, ...] = ()
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What the run would warn of too: plugins that could not be loaded, changes since the sensor's last run."""
-        return (*self.failed_plugins, *self.history.differences)
-
-    @property
-    def refused(self) -> RefusedError | None:
-        """What the run would be refused with; None where it would begin."""
-        try:
-            self.dry.refuse()
-        except RefusedError as error:
-            return error
-        return None
-
-    @property
-    def exit_code(self) -> int:
-        """2 where the run would be refused, else 0."""
-        return 0 if self.refused is None else self.refused.exit_code
-
-    def lines(self) -> tuple[str, ...]:
-        """Return the summary as lines of text."""
-        told = (f"sensor        {self.history.words}",) if self.history.words else ()
-        return (*self.dry.lines(), *told)
-
-    def document(self) -> dict[str, Any]:
-        """Return the summary as one JSON document."""
-        refused = {"refused": None} if self.refused is None else self.refused.document()
-        history = self.history.document()
-        return {**self.dry.document(), "sensor_history": history, "warnings": list(self.warnings), **refused}
-
-
 def default_seed(serial: str, earlier_runs: int) -> int:
     """Seed of a run nobody gave one: the same for the same try of the same sensor, another for the next try."""
     digest = hashlib.sha256(f"{serial}/{earlier_runs}".encode()).digest()
@@ -123,7 +85,7 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     configuration = request.configuration(_seed(request))
     ask = _nobody_in_a_dry_run if attended else None
     with Session(configuration, plugins, Stages(), ask) as session:
-        return PlannedRun(session.walk(), _history(request, configuration), tuple(map(str, plugins.failures)))
+        return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures)
 
 
 def _nobody_in_a_dry_run(text: str) -> str:

@@ -13,7 +13,9 @@ from typing import Self
 
 from cbsr_qa.analysis import calibrated, conclude
 from cbsr_qa.app.changes import unexplained
-from cbsr_qa.app.run.outputs import RunOutcome, report_command, resume_command, write_outputs
+from cbsr_qa.app.command_hints import report_command, resume_command
+from cbsr_qa.app.run.outcome import RunOutcome
+from cbsr_qa.app.run.outputs import write_outputs
 from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
 from cbsr_qa.config import Configuration
 from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, UnconcludedError
@@ -252,7 +254,7 @@ def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
         raise BrokenRunError(
             run,
             ended.detail,
-            remedy=f"mend that; what was stored stays, and this goes on: {resume_command(run, store)}",
+            remedy=f"fix that; what was stored stays, and this goes on: {resume_command(run, store)}",
         )
 
 
@@ -277,8 +279,8 @@ def concluded(
         with stoppable():
             return _concluded(run, store, configuration, plugins, stages, warnings)
     except AbortedError as error:
-        again = report_command(run, store) if store.analyses(run) else resume_command(run, store)
-        raise UnconcludedError(run, again, error.by) from error
+        following = report_command(run, store) if store.analyses(run) else resume_command(run, store)
+        raise UnconcludedError(run, following, error.by) from error
     except StoreError as error:
         remedy = "; where the database then holds the run, this goes on: ".join(
             filter(None, [error.remedy, resume_command(run, store)])

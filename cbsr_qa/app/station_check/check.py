@@ -1,18 +1,15 @@
-"""Check a station: its instruments, a reference ring, a golden sensor. What came of it is stored with the runs.
-
-What a check of a station came to, for whoever asked for it.
-"""
+"""Check a station: its instruments, a reference ring, a golden sensor. What came of it is stored with the runs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from cbsr_qa.app.run import RunRequest, run_sensor, stoppable
 from cbsr_qa.app.station_check.bench import BenchFindings, Confirm, look_at_bench, simulates_frames
 from cbsr_qa.app.station_check.golden_history import compare_golden, golden_history
-from cbsr_qa.app.station_check.page import station_page
+from cbsr_qa.app.station_check.outcome import CheckedStation, check_outcome
 from cbsr_qa.config import (
     Configuration,
     calibrations_folder,
@@ -24,80 +21,13 @@ from cbsr_qa.config import (
 )
 from cbsr_qa.domain import CbsrError, RefusedError
 from cbsr_qa.domain.plan import ReferenceRing
-from cbsr_qa.domain.results import EndReason
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings, StationCheck
+from cbsr_qa.domain.results import CommandOutcome, EndReason
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.plugin import discover, software_versions
-from cbsr_qa.report import report_name, write_report
+from cbsr_qa.report import render_sections, report_name, write_report
 from cbsr_qa.station import configure, on_stderr, station_clock
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.system import RealClock
-
-
-@dataclass(frozen=True, slots=True)
-class CheckedStation:
-    """What came of a check: stored, and written as a page.
-
-    Parameters
-    ----------
-    page : None where it could not be written; ``page_why`` then says why.
-    answered : whether any instrument answered.
-    """
-
-    check: StationCheck
-    page: Path | None
-    page_why: str
-    answered: bool
-
-    @property
-    def exit_code(self) -> int:
-        """0 all well or warnings only, 1 something failed, 3 no instrument answered."""
-        if not self.answered:
-            return 3
-        return 1 if self.check.outcome is CheckOutcome.FAILED else 0
-
-    def document(self) -> dict[str, Any]:
-        """Return the check as one JSON document."""
-        check = self.check
-        return {
-            "check": check.check,
-            "station": check.station,
-            "operator": check.operator,
-            "checked_at": check.checked_at.isoformat(),
-            "outcome": str(check.outcome),
-            "results": [result_row(line) for line in check.results],
-            "instruments": [
-                {
-                    "role": one.role,
-                    "driver": one.driver,
-                    "model": one.model,
-                    "serial": one.serial,
-                    "firmware": one.firmware,
-                    "simulated": one.simulated,
-                    "calibration_due": one.calibration_due,
-                    "notes": dict(one.notes),
-                }
-                for one in check.instruments
-            ],
-            "golden_run": check.golden_run,
-            "configuration_digest": check.configuration_digest,
-            "page": None if self.page is None else str(self.page),
-            "page_why": self.page_why,
-        }
-
-
-def result_row(line: CheckResult) -> dict[str, Any]:
-    """Return a line of a check as a JSON object; what it does not have is null or empty."""
-    return {
-        "subject": line.subject,
-        "name": line.name,
-        "outcome": str(line.outcome),
-        "value": line.value,
-        "unit": line.unit,
-        "allowed": line.allowed,
-        "said": line.said,
-        "remedy": line.remedy,
-    }
-
 
 #: Shipped recipe of a golden sensor's run.
 GOLDEN_RECIPE: Final = "golden-check"
@@ -147,7 +77,7 @@ def check_station(
     *,
     ask: Callable[[str], str] | None = None,
     tell: Callable[[str], None] = lambda stage: None,
-) -> CheckedStation:
+) -> CommandOutcome[CheckedStation]:
     """Check a station, store what came of it, and write its page.
 
     Parameters
@@ -198,8 +128,8 @@ def check_station(
             run = _golden(request, request.golden, found, store, ask, tell)
         check = _check(store.new_id(), request, configuration, software_versions(plugins), found, run)
         store.save_station_check(check, found.ring)
-    page, why = _written(check, found.ring, configuration, ring)
-    return CheckedStation(check, page, why, bool(found.instruments))
+    outcome = check_outcome(check, found.ring, configuration.sensor_type.pattern, ring)
+    return _written(outcome, reports_folder() / report_name("station", check.station, check.check))
 
 
 def _refuse_both(request: CheckRequest, ring: ReferenceRing | None, simulated: bool) -> None:
@@ -331,13 +261,11 @@ def _golden(
     return outcome.run
 
 
-def _written(
-    check: StationCheck, readings: RingReadings | None, configuration: Configuration, ring: ReferenceRing | None
-) -> tuple[Path | None, str]:
+def _written(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandOutcome[CheckedStation]:
     """Write the page; a check that is stored is none the worse for a page that cannot be written."""
-    path = reports_folder() / report_name("station", check.station, check.check)
     try:
-        write_report(path, station_page(check, readings, configuration.sensor_type.pattern, ring))
+        write_report(path, render_sections(outcome.page, outcome.sections))
+        result, printed = replace(outcome.result, page=path), str(path)
     except CbsrError as error:
-        return None, error.reason
-    return path, ""
+        result, printed = replace(outcome.result, page_why=error.reason), f"none: {error.reason}"
+    return replace(outcome, result=result, page=replace(outcome.page, printed=(("Page", printed),)))

@@ -1,7 +1,6 @@
 from .force import (
     Flag as Flag,
     ForceInverse as ForceInverse,
-    Forces as Forces,
     least_force_N as least_force_N,
     map_tables as map_tables,
 )

@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping
 from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cbsr_qa.cli.options import one_of, to_day
+from cbsr_qa.cli.options import AsJson, Database, PageOutput, one_of, to_day
 from cbsr_qa.cli.output import check_page, show
 from cbsr_qa.domain import RefusedError
 
@@ -43,9 +42,9 @@ def charts(
     operator: Annotated[str, typer.Option(help="Who sets the new reference, or retires charts.")] = "",
     why: Annotated[str, typer.Option(help="Why.")] = "",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show a new reference without storing it.")] = False,
-    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+    output: PageOutput = None,
+    database: Database = None,
+    as_json: AsJson = False,
 ) -> None:
     """Chart a station's metrics over its runs, against a reference period in which it was known to be well.
 

@@ -1,14 +1,11 @@
 """``cbsr-qa compare``: what differs, and whether it is the material or the station."""
 
-from datetime import datetime
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until
 from cbsr_qa.cli.output import check_page, show
-
-_DAY = ["%Y-%m-%d"]
 
 
 def compare(
@@ -18,8 +15,8 @@ def compare(
     ] = None,
     metric: Annotated[list[str] | None, typer.Option(help="Only this metric; may be repeated.")] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
-    since: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs from this day on (UTC).")] = None,
-    until: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs to the end of this day (UTC).")] = None,
+    since: Since = None,
+    until: Until = None,
     margin: Annotated[
         list[str] | None,
         typer.Option(metavar="METRIC=VALUE", help="Difference that does not matter, in the metric's unit."),
@@ -40,9 +37,9 @@ def compare(
     adjust: Annotated[
         str, typer.Option(help="p values for many metrics: holm, benjamini-hochberg or none.")
     ] = "holm",
-    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+    output: PageOutput = None,
+    database: Database = None,
+    as_json: AsJson = False,
 ) -> None:
     """Compare stored runs of batches, materials, stations, software versions or periods in every metric.
 

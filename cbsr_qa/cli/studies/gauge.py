@@ -1,16 +1,12 @@
 """``cbsr-qa gauge``: how much of the variation of stored runs is the gauge's."""
 
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
-from cbsr_qa.cli.options import to_day
+from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, given_options, option_names, to_day
 from cbsr_qa.cli.output import check_page, show
-
-_DAY = ["%Y-%m-%d"]
-
 
 #: What goes beside a study's file: it says all the rest.
 _BESIDE_STUDY: Final = {"study", "output", "database", "as_json"}
@@ -31,8 +27,8 @@ def gauge(
         bool, typer.Option("--by-location", help="One study a location, not of their mean.")
     ] = False,
     appraiser: Annotated[str, typer.Option(help="Who measures: station or operator.")] = "station",
-    since: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs from this day on (UTC).")] = None,
-    until: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs to the end of this day (UTC).")] = None,
+    since: Since = None,
+    until: Until = None,
     largest_balanced: Annotated[
         bool, typer.Option("--largest-balanced", help="Of an incomplete crossing, take the largest whole part.")
     ] = False,
@@ -44,9 +40,9 @@ def gauge(
         ),
     ] = None,
     confidence: Annotated[float, typer.Option(help="Of intervals, in per cent, above 50 and below 100.")] = 95.0,
-    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+    output: PageOutput = None,
+    database: Database = None,
+    as_json: AsJson = False,
 ) -> None:
     """Gauge R&R of stored runs: every sensor on every station (or by every operator), more than once.
 
@@ -93,16 +89,14 @@ def _check_alone(context: typer.Context, study: Path) -> None:
     typer.BadParameter
         Naming them.
     """
-    # A source is an enumeration of click's, which typer brings a copy of: told apart by name.
-    sources = {name: context.get_parameter_source(name) for name in context.params if name not in _BESIDE_STUDY}
-    given = [name for name, source in sources.items() if source is not None and source.name != "DEFAULT"]
+    given = given_options(context) - _BESIDE_STUDY
     if given:
-        named = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        named = option_names(name for name in context.params if name in given)
         raise typer.BadParameter(
             f"{study} says what is studied: {named} cannot be given beside it, change it there"
             " (--output, --database and --json can)"
         )
 
 
-def _names(said: str | None) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(part.strip() for part in (said or "").split(",") if part.strip()))
+def _names(listed: str | None) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(part.strip() for part in (listed or "").split(",") if part.strip()))

@@ -1,17 +1,14 @@
 """``cbsr-qa limits``: limits and guard bands from a golden lot."""
 
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cbsr_qa.cli.options import to_day
+from cbsr_qa.cli.options import AsJson, Database, Since, Until, to_day
 from cbsr_qa.cli.output import note, show
 
 app = typer.Typer(help="Propose limits from sensors known to be good.", no_args_is_help=True)
-
-_DAY = ["%Y-%m-%d"]
 
 
 @app.callback()
@@ -25,8 +22,8 @@ def propose(
     serials: Annotated[Path | None, typer.Option(help="File with one serial number a line.")] = None,
     batch: Annotated[str | None, typer.Option(help="Runs of this batch.")] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
-    since: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs from this day on (UTC).")] = None,
-    until: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs to the end of this day (UTC).")] = None,
+    since: Since = None,
+    until: Until = None,
     without: Annotated[list[str] | None, typer.Option(help="Leave this sensor out; may be repeated.")] = None,
     measurement: Annotated[
         list[str] | None, typer.Option(help="What to limit; may be repeated. By default what the recipe limits now.")
@@ -44,8 +41,8 @@ def propose(
     ] = False,
     name: Annotated[str | None, typer.Option("--limits-version", help="Name of this version of limits.")] = None,
     output: Annotated[Path | None, typer.Option(help="TOML file to write; must not exist yet.")] = None,
-    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+    database: Database = None,
+    as_json: AsJson = False,
 ) -> None:
     """Propose limits and guard bands from stored runs of sensors known to be good, a golden lot."""
     from cbsr_qa.domain.results import RunSelection

@@ -104,15 +104,17 @@ class Page:
     simulated : what was simulated, in words; empty for a real bench.
     warnings : what may change a decision.
     remarks : worth knowing, nothing to worry about.
+    printed : (name, value) pairs for a terminal alone, never wrapped: files, and commands to type.
     """
 
     kind: str
     subject: str
     banner: Banner
     identity: tuple[tuple[str, str], ...]
-    simulated: tuple[str, ...]
-    warnings: tuple[str, ...]
+    simulated: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    printed: tuple[tuple[str, str], ...] = ()
 
 
 R = TypeVar("R")
@@ -131,7 +133,7 @@ class CommandOutcome(Generic[R]):
 
     result: R
     page: Page
-    sections: tuple[Section, ...]
+    sections: tuple[Section, ...] = ()
     exit_code: int = 0
 
 

@@ -143,31 +143,10 @@ class SensorHistory:
             )
         )
 
-    def document(self) -> dict[str, Any]:
-        """Return the history as a JSON object."""
-        return {"try": len(self.tries) + 1, "earlier_runs": [_row(one) for one in self.earlier]}
-
 
 def _runs(some: Iterable[EarlierRun]) -> str:
     count = len(list(some))
     return f"{count} run{'' if count == 1 else 's'}"
-
-
-def _row(one: EarlierRun) -> dict[str, Any]:
-    return {
-        "run": one.run,
-        "started_at": one.started_at.isoformat(),
-        "recipe": one.recipe,
-        "batch": one.sensor.batch,
-        "sensor_type": one.sensor.sensor_type,
-        "end": None if one.changed else str(one.end),
-        "outcome": None if one.outcome is None else str(one.outcome),
-        "reason": one.reason,
-        "overridden_to": None if one.overridden is None else str(one.overridden[0]),
-        "station_check": one.of_check,
-        "changed": one.changed or None,
-        "chained": one.chained,
-    }
 
 
 #: What is stored and said where nobody said why.
@@ -221,7 +200,7 @@ class ConfigurationChange:
     run, earlier_run : that used the new content, and the latest one that used the old.
     old_digest, new_digest : SHA-256 of the contents.
     differences : key by key, limits first.
-    operator, noted_at : of the run.
+    by, at : operator of the run, and when it began.
     why : in the operator's words; :data:`NO_REASON` where there were none.
     """
 
@@ -232,8 +211,8 @@ class ConfigurationChange:
     old_digest: str
     new_digest: str
     differences: tuple[Difference, ...]
-    operator: str
-    noted_at: datetime
+    by: str
+    at: datetime
     why: str
 
     def words(self, most: int = 3) -> str:
@@ -270,7 +249,7 @@ class VerdictOverride:
     ----------
     analysis, verdict : whose verdict it overrides, and what that was.
     outcome : passed or failed.
-    operator, why, noted_at : who decided, for what reason, and when.
+    by, at, why : who decided, when, and for what reason.
     """
 
     override: str
@@ -278,30 +257,15 @@ class VerdictOverride:
     analysis: str
     verdict: Outcome
     outcome: Outcome
-    operator: str
+    by: str
+    at: datetime
     why: str
-    noted_at: datetime
 
     @property
     def words(self) -> str:
         """Describe the override."""
-        return (
-            f"{self.verdict.value} overridden to {self.outcome.value} by {self.operator}"
-            f" on {self.noted_at:%Y-%m-%d %H:%M} UTC: {self.why}"
-        )
-
-    def document(self) -> dict[str, Any]:
-        """Return the override as a JSON object."""
-        return {
-            "override": self.override,
-            "run": self.run,
-            "analysis": self.analysis,
-            "verdict": str(self.verdict),
-            "outcome": str(self.outcome),
-            "by": self.operator,
-            "at": self.noted_at.isoformat(),
-            "why": self.why,
-        }
+        decided = f"{self.verdict.value} overridden to {self.outcome.value} by {self.by}"
+        return f"{decided} on {self.at:%Y-%m-%d %H:%M} UTC: {self.why}"
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[Difference, ...]:

@@ -5,7 +5,7 @@ The journal, the screen and the safety log only subscribe to the stream.
 
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, Final
+from typing import Final, Literal
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan import Role, Step
@@ -25,36 +25,33 @@ class ChainState:
 
     Parameters
     ----------
-    links : how many; 0 for a run without a chain, which is unchained.
-    key_id : identifies the key that signed the links, and tells nothing of the key; empty where nothing is signed.
-    verified : whether the signatures were checked; False also where there are none.
+    key_id : identifies the key that signed the chain, and tells nothing of the key; None where nothing is signed.
     """
 
-    links: int = 0
-    key_id: str = ""
-    verified: bool = False
+    state: Literal["unchained", "chained"] = "unchained"
+    signature: Literal["none", "checked", "not checked"] = "none"
+    key_id: str | None = None
+
+    @property
+    def chained(self) -> bool:
+        """Whether changed rows of the run would be noticed."""
+        return self.state == "chained"
 
     @property
     def words(self) -> str:
         """The state in words, for reports and terminals."""
-        if not self.links:
+        if not self.chained:
             return _NONE
-        if not self.key_id:
+        if self.signature == "none":
             return "chained, not signed"
-        if self.verified:
+        if self.signature == "checked":
             return f"chained and signed (key {self.key_id})"
         return f"chained; signatures not checked: key {self.key_id} is not set here"
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings for the run: rows without verification."""
-        return () if self.links else (f"rows of this run: {self.words}",)
-
-    def document(self) -> dict[str, Any]:
-        """Return the state as a JSON object."""
-        state = "unchained" if not self.links else "chained"
-        signature = "none" if not self.key_id else "checked" if self.verified else "not checked"
-        return {"state": state, "signature": signature, "key_id": self.key_id or None}
+        return () if self.chained else (f"rows of this run: {self.words}",)
 
 
 @dataclass(frozen=True, slots=True)

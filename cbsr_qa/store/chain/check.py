@@ -78,7 +78,9 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
     for link in links:
         _check_link(run, link, key_id, key)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
-    return ChainState(len(links), key_id, key is not None)
+    if not key_id:
+        return ChainState("chained")
+    return ChainState("chained", "checked" if key is not None else "not checked", key_id)
 
 
 def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence[Row[*tuple[Any, ...]]]:

@@ -58,7 +58,7 @@ def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[Earlier
 
 def _checked(connection: Connection, serial: str, run: str, recipe: str, of_check: bool) -> EarlierRun:
     try:
-        chained = bool(check_run(connection, run, _READ).links)
+        chained = check_run(connection, run, _READ).chained
         return _earlier(_row(connection, run), of_check=of_check, chained=chained)
     except (StoreError, ValueError, TypeError, AttributeError) as error:  # a cell may hold another type of value
         changed = error.reason if isinstance(error, StoreError) else f"run {run}: {error}"

@@ -115,8 +115,7 @@ def _weighting(run: RunObservation) -> str:
 
 def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
     rows = [
-        [f"{one.noted_at:%Y-%m-%d %H:%M} UTC", one.verdict.value, one.outcome.value, one.operator, one.why]
-        for one in overrides
+        [f"{one.at:%Y-%m-%d %H:%M} UTC", one.verdict.value, one.outcome.value, one.by, one.why] for one in overrides
     ]
     caption = "Decisions against the verdict, oldest first; the latest holds, and none issues a calibration."
     return text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
@@ -133,11 +132,11 @@ def _changes(history: ChangeHistory) -> Block:
         return Paragraph(f"Recipe, limits, station, sensor type and material: no change was noted {since}.")
     rows = [
         [
-            f"{one.noted_at:%Y-%m-%d %H:%M} UTC",
+            f"{one.at:%Y-%m-%d %H:%M} UTC",
             f"{one.kind} {one.name}",
             one.words(12),
             f"{one.old_digest[:12]} → {one.new_digest[:12]}",
-            one.operator or "not stated",
+            one.by or "not stated",
             one.why,
             one.run,
         ]

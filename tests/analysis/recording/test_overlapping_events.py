@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.analysis.recording.imaged_events import with_fates
-from cbsr_qa.app.analyse import document
+from cbsr_qa.app.analyse import outcome
 from cbsr_qa.domain.readings import LoadEvent
 from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import Mesh
@@ -64,4 +64,4 @@ def test_a_load_under_a_quarter_of_the_others_is_missed():
 
 @pytest.mark.parametrize(("fate", "said"), [("", None), ("merged", "merged")])
 def test_the_document_says_what_became_of_an_event(fate, said):
-    assert document._event(replace(_event_at(0, 0, 0, 1), fate=fate))["fate"] == said
+    assert outcome.Event.of(replace(_event_at(0, 0, 0, 1), fate=fate)).fate == said

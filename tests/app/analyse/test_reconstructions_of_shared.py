@@ -3,6 +3,7 @@
 import pytest
 
 from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.report import json_document
 
 pytestmark = [pytest.mark.shared, pytest.mark.rest]
 
@@ -15,7 +16,7 @@ def analysed(shared, name, dataset):
 @pytest.mark.parametrize("name", ["gauss-newton-laplace", "greit", "total-variation", "absolute-gauss-newton"])
 def test_both_balls_of_phantom_b_are_apart_in_the_image(shared, name):
     """7 cm from the centre of some 13.5 cm, at electrodes 0 and 4; images pull outwards in a tank."""
-    events = analysed(shared, name, "vvAvg3").document["events"]
+    events = json_document(analysed(shared, name, "vvAvg3"))["events"]
     for event, electrode in zip(sorted(events, key=lambda e: (e["electrode"] + 2) % 16), (0, 4), strict=True):
         assert event["fate"] == "apart"
         assert abs((event["image"]["electrode"] - electrode + 8) % 16 - 8) <= 0.3
@@ -24,7 +25,7 @@ def test_both_balls_of_phantom_b_are_apart_in_the_image(shared, name):
 
 def test_total_variation_says_that_a_tank_settles_no_alpha(shared):
     """No sheet explains a tank to its noise: α is that of a simulated target, and the reader is told."""
-    document = analysed(shared, "total-variation", "vvAvg2").document
+    document = json_document(analysed(shared, "total-variation", "vvAvg2"))
     assert any("from this recording" in warning for warning in document["warnings"])
     assert "simulated" in document["reconstruction"]["parameter"]["reason"]
 

@@ -26,7 +26,7 @@ MEASURED = (
     Measurement("noise", 0.1, "1"),
 )
 JUDGED = judge(MEASURED, [replace(limit, version="") for limit in LIMITS])
-CHAINED, UNCHAINED = ChainState(9), ChainState()
+CHAINED, UNCHAINED = ChainState("chained"), ChainState()
 
 
 def checked(

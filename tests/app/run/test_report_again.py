@@ -9,9 +9,9 @@ from unittest.mock import Mock
 import pytest
 from report_samples import sample_run
 
-from cbsr_qa.app.run.render import render_again
+from cbsr_qa.app.run.render import render_result
 from cbsr_qa.cli import guarded
-from cbsr_qa.domain import RefusedError, StoreError
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.plugin import discover
 
 SECTIONS = ("limits", "traceability")
@@ -23,7 +23,7 @@ def result():
 
 
 def test_a_report_is_written_under_a_safe_name_in_the_folder_alone(result, tmp_path):
-    rendered = render_again("a run", lambda run: (result, SECTIONS), discover(), tmp_path / "reports")
+    rendered = render_result(result, SECTIONS, discover(), tmp_path / "reports")
     assert rendered.report.parent == tmp_path / "reports"
     assert [path.name for path in rendered.report.parent.iterdir()] == [rendered.report.name]
     assert rendered.outcome == str(result.verdict.outcome)
@@ -33,13 +33,13 @@ def test_a_report_is_written_under_a_safe_name_in_the_folder_alone(result, tmp_p
 
 
 def test_rendering_twice_changes_no_byte(result, tmp_path):
-    first = render_again("a run", lambda run: (result, SECTIONS), discover(), tmp_path).report.read_bytes()
-    again = render_again("a run", lambda run: (result, SECTIONS), discover(), tmp_path).report.read_bytes()
+    first = render_result(result, SECTIONS, discover(), tmp_path).report.read_bytes()
+    again = render_result(result, SECTIONS, discover(), tmp_path).report.read_bytes()
     assert first == again
 
 
 def test_a_section_that_is_not_installed_is_a_warning_in_the_report(result, tmp_path):
-    rendered = render_again("a run", lambda run: (result, ("limits", "strangers")), discover(), tmp_path)
+    rendered = render_result(result, ("limits", "strangers"), discover(), tmp_path)
     assert "strangers" in rendered.report.read_text(encoding="utf-8")
     assert any("strangers" in warning for warning in rendered.warnings)
 
@@ -53,16 +53,7 @@ def test_what_the_page_warns_of_is_in_the_document_too(result, tmp_path, monkeyp
     assert json.loads(capsys.readouterr().out)["warnings"] == ["its rows are not chained"]
 
 
-def test_what_is_not_stored_is_not_rendered(tmp_path):
-    def unknown(run):
-        raise StoreError(f"there is no run {run}")
-
-    with pytest.raises(StoreError, match="no run 42"):
-        render_again("42", unknown, discover(), tmp_path / "reports")
-    assert not (tmp_path / "reports").exists()
-
-
 def test_a_folder_in_the_way_is_refused(result, tmp_path):
     Path(tmp_path / "reports").write_text("a file")
     with pytest.raises(RefusedError, match="reports"):
-        render_again("a run", lambda run: (result, SECTIONS), discover(), tmp_path / "reports")
+        render_result(result, SECTIONS, discover(), tmp_path / "reports")

@@ -1,13 +1,13 @@
 """What ``run --json`` says of how a run was imaged."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from report_samples import sample_run
 
-from cbsr_qa.app.run.outputs import RunOutcome
+from cbsr_qa.app.run import RunOutcome
+from cbsr_qa.report import json_document
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def result():
 
 
 def document(result):
-    return json.loads(json.dumps(RunOutcome(result, None, None, (), 1.0, 7).document(), allow_nan=False))
+    return json_document(RunOutcome.of(result))
 
 
 def test_the_regularisation_parameter_and_what_chose_it_are_said(result):

@@ -1,6 +1,5 @@
 """Earlier runs of a sensor: counted as tries, told in words, and read from the store as they stood before a run."""
 
-import json
 import sqlite3
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -9,12 +8,11 @@ import pytest
 from report_samples import sample_run
 from stored_lots import judged, store_run
 
-from cbsr_qa.app.run.outputs import RunOutcome
-from cbsr_qa.cli import run as cli
-from cbsr_qa.domain.results import EndReason, Measurement, Outcome, Verdict
+from cbsr_qa.app.run.outcome import PastRuns, RunOutcome, run_outcome
+from cbsr_qa.domain.results import EndReason, Measurement, Outcome
 from cbsr_qa.domain.run import EarlierRun, SensorHistory, StationCheck
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.report import run_page
+from cbsr_qa.report import json_document, run_page
 from cbsr_qa.store import open_store
 
 SENSOR = SensorIdentity("S-7", "42", "disc-100mm")
@@ -113,7 +111,7 @@ def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
         ]
         assert found.earlier[0].overridden == (Outcome.FAIL, "Zoë")
         assert "drift" in found.earlier[0].reason
-        assert (found.ordinal, found.document()["try"]) == ("third", 3)
+        assert (found.ordinal, json_document(PastRuns.of(found))["try"]) == ("third", 3)
         assert len(found.differences) == 1
         assert store.sensor_history(SENSOR, "nine-locations", first).words == ""
         assert len(store.sensor_history(SENSOR, "nine-locations").earlier) == 4
@@ -142,7 +140,7 @@ def test_an_earlier_run_that_was_changed_is_named_and_stops_nothing(tmp_path, st
     assert "changed since it was stored (run " + run in found.words
     assert table in found.earlier[0].changed
     assert (found.earlier[0].outcome, found.ordinal, len(found.warnings)) == (None, "second", 1)
-    told = found.document()["earlier_runs"][0]
+    told = json_document(PastRuns.of(found))["earlier_runs"][0]
     assert (told["end"], told["outcome"], table in told["changed"]) == (None, None, True)
 
 
@@ -155,22 +153,18 @@ def test_an_earlier_run_without_a_chain_is_told_apart(tmp_path):
         assert store.sensor_history(SENSOR, "nine-locations").words.endswith(" (no chain)")
 
 
-def test_last_lines_document_and_page_one_tell_the_history(capsys):
+def test_last_lines_document_and_page_one_tell_the_history():
     result = replace(sample_run(), sensor_history=SensorHistory(SENSOR, "nine-locations", (FAIL, STOPPED)))
     words = result.sensor_history.words
-    outcome = RunOutcome(result, None, None, (), 1.0, 7)
-    told = json.loads(json.dumps(outcome.document()))["sensor_history"]
+    outcome = run_outcome(RunOutcome.of(result))
+    told = json_document(outcome.result)["sensor_history"]
     assert (told["try"], [one["outcome"] for one in told["earlier_runs"]]) == (3, ["fail", None])
-    cli._show(outcome)
-    assert f"sensor       {words}" in capsys.readouterr().out.splitlines()
+    assert dict(outcome.page.identity)["Sensor"] == words
     assert dict(run_page(result).identity)["Earlier runs"] == words
 
 
-def test_a_first_run_says_nothing_of_earlier_ones(capsys):
+def test_a_first_run_says_nothing_of_earlier_ones():
     result = replace(sample_run(), sensor_history=SensorHistory(SENSOR, "nine-locations"))
-    cli._show(RunOutcome(result, None, None, (), 1.0, 7))
-    assert "sensor  " not in capsys.readouterr().out
+    assert "Sensor" not in dict(run_outcome(RunOutcome.of(result)).page.identity)
     assert dict(run_page(result).identity)["Earlier runs"] == "none of this sensor in the database"
-    assert replace(result, verdict=Verdict(Outcome.PASS, "")).sensor_history.document() == {
-        "try": 1, "earlier_runs": []
-    }  # fmt: skip
+    assert json_document(PastRuns.of(result.sensor_history)) == {"try": 1, "earlier_runs": []}

@@ -22,6 +22,7 @@ from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
 from cbsr_qa.domain.plan import Dump
 from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, VoltageUnit
 from cbsr_qa.plugin import RecordingWriter
+from cbsr_qa.report import json_document
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
 from cbsr_qa_plugins.recordings.ert_board_writer import END_COUNTS, MOST_COUNTS, counts_per_volt, scale_of
@@ -334,7 +335,7 @@ def test_a_simulated_press_is_found_where_and_when_it_was(tmp_path, name):
     FORMATS[name]().write(path, recording, transcript)
     analysed = analyse_file(path, AnalyseRequest(sensor_type="disc-100mm", report=False))
     assert analysed.refused is None
-    found = analysed.document
+    found = json_document(analysed)
     assert found["recording"]["format"] == name
     assert found["recording"]["simulated"] == list(SIMULATED)
     assert found["recording"]["frames_dropped"] == transcript.lost.any(axis=1).sum() > 0

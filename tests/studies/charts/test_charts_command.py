@@ -144,9 +144,9 @@ def test_limits_of_charts_are_listed_with_what_they_were_before(tmp_path, docume
     assert second["earlier"]["reference"] == first["reference"]
     said = listed()
     assert f"limits of force_gain, chart i-mr, on station {STATION}, by Ada" in said
-    assert f"    set      mean {number(values()[:30].mean(), 4)} N/V\n" in said
-    assert "    change   mean " in said
-    assert "    change   settings rules 1, 2 → rules 1\n" in said
+    assert f"  set: mean {number(values()[:30].mean(), 4)} N/V\n" in said
+    assert "  changed: mean " in said
+    assert "  changed: settings rules 1, 2 → rules 1\n" in said
 
 
 @pytest.mark.rest

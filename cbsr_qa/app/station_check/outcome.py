@@ -1,15 +1,18 @@
-"""The page of ``cbsr-qa station check``: how a station stands, line by line, and the ring against its closed form."""
+"""The outcome of ``cbsr-qa station check``: its lines, and the ring against its closed form."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
 from typing import Final
 
 from cbsr_qa.analysis import RING, fit_ring
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import ReferenceRing
-from cbsr_qa.domain.results import Banner, Block, Page, Paragraph, Section
+from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Page, Paragraph, Section
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.report import counted, lines_table, quantity, remedies, render_sections, text_table
+from cbsr_qa.report import counted, filled, lines_table, quantity, remedies, text_table
 from cbsr_qa.report.draw import ring_figure
 
 _RING_WORDS: Final = (
@@ -24,16 +27,55 @@ _GOLDEN_WORDS: Final = (
 )
 
 
-def station_page(
+@dataclass(frozen=True, slots=True)
+class AnsweringInstrument:
+    """An instrument that answered; see :class:`~cbsr_qa.domain.run.InstrumentIdentity`."""
+
+    role: str
+    driver: str
+    model: str
+    serial: str
+    firmware: str
+    simulated: bool
+    calibration_due: str | None
+    notes: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedStation:
+    """A check of a station: stored, and written as a page; see :class:`~cbsr_qa.domain.run.StationCheck`.
+
+    Parameters
+    ----------
+    page : None where it could not be written; ``page_why`` then says why.
+    """
+
+    check: str
+    station: str
+    operator: str
+    checked_at: datetime
+    outcome: CheckOutcome
+    results: tuple[CheckResult, ...]
+    instruments: tuple[AnsweringInstrument, ...]
+    golden_run: str | None
+    configuration_digest: str
+    page: Path | None = None
+    page_why: str = ""
+
+
+def check_outcome(
     check: StationCheck, ring: RingReadings | None, pattern: DrivePattern, allowed: ReferenceRing | None
-) -> str:
-    """Return the page of a check as one HTML document.
+) -> CommandOutcome[CheckedStation]:
+    """Lay a check out; the exit code is 1 where something failed, and 3 where no instrument answered.
 
     Parameters
     ----------
     ring, allowed : its frames and the limits they were held against; None where none were taken.
     """
-    return render_sections(_head(check), _sections(check, ring, pattern, allowed))
+    instruments = tuple(filled(AnsweringInstrument, one, notes=dict(one.notes)) for one in check.instruments)
+    checked = filled(CheckedStation, check, instruments=instruments)
+    code = 3 if not instruments else 1 if check.outcome is CheckOutcome.FAILED else 0
+    return CommandOutcome(checked, _head(check), tuple(_sections(check, ring, pattern, allowed)), code)
 
 
 def _head(check: StationCheck) -> Page:
@@ -72,7 +114,8 @@ def _sections(
     if of_golden:
         caption = "The golden sensor's figures against its history."
         sections.append(Section("Golden sensor", (Paragraph(_GOLDEN_WORDS), lines_table(caption, of_golden))))
-    sections.append(Section("Software", (text_table("Versions.", ("Distribution", "Version"), check.software),)))
+    versions = text_table("Versions.", ("Distribution", "Version"), check.software)
+    sections.append(Section("Software", (versions,), page_only=True))
     return sections
 
 

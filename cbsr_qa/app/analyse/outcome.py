@@ -1,0 +1,347 @@
+"""The outcome of ``cbsr-qa analyse``: what was read from a file, and what was found in it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+import numpy as np
+from pydantic import Field, InstanceOf
+
+from cbsr_qa.domain import CbsrError, RowProblem
+from cbsr_qa.domain.readings import (
+    EventImaging,
+    ImagedPlace,
+    LoadEvent,
+    Motion,
+    NoiseReport,
+    Recording,
+    RecordingResult,
+    ScanKind,
+)
+from cbsr_qa.domain.results import Block, CommandOutcome, Paragraph, ParameterChoice, Section
+from cbsr_qa.report import IF_GIVEN, Refusal, filled, fixed, plural, recording_page, text_table
+
+_USED_FOR: Final = "images of the events and what is said of them; events are found in the readings, without images"
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenParameter:
+    """A regularisation parameter, what chose it and why, and the noise figure of the matrix (Adler et al. 2009)."""
+
+    name: str
+    value: float
+    criterion: str | None
+    reason: str
+    noise_figure: float
+
+    @classmethod
+    def of(cls, choice: ParameterChoice) -> Self:
+        """Return what a document says of a choice."""
+        return filled(cls, choice, criterion=choice.criterion or None, reason=choice.how)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadRecording:
+    """What was read; None for what is not known.
+
+    Parameters
+    ----------
+    problems : rows that were left out, or used with reservations.
+    clock : whose times they are.
+    loads_documented : presses that the file states.
+    """
+
+    format: str | None
+    dataset: str | None = None
+    frames: int = 0
+    scan: ScanKind | None = None
+    frames_dropped: int = 0
+    rows_rejected: int = 0
+    problems: tuple[RowProblem, ...] = ()
+    frame_rate_hz: float | None = None
+    clock: str | None = None
+    force_recorded: bool | None = None
+    unit: str | None = None
+    current_A: float | None = None
+    sensor_type: str | None = None
+    loads_documented: int = 0
+    notes: tuple[str, ...] = ()
+    simulated: tuple[str, ...] | None = None
+
+    @classmethod
+    def of(cls, recording: Recording, frame_rate_hz: float | None = None) -> Self:
+        """Return what was read from a file."""
+        return filled(
+            cls,
+            recording,
+            dataset=recording.dataset or None,
+            frames=len(recording.frames),
+            frame_rate_hz=frame_rate_hz,
+            force_recorded=any(block.channel == "force" for block in recording.samples),
+            unit=recording.frames.unit.value,
+            current_A=recording.frames.current_A,
+            loads_documented=len(recording.loads),
+        )
+
+    @classmethod
+    def failed(cls, format_: str | None, problems: Sequence[RowProblem]) -> Self:
+        """Return what is known of a file that was given up; ``format_`` is None where no format knows it."""
+        return cls(format_, rows_rejected=sum(problem.rejected for problem in problems), problems=tuple(problems))
+
+
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """State of the channels; see :class:`~cbsr_qa.domain.readings.ChannelReport`."""
+
+    saturated: tuple[tuple[int, int], ...]
+    stuck: tuple[tuple[int, int], ...]
+    not_connected: bool
+    used: int
+    snr_db: float | None
+    reciprocity_error: float | None
+    reading_memory: float | None
+    reciprocity_error_corrected: float | None
+    memory_corrected: bool
+    suspect_electrodes: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class EventReconstruction:
+    """How images of the events were made; no parameter where nothing was imaged."""
+
+    name: str
+    options: dict[str, Any]
+    parameter: ChosenParameter | None
+    elements: int | None
+    used_for: str = _USED_FOR
+
+    @classmethod
+    def of(cls, imaging: EventImaging) -> Self:
+        """Return what a document says of it."""
+        parameter = None if imaging.choice is None else ChosenParameter.of(imaging.choice)
+        return cls(imaging.reconstruction.name, dict(imaging.reconstruction.options), parameter, imaging.elements)
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceInImage:
+    """Place and strength of an event in its own image; see :class:`~cbsr_qa.domain.readings.ImagedPlace`."""
+
+    x_over_R: float
+    y_over_R: float
+    r_over_R: float
+    electrode: float
+    largest_change: float
+    area_share: float
+
+    @classmethod
+    def of(cls, place: ImagedPlace) -> Self:
+        """Return what a document says of it."""
+        return filled(cls, place, largest_change=place.largest)
+
+
+@dataclass(frozen=True, slots=True)
+class TrackPoint:
+    """Place of a moving object in one frame."""
+
+    time_s: float
+    x_over_R: float
+    y_over_R: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotionEnd:
+    """First or last place of a moving object."""
+
+    electrode: float
+    r_over_R: float
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedMotion:
+    """How an object moves; see :class:`~cbsr_qa.domain.readings.Motion`."""
+
+    begins: Annotated[MotionEnd, Field(serialization_alias="from")]
+    ends: Annotated[MotionEnd, Field(serialization_alias="to")]
+    turns: float
+    nearest_r_over_R: float
+    words: str
+
+    @classmethod
+    def of(cls, motion: Motion) -> Self:
+        """Return what a document says of it."""
+        return filled(cls, motion, begins=MotionEnd(*motion.begins), ends=MotionEnd(*motion.ends))
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """An event; see :class:`~cbsr_qa.domain.readings.LoadEvent`. Places in mm, track and motion only where known."""
+
+    start_s: float
+    peak_s: float
+    end_s: float
+    x_over_R: float
+    y_over_R: float
+    r_over_R: float
+    electrode: float
+    sign: int
+    snr: float
+    fate: str | None
+    force_N: float | None
+    x_mm: Annotated[float | None, IF_GIVEN]
+    y_mm: Annotated[float | None, IF_GIVEN]
+    image: PlaceInImage | None
+    track: Annotated[tuple[TrackPoint, ...] | None, IF_GIVEN]
+    motion: Annotated[TrackedMotion | None, IF_GIVEN]
+
+    @classmethod
+    def of(cls, event: LoadEvent) -> Self:
+        """Return what a document says of it."""
+        return filled(
+            cls,
+            event,
+            fate=event.fate or None,
+            image=None if event.imaged is None else PlaceInImage.of(event.imaged),
+            track=tuple(TrackPoint(*point) for point in event.track) or None,
+            motion=None if event.motion is None else TrackedMotion.of(event.motion),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A sudden change of noise or level; see :class:`~cbsr_qa.domain.readings.NoiseStep`."""
+
+    time_s: float
+    first_frame_after: int
+    what: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of the quiet part of a recording; see :class:`~cbsr_qa.domain.readings.NoiseReport`."""
+
+    rms: float | None
+    unit: str
+    drift_per_min: float | None
+    steps: tuple[Step, ...]
+    quiet_s: tuple[float, float] | None
+    frames: int
+    outliers: float | None
+
+    @classmethod
+    def of(cls, noise: NoiseReport, recording: Recording) -> Self:
+        """Return what a document says of it; steps with the first frame after each."""
+        after = np.searchsorted(recording.frames.time_s, [step.time_s for step in noise.steps], side="right")
+        steps = (filled(Step, one, first_frame_after=int(n)) for one, n in zip(noise.steps, after, strict=True))
+        return filled(cls, noise, steps=tuple(steps))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Analysed:
+    """A recording with all findings, or why it was refused.
+
+    Parameters
+    ----------
+    channels : empty where nothing could be analysed.
+    datasets : of a file of several.
+    compute_s : by stage.
+    report : None where none was asked for.
+    refused : only where it was.
+    result, error : of the analysis; None where there is none.
+    """
+
+    file: Path
+    recording: ReadRecording
+    channels: Channels | dict[str, None]
+    events: tuple[Event, ...] = ()
+    warnings: tuple[str, ...] = ()
+    reconstruction: EventReconstruction | None = None
+    events_why: str = ""
+    noise: Noise | None = None
+    compute_s: dict[str, float] | None = None
+    datasets: Annotated[tuple[str, ...] | None, IF_GIVEN] = None
+    report: Path | None = None
+    refused: Annotated[Refusal | None, IF_GIVEN] = None
+    result: Annotated[InstanceOf[RecordingResult] | None, Field(exclude=True)] = None
+    error: Annotated[InstanceOf[CbsrError] | None, Field(exclude=True)] = None
+
+    @classmethod
+    def of(cls, file: Path, result: RecordingResult) -> Self:
+        """Return what was found in a recording."""
+        return filled(
+            cls,
+            result,
+            file=file,
+            recording=ReadRecording.of(result.recording, result.frame_rate_hz),
+            channels=filled(Channels, result.channels),
+            reconstruction=None if result.imaging is None else EventReconstruction.of(result.imaging),
+            events=tuple(map(Event.of, result.events)),
+            noise=Noise.of(result.noise, result.recording),
+            compute_s={stage: round(seconds, 4) for stage, seconds in result.compute_s},
+            result=result,
+        )
+
+    def with_refusal(self, error: CbsrError) -> Self:
+        """Return the same with why it was refused."""
+        return replace(self, refused=filled(Refusal, error), error=error)
+
+    @property
+    def exit_code(self) -> int:
+        """0 analysed, whether or not anything was found; 2 refused."""
+        return 0 if self.error is None else self.error.exit_code
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnalysedFiles:
+    """Several recordings, in the order they were named."""
+
+    files: tuple[Analysed, ...]
+
+
+def analyse_outcome(analysed: Analysed, *, imaged: bool) -> CommandOutcome[Analysed]:
+    """Lay a recording that was analysed out for a terminal; its own page is the report.
+
+    Parameters
+    ----------
+    imaged : whether to say what the images of the events show: somebody chose how they are made.
+    """
+    assert analysed.result is not None
+    result, channels, noise = analysed.result, analysed.result.channels, analysed.result.noise
+    facts = [
+        ("Channels", f"{len(channels.saturated)} saturated, {len(channels.stuck)} stuck, {channels.used} imaged")
+    ]
+    if noise.rms is not None:
+        steps = f", {plural(len(noise.steps), 'step')}" if noise.steps else ""
+        facts.append(("Noise", f"{noise.rms:.3g} {noise.unit} rms{steps}"))
+    page = recording_page(result)
+    page = replace(
+        page,
+        identity=(*page.identity, *facts),
+        warnings=(),
+        remarks=(*result.recording.notes, *analysed.warnings),
+        printed=() if analysed.report is None else (("Report", str(analysed.report)),),
+    )
+    sections = (Section("Events", tuple(_events(result, imaged=imaged))),) if result.events else ()
+    return CommandOutcome(analysed, page, sections)
+
+
+def _events(result: RecordingResult, *, imaged: bool) -> Iterator[Block]:
+    timed, in_mm = result.frame_rate_hz is not None, any(event.x_mm is not None for event in result.events)
+    columns = ["event", *(["from [s]", "to [s]"] * timed), "place", *(["x [mm]", "y [mm]"] * in_mm), "it", "SNR"]
+    rows = []
+    for number, event in enumerate(result.events, start=1):
+        times = [fixed(event.start_s, 1), fixed(event.end_s, 1)] * timed
+        mm = ["–" if length is None else fixed(length, 1) for length in (event.x_mm, event.y_mm)] * in_mm
+        row = [f"E{number}", *times, event.place, *mm, "conducts more" if event.sign > 0 else "conducts less"]
+        seen = ["not in it" if event.imaged is None else event.imaged.place] * imaged
+        rows.append([*row, fixed(event.snr, 1), *seen])
+    yield text_table("Found in the readings.", [*columns, *(["in its image"] * imaged)], rows)
+    choice = None if result.imaging is None else result.imaging.choice
+    if imaged and result.imaging is not None and choice is not None:
+        name = result.imaging.reconstruction.name
+        yield Paragraph(f"Images by {name}, {choice.name} {choice.value:.3g}: {choice.how}.")
+    for number, event in enumerate(result.events, start=1):
+        if event.motion is not None:
+            yield Paragraph(f"E{number} moves: {event.motion.words}; the place above is where it is clearest.")

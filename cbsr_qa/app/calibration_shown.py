@@ -1,0 +1,420 @@
+"""The outcome of ``cbsr-qa calibration show``: what a calibration file says, without its arrays."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from cbsr_qa.calibration.file import read_calibration, verify_calibration_file
+from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolated, least_force_N, map_tables
+from cbsr_qa.domain import CalibrationError, kept_fields
+from cbsr_qa.domain.results import (
+    Banner,
+    BaselineConductance,
+    Calibration,
+    CommandOutcome,
+    ForceModel,
+    Page,
+    Paragraph,
+    Section,
+    SettlingSummary,
+    Table,
+)
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+from cbsr_qa.report import filled, fixed, text_table
+from cbsr_qa.system import read_untrusted
+
+_Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedSensor:
+    """What a calibration is of, and where it comes from."""
+
+    calibration: str
+    run: str
+    issued_at: str
+    serial: str
+    batch: str
+    sensor_type: str
+
+
+@dataclass(frozen=True, slots=True)
+class RangeOfUse:
+    """Where a calibration may be used; see :class:`~cbsr_qa.domain.results.Validity`."""
+
+    force_N: tuple[float, float] | None
+    strain: tuple[float, float]
+    temperature_C: tuple[float, float] | None
+    radius_mm: float
+    reduced: tuple[str, ...]
+    indenter_diameter_mm: float
+    indenter: str
+
+
+@dataclass(frozen=True, slots=True)
+class ShownParameter:
+    """A material parameter with its units; see :class:`~cbsr_qa.domain.sensor.Parameter`."""
+
+    value: float
+    stderr: float | None
+    source: str
+    units: str
+
+    @property
+    def text(self) -> str:
+        """Value, standard error, units and source."""
+        error = f" ± {self.stderr:.2g}" if self.stderr else ""  # 0 is: nobody doubted it
+        units = "" if self.units == "1" else f" {self.units}"
+        return f"{self.value:.4g}{error}{units} ({self.source})"
+
+
+@dataclass(frozen=True, slots=True)
+class ShownLine:
+    """Relative conductance change against stress or strain; see :class:`~cbsr_qa.domain.sensor.QuasiStatic`."""
+
+    slope: ShownParameter
+    intercept: ShownParameter
+    covariance: float | None
+
+    @classmethod
+    def of(cls, line: QuasiStatic, units: str) -> Self:
+        """Return a line whose slope has these units."""
+
+        def shown(parameter: Parameter, units: str) -> ShownParameter:
+            return filled(ShownParameter, parameter, units=units)
+
+        return cls(shown(line.slope, units), shown(line.intercept, "1"), line.covariance)
+
+
+@dataclass(frozen=True, slots=True)
+class Settling:
+    """Settling times of a signal; see :class:`~cbsr_qa.domain.results.SettlingSummary`."""
+
+    signal: str
+    direction: str
+    mean_s: float | None
+    deviation_s: float | None
+    accepted: int
+    censored: int
+    rejected: int
+
+    @classmethod
+    def of(cls, summary: SettlingSummary) -> Self:
+        """Return what a document says of them."""
+        return filled(cls, summary, direction="loading" if summary.loading else "unloading")
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """One band of the area-overlap scale."""
+
+    name: str
+    lower_percent: float
+    upper_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class AreaOverlap:
+    """Scale of area overlap."""
+
+    threshold_percent: float
+    size_ratio: tuple[float, float] | None
+    bands: tuple[Band, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Imaging:
+    """How the sensor is imaged."""
+
+    method: str
+    regularisation: float
+    regularisation_name: str
+    regularisation_criterion: str | None
+    regularisation_how: str
+    noise_figure_nominal: float
+    noise_figure_measured: float | None
+    elements: int
+    readings: int
+    response: str
+    noise_floor: float
+    mask: float
+    current_A: float
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """Return what a document says of it."""
+        choice, problem = calibration.reconstruction.choice, calibration.reconstruction.problem
+        return filled(
+            cls,
+            calibration,
+            method=calibration.reconstruction.method,
+            regularisation=choice.value,
+            regularisation_name=choice.name,
+            regularisation_criterion=choice.criterion or None,
+            regularisation_how=choice.how,
+            noise_figure_nominal=choice.noise_figure,
+            noise_figure_measured=calibration.noise_figure,
+            elements=len(problem.mesh.elements),
+            readings=int(problem.used.sum()),
+            response=calibration.response.value,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A single number of the file."""
+
+    value: float | None
+    units: str
+
+
+@dataclass(frozen=True, slots=True)
+class ShownForceModel:
+    """The force model in numbers: its map over the calibrated places, and the least force it detects.
+
+    Parameters
+    ----------
+    places : nodes of the lattice where the head may be.
+    response_lowest, response_highest : of the sheet, over what its material would answer.
+    scatter : of single loads, relative.
+    hold_s : after the press, when it was learned.
+    least_force_centre_N, least_force_worst_N : detected by one frame at the centre and at the worst place.
+    """
+
+    places: int
+    lattice_spacing_mm: float
+    response_lowest: float
+    response_highest: float
+    response_stderr_lowest: float
+    response_stderr_highest: float
+    scatter: float
+    stress_kPa: tuple[float, float]
+    hold_s: float
+    threshold: float
+    least_force_centre_N: float
+    least_force_worst_N: float
+    least_force_worst_at_mm: tuple[float, float]
+    head: str
+    assumed: tuple[str, ...]
+
+    @classmethod
+    def of(cls, calibration: Calibration, model: ForceModel) -> Self:
+        """Work it out from a force model."""
+        places = _places(calibration, model)
+        response = np.exp(interpolated(model, model.log_response, places))
+        stderr = interpolated(model, model.log_response_stderr, places)
+        least = _least_force_N(calibration, model, places)
+        worst = int(np.argmax(least))
+        return filled(
+            cls,
+            model,
+            places=len(places),
+            lattice_spacing_mm=model.lattice.spacing_mm,
+            response_lowest=float(response.min()),
+            response_highest=float(response.max()),
+            response_stderr_lowest=float(stderr.min()),
+            response_stderr_highest=float(stderr.max()),
+            hold_s=model.steady_s,
+            least_force_centre_N=float(least[np.argmin(np.hypot(*places.T))]),
+            least_force_worst_N=float(least[worst]),
+            least_force_worst_at_mm=(float(places[worst, 0]), float(places[worst, 1])),
+            head=calibration.indenter.words(),
+            assumed=tuple(name for name in calibration.assumed if name.endswith("stress")),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ShownCalibration:
+    """What a calibration file says.
+
+    Parameters
+    ----------
+    digest, record_digest : SHA-256 of the file's content, and of what the database keeps of it.
+    values : every single number of the calibration itself, by its path in the file.
+    no_force_model : why there is none.
+    """
+
+    file: Path
+    digest: str
+    record_digest: str
+    schema_version: int
+    identity: CalibratedSensor
+    simulated: tuple[str, ...]
+    validity: RangeOfUse
+    baseline_conductance: tuple[BaselineConductance, ...]
+    against_stress: ShownLine
+    against_strain: ShownLine
+    assumed: tuple[str, ...]
+    settling: tuple[Settling, ...]
+    area_overlap: AreaOverlap
+    image: Imaging
+    values: dict[str, Value]
+    force_model: ShownForceModel | None
+    no_force_model: str | None
+
+
+def show_calibration(path: Path) -> CommandOutcome[ShownCalibration]:
+    """Return what a calibration file says.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is not sound; nothing of an unsound file is shown.
+    """
+    verified, held = read_untrusted(
+        path, lambda: (verify_calibration_file(path), read_calibration(path)), refusal=CalibrationError
+    )
+    numbers = (field for field in kept_fields(Calibration) if field.hint in (float, float | None))
+    bands = tuple(Band(band.name, band.lower, band.upper) for band in held.overlap_bands)
+    head = held.indenter
+    shown = ShownCalibration(
+        file=path,
+        digest=verified.digest,
+        record_digest=verified.record_digest,
+        schema_version=verified.schema_version,
+        identity=filled(
+            CalibratedSensor, held.sensor, calibration=held.calibration, run=held.run, issued_at=held.issued_at
+        ),
+        simulated=held.simulated,
+        validity=filled(RangeOfUse, held.validity, indenter_diameter_mm=head.diameter_mm, indenter=head.words()),
+        baseline_conductance=held.baseline,
+        against_stress=ShownLine.of(held.against_stress, "1/kPa"),
+        against_strain=ShownLine.of(held.against_strain, "1"),
+        assumed=held.assumed,
+        settling=tuple(map(Settling.of, held.settling)),
+        area_overlap=AreaOverlap(held.overlap_threshold, held.size_ratio, bands),
+        image=Imaging.of(held),
+        values={field.path(""): Value(getattr(held, field.name), field.units("1", "1")) for field in numbers},
+        force_model=None if held.force is None else ShownForceModel.of(held, held.force),
+        no_force_model=None if held.force else held.no_force or "issued before calibrations held force models",
+    )
+    return CommandOutcome(shown, _page(shown), tuple(_sections(shown)))
+
+
+def _places(calibration: Calibration, model: ForceModel) -> _Array:
+    """Nodes of the lattice where the head may be, within the calibrated radius; all, where none is that near."""
+    everywhere, node = model.lattice.places_mm(), model.node.ravel()
+    fits = np.where(node >= 0, model.fits[node], False)
+    fits &= np.isfinite(TemplateFilter(model).template(everywhere)).all(axis=1)
+    near = fits & (np.hypot(*everywhere.T) <= calibration.validity.radius_mm)
+    return everywhere[near if near.any() else fits]
+
+
+def _least_force_N(calibration: Calibration, model: ForceModel, places: _Array) -> _Array:
+    """Force at each place whose change of one frame just counts as a load (its detectability is the threshold)."""
+    inverse = ForceInverse(model, calibration.against_stress, calibration.indenter.area_mm2, map_tables(model))
+    return least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
+
+
+def _page(shown: ShownCalibration) -> Page:
+    identity = shown.identity
+    facts = (
+        ("Batch", identity.batch or "not stated"),
+        ("Sensor type", identity.sensor_type),
+        ("Issued at", identity.issued_at),
+        ("Run", identity.run),
+        ("Calibration", identity.calibration),
+    )
+    banner = Banner("plain", "●", f"Calibration of sensor {identity.serial}", "")
+    return Page("Calibration", identity.serial, banner, facts, shown.simulated, printed=(("SHA-256", shown.digest),))
+
+
+def _sections(shown: ShownCalibration) -> Iterator[Section]:
+    yield _texts("Where it may be used", _validity(shown.validity))
+    yield Section("Baseline conductance", (_baseline(shown.baseline_conductance),))
+    yield _texts("Relative conductance change = slope · x + intercept", _lines(shown))
+    yield _texts("Force", _force(shown))
+    yield Section("Settling", (_settling(shown.settling),))
+    yield _texts("Image", _image(shown))
+    rows = [
+        (path, "not measured" if held.value is None else f"{held.value:.6g}", held.units.removeprefix("1"))
+        for path, held in shown.values.items()
+    ]
+    yield Section("Values", (text_table("Single numbers of the file.", ("path", "value", "unit"), rows, (1,)),))
+
+
+def _texts(title: str, lines: Iterator[str]) -> Section:
+    return Section(title, tuple(map(Paragraph, lines)))
+
+
+def _validity(validity: RangeOfUse) -> Iterator[str]:
+    yield f"force: {_range(validity.force_N, 'N')}"
+    yield f"strain: {_range((100 * validity.strain[0], 100 * validity.strain[1]), '%')}"
+    yield f"temperature: {_range(validity.temperature_C, '°C')}"
+    yield f"within {validity.radius_mm:.3g} mm of the centre, head: {validity.indenter}"
+    yield from (f"reduced: {reason}" for reason in validity.reduced)
+
+
+def _range(ends: tuple[float, float] | None, unit: str) -> str:
+    return "not measured" if ends is None else f"{ends[0]:.3g} to {ends[1]:.3g} {unit}"
+
+
+def _baseline(places: tuple[BaselineConductance, ...]) -> Table:
+    rows = [
+        (
+            place.location,
+            fixed(place.x_mm, 1),
+            fixed(place.y_mm, 1),
+            "none" if place.value is None else f"{place.value:.4g}",
+            "" if place.stderr is None else f"{place.stderr:.2g}",
+            str(place.loads),
+            place.why,
+        )
+        for place in places
+    ]
+    columns = ("place", "x [mm]", "y [mm]", "value", "± 1 s.e.", "loads", "remark")
+    return text_table("In relative image units.", columns, rows, (1, 2, 3, 4, 5))
+
+
+def _lines(shown: ShownCalibration) -> Iterator[str]:
+    for against, line in (("stress", shown.against_stress), ("strain", shown.against_strain)):
+        yield f"slope against {against}: {line.slope.text}"
+        yield f"intercept against {against}: {line.intercept.text}"
+    yield f"assumed, not measured on this sensor: {', '.join(shown.assumed) or 'nothing'}"
+
+
+def _force(shown: ShownCalibration) -> Iterator[str]:
+    force = shown.force_model
+    if force is None:
+        yield f"none: {shown.no_force_model}"
+        return
+    low, high = 100 * force.response_lowest, 100 * force.response_highest
+    best, worst = 100 * force.response_stderr_lowest, 100 * force.response_stderr_highest
+    yield (
+        f"The sheet answers with {low:.0f} to {high:.0f} % of what its material would at {force.places} places, known"
+        f" to {best:.1f} to {worst:.1f} % (1 s.e.); single loads scatter by {100 * force.scatter:.1f} %."
+    )
+    x, y = force.least_force_worst_at_mm
+    yield (
+        f"Least force one frame detects: {force.least_force_centre_N:.2g} N at the centre,"
+        f" {force.least_force_worst_N:.2g} N at worst, at ({x:.3g}, {y:.3g}) mm."
+    )
+    least, most = force.stress_kPa
+    yield f"Learned from {least:.3g} to {most:.3g} kPa, {force.hold_s:.3g} s after the press."
+    yield f"assumed, not measured on this sensor: {', '.join(force.assumed) or 'nothing'}"
+
+
+def _settling(summaries: tuple[Settling, ...]) -> Table:
+    rows = [
+        (
+            f"{one.signal}, {one.direction}",
+            "none" if one.mean_s is None else f"{'at least ' if one.censored else ''}{one.mean_s:.3g}",
+            "" if one.deviation_s is None else f"{one.deviation_s:.2g}",
+            *map(str, (one.accepted, one.censored, one.rejected)),
+        )
+        for one in summaries
+    ]
+    columns = ("signal", "mean [s]", "deviation [s]", "settled", "not within the window", "rejected")
+    return text_table("Time to settle, of all loads.", columns, rows, (1, 2, 3, 4, 5))
+
+
+def _image(shown: ShownCalibration) -> Iterator[str]:
+    image = shown.image
+    yield f"by {image.method} on {image.elements} elements from {image.readings} readings"
+    by = image.regularisation_criterion or "not stated"
+    yield f"{image.regularisation_name} = {image.regularisation:.4g}, chosen by {by}: {image.regularisation_how}"
+    yield f"noise floor {image.noise_floor:.3g}; response: {image.response}"
+    yield f"required area overlap: at least {shown.area_overlap.threshold_percent:g} %"

@@ -1,0 +1,25 @@
+"""Commands to type that go on with what is stored; a database that is not the usual one is named."""
+
+import shlex
+
+from cbsr_qa.config import database_url
+from cbsr_qa.store import Repository
+
+
+def database_option(database: str | None) -> str:
+    """Return the option that names a database, after a blank; empty where none was named."""
+    return f" --database {shlex.quote(database)}" if database else ""
+
+
+def resume_command(run: str, store: Repository) -> str:
+    """Return what goes on with a run."""
+    return f"cbsr-qa run --resume {run}{_unless_usual(store)}"
+
+
+def report_command(run: str, store: Repository) -> str:
+    """Return what writes a run's report and calibration file again."""
+    return f"cbsr-qa report {run}{_unless_usual(store)}"
+
+
+def _unless_usual(store: Repository) -> str:
+    return database_option(None if store.is_at(database_url()) else store.address)

@@ -1,0 +1,257 @@
+"""The outcome of ``cbsr-qa run``: the verdict, what was measured, and where files and the next command are."""
+
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, InstanceOf
+
+from cbsr_qa.app.analyse import ChosenParameter
+from cbsr_qa.domain.results import (
+    Bound,
+    CommandOutcome,
+    EndReason,
+    Measurement,
+    Outcome,
+    RunResult,
+)
+from cbsr_qa.domain.run import ChainState, ConfigurationChange, EarlierRun, SensorHistory, VerdictOverride
+from cbsr_qa.report import filled, run_named, run_page
+
+
+@dataclass(frozen=True, slots=True)
+class UsedReconstruction:
+    """How a run was imaged.
+
+    Parameters
+    ----------
+    weight_ratio : largest to smallest weight of a reading.
+    readings, elements : how many.
+    """
+
+    name: str
+    parameter: ChosenParameter
+    noise_weighting: str
+    weight_ratio: float
+    readings: int
+    elements: int
+
+    @classmethod
+    def of(cls, result: RunResult) -> Self | None:
+        """Return it; None where nothing was imaged."""
+        run = result.observation
+        if run is None:
+            return None
+        problem = run.reconstruction.problem
+        return cls(
+            run.reconstruction.method,
+            ChosenParameter.of(run.reconstruction.choice),
+            run.settings.noise_weighting,
+            run.weight_ratio,
+            len(problem.reference),
+            len(problem.mesh.elements),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredValue:
+    """A measurement and the limit that judged it; None for what it does not have."""
+
+    name: str
+    value: float | None
+    unit: str
+    uncertainty: float | None
+    outcome: Outcome
+    phase: str
+    location: str
+    trial: int | None
+    load: int | None
+    strain: float | None
+    bound: Bound
+    qualifier: str
+    how: str
+    lower: float | None = None
+    upper: float | None = None
+    marginal: float | None = None
+    limits_version: str | None = None
+
+    @classmethod
+    def of(cls, measurement: Measurement) -> Self:
+        """Return a measurement beside the bounds of its limit."""
+        limit = measurement.limit
+        if limit is None:
+            return filled(cls, measurement)
+        bounds = {"lower": limit.lower, "upper": limit.upper, "marginal": limit.marginal}
+        return filled(cls, measurement, **bounds, limits_version=limit.version or None)
+
+
+@dataclass(frozen=True, slots=True)
+class PastRun:
+    """An earlier run of the sensor; see :class:`~cbsr_qa.domain.run.EarlierRun`."""
+
+    run: str
+    started_at: datetime
+    recipe: str
+    batch: str
+    sensor_type: str
+    end: EndReason | None
+    outcome: Outcome | None
+    reason: str
+    overridden_to: Outcome | None
+    station_check: bool
+    changed: str | None
+    chained: bool
+
+    @classmethod
+    def of(cls, earlier: EarlierRun) -> Self:
+        """Return what a document says of an earlier run."""
+        return filled(
+            cls,
+            earlier,
+            batch=earlier.sensor.batch,
+            sensor_type=earlier.sensor.sensor_type,
+            end=None if earlier.changed else earlier.end,
+            overridden_to=None if earlier.overridden is None else earlier.overridden[0],
+            station_check=earlier.of_check,
+            changed=earlier.changed or None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PastRuns:
+    """Runs of the sensor that began before this one, oldest first, and the number of this try of its recipe."""
+
+    number: Annotated[int, Field(serialization_alias="try")]
+    earlier_runs: tuple[PastRun, ...]
+
+    @classmethod
+    def of(cls, history: SensorHistory) -> Self:
+        """Return what a document says of a sensor's history."""
+        return cls(len(history.tries) + 1, tuple(map(PastRun.of, history.earlier)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunOutcome:
+    """The outcome of a run, for whoever asked for it.
+
+    Parameters
+    ----------
+    reason : of the verdict.
+    resume : what to type to go on with it; None where it finished.
+    report, calibration, material : files; None where none was issued, or it could not be written (a warning says so).
+    material_why : why there is no material file; empty where the recipe characterises none.
+    warnings : those of the result and of writing the files.
+    station_s : how long the sensor occupied the station.
+    compute_s : computing time.
+    result : everything concluded.
+    """
+
+    run: str
+    serial: str
+    end: EndReason
+    end_detail: str
+    resume: str | None
+    outcome: Outcome
+    reason: str
+    report: Path | None
+    calibration: Path | None
+    calibration_why: str
+    material: Path | None
+    material_why: str
+    reconstruction: UsedReconstruction | None
+    measurements: tuple[MeasuredValue, ...]
+    limits_version: str | None
+    overrides: tuple[VerdictOverride, ...]
+    chain: ChainState
+    changes: tuple[ConfigurationChange, ...]
+    sensor_history: PastRuns | None
+    warnings: tuple[str, ...]
+    simulated: tuple[str, ...]
+    seed: int
+    station_s: float
+    compute_s: float
+    result: Annotated[InstanceOf[RunResult], Field(exclude=True)]
+
+    @classmethod
+    def of(
+        cls,
+        result: RunResult,
+        *,
+        report: Path | None = None,
+        calibration: Path | None = None,
+        material: tuple[Path | None, str] = (None, ""),
+        warnings: tuple[str, ...] = (),
+        compute_s: float = 0.0,
+        seed: int = 0,
+        resume: str = "",
+    ) -> Self:
+        """Return the outcome of what was concluded from a run.
+
+        Parameters
+        ----------
+        material : file, and why there is none.
+        """
+        record, verdict, version = result.record, result.verdict, result.limits_version
+        return cls(
+            run=record.identity.run,
+            serial=record.identity.sensor.serial,
+            end=record.end,
+            end_detail=record.end_detail,
+            resume=resume or None,
+            outcome=verdict.outcome,
+            reason=verdict.reason,
+            report=report,
+            calibration=calibration,
+            calibration_why=result.calibration_why,
+            material=material[0],
+            material_why=material[1],
+            reconstruction=UsedReconstruction.of(result),
+            measurements=tuple(map(MeasuredValue.of, result.measurements)),
+            limits_version=None if version is None else version.version,
+            overrides=result.overrides,
+            chain=record.chain,
+            changes=result.history.of(record.identity.run),
+            sensor_history=None if result.sensor_history is None else PastRuns.of(result.sensor_history),
+            warnings=warnings,
+            simulated=record.identity.simulated,
+            seed=seed,
+            station_s=record.station_s,
+            compute_s=compute_s,
+            result=result,
+        )
+
+    @property
+    def exit_code(self) -> int:
+        """0 passed, 1 failed, 3 aborted, broken, not measured, or a file could not be written."""
+        unwritten = self.report is None or (self.result.calibration is not None and self.calibration is None)
+        unwritten |= self.result.characterisation is not None and self.material is None and not self.material_why
+        return self.outcome.exit_code if self.end is EndReason.FINISHED and not unwritten else 3
+
+
+def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
+    """Lay the outcome of a run out for a terminal; its own page is the report."""
+    result, identity = tested.result, tested.result.record.identity
+    tries = "" if result.sensor_history is None else result.sensor_history.words
+    facts = [
+        *([("Sensor", tries)] if tries else []),
+        ("Run", run_named(tested.serial, identity.started_at, tested.run)),
+        ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s of computing"),
+        ("Rows", tested.chain.words),
+    ]
+    printed = [("Report", str(tested.report or "none"))]
+    if tested.calibration is None:
+        facts.append(("Calibration", f"none: {tested.calibration_why or 'not written'}"))
+    else:
+        printed.append(("Calibration", str(tested.calibration)))
+    if tested.material is not None:
+        printed.append(("Material", str(tested.material)))
+    elif tested.material_why:
+        facts.append(("Material", f"none: {tested.material_why}"))
+    if tested.resume:
+        printed.append(("Go on with", tested.resume))
+    page = run_page(result)
+    if tested.end is not EndReason.FINISHED:
+        page = replace(page, banner=replace(page.banner, headline=tested.end.upper(), reason=tested.reason))
+    page = replace(page, identity=tuple(facts), warnings=tested.warnings, printed=tuple(printed))
+    return CommandOutcome(tested, page, exit_code=tested.exit_code)

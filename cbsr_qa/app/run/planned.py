@@ -1,0 +1,104 @@
+"""The outcome of ``cbsr-qa run --dry-run``: what a run would take, and whether the station allows it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Self
+
+from pydantic import Field, InstanceOf
+
+from cbsr_qa.app.run.outcome import PastRuns
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Section
+from cbsr_qa.domain.run import SensorHistory
+from cbsr_qa.report import Refusal, duration, filled, plural, text_table
+from cbsr_qa.station import DryRun
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPhase:
+    """Expected time and content of one phase."""
+
+    name: str
+    sequence: str
+    duration_s: float
+    loads: int
+    frames: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedRun:
+    """What a run would take, whether the station allows it, and the runs of the sensor so far.
+
+    Parameters
+    ----------
+    spent_s : station time by kind of activity.
+    peak_strain, peak_force_N : highest asked for, and highest force expected.
+    violations : every limit of the station that would be broken, in words.
+    warnings : plugins that could not be loaded, changes since the sensor's last run.
+    refused : what the run would be refused with; None where it would begin.
+    """
+
+    duration_s: float
+    spent_s: dict[str, float]
+    phases: tuple[PlannedPhase, ...]
+    loads: int
+    frames: int
+    travel_mm: float
+    peak_strain: float
+    peak_force_N: float
+    violations: tuple[str, ...]
+    sensor_history: PastRuns
+    warnings: tuple[str, ...]
+    refused: Refusal | None
+    dry: Annotated[InstanceOf[DryRun], Field(exclude=True)]
+    history: Annotated[InstanceOf[SensorHistory], Field(exclude=True)]
+
+    @classmethod
+    def of(cls, dry: DryRun, history: SensorHistory, failed_plugins: Iterable[object]) -> Self:
+        """Return what a dry run found."""
+        refused = None
+        try:
+            dry.refuse()
+        except RefusedError as error:
+            refused = filled(Refusal, error)
+        return filled(
+            cls,
+            dry,
+            duration_s=round(dry.duration_s, 3),
+            spent_s={kind: round(seconds, 3) for kind, seconds in dry.spent},
+            phases=tuple(
+                filled(PlannedPhase, p.scheduled, duration_s=round(p.duration_s, 3), frames=p.frames)
+                for p in dry.phases
+            ),
+            travel_mm=round(dry.travel_mm, 1),
+            peak_force_N=round(dry.peak_force_N, 3),
+            sensor_history=PastRuns.of(history),
+            warnings=(*map(str, failed_plugins), *history.differences),
+            refused=refused,
+            dry=dry,
+            history=history,
+        )
+
+
+def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
+    """Lay a dry run out; the exit code is 2 where the run would be refused."""
+    time = duration(planned.dry.duration_s)
+    banner = Banner("pass", "✓", "The station allows this run", f"{time} of station time; nothing has moved")
+    if planned.refused is not None:
+        broken = plural(len(planned.violations), "limit")
+        banner = Banner("fail", "✗", "This run would be refused", f"it breaks {broken} of the station")
+    spent = ", ".join(f"{kind} {duration(seconds)}" for kind, seconds in planned.dry.spent)
+    most = f"{100 * planned.peak_strain:g} % strain and {planned.dry.peak_force_N:.3g} N"
+    facts = [
+        ("Station time", f"{time} ({spent})"),
+        ("Loads", f"{planned.loads}, up to {most} expected"),
+        ("Frames", str(planned.frames)),
+        ("Travel", f"{planned.dry.travel_mm / 1000:.2f} m"),
+        *(("Not allowed", violation) for violation in planned.violations),
+    ]
+    if planned.history.words:
+        facts.append(("Sensor", planned.history.words))
+    rows = [(p.name, p.sequence, duration(p.duration_s), str(p.loads), str(p.frames)) for p in planned.phases]
+    phases = text_table("Expected.", ("phase", "sequence", "time", "loads", "frames"), rows, (3, 4))
+    page = Page("Dry run", planned.history.sensor.serial, banner, tuple(facts), warnings=planned.warnings)
+    return CommandOutcome(planned, page, (Section("Phases", (phases,)),), 0 if planned.refused is None else 2)
