@@ -111,7 +111,7 @@ class ForceApplicator(Instrument, Protocol):
         """Go this far below the surface found here; returns when there.
 
         A head that is in the sheet already goes straight to the new depth, up or down, at this speed: it neither
-        lifts nor overshoots, since the sheet remembers from which side a strain was reached (the step ``Ease``).
+        lifts nor overshoots: the sheet remembers from which side a strain was reached (the step ``StrainStep``).
         """
         ...
 

@@ -20,7 +20,7 @@ from cbsr_qa.domain.plan import (
     HeadPosition,
     Motion,
     SimulatedPress,
-    StrainStep,
+    StrainRamp,
 )
 from cbsr_qa.system import Clock, in_ticks
 
@@ -96,7 +96,7 @@ class PressWriter:
         if before != after:
             ramp_s = min(in_ticks(abs(after - before) / speed_mm_s), duration_s)
             begins = start_s if after < before else start_s + duration_s - ramp_s
-            self._write(StrainStep(begins, ramp_s, (after - before) / self._sheet.thickness_mm(x_mm, y_mm)))
+            self._write(StrainRamp(begins, ramp_s, (after - before) / self._sheet.thickness_mm(x_mm, y_mm)))
         if after == 0:
             self._pressing = None
 
@@ -127,14 +127,14 @@ class PressWriter:
         self._movements += 1
         return self._sheet.head_at(to, self._true, time_s, self._movements)
 
-    def _write(self, step: StrainStep) -> None:
+    def _write(self, step: StrainRamp) -> None:
         if self._pressing is None:
             self._pressing = SimulatedPress(len(self._sheet.presses), *self._true[:2])
             self._sheet.presses.append(self._pressing)
         self._pressing.steps.append(step)
 
 
-def _until(step: StrainStep, time_s: float) -> StrainStep:
+def _until(step: StrainRamp, time_s: float) -> StrainRamp:
     """Return the part of a ramp before a time."""
     if time_s >= step.start_s + step.ramp_s:
         return step

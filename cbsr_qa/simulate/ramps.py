@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from cbsr_qa.domain.plan import SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import SimulatedPress, StrainRamp
 from cbsr_qa.domain.sensor import QuasiStatic, Relaxation
 
 #: A relative change below which a press is forgotten; a hundredth of what is solved for.
@@ -21,7 +21,7 @@ FORGOTTEN: Final = 1e-9
 CONTACT_STRAIN: Final = 0.0125
 
 
-def done(ramp: StrainStep, time_s: float) -> float:
+def done(ramp: StrainRamp, time_s: float) -> float:
     """Return the completed share of a ramp at a time, 0 to 1."""
     since = time_s - ramp.start_s
     if since >= ramp.ramp_s:
@@ -29,7 +29,7 @@ def done(ramp: StrainStep, time_s: float) -> float:
     return since / ramp.ramp_s if since > 0 else 0.0
 
 
-def transient(ramp: StrainStep, relaxation: Relaxation, time_s: float) -> float:
+def transient(ramp: StrainRamp, relaxation: Relaxation, time_s: float) -> float:
     """Return the transient of a unit ramp: Σ wᵢ/T ∫ e^(−(t − s)/τᵢ) ds over the ramp up to t.
 
     Together with :func:`done` it is the hereditary integral of 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂) over the ramp.
@@ -44,7 +44,7 @@ def transient(ramp: StrainStep, relaxation: Relaxation, time_s: float) -> float:
     return total * done(ramp, time_s)
 
 
-def response_ramps(press: SimulatedPress, line: QuasiStatic) -> Iterator[tuple[bool, StrainStep]]:
+def response_ramps(press: SimulatedPress, line: QuasiStatic) -> Iterator[tuple[bool, StrainRamp]]:
     """Turn a press's strain ramps into ramps of the quasi-static change α ε + β.
 
     The intercept β fades in over the first :data:`CONTACT_STRAIN` of strain, so each ramp is split there: the
@@ -56,14 +56,14 @@ def response_ramps(press: SimulatedPress, line: QuasiStatic) -> Iterator[tuple[b
     """
     slope, intercept = line.slope.value, line.intercept.value
     if not intercept:
-        yield from ((s.change > 0, StrainStep(s.start_s, s.ramp_s, slope * s.change)) for s in press.steps)
+        yield from ((s.change > 0, StrainRamp(s.start_s, s.ramp_s, slope * s.change)) for s in press.steps)
         return
     strain = 0.0
     for step in press.steps:
         for piece in _split(step, strain):
             rise = _contact(strain + piece.change) - _contact(strain)
             strain += piece.change
-            yield piece.change > 0, StrainStep(piece.start_s, piece.ramp_s, slope * piece.change + intercept * rise)
+            yield piece.change > 0, StrainRamp(piece.start_s, piece.ramp_s, slope * piece.change + intercept * rise)
 
 
 def quasi_static(line: QuasiStatic, strain: float) -> float:
@@ -132,7 +132,7 @@ class _Over:
     press: SimulatedPress
     steps: int
     end_s: float
-    ramps: list[tuple[StrainStep, Relaxation]]
+    ramps: list[tuple[StrainRamp, Relaxation]]
     terms: list[tuple[float, float]]
 
 
@@ -145,11 +145,11 @@ def _contact(strain: float) -> float:
     return min(max(strain / CONTACT_STRAIN, 0.0), 1.0)
 
 
-def _split(step: StrainStep, strain: float) -> Iterator[StrainStep]:
+def _split(step: StrainRamp, strain: float) -> Iterator[StrainRamp]:
     to_contact = (CONTACT_STRAIN - strain) / step.change if step.change else 0.0
     if not 0 < to_contact < 1:
         yield step
         return
-    yield StrainStep(step.start_s, step.ramp_s * to_contact, step.change * to_contact)
+    yield StrainRamp(step.start_s, step.ramp_s * to_contact, step.change * to_contact)
     rest = 1 - to_contact
-    yield StrainStep(step.start_s + step.ramp_s * to_contact, step.ramp_s * rest, step.change * rest)
+    yield StrainRamp(step.start_s + step.ramp_s * to_contact, step.ramp_s * rest, step.change * rest)

@@ -7,7 +7,6 @@ from itertools import chain
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import (
     AcquireFrames,
-    Ease,
     FindSurface,
     Hold,
     Home,
@@ -16,6 +15,7 @@ from cbsr_qa.domain.plan import (
     Prompt,
     Release,
     Step,
+    StrainStep,
     steps as kinematics,
 )
 from cbsr_qa.domain.run import Load
@@ -189,7 +189,7 @@ class _Walk:
             case Press(load=load):
                 yield from load_violations(load, self.plan)
                 self._press(load)
-            case Ease(strain=strain):
+            case StrainStep(strain=strain):
                 yield from self._ease(strain)
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 yield from place_violations(x_mm, y_mm, self.plan)

@@ -12,7 +12,6 @@ from typing import Final, TypeVar
 from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.plan import (
     AcquireFrames,
-    Ease,
     FindSurface,
     Hold,
     Home,
@@ -20,6 +19,7 @@ from cbsr_qa.domain.plan import (
     Press,
     Prompt,
     Release,
+    StrainStep,
     steps as kinematics,
 )
 from cbsr_qa.domain.readings import FrameBlock
@@ -154,7 +154,7 @@ class Performer:
         match scheduled.step:
             case Press(load=load):
                 self._press(load)
-            case Ease(strain=strain):
+            case StrainStep(strain=strain):
                 self._ease(strain)
             case Hold() as hold:
                 self._hold(hold)

@@ -22,7 +22,6 @@ from typing import Final
 from cbsr_qa.domain import PluginError, RefusedError
 from cbsr_qa.domain.plan import (
     AcquireFrames,
-    Ease,
     FindSurface,
     Hold,
     Home,
@@ -34,6 +33,7 @@ from cbsr_qa.domain.plan import (
     Role,
     SafetyLimits,
     Step,
+    StrainStep,
 )
 from cbsr_qa.domain.run import Indenter, Load
 from cbsr_qa.domain.sensor import Material, SensorType
@@ -107,7 +107,7 @@ def describe(step: Step) -> str:
             said = f"finding the surface at ({x_mm:g}, {y_mm:g}) mm"
         case Press(load=load):
             said = f"pressing {describe_load(load)}"
-        case Ease(strain=strain):
+        case StrainStep(strain=strain):
             said = f"easing to {100 * strain:g} %"
         case Hold(hold_s=hold_s, acquire=acquire):
             said = f"holding still for {hold_s:g} s{', taking frames' if acquire else ''}"
@@ -290,7 +290,7 @@ def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
     for number, step in enumerate(steps):
         if isinstance(step, Press):
             pressed, inside = pressed + 1, True
-        elif not isinstance(step, Ease | Hold | Release | AcquireFrames):
+        elif not isinstance(step, StrainStep | Hold | Release | AcquireFrames):
             inside = False
         yield ScheduledStep(phase, number, step, pressed if inside else None)
 
@@ -319,4 +319,4 @@ def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> I
 
 def ends_rest(step: Step) -> bool:
     """Whether this step ends the rest after a load."""
-    return not isinstance(step, Ease | Hold | AcquireFrames | Release | MarkUnloaded)
+    return not isinstance(step, StrainStep | Hold | AcquireFrames | Release | MarkUnloaded)

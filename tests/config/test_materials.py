@@ -12,7 +12,7 @@ from effect_setting import last_outside
 from simulated_setting import truth
 
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import PluginChoice, SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import PluginChoice, SimulatedPress, StrainRamp
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.eit.imaging import noise_floor
 from cbsr_qa.eit.inverse import imaging_problem
@@ -57,7 +57,7 @@ def world(name: str, *effects: str) -> SimulatedWorld:
 
 
 def press(strain: float, start_s: float = 0.0) -> SimulatedPress:
-    return SimulatedPress(0, 0.0, 0.0, [StrainStep(start_s, RAMP_S, strain)])
+    return SimulatedPress(0, 0.0, 0.0, [StrainRamp(start_s, RAMP_S, strain)])
 
 
 # --- the files ---
@@ -156,7 +156,7 @@ def test_loads_and_releases_settle_within_the_papers_means(name: str, strain: fl
         return last_outside(since_s, trace - level, 0.15 * steady)
 
     released = press(strain)
-    released.steps.append(StrainStep(1e4, RAMP_S, -strain))
+    released.steps.append(StrainRamp(1e4, RAMP_S, -strain))
     loading_s = settles_s(press(strain), RAMP_S, steady)
     unloading_s = settles_s(released, 1e4 + RAMP_S, 0.0)
     least_s, most_s = PRINTED[name]["settling_s"]

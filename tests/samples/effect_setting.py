@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainRamp
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
 
@@ -38,7 +38,7 @@ def moment(of: SceneSetting, time_s: float, *presses: SimulatedPress, index: int
 
 def history(*ramps: tuple[float, float, float]) -> SimulatedPress:
     """A press from ramps (start, duration, change of strain)."""
-    return SimulatedPress(0, 0.0, 0.0, [StrainStep(*ramp) for ramp in ramps])
+    return SimulatedPress(0, 0.0, 0.0, [StrainRamp(*ramp) for ramp in ramps])
 
 
 def kernel(relaxation: Relaxation, time_s: float) -> float:

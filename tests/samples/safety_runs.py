@@ -1,6 +1,6 @@
 """Runs of a short plan over a scripted bench, for the tests of safety."""
 
-from cbsr_qa.domain.plan import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Release
+from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, StrainStep
 from cbsr_qa.domain.run import Load
 from cbsr_qa.station import execute
 from cbsr_qa.system import VirtualClock
@@ -15,9 +15,9 @@ SHORT = (
     Press(LOAD),
     Hold(5, acquire=True),
     Hold(2, acquire=False),
-    Ease(0.3),
+    StrainStep(0.3),
     Hold(5, acquire=True),
-    Ease(0.1),
+    StrainStep(0.1),
     Hold(2, acquire=False),
     Release(),
     Hold(5, acquire=True),

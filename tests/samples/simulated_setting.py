@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 from cbsr_qa.config import load_material, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import Motion, PluginChoice, Scene, SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import Motion, PluginChoice, Scene, SimulatedPress, StrainRamp
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.plugin import Kind, StationContext, discover
@@ -78,13 +78,13 @@ def context(
 
 def held(index: int, x_mm: float, y_mm: float, strain: float, start_s: float = 0.0) -> SimulatedPress:
     """A press that goes down in 1.2 s and stays."""
-    return SimulatedPress(index, x_mm, y_mm, [StrainStep(start_s, 1.2, strain)])
+    return SimulatedPress(index, x_mm, y_mm, [StrainRamp(start_s, 1.2, strain)])
 
 
 def pressed(index: int, x_mm: float, y_mm: float, strain: float, start_s: float = 0.0, hold_s: float = 60.0):
     """A press that goes down in 1.2 s, stays and comes up in 1.2 s."""
     press = held(index, x_mm, y_mm, strain, start_s)
-    press.steps.append(StrainStep(start_s + 1.2 + hold_s, 1.2, -strain))
+    press.steps.append(StrainRamp(start_s + 1.2 + hold_s, 1.2, -strain))
     return press
 
 

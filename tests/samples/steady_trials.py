@@ -15,7 +15,7 @@ from scipy.stats import t as student
 from benchmarks.load_bound import load_bound
 from cbsr_qa.calibration.fits import learn_kernel, predict_steady
 from cbsr_qa.config import load_material, load_sensor_type
-from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainRamp
 from cbsr_qa.domain.results import RelaxationKernel
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, Relaxation, SensorType
@@ -198,7 +198,7 @@ class _Load:
         setting = SceneSetting(sensor_type(), of, Indenter(13.0), trial.seed, 1e-3)
         self.ramp_s = float(strain) / RATE_PER_S
         up_s = self.ramp_s + HOLD_S
-        steps = [StrainStep(0.0, self.ramp_s, strain), StrainStep(up_s, self.ramp_s, -strain)]
+        steps = [StrainRamp(0.0, self.ramp_s, strain), StrainRamp(up_s, self.ramp_s, -strain)]
         press = SimulatedPress(0, 0.0, 0.0, steps)
         stress = trial.signal == "stress"
         effects = _stress_effects(setting) if stress else _conductance_effects(setting)

@@ -8,7 +8,7 @@ import numpy as np
 from cbsr_qa.calibration.fits import StepTrace
 from cbsr_qa.calibration.strip import Specimen
 from cbsr_qa.config import load_material, load_sensor_type, load_station
-from cbsr_qa.domain.plan import SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import SimulatedPress, StrainRamp
 from cbsr_qa.domain.results import CycleReadings
 from cbsr_qa.domain.sensor import Parameter, Relaxation, Response
 from cbsr_qa.eit.loads import StripModel
@@ -46,7 +46,7 @@ class Cycle:
     def press(self, index):
         """Its strain against time."""
         ramp_s = self.strain / SPEED
-        steps = [StrainStep(self.down_s - ramp_s, ramp_s, self.strain), StrainStep(self.lift_s, ramp_s, -self.strain)]
+        steps = [StrainRamp(self.down_s - ramp_s, ramp_s, self.strain), StrainRamp(self.lift_s, ramp_s, -self.strain)]
         return SimulatedPress(index, 0.0, 0.0, steps)
 
 

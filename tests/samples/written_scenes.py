@@ -8,7 +8,7 @@ import numpy as np
 from simulated_setting import truth
 
 from cbsr_qa.config import load_material, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import PluginChoice, SceneSetting, SimulatedPress, StrainStep, Transcript
+from cbsr_qa.domain.plan import PluginChoice, SceneSetting, SimulatedPress, StrainRamp, Transcript
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.run import Indenter, Load, LoadRecord
 from cbsr_qa.plugin import Kind, discover
@@ -113,7 +113,7 @@ def simulated_press(inner, count=60, *, x_mm=20.0, y_mm=15.0, start_s=60.0, hold
     world = SimulatedWorld(
         scene, one.sensor_type, one.material, HEAD, seed=1, effect_factory=lambda n: plugins.factory(Kind.EFFECT, n)
     )
-    down, up = StrainStep(start_s, 1.2, 0.2), StrainStep(start_s + hold_s, 1.2, -0.2)
+    down, up = StrainRamp(start_s, 1.2, 0.2), StrainRamp(start_s + hold_s, 1.2, -0.2)
     world.presses.append(SimulatedPress(0, x_mm, y_mm, [down, up]))
     transcript = world.transcript(middles_s(count))
     pauses_s = transcript.pauses_s()

@@ -5,7 +5,7 @@ import pytest
 
 from cbsr_qa.app.run import check_recipe, check_unloaded
 from cbsr_qa.config import load_scene
-from cbsr_qa.domain.plan import Ease, FindSurface, Press
+from cbsr_qa.domain.plan import FindSurface, Press, StrainStep
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.plugin import discover
 from cbsr_qa.station.dry_runs import dry_run
@@ -73,7 +73,7 @@ def test_every_place_is_felt_for_before_it_is_pressed(dry):
 
 def test_loops_reach_the_grids_highest_strain_and_its_half_from_both_sides(dry):
     (phase,) = [phase for phase in dry.phases if phase.scheduled.name == "hysteresis"]
-    eased = [s.step.strain for s in phase.scheduled.steps if isinstance(s.step, Ease)]
+    eased = [s.step.strain for s in phase.scheduled.steps if isinstance(s.step, StrainStep)]
     cycles = len(presses(dry, "hysteresis"))
     assert eased == [0.15, 0.225, 0.3, 0.225, 0.15, 0.075] * cycles
     assert "hysteresis" not in CAMPAIGN.recipe.calibrate_phases

@@ -11,13 +11,13 @@ from cbsr_qa.config import load_material, load_scene, load_sensor_type, load_sta
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import (
     AcquireFrames,
-    Ease,
     FindSurface,
     Hold,
     Home,
     MarkUnloaded,
     Press,
     Release,
+    StrainStep,
     steps as kinematics,
 )
 from cbsr_qa.domain.results import EndReason
@@ -40,7 +40,7 @@ def load(strain=0.2, x_mm=0.0, y_mm=0.0):
 def loop(*strains):
     """A press that is eased from strain to strain before it is released."""
     first, *others = strains
-    eased = [step for strain in others for step in (Ease(strain), Hold(20, acquire=True))]
+    eased = [step for strain in others for step in (StrainStep(strain), Hold(20, acquire=True))]
     return (Press(load(first)), Hold(20, acquire=True), *eased, Release(), Hold(20, acquire=True))
 
 
@@ -82,7 +82,7 @@ def moving_as_planned(plan):
         if isinstance(step, Press):
             depth_mm = step.load.strain * thickness_mm
             presses_s.append(kinematics.stroke_s(motion, depth_mm))
-        elif isinstance(step, Ease):
+        elif isinstance(step, StrainStep):
             presses_s.append(abs(step.strain * thickness_mm - depth_mm) / motion.press_speed_mm_s)
             depth_mm = step.strain * thickness_mm
         elif isinstance(step, Release):
@@ -250,12 +250,12 @@ def test_expected_force_is_held_against_the_ceiling():
         ((Press(load()), MarkUnloaded(), Release()), "not unloaded"),
         ((Press(load()),), "ends with the head down"),
         ((Release(),), "the head is not down"),
-        ((Ease(0.2),), "easing to 20 %: the head is not down"),
-        ((*cycle(), Ease(0.2)), "easing to 20 %: the head is not down"),
+        ((StrainStep(0.2),), "easing to 20 %: the head is not down"),
+        ((*cycle(), StrainStep(0.2)), "easing to 20 %: the head is not down"),
         (loop(0.1, 0.36, 0.1), "easing to 36 %: 36 % strain; the station allows up to 35 %"),
         (loop(0.1, 0.0), "0 % strain"),
         (loop(0.1, float("nan")), "nan % strain"),
-        ((Press(load()), Ease(0.3)), "ends with the head down"),
+        ((Press(load()), StrainStep(0.3)), "ends with the head down"),
         ((AcquireFrames(0),), "0 frames"),
         ((Hold(-1, acquire=True),), "hold_s is -1"),
         ((Hold(float("nan"), acquire=False),), "hold_s is nan"),

@@ -7,7 +7,7 @@ import pytest
 
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import ConfigError, InstrumentError, RefusedError, SafetyError
-from cbsr_qa.domain.plan import AcquireFrames, Ease, FindSurface, Hold, InstrumentSpec, Press, Release
+from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, InstrumentSpec, Press, Release, StrainStep
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import FramesTaken, Load, SamplesTaken, StepRetried
@@ -48,7 +48,7 @@ TOO_MUCH = {
     "force": (pressed(10), {"force_N": 2.0}, "N expected; the station allows 2 N"),
     "strain": (pressed(10), {"strain": 0.15}, "20 % strain; the station allows up to 15 %"),
     "strain of an ease": (
-        (Press(load(0.1)), Ease(0.3), Release()),
+        (Press(load(0.1)), StrainStep(0.3), Release()),
         {"strain": 0.25},
         "30 % strain; the station allows up to 25 %",
     ),
@@ -75,7 +75,7 @@ def test_the_dry_run_counts_all_that_is_done_with_the_head_down():
     steps = (
         Press(load(0.1)),
         Hold(20, acquire=False),
-        Ease(0.2),
+        StrainStep(0.2),
         Hold(10.3, acquire=True),
         AcquireFrames(4),
         Release(),

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import pytest
 from calibration_samples import assert_same
 
-from cbsr_qa.domain.plan import AcquireFrames, Ease, Hold, Home, MarkUnloaded, Press, Release, Role
+from cbsr_qa.domain.plan import AcquireFrames, Hold, Home, MarkUnloaded, Press, Release, Role, StrainStep
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import Load
 from cbsr_qa.station.documents import MemoryJournal
@@ -23,7 +23,7 @@ def press(label, *more):
     return (Press(Load(label, 15.0, 0.0, 0.2, 0)), HELD, *more, Release(), HELD)
 
 
-LOOP = (Ease(0.3), HELD, Ease(0.2), HELD)
+LOOP = (StrainStep(0.3), HELD, StrainStep(0.2), HELD)
 REST = (Hold(30.0, acquire=False), MarkUnloaded(), AcquireFrames(3))
 
 

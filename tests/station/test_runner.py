@@ -4,7 +4,7 @@ import pytest
 from runner_samples import SET_UP, TOOK_S, cycle, kinds, load, lost, run
 
 from cbsr_qa.domain import PluginError, StoreError
-from cbsr_qa.domain.plan import Ease, Hold, Home, Press, Release, Role
+from cbsr_qa.domain.plan import Hold, Home, Press, Release, Role, StrainStep
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import (
     FramesTaken,
@@ -79,9 +79,9 @@ def test_the_head_leaves_the_sheet_a_stroke_at_press_speed_after_it_starts_up():
 LOOP = (
     Press(load(0, strain=0.1)),
     Hold(20, acquire=True),
-    Ease(0.3),
+    StrainStep(0.3),
     Hold(30, acquire=True),
-    Ease(0.2),
+    StrainStep(0.2),
     Hold(20, acquire=True),
     Release(),
     Hold(60, acquire=True),
@@ -106,7 +106,7 @@ def test_a_press_that_is_eased_is_one_load_with_every_strain_it_was_held_at():
 def test_a_loop_that_was_done_is_left_out_whole_and_one_that_was_cut_off_begins_again():
     _, documents, script = run((*SET_UP, *LOOP, *cycle(1)), done=frozenset({(0, 0)}))
     assert [d.record.index for d in kinds(documents, LoadFinished)] == [1]
-    assert not any(isinstance(d.step, Ease) for d in kinds(documents, StepStarted))
+    assert not any(isinstance(d.step, StrainStep) for d in kinds(documents, StepStarted))
     _, documents, script = run((*SET_UP, *cycle(1), *LOOP), done=frozenset({(0, 0)}))
     assert [call.arguments[0] for call in script.calls if call.name == "force_applicator.press"] == pytest.approx(
         [0.4, 1.2, 0.8]

@@ -5,7 +5,7 @@ import pytest
 from safety_runs import LOAD, assert_safe, run
 
 from cbsr_qa.domain import InstrumentError, SafetyError
-from cbsr_qa.domain.plan import Ease, FindSurface, Hold, Press, Release
+from cbsr_qa.domain.plan import FindSurface, Hold, Press, Release, StrainStep
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import Load
@@ -111,7 +111,7 @@ def test_the_head_does_not_go_down_on_a_load_cell_that_has_fallen_silent():
     assert script.count("force_applicator.press") == 0
 
 
-EASED = (Press(LOAD), Hold(30, acquire=False), Ease(0.3), Hold(30, acquire=False), Release())
+EASED = (Press(LOAD), Hold(30, acquire=False), StrainStep(0.3), Hold(30, acquire=False), Release())
 
 
 def test_a_head_is_not_eased_on_a_load_cell_that_has_fallen_silent():
@@ -158,7 +158,7 @@ def test_the_runner_holds_an_ease_against_the_limits_of_a_press():
         performer = Performer(plan, bench, script.clock, _Nobody(), interlock, **watchers, retries=0, ask=None)
         performer.perform(ScheduledStep(0, 0, Press(LOAD), 0))
         with pytest.raises(SafetyError) as broken:
-            performer.perform(ScheduledStep(0, 1, Ease(bad), 0))
+            performer.perform(ScheduledStep(0, 1, StrainStep(bad), 0))
         assert broken.value.rule == rule
         assert script.count("force_applicator.press") == 1
 

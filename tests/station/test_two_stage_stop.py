@@ -9,7 +9,7 @@ import pytest
 from stopping import ABORTS, BY, CYCLE, LOAD, ROLES, SAFE, after, dropped, run, send
 
 from cbsr_qa.domain import AbortedError, InstrumentError, RefusedError, SafetyError
-from cbsr_qa.domain.plan import Ease, Hold, Press, Prompt, Release
+from cbsr_qa.domain.plan import Hold, Press, Prompt, Release, StrainStep
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import FramesTaken, LoadFinished, PhaseFinished, RunEnded, RunStarted
 from cbsr_qa.station import interrupts, watchdog
@@ -189,7 +189,7 @@ def test_a_third_signal_and_more_are_ignored_while_everything_is_made_safe(hears
 
 def test_a_head_that_is_about_to_be_eased_is_lifted_in_order():
     script = Script(VirtualClock(), {"force_applicator.press": 3.0})
-    steps = (Press(LOAD), Hold(10, acquire=False), Ease(0.3), Hold(10, acquire=False), Release())
+    steps = (Press(LOAD), Hold(10, acquire=False), StrainStep(0.3), Hold(10, acquire=False), Release())
     looks = run(steps, script=script)[2].names()
     ease = [number for number, name in enumerate(looks) if name == "force_applicator.press"][1]
     script = Script(VirtualClock(), {"force_applicator.press": 3.0})

@@ -7,14 +7,14 @@ from hypothesis import given, strategies as st
 from stopping import CYCLE, LOAD, SAFE, run, send
 
 from cbsr_qa.domain import AbortedError, InstrumentError
-from cbsr_qa.domain.plan import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Release
+from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, StrainStep
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import LoadFinished, RunEnded, RunStarted, StepStarted
 from cbsr_qa.system import VirtualClock
 from cbsr_qa.testing import Script, raising
 
 STEPS = (
-    FindSurface(0, 0), Hold(6, acquire=False), MarkUnloaded(), AcquireFrames(2), *CYCLE, Press(LOAD), Ease(0.3),
+    FindSurface(0, 0), Hold(6, acquire=False), MarkUnloaded(), AcquireFrames(2), *CYCLE, Press(LOAD), StrainStep(0.3),
     Hold(5, acquire=True), Release(), Hold(5, acquire=False),
 )  # fmt: skip
 TOOK_S = {

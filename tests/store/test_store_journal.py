@@ -28,7 +28,7 @@ from stored_runs import (
 )
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.plan import Ease, Press, Role
+from cbsr_qa.domain.plan import Press, Role, StrainStep
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import (
@@ -214,7 +214,7 @@ def test_a_loop_comes_back_as_it_was_pressed_and_is_no_ordinary_press(repository
 
 def test_a_loop_that_was_cut_off_is_pressed_again_as_a_whole_and_stored_on_the_runs_clock(repository):
     run = repository.new_id()
-    begun = [StepStarted(0, 2, Press(load("L1")), 160.0, 100.0), StepStarted(0, 4, Ease(0.3), 170.0, 90.0)]
+    begun = [StepStarted(0, 2, Press(load("L1")), 160.0, 100.0), StepStarted(0, 4, StrainStep(0.3), 170.0, 90.0)]
     journalled(repository, [*short_run(run)[:11], *begun, FramesTaken(0, frames(172.0, seed=7, own_times=True))])
     (incomplete,) = repository.incomplete_runs()
     assert incomplete.next == "press L1 at (15, -15) mm to 20 %, trial 1"

@@ -29,7 +29,6 @@ from .steps import (
     SEARCH_FROM_MM as SEARCH_FROM_MM,
     SEARCH_STEP_MM as SEARCH_STEP_MM,
     AcquireFrames as AcquireFrames,
-    Ease as Ease,
     FindSurface as FindSurface,
     Hold as Hold,
     Home as Home,
@@ -39,6 +38,7 @@ from .steps import (
     Release as Release,
     Role as Role,
     Step as Step,
+    StrainStep as StrainStep,
     distance_mm as distance_mm,
     stroke_s as stroke_s,
     surface_search_s as surface_search_s,
@@ -54,6 +54,6 @@ from .world import (
     SheetDesign as SheetDesign,
     SheetField as SheetField,
     SimulatedPress as SimulatedPress,
-    StrainStep as StrainStep,
+    StrainRamp as StrainRamp,
     Transcript as Transcript,
 )

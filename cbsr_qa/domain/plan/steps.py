@@ -48,7 +48,7 @@ class Press:
 
 
 @dataclass(frozen=True, slots=True)
-class Ease:
+class StrainStep:
     """Bring the pressed head to another strain at the same place, deeper or less deep, without leaving the sheet.
 
     At the press speed. A press that is eased is one load: it is stored, and done again after an interruption, as a
@@ -100,7 +100,7 @@ class Prompt:
     text: str
 
 
-Step = Home | FindSurface | Press | Ease | Hold | Release | AcquireFrames | MarkUnloaded | Prompt
+Step = Home | FindSurface | Press | StrainStep | Hold | Release | AcquireFrames | MarkUnloaded | Prompt
 
 
 #: Above a surface the head goes at its press speed, because the surface may lie a little higher than expected.

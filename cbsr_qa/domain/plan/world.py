@@ -25,7 +25,7 @@ CONTACT_LENGTH_MM = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class StrainStep:
+class StrainRamp:
     """A ramp of strain under the head: from ``start_s`` over ``ramp_s`` the strain changes by ``change``."""
 
     start_s: float
@@ -47,7 +47,7 @@ class SimulatedPress:
     index: int
     x_mm: float
     y_mm: float
-    steps: list[StrainStep] = field(default_factory=list)
+    steps: list[StrainRamp] = field(default_factory=list)
 
     @property
     def end_s(self) -> float:

@@ -117,7 +117,7 @@ class PhaseRecord:
     frames : every frame of the phase; None where it took none.
     samples : one joined block per channel.
     loads : the presses held to their end, but for loops: one press is one strain.
-    loops : the presses that were eased to other strains before the release (see ``Ease``), as they were.
+    loops : the presses that were eased to other strains before the release (see ``StrainStep``), as they were.
     unloaded_from_s : from when the sheet counted as rested (see ``MarkUnloaded``); None where it never did.
     role : what the sequence is for, as it says itself (see ``Role``); OTHER where it says nothing.
     """

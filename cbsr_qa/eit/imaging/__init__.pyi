@@ -8,6 +8,13 @@ from .blobs import (
     percentage_mask as percentage_mask,
 )
 from .contours import contour_regions as contour_regions, masked_contours as masked_contours
+from .multi_load import (
+    Assignment as Assignment,
+    TwoTouch as TwoTouch,
+    assign_regions as assign_regions,
+    split_blobs as split_blobs,
+    two_touch_resolution as two_touch_resolution,
+)
 from .rasters import (
     Raster as Raster,
     find_regions as find_regions,
@@ -15,13 +22,6 @@ from .rasters import (
     split_touching as split_touching,
 )
 from .registration import Registration as Registration, register as register
-from .several_loads import (
-    Assignment as Assignment,
-    TwoTouch as TwoTouch,
-    assign_regions as assign_regions,
-    split_blobs as split_blobs,
-    two_touch_resolution as two_touch_resolution,
-)
 from .shape import (
     GreitFigures as GreitFigures,
     SpatialFigures as SpatialFigures,

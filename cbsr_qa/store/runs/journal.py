@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, fields, replace
 from functools import singledispatchmethod
-from typing import Any
+from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, func, select, update
 from sqlalchemy.orm import InstrumentedAttribute
@@ -87,6 +87,9 @@ def _load(record: LoadRecord, offset_s: float) -> LoadRecord:
     later = {name: time_s + offset_s for name, time_s in times.items() if time_s is not None}
     return replace(record, **later, eased=eased)
 
+
+#: Steps whose class has another name than databases call them by.
+_KEPT_AS: Final = {"StrainStep": "Ease"}
 
 #: Columns that hold a time on the run's clock [s], of tables with a phase.
 _TIMES = (
@@ -211,7 +214,8 @@ class Journal:
 
     @_store.register
     def _(self, event: StepStarted, connection: Connection) -> None:
-        step = {"step": type(event.step).__name__, **asdict(event.step)}
+        kind = type(event.step).__name__
+        step = {"step": _KEPT_AS.get(kind, kind), **asdict(event.step)}
         values = {"number": event.number, "attempt": 0, "step": step, "why": "", "time_s": event.time_s}
         self._add(connection, StepRow.entry, event.phase, values)
 

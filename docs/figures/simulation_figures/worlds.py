@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.config import load_material, load_scene, load_sensor_type
-from cbsr_qa.domain.plan import Motion, PluginChoice, Scene, SceneSetting, SheetDesign, SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import Motion, PluginChoice, Scene, SceneSetting, SheetDesign, SimulatedPress, StrainRamp
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.plugin import Kind, Plugins, StationContext, discover
@@ -116,7 +116,7 @@ def station(effects: Effects, clock: Clock) -> StationContext:
 
 def press(*ramps: tuple[float, float, float], x_mm: float = 0.0, y_mm: float = 0.0) -> SimulatedPress:
     """A press from ramps (start, duration, change of strain)."""
-    return SimulatedPress(0, x_mm, y_mm, [StrainStep(*ramp) for ramp in ramps])
+    return SimulatedPress(0, x_mm, y_mm, [StrainRamp(*ramp) for ramp in ramps])
 
 
 def change_of(made: SimulatedWorld, times_s: Array) -> Array:

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from cbsr_qa.domain.plan import Ease, Hold, Press, Release, Role, Step
+from cbsr_qa.domain.plan import Hold, Press, Release, Role, Step, StrainStep
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
 from cbsr_qa.plugin import PluginOptions, SequenceContext, WithOptions
 from cbsr_qa_plugins.sequences._shared import (
@@ -205,7 +205,7 @@ class HysteresisLoopSequence(WithOptions):
                 yield Press(Load(f"{options.label}{number}", x_mm, y_mm, strains[0], cycle))
                 yield Hold(options.hold_s, acquire=True)
                 for strain in (*strains[1:], *strains[-2::-1]):
-                    yield Ease(strain)
+                    yield StrainStep(strain)
                     yield Hold(options.hold_s, acquire=True)
                 yield Release()
                 if options.rest_s > 0:

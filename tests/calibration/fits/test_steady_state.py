@@ -20,7 +20,7 @@ from cbsr_qa.calibration.fits.steady_state import (
     predict_steady,
 )
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import StrainStep
+from cbsr_qa.domain.plan import StrainRamp
 from cbsr_qa.domain.results import RelaxationKernel
 from cbsr_qa.domain.sensor import Relaxation
 from cbsr_qa.simulate import transient
@@ -52,7 +52,7 @@ def _run(loads, noise, scatter, seed, *, ramp_s=0.0, time_s=TIME_S):
 @given(ramp_s=st.floats(1e-6, 30.0), time_s=st.floats(0.0, 100.0))
 def test_after_a_ramp_the_exponentials_are_those_of_the_simulated_world(ramp_s, time_s):
     kernel = Relaxation(tuple(WEIGHTS), tuple(TAUS_S), "test")
-    expected = transient(StrainStep(0.0, ramp_s, 1.0), kernel, ramp_s + time_s)
+    expected = transient(StrainRamp(0.0, ramp_s, 1.0), kernel, ramp_s + time_s)
     seen = exponentials(np.array([time_s]), TAUS_S, ramp_s=ramp_s)[0][0] @ WEIGHTS
     assert seen == pytest.approx(expected, rel=1e-9, abs=1e-12)
 

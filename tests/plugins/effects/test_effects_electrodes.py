@@ -9,7 +9,7 @@ from effect_setting import READING_SCALE_V, moment, setting
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import PluginChoice, Scene, SheetDesign, SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import PluginChoice, Scene, SheetDesign, SimulatedPress, StrainRamp
 from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.simulate import RandomStream, SimulatedSheet, SimulatedWorld
@@ -219,7 +219,7 @@ def test_a_lead_that_opens_just_as_a_ramp_ends_is_whole_before_and_open_after():
     lead = ("electrode-open", {"electrode": 5, "from_s": 10.1})
     for early_s in (1e-15, 1e-7, 1.5e-6, 2.5e-6):
         broken = world(limit, ("time-skew", {}), lead)
-        broken.presses.append(SimulatedPress(0, 0.0, 0.0, [StrainStep(9.0, 1.1 - early_s, 0.2)]))
+        broken.presses.append(SimulatedPress(0, 0.0, 0.0, [StrainRamp(9.0, 1.1 - early_s, 0.2)]))
         found = broken.frame(11.25, 0)
         expected = OF_FIVE[:, None] & (found.time_s >= 10.1)
         assert np.array_equal((found.flags & ReadingFlag.COMPLIANCE) > 0, expected)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.domain.plan import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Release, Role
+from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, StrainStep
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.testing import example_plan
 from cbsr_qa_plugins.sequences.centre import (
@@ -126,7 +126,7 @@ def test_a_loop_reaches_every_strain_from_below_and_from_above_without_lifting()
     for i, step in enumerate(steps):
         if isinstance(step, Press):
             assert step.load.strain == 0.05
-            eased = [Ease(0.1), hold, Ease(0.2), hold, Ease(0.1), hold, Ease(0.05), hold]
+            eased = [StrainStep(0.1), hold, StrainStep(0.2), hold, StrainStep(0.1), hold, StrainStep(0.05), hold]
             assert steps[i + 1 : i + 12] == [hold, *eased, Release(), Hold(9.0, acquire=True)]
 
 

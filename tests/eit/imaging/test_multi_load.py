@@ -18,7 +18,7 @@ from cbsr_qa.domain.results import Blob, Image, LinearReconstruction, ParameterC
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.eit.imaging.blobs import component_labels, find_blobs, groups
 from cbsr_qa.eit.imaging.contours import contour_regions
-from cbsr_qa.eit.imaging.several_loads import assign_regions, loads_change, split_blobs, two_touch_resolution
+from cbsr_qa.eit.imaging.multi_load import assign_regions, loads_change, split_blobs, two_touch_resolution
 from cbsr_qa.eit.inverse import imaging_problem
 
 PLACES = st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), max_size=4)
