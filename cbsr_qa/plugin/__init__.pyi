@@ -34,6 +34,8 @@ from .options import (
     Array as Array,
     PluginOptions as PluginOptions,
     WithOptions as WithOptions,
+    driver as driver,
+    options_of as options_of,
 )
 from .problems import (
     CheckedTable as CheckedTable,

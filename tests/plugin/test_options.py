@@ -106,7 +106,7 @@ PLUGINS = discover()
     [
         (r.kind, r.name)
         for r in PLUGINS.registrations()
-        if r.kind in (Kind.METRIC, Kind.SEQUENCE, Kind.RECORDING, Kind.SECTION)
+        if r.kind in (Kind.METRIC, Kind.SEQUENCE, Kind.RECONSTRUCTION, Kind.RECORDING, Kind.SECTION)
     ],
 )
 def test_every_plugin_refuses_an_option_it_does_not_have_by_its_name(kind, name):

@@ -1,5 +1,4 @@
 from .dual import (
-    check_hyperparameter as check_hyperparameter,
     dual_matrix as dual_matrix,
     dual_spectrum as dual_spectrum,
 )
@@ -12,13 +11,6 @@ from .noise_figures import (
     target_radius_mm as target_radius_mm,
 )
 from .one_step import OneStep as OneStep, RidgeCurves as RidgeCurves, RidgeSearch as RidgeSearch
-from .options import (
-    number as number,
-    optional_number as optional_number,
-    optional_whole as optional_whole,
-    shown as shown,
-    whole as whole,
-)
 from .overlap import overlap_fractions as overlap_fractions
 from .pixels import pixel_imaging as pixel_imaging
 from .priors import (

@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, Protocol, Self
+from typing import Final, Protocol
 
 import numpy as np
 
-from cbsr_qa.domain import Array, ConfigError, NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterAnswer, ParameterCurve
 from cbsr_qa.eit.inverse.noise_figures import SMALL_CONTRAST, Evidence, evidence_of, target_radius_mm
-from cbsr_qa.eit.inverse.options import optional_number, shown
 
 
 class Criterion(StrEnum):
@@ -71,43 +70,6 @@ class Regularisation:
     noise_figure: float
     given: float | None
     given_as: str
-
-    @classmethod
-    def of(
-        cls,
-        method: str,
-        *,
-        choose: str | None,
-        noise_figure: float | None,
-        given: float | None,
-        given_as: str = "hyperparameter",
-    ) -> Self:
-        """Check a plugin's options and put them together.
-
-        Raises
-        ------
-        ConfigError
-            If the criterion is unknown, or a number is none.
-        NumericsError
-            If two options contradict each other.
-        """
-        noise_figure = optional_number(method, "noise_figure", noise_figure)
-        given = optional_number(method, given_as, given)
-        if choose is not None and not (isinstance(choose, str) and choose in set(Criterion)):
-            raise ConfigError(f"{method}: choose is {shown(choose)}", remedy=f"allowed: {', '.join(Criterion)}")
-        if given is not None:
-            for name, other in (("noise_figure", noise_figure), ("choose", choose)):
-                if other is not None:
-                    raise NumericsError(
-                        f"{method} takes {name} or {given_as}, not both", remedy="leave one of them out"
-                    )
-            return cls(None, 1.0, given, given_as)
-        criterion = Criterion(choose or Criterion.NOISE_FIGURE)
-        if noise_figure is not None and criterion is not Criterion.NOISE_FIGURE:
-            raise NumericsError(
-                f"{method} takes a noise_figure or chooses by {criterion}, not both", remedy="leave one of them out"
-            )
-        return cls(criterion, 1.0 if noise_figure is None else noise_figure, None, given_as)
 
     @property
     def decided_by(self) -> str:

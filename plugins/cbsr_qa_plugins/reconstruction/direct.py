@@ -5,11 +5,13 @@ Linear back-projection, the historic baseline.
 Truncated singular value decomposition.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import (
     ImagingProblem,
     LinearReconstruction,
@@ -22,15 +24,12 @@ from cbsr_qa.eit.inverse import (
     Regularisation,
     Truncation,
     central_signal,
-    check_hyperparameter,
     noise_figure,
     noise_figure as noise_figure_of,
-    number,
-    optional_number,
-    optional_whole,
-    shown,
 )
 from cbsr_qa.eit.inverse.greit import TargetDesign, greit_matrix, hyperparameter_for
+from cbsr_qa.plugin import Array, PluginOptions, Problem, WithOptions
+from cbsr_qa_plugins.reconstruction._shared import Hyperparameter, ParameterOptions, Positive, contradicted
 
 _NAME = "linear-back-projection"
 _LEAST_READING = 1e-6  # of the largest: a reading that the model says is zero has no relative change
@@ -72,7 +71,7 @@ class LinearBackProjection:
 _NAME_TRUNCATED_SVD = "truncated-svd"
 
 
-class TruncatedSvd:
+class TruncatedSvd(WithOptions):
     """x = Σ vₖ uₖᵀW^½ y / σₖ over the k largest singular values of W^½J, in the L² norm of the sheet (Hansen 1987).
 
     Parameters
@@ -86,13 +85,11 @@ class TruncatedSvd:
     that stay within the noise figure asked for, or within that of k on the nominal problem.
     """
 
-    def __init__(
-        self, *, choose: str | None = None, noise_figure: float | None = None, components: int | None = None
-    ) -> None:
-        given = optional_whole(_NAME_TRUNCATED_SVD, "components", components)
-        self._regularisation = Regularisation.of(
-            _NAME_TRUNCATED_SVD, choose=choose, noise_figure=noise_figure, given=given, given_as="components"
-        )
+    class Options(ParameterOptions):
+        given_as = "components"
+        components: Annotated[int, Field(ge=1, le=10**15)] | None = None
+
+    options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         """Prepare the imaging matrix.
@@ -102,9 +99,10 @@ class TruncatedSvd:
         NumericsError
             If k cannot be chosen, is out of range, or would split a pair; or no k keeps within the noise figure.
         """
-        value, how, curve = self._regularisation.choose(problem, Truncation)
+        regularisation = self.options.regularisation()
+        value, how, curve = regularisation.choose(problem, Truncation)
         truncation, kept = Truncation(problem), int(value)
-        bound = self._bound_elsewhere(problem, value, curve)
+        bound = _bound_elsewhere(regularisation, problem, value, curve)
         if bound is not None:
             kept = truncation.within(bound)
         matrix = truncation.matrix(kept)
@@ -115,19 +113,22 @@ class TruncatedSvd:
                 f"; {int(value)} components there, chosen again on {_readings(problem)}: the most within noise figure"
             )
             how += f" {bound:.2f} are {kept}, with {figure:.2f}"
-        choice = ParameterChoice(float(kept), how, figure, "components kept", curve, self._regularisation.decided_by)
+        choice = ParameterChoice(float(kept), how, figure, "components kept", curve, regularisation.decided_by)
         return LinearReconstruction(_NAME_TRUNCATED_SVD, problem, matrix, choice)
 
-    def _bound_elsewhere(self, problem: ImagingProblem, value: float, curve: ParameterCurve | None) -> float | None:
-        """Noise figure to keep within where k was chosen on other readings than the problem's; None where not."""
-        criterion, nominal = self._regularisation.criterion, problem.nominal
-        if criterion is None or nominal is None or curve is None:
-            return None
-        if problem.noise_variance is None and np.array_equal(problem.used, nominal.used):
-            return None
-        if criterion is Criterion.NOISE_FIGURE:
-            return self._regularisation.noise_figure
-        return None if problem.sample is not None else curve.noise_figure_at(value)
+
+def _bound_elsewhere(
+    regularisation: Regularisation, problem: ImagingProblem, value: float, curve: ParameterCurve | None
+) -> float | None:
+    """Noise figure to keep within where k was chosen on other readings than the problem's; None where not."""
+    criterion, nominal = regularisation.criterion, problem.nominal
+    if criterion is None or nominal is None or curve is None:
+        return None
+    if problem.noise_variance is None and np.array_equal(problem.used, nominal.used):
+        return None
+    if criterion is Criterion.NOISE_FIGURE:
+        return regularisation.noise_figure
+    return None if problem.sample is not None else curve.noise_figure_at(value)
 
 
 def _readings(problem: ImagingProblem) -> str:
@@ -139,7 +140,7 @@ _NAME_GREIT = "greit"
 _NOISE_FIGURE = 0.5  # of the method's authors
 
 
-class Greit:
+class Greit(WithOptions):
     """R = D Yᵀ (Y Yᵀ + λ² Σ)⁻¹ from training targets Y and their desired images D (Adler et al. 2009).
 
     Departs from the original: each row weighs targets near its place in full and others little, all desired images
@@ -156,25 +157,17 @@ class Greit:
         8/13, 1 and 20/13 of the head.
     """
 
-    def __init__(
-        self,
-        *,
-        noise_figure: float | None = None,
-        hyperparameter: float | None = None,
-        indenter_diameter_mm: float | None = None,
-        target_diameters_mm: Sequence[float] | None = None,
-    ) -> None:
-        noise_figure = optional_number(_NAME_GREIT, "noise_figure", noise_figure)
-        self._given = optional_number(_NAME_GREIT, "hyperparameter", hyperparameter)
-        if noise_figure is not None and self._given is not None:
-            raise NumericsError(
-                "greit takes noise_figure or hyperparameter, not both", remedy="leave one of them out"
-            )
-        if self._given is not None:
-            check_hyperparameter(self._given)
-        self._noise_figure = _NOISE_FIGURE if noise_figure is None else noise_figure
-        self._head_mm = optional_number(_NAME_GREIT, "indenter_diameter_mm", indenter_diameter_mm)
-        self._targets_mm = _diameters(target_diameters_mm)
+    class Options(PluginOptions):
+        noise_figure: Positive | None = None
+        hyperparameter: Hyperparameter | None = None
+        indenter_diameter_mm: Positive | None = None
+        target_diameters_mm: Annotated[tuple[Positive, ...], Array, Field(min_length=1)] | None = None
+
+        def problems(self) -> Iterator[Problem]:
+            """Yield options that contradict each other."""
+            yield from contradicted(self, "hyperparameter", ("noise_figure",))
+
+    options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         """Prepare the imaging matrix.
@@ -185,33 +178,23 @@ class Greit:
             If the noise figure cannot be reached, λ is too small to determine the image, a target does not fit the
             sheet, no reading feels it, or the image's elements do not resolve the head.
         """
-        design = TargetDesign.of(problem, self._head_mm, self._targets_mm)
+        design = TargetDesign.of(problem, self.options.indenter_diameter_mm, self.options.target_diameters_mm)
         value: float | None
-        value, how, curve = self._given, "hyperparameter given", None
+        value, how, curve = self.options.hyperparameter, "hyperparameter given", None
         if value is None:
             value, how, curve = self._chosen(problem, design)
         made = greit_matrix(problem, design, value)
-        criterion = "noise-figure" if self._given is None else "given"
+        criterion = "noise-figure" if curve is not None else "given"
         choice = ParameterChoice(value, how, made.noise_figure, curve=curve, criterion=criterion)
         return LinearReconstruction(_NAME_GREIT, problem, made.values, choice)
 
     def _chosen(self, problem: ImagingProblem, design: TargetDesign) -> tuple[float, str, ParameterCurve]:
         """Choose λ for the noise figure; returns it with how it was chosen, and the few λ that were tried."""
-        weighted = problem.noise_variance is not None
+        weighted, target = problem.noise_variance is not None, self.options.noise_figure or _NOISE_FIGURE
         base = problem if weighted else problem.nominal or problem
         where = "its own readings, weighted by their noise" if weighted else "the nominal model"
-        how = f"noise figure {self._noise_figure:.2f} (Adler et al. 2009) on {where}"
-        found = hyperparameter_for(base, design, self._noise_figure)
+        how = f"noise figure {target:.2f} (Adler et al. 2009) on {where}"
+        found = hyperparameter_for(base, design, target)
         answers = (ParameterAnswer("noise-figure", found.value, how),)
-        curve = ParameterCurve(found.searched, found.noise_figures, answers, self._noise_figure)
+        curve = ParameterCurve(found.searched, found.noise_figures, answers, target)
         return found.value, how, curve
-
-
-def _diameters(given: object) -> tuple[float, ...] | None:
-    if given is None:
-        return None
-    if not isinstance(given, list | tuple) or not given:
-        raise ConfigError(
-            f"{_NAME_GREIT}: target_diameters_mm is {shown(given)}", remedy="allowed: a list of numbers"
-        )
-    return tuple(number(_NAME_GREIT, "target_diameters_mm", value) for value in given)

@@ -3,25 +3,35 @@
 One-step images of least total variation.
 """
 
-from cbsr_qa.domain import NumericsError
+from collections.abc import Iterator
+from typing import Annotated
+
+from pydantic import Field
+
 from cbsr_qa.domain.results import ImagingProblem
-from cbsr_qa.eit.inverse import number, optional_number, whole
 from cbsr_qa.eit.inverse.iterative import (
     MOST_STEPS,
     TOLERANCE,
     AbsoluteImages,
     Expected,
     TotalVariationImages,
-    check_alpha,
     choose_alpha,
 )
+from cbsr_qa.plugin import PluginOptions, Problem, WithOptions
+from cbsr_qa_plugins.reconstruction._shared import Positive, contradicted
 
 _NAME = "total-variation"
-_MOST_ALLOWED = 1000  # steps; a frame that needs more never ends
 _EXACTEST = 1e-7  # duality gap that rounding leaves room for
 
+#: A frame that needs more steps never ends.
+Steps = Annotated[int, Field(ge=1, le=1000)]
+Decibel = Annotated[float, Field(gt=0, le=200)]
+Spread = Annotated[float, Field(ge=1e-6, le=5)]
+#: Of the sheet's radius.
+Length = Annotated[float, Field(ge=1e-3, le=10)]
 
-class TotalVariation:
+
+class TotalVariation(WithOptions):
     """Minimises ½‖W^½(Jx − y)‖² + α∫|∇x| (Borsic et al. 2010) by a primal–dual interior point method.
 
     For targets with edges. Each frame is a minimisation of its own, a hundred times dearer than a matrix product, and
@@ -37,28 +47,13 @@ class TotalVariation:
     iterations : allowed a frame, 1 to 1000; fifteen do it. A frame that needs more is refused.
     """
 
-    def __init__(
-        self,
-        *,
-        hyperparameter: float | None = None,
-        noise_dB: float = 60.0,
-        tolerance: float = TOLERANCE,
-        iterations: int = MOST_STEPS,
-    ) -> None:
-        alpha = optional_number(_NAME, "hyperparameter", hyperparameter)
-        tolerance, steps = number(_NAME, "tolerance", tolerance), whole(_NAME, "iterations", iterations)
-        if alpha is not None:
-            check_alpha(alpha)
-        if not _EXACTEST <= tolerance < 1:
-            raise NumericsError(
-                f"tolerance is {tolerance}; it must be in {_EXACTEST:g} … 1", remedy=f"{TOLERANCE:g} is usual"
-            )
-        if not 1 <= steps <= _MOST_ALLOWED:
-            raise NumericsError(
-                f"iterations is {iterations}; it must be 1 to {_MOST_ALLOWED}", remedy=f"{MOST_STEPS} is usual"
-            )
-        self._alpha, self._noise_dB = alpha, number(_NAME, "noise_dB", noise_dB)
-        self._tolerance, self._steps = tolerance, steps
+    class Options(PluginOptions):
+        hyperparameter: Positive | None = None
+        noise_dB: Decibel = 60.0
+        tolerance: Annotated[float, Field(ge=_EXACTEST, lt=1)] = TOLERANCE
+        iterations: Steps = MOST_STEPS
+
+    options: Options
 
     def prepare(self, problem: ImagingProblem) -> TotalVariationImages:
         """Choose α and prepare the minimisation.
@@ -68,16 +63,17 @@ class TotalVariation:
         NumericsError
             If no α leaves a residual of the noise's size.
         """
-        choice, variance = choose_alpha(problem, given=self._alpha, noise_dB=self._noise_dB)
+        options = self.options
+        choice, variance = choose_alpha(problem, given=options.hyperparameter, noise_dB=options.noise_dB)
         return TotalVariationImages.of(
-            _NAME, problem, choice, variance, tolerance=self._tolerance, most_steps=self._steps
+            _NAME, problem, choice, variance, tolerance=options.tolerance, most_steps=options.iterations
         )
 
 
 _NAME_ABSOLUTE_GAUSS_NEWTON = "absolute-gauss-newton"
 
 
-class AbsoluteGaussNewton:
+class AbsoluteGaussNewton(WithOptions):
     """Most probable conductance and contact impedances, by iterated Gauss–Newton steps on the complete forward model.
 
     The unloaded sensor's own readings give its state: an uneven sheet and uneven contacts. Each frame is then found
@@ -100,39 +96,23 @@ class AbsoluteGaussNewton:
     iterations : allowed, 1 to 1000; a state that needs more is refused.
     """
 
-    absolute = True
+    class Options(PluginOptions):
+        noise_dB: Decibel = 60.0
+        spread: Spread = 0.3
+        length: Length = 0.3
+        noise_figure: Annotated[float, Field(gt=0, le=100)] | None = None
+        load_spread: Spread | None = None
+        load_length: Length = 0.13
+        contact_spread: Spread = 1.0
+        mesh_size: Annotated[float, Field(ge=0.03, le=0.25)] = 0.1
+        iterations: Steps = 20
 
-    def __init__(
-        self,
-        *,
-        noise_dB: float = 60.0,
-        spread: float = 0.3,
-        length: float = 0.3,
-        noise_figure: float | None = None,
-        load_spread: float | None = None,
-        load_length: float = 0.13,
-        contact_spread: float = 1.0,
-        mesh_size: float = 0.1,
-        iterations: int = 20,
-    ) -> None:
-        if noise_figure is not None and load_spread is not None:
-            raise NumericsError(
-                f"{_NAME_ABSOLUTE_GAUSS_NEWTON} takes noise_figure or load_spread, not both",
-                remedy="leave one of them out",
-            )
-        self._expected = Expected(
-            noise_dB=number(_NAME_ABSOLUTE_GAUSS_NEWTON, "noise_dB", noise_dB),
-            spread=number(_NAME_ABSOLUTE_GAUSS_NEWTON, "spread", spread),
-            length=number(_NAME_ABSOLUTE_GAUSS_NEWTON, "length", length),
-            noise_figure=number(
-                _NAME_ABSOLUTE_GAUSS_NEWTON, "noise_figure", 1.0 if noise_figure is None else noise_figure
-            ),
-            load_spread=optional_number(_NAME_ABSOLUTE_GAUSS_NEWTON, "load_spread", load_spread),
-            load_length=number(_NAME_ABSOLUTE_GAUSS_NEWTON, "load_length", load_length),
-            contact_spread=number(_NAME_ABSOLUTE_GAUSS_NEWTON, "contact_spread", contact_spread),
-            mesh_size=number(_NAME_ABSOLUTE_GAUSS_NEWTON, "mesh_size", mesh_size),
-            iterations=whole(_NAME_ABSOLUTE_GAUSS_NEWTON, "iterations", iterations),
-        )
+        def problems(self) -> Iterator[Problem]:
+            """Yield options that contradict each other."""
+            yield from contradicted(self, "load_spread", ("noise_figure",))
+
+    absolute = True
+    options: Options
 
     def prepare(self, problem: ImagingProblem) -> AbsoluteImages:
         """Find the state of the unloaded sensor.
@@ -142,4 +122,6 @@ class AbsoluteGaussNewton:
         NumericsError
             If its readings belong to no such sheet, or the iteration does not converge.
         """
-        return AbsoluteImages.of(_NAME_ABSOLUTE_GAUSS_NEWTON, problem, self._expected)
+        given = self.options.model_dump(exclude={"noise_figure"})
+        expected = Expected(noise_figure=self.options.noise_figure or 1.0, **given)
+        return AbsoluteImages.of(_NAME_ABSOLUTE_GAUSS_NEWTON, problem, expected)

@@ -1,19 +1,13 @@
-"""One-step Gauss–Newton over consecutive frames, for slow materials.
+"""One-step Gauss–Newton with different priors: Tikhonov's, EIDORS's Laplace, NOSER, Gaussian high-pass, indenter.
 
-One-step Gauss–Newton with Tikhonov's prior.
-
-One-step Gauss–Newton with EIDORS's Laplace prior.
-
-One-step Gauss–Newton with the NOSER prior.
-
-One-step Gauss–Newton with a Gaussian high-pass prior.
-
-One-step Gauss–Newton with a smoothness as long as the indenter is wide.
+The last also over consecutive frames, for slow materials.
 """
 
 from dataclasses import replace
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
 from cbsr_qa.eit.inverse import (
@@ -28,16 +22,36 @@ from cbsr_qa.eit.inverse import (
     laplace,
     lasting_noise_figure,
     noser,
-    number,
-    optional_number,
-    optional_whole,
     target_radius_mm,
 )
+from cbsr_qa.plugin import PluginOptions, WithOptions
+from cbsr_qa_plugins.reconstruction._shared import Positive, RidgeOptions
 
-_NAME = "gauss-newton-tikhonov"
+
+class _OneStepMethod(WithOptions):
+    """A method that is one matrix: subclasses say what its prior is."""
+
+    Options: ClassVar[type[PluginOptions]] = RidgeOptions
+    name: ClassVar[str]
+    options: RidgeOptions
+
+    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
+        """Prepare the imaging matrix.
+
+        Raises
+        ------
+        NumericsError
+            If λ cannot be chosen or is too small to determine the image, an element is felt by no reading, or a
+            length does not fit the image.
+        """
+        return OneStep(self.name, self.prior, self.options.regularisation()).prepare(problem)
+
+    def prior(self, problem: ImagingProblem) -> Prior:
+        """What is expected of images of a problem."""
+        raise NotImplementedError
 
 
-class GaussNewtonTikhonov:
+class GaussNewtonTikhonov(_OneStepMethod):
     """x = (JᵀWJ + λ²I)⁻¹JᵀW y: the smallest image that explains the readings. It moves loads towards the rim.
 
     Parameters
@@ -46,21 +60,14 @@ class GaussNewtonTikhonov:
         :class:`~cbsr_qa.eit.inverse.Regularisation`.
     """
 
-    def __init__(
-        self, *, choose: str | None = None, noise_figure: float | None = None, hyperparameter: float | None = None
-    ) -> None:
-        chosen = Regularisation.of(_NAME, choose=choose, noise_figure=noise_figure, given=hyperparameter)
-        self._step = OneStep(_NAME, lambda problem: Prior.diagonal(np.ones(len(problem.mesh.elements))), chosen)
+    name = "gauss-newton-tikhonov"
 
-    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix; NumericsError if λ cannot be chosen or is too small."""
-        return self._step.prepare(problem)
+    def prior(self, problem: ImagingProblem) -> Prior:
+        """All elements alike."""
+        return Prior.diagonal(np.ones(len(problem.mesh.elements)))
 
 
-_NAME_GAUSS_NEWTON_LAPLACE = "gauss-newton-laplace"
-
-
-class GaussNewtonLaplace:
+class GaussNewtonLaplace(_OneStepMethod):
     """x = (JᵀWJ + λ²R)⁻¹JᵀW y with R the differences between neighbouring elements (Vauhkonen et al. 1998).
 
     A constant image costs nothing: how much the sheet changes as a whole is what the readings say, at any λ.
@@ -71,23 +78,14 @@ class GaussNewtonLaplace:
         :class:`~cbsr_qa.eit.inverse.Regularisation`.
     """
 
-    def __init__(
-        self, *, choose: str | None = None, noise_figure: float | None = None, hyperparameter: float | None = None
-    ) -> None:
-        chosen = Regularisation.of(
-            _NAME_GAUSS_NEWTON_LAPLACE, choose=choose, noise_figure=noise_figure, given=hyperparameter
-        )
-        self._step = OneStep(_NAME_GAUSS_NEWTON_LAPLACE, lambda problem: laplace(problem.mesh), chosen)
+    name = "gauss-newton-laplace"
 
-    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix; NumericsError if λ cannot be chosen or is too small."""
-        return self._step.prepare(problem)
+    def prior(self, problem: ImagingProblem) -> Prior:
+        """Differences between neighbours."""
+        return laplace(problem.mesh)
 
 
-_NAME_GAUSS_NEWTON_NOSER = "gauss-newton-noser"
-
-
-class GaussNewtonNoser:
+class GaussNewtonNoser(_OneStepMethod):
     """x = (JᵀWJ + λ²R)⁻¹JᵀW y with R = diag(JᵀJ)^p (Cheney et al. 1990; Adler & Lionheart 2006).
 
     Parameters
@@ -100,37 +98,18 @@ class GaussNewtonNoser:
         100 mm disc at noise figure 1 about 0.25 balances the two and places loads best.
     """
 
-    def __init__(
-        self,
-        *,
-        choose: str | None = None,
-        noise_figure: float | None = None,
-        hyperparameter: float | None = None,
-        exponent: float = 0.5,
-    ) -> None:
-        chosen = Regularisation.of(
-            _NAME_GAUSS_NEWTON_NOSER, choose=choose, noise_figure=noise_figure, given=hyperparameter
-        )
-        power = number(_NAME_GAUSS_NEWTON_NOSER, "exponent", exponent)
-        self._step = OneStep(
-            _NAME_GAUSS_NEWTON_NOSER, lambda problem: Prior.diagonal(noser(problem.jacobian, power)), chosen
-        )
+    class Options(RidgeOptions):
+        exponent: Annotated[float, Field(ge=0, le=1)] = 0.5
 
-    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix.
+    name = "gauss-newton-noser"
+    options: Options
 
-        Raises
-        ------
-        NumericsError
-            If λ cannot be chosen or is too small to determine the image, or an element is felt by no reading.
-        """
-        return self._step.prepare(problem)
+    def prior(self, problem: ImagingProblem) -> Prior:
+        """Sensitivities, to a power."""
+        return Prior.diagonal(noser(problem.jacobian, self.options.exponent))
 
 
-_NAME_GAUSS_NEWTON_HIGH_PASS = "gauss-newton-high-pass"
-
-
-class GaussNewtonHighPass:
+class GaussNewtonHighPass(_OneStepMethod):
     """x = (JᵀWJ + λ²R)⁻¹JᵀW y with R = FᵀF, F a spatial high-pass filter (Adler & Guardo 1996).
 
     Parameters
@@ -141,33 +120,22 @@ class GaussNewtonHighPass:
         Guardo's default is a tenth.
     """
 
-    def __init__(
-        self,
-        *,
-        choose: str | None = None,
-        noise_figure: float | None = None,
-        hyperparameter: float | None = None,
-        width: float = 0.1,
-    ) -> None:
-        chosen = Regularisation.of(
-            _NAME_GAUSS_NEWTON_HIGH_PASS, choose=choose, noise_figure=noise_figure, given=hyperparameter
-        )
-        share = number(_NAME_GAUSS_NEWTON_HIGH_PASS, "width", width)
+    class Options(RidgeOptions):
+        width: Positive = 0.1
 
-        def prior_of(problem: ImagingProblem) -> Prior:
-            return high_pass(problem.mesh, 2 * share * problem.sensor_type.radius_mm)
+    name = "gauss-newton-high-pass"
+    options: Options
 
-        self._step = OneStep(_NAME_GAUSS_NEWTON_HIGH_PASS, prior_of, chosen)
-
-    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix; NumericsError if λ cannot be chosen or is too small, or the width is wrong."""
-        return self._step.prepare(problem)
+    def prior(self, problem: ImagingProblem) -> Prior:
+        """What the filter lets through."""
+        return high_pass(problem.mesh, 2 * self.options.width * problem.sensor_type.radius_mm)
 
 
-_NAME_GAUSS_NEWTON_INDENTER = "gauss-newton-indenter"
+class _HeadOptions(RidgeOptions):
+    indenter_diameter_mm: Positive | None = None
 
 
-class GaussNewtonIndenter:
+class GaussNewtonIndenter(_OneStepMethod):
     """x = PJᵀ (JPJᵀ + λ²W⁻¹)⁻¹ y with P a Matérn covariance whose length is the indenter's radius.
 
     Parameters
@@ -177,33 +145,21 @@ class GaussNewtonIndenter:
     indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter, the 13 mm of the 100 mm disc.
     """
 
-    def __init__(
-        self,
-        *,
-        choose: str | None = None,
-        noise_figure: float | None = None,
-        hyperparameter: float | None = None,
-        indenter_diameter_mm: float | None = None,
-    ) -> None:
-        chosen = Regularisation.of(
-            _NAME_GAUSS_NEWTON_INDENTER, choose=choose, noise_figure=noise_figure, given=hyperparameter
-        )
-        given = optional_number(_NAME_GAUSS_NEWTON_INDENTER, "indenter_diameter_mm", indenter_diameter_mm)
+    Options = _HeadOptions
+    name = "gauss-newton-indenter"
+    options: _HeadOptions
 
-        def prior_of(problem: ImagingProblem) -> Prior:
-            return indenter_smoothness(problem.mesh, target_radius_mm(problem) if given is None else given / 2)
-
-        self._step = OneStep(_NAME_GAUSS_NEWTON_INDENTER, prior_of, chosen)
-
-    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix; NumericsError if λ cannot be chosen or is too small, or the length is wrong."""
-        return self._step.prepare(problem)
+    def prior(self, problem: ImagingProblem) -> Prior:
+        """Smooth over the head."""
+        return _smooth_over_head(problem, self.options)
 
 
-_NAME_TEMPORAL = "temporal"
+def _smooth_over_head(problem: ImagingProblem, options: _HeadOptions) -> Prior:
+    given_mm = options.indenter_diameter_mm
+    return indenter_smoothness(problem.mesh, target_radius_mm(problem) if given_mm is None else given_mm / 2)
 
 
-class Temporal:
+class Temporal(WithOptions):
     """Images as of gauss-newton-indenter, alike their neighbours in time (Adler, Dai & Lionheart 2007).
 
     Images of a block of frames are made together: noise falls where nothing changes, and what changes faster than the
@@ -221,40 +177,21 @@ class Temporal:
     indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter.
     """
 
-    sequences = True
+    class Options(_HeadOptions):
+        correlation_frames: Annotated[float, Field(ge=0, allow_inf_nan=True)] = 4.0
+        lag: Annotated[int, Field(ge=0, le=10**15)] | None = None
 
-    def __init__(
-        self,
-        *,
-        correlation_frames: float = 4.0,
-        lag: int | None = None,
-        choose: str | None = None,
-        noise_figure: float | None = None,
-        hyperparameter: float | None = None,
-        indenter_diameter_mm: float | None = None,
-    ) -> None:
-        self._correlation = Correlation(
-            number(_NAME_TEMPORAL, "correlation_frames", correlation_frames),
-            optional_whole(_NAME_TEMPORAL, "lag", lag),
-        )
-        chosen = Regularisation.of(_NAME_TEMPORAL, choose=choose, noise_figure=noise_figure, given=hyperparameter)
-        self._diameter_mm = optional_number(_NAME_TEMPORAL, "indenter_diameter_mm", indenter_diameter_mm)
-        self._step = OneStep(_NAME_TEMPORAL, self._prior, chosen)
+    name: ClassVar[str] = "temporal"
+    sequences = True
+    options: Options
 
     def prepare(self, problem: ImagingProblem) -> TemporalImages:
-        """Choose λ and prepare the spectrum.
-
-        Raises
-        ------
-        NumericsError
-            If λ cannot be chosen or is too small to determine the image, or the diameter is not positive.
-        """
-        choice = self._step.prepare(problem).choice
-        spectrum = RidgeSearch(problem, self._prior(problem)).spectrum
-        lasting = lasting_noise_figure(problem, spectrum, choice.value, self._correlation)
+        """Choose λ and prepare the spectrum; NumericsError if λ cannot be chosen or is too small."""
+        options = self.options
+        correlation = Correlation(options.correlation_frames, options.lag)
+        one_step = OneStep(self.name, lambda base: _smooth_over_head(base, options), options.regularisation())
+        choice = one_step.prepare(problem).choice
+        spectrum = RidgeSearch(problem, _smooth_over_head(problem, options)).spectrum
+        lasting = lasting_noise_figure(problem, spectrum, choice.value, correlation)
         how = f"{choice.how}, for one frame; a change that lasts is imaged with noise figure {lasting:.2f}"
-        return TemporalImages(_NAME_TEMPORAL, problem, replace(choice, how=how), spectrum, self._correlation)
-
-    def _prior(self, problem: ImagingProblem) -> Prior:
-        head_mm = target_radius_mm(problem) if self._diameter_mm is None else self._diameter_mm / 2
-        return indenter_smoothness(problem.mesh, head_mm)
+        return TemporalImages(self.name, problem, replace(choice, how=how), spectrum, correlation)

@@ -15,21 +15,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import sparse
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.sensor import Mesh
-from cbsr_qa.eit.inverse import check_hyperparameter, noise_figure, number, overlap_fractions, target_signal, whole
+from cbsr_qa.eit.inverse import noise_figure, overlap_fractions, target_signal
+from cbsr_qa.plugin import PluginOptions, WithOptions
 
 Array = NDArray[np.float64]
 
 _REMEDY = "pip install 'cbsr-qa[pyeit]'"
-_SIZES = (0.02, 0.2)  # edge lengths its mesher is used with, of the radius: 18 000 to 170 elements
 _MOST_CONDITION = 1e12  # its inverse has four digits then
 _TARGET_RADIUS = 0.13  # of the sheet's radius: the 13 mm indenter on the 100 mm disc
 _TARGET_CONTRAST = 0.01
@@ -51,23 +52,25 @@ class PyeitProblem:
     elements: Mesh
 
 
-def checked_options(method: str, *, p: float, lamb: float, mesh_size: float) -> tuple[float, float, float]:
-    """Return p, lamb and mesh_size; refuse what pyEIT would take and answer with noise, and that pyEIT is missing."""
-    _module("pyeit")
-    p, lamb, mesh_size = (
-        number(method, name, value) for name, value in (("p", p), ("lamb", lamb), ("mesh_size", mesh_size))
-    )
-    if not _SIZES[0] <= mesh_size <= _SIZES[1]:
-        raise NumericsError(
-            f"mesh_size is {mesh_size}; pyEIT is used with {_SIZES[0]} to {_SIZES[1]} of the radius",
-            remedy="give a size in that range; 0.07 is usual",
-        )
-    check_hyperparameter(lamb)
-    if lamb == 0:
-        raise NumericsError("lamb is 0: pyEIT would invert a singular matrix", remedy="give a value above zero")
-    if not 0 <= p <= 1:
-        raise NumericsError(f"p is {p}; it must be in 0 … 1", remedy="give a p in that range; 0.5 is usual")
-    return p, lamb, mesh_size
+class PyeitOptions(PluginOptions):
+    """Options of all of pyEIT's methods: what it would take and answer with noise is refused."""
+
+    p: Annotated[float, Field(ge=0, le=1)] = 0.5
+    lamb: Annotated[float, Field(gt=0, le=1e50)] = 0.01
+    #: Edge lengths its mesher is used with, of the radius: 18 000 to 170 elements.
+    mesh_size: Annotated[float, Field(ge=0.02, le=0.2)] = 0.07
+
+
+class _PyeitMethod(WithOptions):
+    """Refuses to be made where pyEIT is not installed."""
+
+    Options: ClassVar[type[PluginOptions]] = PyeitOptions
+    options: PyeitOptions
+    weighs_noise = False
+
+    def __init__(self, **options: Any) -> None:
+        _module("pyeit")
+        super().__init__(**options)
 
 
 def pyeit_problem(problem: ImagingProblem, mesh_size: float) -> PyeitProblem:
@@ -193,7 +196,7 @@ def _protocol(problem: ImagingProblem) -> Any:
     )
 
 
-class PyeitJac:
+class PyeitJac(_PyeitMethod):
     """x = (JᵀJ + lamb·diag(JᵀJ)^p)⁻¹Jᵀ y as pyEIT 1.2.4 computes it, on its own mesh with point electrodes.
 
     Each of our elements takes the mean of the triangles of pyEIT's mesh it lies in, weighed by area.
@@ -205,11 +208,6 @@ class PyeitJac:
         It inverts a matrix as large as their number.
     """
 
-    weighs_noise = False
-
-    def __init__(self, *, p: float = 0.5, lamb: float = 0.01, mesh_size: float = 0.07) -> None:
-        self._p, self._lamb, self._mesh_size = checked_options("pyeit-jac", p=p, lamb=lamb, mesh_size=mesh_size)
-
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         """Prepare the imaging matrix.
 
@@ -218,20 +216,19 @@ class PyeitJac:
         NumericsError
             If the sheet is not round, a reading touches a driven electrode, or lamb is lost in rounding.
         """
-        given = pyeit_problem(problem, self._mesh_size)
+        given = pyeit_problem(problem, self.options.mesh_size)
         jac = solver("pyeit.eit.jac:JAC", given)
         with quiet(), invertible():
-            jac.setup(p=self._p, lamb=self._lamb, method="kotre", perm=1, jac_normalized=False)
-        check_determined(np.einsum("me,me->e", jac.J, jac.J), self._p, self._lamb)
+            jac.setup(p=self.options.p, lamb=self.options.lamb, method="kotre", perm=1, jac_normalized=False)
+        check_determined(np.einsum("me,me->e", jac.J, jac.J), self.options.p, self.options.lamb)
         share = overlap_fractions(problem.mesh, given.elements)
-        return finished("pyeit-jac", problem, -(share @ np.asarray(jac.H, dtype=np.float64)), self._lamb)
+        return finished("pyeit-jac", problem, -(share @ np.asarray(jac.H, dtype=np.float64)), self.options.lamb)
 
 
 _NAME = "pyeit-greit"
-_PIXELS = (8, 256)
 
 
-class PyeitGreit:
+class PyeitGreit(_PyeitMethod):
     """pyEIT 1.2.4's GREIT ("distribution method", no training targets) on a raster, with point electrodes.
 
     It gives values at the points of its raster; our elements interpolate linearly between them, at their centroids.
@@ -244,31 +241,12 @@ class PyeitGreit:
     mesh_size : edge length of pyEIT's mesh, of the radius; 0.07 gives about 1400 elements and readings within 0.5 %.
     """
 
-    weighs_noise = False
+    class Options(PyeitOptions):
+        n: Annotated[int, Field(ge=8, le=256)] = 32
+        s: Annotated[float, Field(gt=0, lt=1e3)] = 20.0
+        ratio: Annotated[float, Field(gt=0, lt=1)] = 0.1
 
-    def __init__(
-        self,
-        *,
-        p: float = 0.5,
-        lamb: float = 0.01,
-        n: int = 32,
-        s: float = 20.0,
-        ratio: float = 0.1,
-        mesh_size: float = 0.07,
-    ) -> None:
-        self._p, self._lamb, self._mesh_size = checked_options(_NAME, p=p, lamb=lamb, mesh_size=mesh_size)
-        points, s, ratio = whole(_NAME, "n", n), number(_NAME, "s", s), number(_NAME, "ratio", ratio)
-        if not _PIXELS[0] <= points <= _PIXELS[1]:
-            raise NumericsError(
-                f"n is {n}; the raster must have {_PIXELS[0]} to {_PIXELS[1]} points a side",
-                remedy="32 is usual",
-            )
-        if not (0 < ratio < 1 and 0 < s < 1e3):
-            raise NumericsError(
-                f"ratio is {ratio} and s {s}; ratio must be in 0 … 1 and s in 0 … 1000",
-                remedy="0.1 and 20 are usual",
-            )
-        self._options = {"p": self._p, "lamb": self._lamb, "n": points, "s": s, "ratio": ratio}
+    options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         """Prepare the imaging matrix.
@@ -278,14 +256,14 @@ class PyeitGreit:
         NumericsError
             If the sheet is not round, a reading touches a driven electrode, or lamb is lost in rounding.
         """
-        given = pyeit_problem(problem, self._mesh_size)
+        given = pyeit_problem(problem, self.options.mesh_size)
         greit = solver("pyeit.eit.greit:GREIT", given)
         with quiet(), invertible():
-            greit.setup(method="dist", perm=1, jac_normalized=False, **self._options)
-        check_determined(np.einsum("me,me->m", greit.J, greit.J), self._p, self._lamb)
+            greit.setup(method="dist", perm=1, jac_normalized=False, **self.options.model_dump(exclude={"mesh_size"}))
+        check_determined(np.einsum("me,me->m", greit.J, greit.J), self.options.p, self.options.lamb)
         x, y = np.asarray(greit.xg)[0], np.asarray(greit.yg)[:, 0]
         between = _between(x, y, problem.mesh.centroids_mm / problem.sensor_type.radius_mm)
-        return finished(_NAME, problem, -(between @ np.asarray(greit.H, dtype=np.float64)), self._lamb)
+        return finished(_NAME, problem, -(between @ np.asarray(greit.H, dtype=np.float64)), self.options.lamb)
 
 
 def _between(x: Array, y: Array, points: Array) -> sparse.csr_matrix:

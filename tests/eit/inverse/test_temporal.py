@@ -116,12 +116,12 @@ def test_a_live_image_does_not_know_the_future(problem, frames):
         ({"correlation_frames": -1.0}, "correlation_frames is -1.0"),
         ({"correlation_frames": float("nan")}, "correlation_frames is nan"),
         ({"lag": -1}, "lag is -1"),
-        ({"hyperparameter": -1.0}, "zero or above"),
+        ({"hyperparameter": -1.0}, "hyperparameter is -1.0"),
         ({"hyperparameter": 0.0}, "too small"),
     ],
 )
 def test_impossible_options_are_refused(problem, options, reason):
-    with pytest.raises(NumericsError, match=reason):
+    with pytest.raises((ConfigError, NumericsError), match=reason):
         Temporal(**options).prepare(problem)
 
 
@@ -130,7 +130,7 @@ def test_impossible_options_are_refused(problem, options, reason):
     [{"lag": 1.5}, {"correlation_frames": "long"}, {"indenter_diameter_mm": True}, {"correlation_frames": None}],
 )
 def test_options_that_are_no_numbers_are_refused(options):
-    with pytest.raises(ConfigError, match="allowed: a"):
+    with pytest.raises(ConfigError, match=f"{next(iter(options))} is"):
         Temporal(**options)
 
 

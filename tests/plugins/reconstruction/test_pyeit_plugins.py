@@ -131,16 +131,16 @@ def test_it_is_neither_heard_nor_felt(problem, capfd):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"lamb": -1.0}, "zero or above"),
-        ({"lamb": float("nan")}, "zero or above"),
-        ({"lamb": 0.0}, "singular"),
-        ({"lamb": 1e200}, "up to 1e"),
+        ({"lamb": -1.0}, "lamb is -1.0"),
+        ({"lamb": float("nan")}, "lamb is nan"),
+        ({"lamb": 0.0}, "lamb is 0.0"),
+        ({"lamb": 1e200}, r"lamb is 1e\+200"),
         ({"p": 2.0}, "p is 2.0"),
         ({"mesh_size": 0.5}, "mesh_size is 0.5"),
     ],
 )
 def test_impossible_options_are_refused(method, options, reason):
-    with pytest.raises(NumericsError, match=reason):
+    with pytest.raises(ConfigError, match=reason):
         method(**options)
 
 
@@ -168,13 +168,13 @@ def test_what_rounding_alone_would_decide_is_refused(problem, method, p):
 def test_options_that_are_no_numbers_are_refused(options):
     with pytest.raises(RefusedError):
         PyeitJac(**options)
-    with pytest.raises(ConfigError, match="allowed: a whole number"):
+    with pytest.raises(ConfigError, match=r"n is 3\.5"):
         PyeitGreit(n=3.5)
 
 
 @pytest.mark.parametrize("options", [{"n": 3}, {"ratio": 0.0}, {"s": float("nan")}])
 def test_rasters_that_are_none_are_refused(options):
-    with pytest.raises(NumericsError, match=next(iter(options))):
+    with pytest.raises(ConfigError, match=next(iter(options))):
         PyeitGreit(**options)
 
 

@@ -3,7 +3,6 @@
 Reconstructions, how much they smooth, and the density of the image's mesh against where they put loads.
 """
 
-import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -18,7 +17,7 @@ from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, Prepare
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse import image_jacobian, imaging_problem, nominal_model
 from cbsr_qa.eit.mesh import image_mesh
-from cbsr_qa.plugin import Kind, Reconstruction, discover
+from cbsr_qa.plugin import Kind, Reconstruction, discover, options_of
 from cbsr_qa.studies.frontier.computer.forward import fastest_s, timed
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
 from cbsr_qa.studies.frontier.point import Accuracy, Clock, Knob, Point
@@ -88,7 +87,7 @@ def registered_methods() -> Iterator[MethodSetting]:
 def _smoothing_of(factory: Callable[..., Any]) -> str:
     if get_type_hints(getattr(factory, "prepare", None) or object).get("return") is not LinearReconstruction:
         return ""
-    known = inspect.signature(factory).parameters
+    known = options_of(factory).model_fields
     return next((option for option in FACTORS if option in known), "")
 
 

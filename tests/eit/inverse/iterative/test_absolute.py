@@ -227,7 +227,7 @@ def test_too_few_iterations_are_an_error_not_an_image(sensor):
     ],
 )
 def test_impossible_options_are_refused(problem, options):
-    with pytest.raises(NumericsError, match=r"must be (above 0|\S+ to)|cannot be reached") as refused:
+    with pytest.raises((ConfigError, NumericsError), match=rf"{next(iter(options))} is|cannot be reached") as refused:
         AbsoluteGaussNewton(**options).prepare(problem)
     assert refused.value.remedy
 
@@ -257,7 +257,7 @@ def test_what_is_beyond_numbers_is_refused_never_imaged(problem):
 
 
 def test_options_that_contradict_or_are_no_numbers_are_refused():
-    with pytest.raises(NumericsError, match="not both"):
+    with pytest.raises(ConfigError, match="not both"):
         AbsoluteGaussNewton(noise_figure=1.0, load_spread=0.1)
     with pytest.raises(ConfigError, match=r"iterations is 2\.5"):
         AbsoluteGaussNewton(iterations=2.5)

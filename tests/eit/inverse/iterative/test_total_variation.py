@@ -168,23 +168,23 @@ def test_noisy_channels_weigh_less(problem, noisy):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"hyperparameter": 0.0}, "above zero"),
-        ({"hyperparameter": -1.0}, "above zero"),
-        ({"hyperparameter": float("nan")}, "above zero"),
+        ({"hyperparameter": 0.0}, "hyperparameter is 0.0"),
+        ({"hyperparameter": -1.0}, "hyperparameter is -1.0"),
+        ({"hyperparameter": float("nan")}, "hyperparameter is nan"),
         ({"tolerance": 1e-9}, "tolerance is 1e-09"),
-        ({"iterations": 0}, "must be 1 to 1000"),
+        ({"iterations": 0}, "from 1 to 1000"),
         ({"noise_dB": float("inf")}, "noise_dB is inf"),
         ({"noise_dB": -60.0}, "noise_dB is -60"),
     ],
 )
 def test_impossible_options_are_refused(problem, options, reason):
-    with pytest.raises(NumericsError, match=reason):
+    with pytest.raises(ConfigError, match=reason):
         TotalVariation(**options).prepare(problem)
 
 
 @pytest.mark.parametrize("options", [{"hyperparameter": "small"}, {"iterations": 2.5}, {"noise_dB": "quiet"}])
 def test_options_that_are_no_numbers_are_refused(options):
-    with pytest.raises(ConfigError, match="allowed: a"):
+    with pytest.raises(ConfigError, match=f"{next(iter(options))} is"):
         TotalVariation(**options)
 
 
@@ -275,12 +275,10 @@ def test_the_steps_that_are_allowed_are_taken(problem, noisy):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"iterations": 0}, "iterations is 0; it must be 1 to 1000"),
         ({"iterations": 1001}, "iterations is 1001"),
         ({"iterations": None}, "iterations is None"),
         ({"tolerance": None}, "tolerance is None"),
         ({"noise_dB": None}, "noise_dB is None"),
-        ({"hyperparameter": -1.0}, "α is -1.0"),
         ({"hyperparameter": 10**400}, "beyond 1.8e308"),
     ],
 )

@@ -1,0 +1,48 @@
+"""Options that reconstructions have in common: how the one parameter of a method is chosen, or what it is."""
+
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from cbsr_qa.eit.inverse import Criterion, Regularisation
+from cbsr_qa.plugin import PluginOptions, Problem
+
+Positive = Annotated[float, Field(gt=0)]
+#: λ of all methods; its square, and that of an image it leaves, are doubles up to here.
+Hyperparameter = Annotated[float, Field(ge=0, le=1e50)]
+
+
+def contradicted(options: PluginOptions, given: str, others: tuple[str, ...]) -> Iterator[Problem]:
+    """Yield options that are stated beside one that leaves them no meaning."""
+    for name in others if getattr(options, given) is not None else ():
+        if getattr(options, name) is not None:
+            yield Problem((name,), f"is given, and {given} too", "not both: leave one of them out")
+
+
+class ParameterOptions(PluginOptions):
+    """The parameter by a criterion; subclasses add the option by which it is given itself."""
+
+    given_as: ClassVar[str]
+    choose: Literal["noise-figure", "gcv", "l-curve", "discrepancy"] | None = None
+    noise_figure: Positive | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield options that contradict each other."""
+        yield from contradicted(self, self.given_as, ("choose", "noise_figure"))
+        if self.choose not in (None, "noise-figure"):
+            yield from contradicted(self, "choose", ("noise_figure",))
+
+    def regularisation(self) -> Regularisation:
+        """How the parameter is chosen."""
+        given = getattr(self, self.given_as)
+        if given is not None:
+            return Regularisation(None, 1.0, float(given), self.given_as)
+        return Regularisation(Criterion(self.choose or "noise-figure"), self.noise_figure or 1.0, None, self.given_as)
+
+
+class RidgeOptions(ParameterOptions):
+    """λ by a criterion, or λ itself."""
+
+    given_as = "hyperparameter"
+    hyperparameter: Hyperparameter | None = None
