@@ -2,11 +2,13 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, Self
+from functools import partial, update_wrapper
+from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 from pydantic import ConfigDict, Field, create_model
 
 from cbsr_qa.domain import ConfigError
+from cbsr_qa.plugin.instruments import StationContext
 from cbsr_qa.plugin.problems import CheckedTable, Problem, check
 
 #: A pair or an array that is written as an array in TOML, and as a tuple in Python.
@@ -81,3 +83,47 @@ def options_of(factory: Callable[..., Any], *, handed: int = 0) -> type[PluginOp
         return _AnyOptions
     fields: dict[str, Any] = {a.name: (Any, ... if a.default is a.empty else a.default) for a in arguments}
     return create_model("Options", __base__=PluginOptions, **fields)
+
+
+Opts = TypeVar("Opts", bound=PluginOptions)
+Opened = TypeVar("Opened")
+
+
+class Driver(Generic[Opts, Opened]):
+    """What opens an instrument: called with a station's context, it reads the options and hands them over.
+
+    Parameters
+    ----------
+    name : of the driver.
+    options : their model.
+    opens : called with the context and the options.
+    """
+
+    def __init__(self, name: str, options: type[Opts], opens: Callable[[StationContext, Opts], Opened]) -> None:
+        self.Options = options
+        self._name = name
+        self._opens = opens
+        update_wrapper(self, opens)
+
+    def __call__(self, context: StationContext) -> Opened:
+        """Open it.
+
+        Raises
+        ------
+        ConfigError
+            Naming role and options where they are wrong.
+        """
+        try:
+            options = self.Options.read(context.options)
+        except ConfigError as error:
+            raise ConfigError(
+                f"instrument {context.role!r} ({self._name}): {error.reason}", remedy=error.remedy
+            ) from error
+        return self._opens(context, options)
+
+
+def driver(
+    name: str, options: type[Opts]
+) -> Callable[[Callable[[StationContext, Opts], Opened]], Driver[Opts, Opened]]:
+    """Make a function the factory of an instrument of this name, with these options."""
+    return partial(Driver, name, options)

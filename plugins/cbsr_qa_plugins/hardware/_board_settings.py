@@ -1,35 +1,70 @@
 """What a station's table says of an ERT board, and what the board's counts are by it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, correct_carry_over
-from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin import Array, PluginOptions, Problem, StationContext
 from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, PAIRS, Counts, scan_order
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._options import Port
 
-_KEYS: Final = (
-    "address",
-    "format",
-    "frame_period_s",
-    "baud",
-    "signed",
-    "zero_counts",
-    "range_counts",
-    "order",
-    "first_reading",
-    "current_mA",
-    "memory_share",
-)
 _BINARY_BAUD: Final = 1_400_000
 _UNSIGNED, _SIGNED = (0, 2**16 - 1), (-(2**15), 2**15 - 1)
 _SHAPE: Final = (PAIRS, PAIRS)
 _BITS_A_BYTE: Final = 10  # with start and stop bit
+
+
+class BoardOptions(PluginOptions):
+    """Options of a board's table."""
+
+    address: Port
+    format: Literal["binary", "ascii"] = "binary"
+    frame_period_s: Annotated[float, Field(ge=1e-3, le=60)]
+    baud: Annotated[int, Field(ge=9600, le=12_000_000)] | None = None
+    signed: bool = False
+    zero_counts: float = 0.0
+    range_counts: Annotated[tuple[float, float], Array] | None = None
+    order: Literal["measure", "drive"] = "measure"
+    first_reading: Annotated[int, Field(ge=0, le=255)] = 0
+    current_mA: Annotated[float, Field(ge=1e-6)] | None = None
+    memory_share: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+
+    @property
+    def speed(self) -> int | None:
+        """Baud; there is no default for text."""
+        return _BINARY_BAUD if self.baud is None and self.format == "binary" else self.baud
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """Lowest and highest count that can be sent at all."""
+        return _SIGNED if self.signed else _UNSIGNED
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """Ends of the converter's range."""
+        low, high = self.range_counts or self.limits
+        return int(low), int(high)
+
+    def problems(self) -> Iterator[Problem]:
+        """What the line can send, and what a converter can count."""
+        if self.speed is None:
+            yield Problem(("baud",), "is missing", "it must be that of the board's text")
+        elif self.format == "binary" and self.frame_period_s < (least_s := BINARY_FRAME * _BITS_A_BYTE / self.speed):
+            what = f"is {self.frame_period_s:g}, but {BINARY_FRAME} bytes at {self.speed} baud take {least_s:.3g} s"
+            yield Problem(("frame_period_s",), what, "correct frame_period_s or baud")
+        if self.signed and self.format == "binary":
+            what = "is true, but binary counts are unsigned"
+            yield Problem(("signed",), what, "leave it out; zero_counts says which count is 0 V")
+        low, high = self.range_counts or self.limits
+        if not self.limits[0] <= low < high <= self.limits[1]:
+            allowed = f"the lowest and the highest count of a 16-bit converter, within {list(self.limits)}"
+            yield Problem(("range_counts",), f"is [{low:g}, {high:g}]", f"it must be {allowed}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,26 +95,21 @@ class BoardSettings:
     memory_share: float
 
     @classmethod
-    def of(cls, context: StationContext, driver: str) -> Self:
-        """Read the table; ConfigError where something in it is wrong, or the sensor type is none of this board."""
-        table, who = InstrumentTable(context, driver, _KEYS), f"instrument {context.role!r} ({driver})"
-        _check_sensor(context, who)
-        format_ = table.choice("format", ("binary", "ascii"), "binary")
-        address = table.text("address", remedy="give it the port, or usb:VID:PID of the board")
-        baud = _baud(table, format_)
-        limits = _limits(table, format_, who)
-        order = table.choice("order", ("measure", "drive"), "measure")
+    def of(cls, context: StationContext, options: BoardOptions, driver: str) -> Self:
+        """Take them from a table; ConfigError where the sensor type is none of this board."""
+        _check_sensor(context, f"instrument {context.role!r} ({driver})")
+        assert options.speed is not None
         return cls(
-            address=address,
-            baud=baud,
-            format=format_,
-            period_s=_period(table, format_, baud, who),
-            limits=limits,
-            ends=_ends(table, limits, who),
-            zero=table.number("zero_counts", 0),
-            order=scan_order(order, table.whole("first_reading", 0, at_least=0, at_most=255)),
-            current_A=1e-3 * table.number("current_mA", at_least=1e-6) if table.has("current_mA") else None,
-            memory_share=table.number("memory_share", 0.0, at_least=0.0, at_most=0.5),
+            address=options.address,
+            baud=options.speed,
+            format=options.format,
+            period_s=options.frame_period_s,
+            limits=options.limits,
+            ends=options.ends,
+            zero=options.zero_counts,
+            order=scan_order(options.order, options.first_reading),
+            current_A=None if options.current_mA is None else 1e-3 * options.current_mA,
+            memory_share=options.memory_share,
         )
 
     @property
@@ -121,43 +151,3 @@ def _check_sensor(context: StationContext, who: str) -> None:
             f"{who} sends 16 x 16 readings; sensor type {context.sensor_type.name!r} has {rows} x {columns}",
             remedy="use a sensor type of 16 drive and 16 measure pairs, or another driver",
         )
-
-
-def _baud(table: InstrumentTable, format_: str) -> int:
-    if format_ == "binary":
-        return table.whole("baud", _BINARY_BAUD, at_least=9600, at_most=12_000_000)
-    return table.whole("baud", at_least=9600, at_most=12_000_000)
-
-
-def _period(table: InstrumentTable, format_: str, baud: int, who: str) -> float:
-    """Return how long a frame takes; a line that cannot send it in that time is refused."""
-    period_s = table.number("frame_period_s", at_least=1e-3, at_most=60.0)
-    least_s = BINARY_FRAME * _BITS_A_BYTE / baud
-    if format_ == "binary" and period_s < least_s:
-        raise ConfigError(
-            f"{who}: frame_period_s is {period_s:g}, but {BINARY_FRAME} bytes at {baud} baud take {least_s:.3g} s",
-            remedy="mend frame_period_s or baud",
-        )
-    return period_s
-
-
-def _limits(table: InstrumentTable, format_: str, who: str) -> tuple[int, int]:
-    """Return the counts that can be sent at all."""
-    signed = table.flag("signed", False)
-    if signed and format_ == "binary":
-        raise ConfigError(
-            f"{who}: signed is true, but binary counts are unsigned",
-            remedy="leave it out; zero_counts says which count is 0 V",
-        )
-    return _SIGNED if signed else _UNSIGNED
-
-
-def _ends(table: InstrumentTable, limits: tuple[int, int], who: str) -> tuple[int, int]:
-    """Return the ends of the converter's range."""
-    low, high = table.numbers("range_counts", 2, limits)
-    if not limits[0] <= low < high <= limits[1]:
-        raise ConfigError(
-            f"{who}: range_counts is [{low:g}, {high:g}]",
-            remedy=f"it is the lowest and the highest count of a 16-bit converter, within {list(limits)}",
-        )
-    return int(low), int(high)

@@ -5,16 +5,17 @@ A load cell against a known mass.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Annotated, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cbsr_qa.domain import InstrumentError, RefusedError, SafetyError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import StationContext
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa.plugin import PluginOptions, StationContext
+from cbsr_qa_plugins.hardware._options import Factor, Sign
 
 #: Newtons of one gram force: standard gravity (CGPM 1901); places on earth differ by half a percent at most.
 NEWTON_PER_G: Final = 9.80665e-3
@@ -68,8 +69,6 @@ def dead_weight_check(found_N: float, error_N: float, mass_g: float, tolerance_p
     return DeadWeightCheck(mass_g, found_N, error_N, expected_N, tolerance_percent / 100 * expected_N)
 
 
-#: Keys of every load cell's table beside those of its link.
-CELL_OPTIONS: Final = ("scale", "offset", "sign", "limit_N", "tare_s", "tare_limit_N", "dead_weight_g")
 #: Beyond this share of its limit a cell is at its limit: amplifiers end a digit or two before it.
 _AT_LIMIT: Final = 0.999
 #: So many samples there after each other are flat.
@@ -115,47 +114,25 @@ class Scale:
     sign: int
 
     @classmethod
-    def of(cls, table: InstrumentTable, unit: str, *, stated: bool) -> "Scale":
-        """Read the scale from an instrument's table; where it must be stated, there is no default."""
-        scale = table.number("scale") if stated else table.number("scale", 1.0)
-        if scale == 0:
-            raise table.wrong("scale", scale, "it is a number other than 0")
-        sign = table.whole("sign", 1, at_least=-1, at_most=1)
-        if sign == 0:
-            raise table.wrong("sign", sign, "it is 1, or -1 where compression reads negative")
-        return cls(_UNITS[unit], scale, table.number("offset", 0.0), sign)
+    def of(cls, options: "CellOptions", unit: str) -> "Scale":
+        """Take the scale from the options of a cell that reads in this unit."""
+        return cls(_UNITS[unit], options.scale, options.offset, options.sign)
 
     def force_N(self, number: float) -> float:
         """Return the force, compression positive [N]."""
         return self.sign * self.per_unit_N * (self.scale * number + self.offset)
 
 
-@dataclass(frozen=True, slots=True)
-class CellSettings:
-    """What a load cell's table says beside its link.
+class CellOptions(PluginOptions):
+    """Options of every load cell's table beside those of its link."""
 
-    Parameters
-    ----------
-    limit_N : where the cell ends; None where nobody says.
-    tare_s : how long its zero is averaged at the opening; 0 for no tare.
-    tare_limit_N : more than this is a load and no zero.
-    dead_weight_g : mass for the check of the station; None where there is none.
-    """
-
-    limit_N: float | None
-    tare_s: float
-    tare_limit_N: float
-    dead_weight_g: float | None
-
-    @classmethod
-    def of(cls, table: InstrumentTable) -> "CellSettings":
-        """Read them from an instrument's table."""
-        return cls(
-            table.number("limit_N", at_least=1e-3) if table.has("limit_N") else None,
-            table.number("tare_s", 0.0, at_least=0.0, at_most=60.0),
-            table.number("tare_limit_N", 0.5, at_least=0.0),
-            table.number("dead_weight_g", at_least=0.1) if table.has("dead_weight_g") else None,
-        )
+    scale: Factor = 1.0
+    offset: float = 0.0
+    sign: Sign = 1
+    limit_N: Annotated[float, Field(ge=1e-3)] | None = None
+    tare_s: Annotated[float, Field(ge=0, le=60)] = 0.0
+    tare_limit_N: Annotated[float, Field(ge=0)] = 0.5
+    dead_weight_g: Annotated[float, Field(ge=0.1)] | None = None
 
 
 class ForceCell:
@@ -177,7 +154,7 @@ class ForceCell:
         self,
         context: StationContext,
         source: ForceSource,
-        settings: CellSettings,
+        settings: CellOptions,
         *,
         who: Callable[[], InstrumentIdentity],
         address: str,

@@ -10,9 +10,9 @@ from typing import Final
 from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin import StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa_plugins.hardware._board_settings import BoardSettings
+from cbsr_qa_plugins.hardware._board_settings import BoardOptions, BoardSettings
 from cbsr_qa_plugins.hardware._board_stream import (
     BINARY_FRAME,
     PAIRS,
@@ -40,7 +40,8 @@ _BACKLOG_S: Final = 0.01
 _log: Final = logging.getLogger(__name__)
 
 
-def open_board(context: StationContext) -> "ErtBoardStream":
+@driver(_DRIVER, BoardOptions)
+def open_board(context: StationContext, options: BoardOptions) -> "ErtBoardStream":
     """Open the board's port, and see that frames come as its table says.
 
     Options of its table: ``address``; ``frame_period_s``; ``format`` (``"binary"`` or ``"ascii"``); ``baud`` (binary:
@@ -60,7 +61,7 @@ def open_board(context: StationContext) -> "ErtBoardStream":
     InstrumentError
         If the port cannot be opened, or what comes from it are no frames of this format and period.
     """
-    return ErtBoardStream(context)
+    return ErtBoardStream(context, options)
 
 
 class ErtBoardStream:
@@ -71,9 +72,9 @@ class ErtBoardStream:
     it cannot be switched off, and its drive current flows while it has power.
     """
 
-    def __init__(self, context: StationContext) -> None:
+    def __init__(self, context: StationContext, options: BoardOptions) -> None:
         self._role, self._clock = context.role, context.clock
-        self._settings = settings = BoardSettings.of(context, _DRIVER)
+        self._settings = settings = BoardSettings.of(context, options, _DRIVER)
         self._address, self._period_s = settings.address, settings.period_s
         self._stream: BoardStream = TextStream(*settings.limits) if settings.text else BinaryStream()
         self._ready: deque[tuple[float, BoardFrame]] = deque()

@@ -3,28 +3,21 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Final
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
 
 from cbsr_qa.domain import ConfigError, InstrumentError, RefusedError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin import PluginOptions, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa.system import RealClock
 from cbsr_qa_plugins.hardware._esp32 import Order, Position, counter_in, is_log, last_position, scan_order
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._options import Baud, Port
 
 _DRIVER: Final = "esp32-multiplexer"
-_OPTIONS: Final = (
-    "address",
-    "baud",
-    "inner",
-    "current_skip",
-    "voltage_skip",
-    "settle_ms",
-    "boot_s",
-    "timeout_s",
-    "reconnect_s",
-)
+#: Electrodes between the two of a pair.
+Skip = Annotated[int, Field(ge=0, le=10**6)]
 
 _ESCAPE: Final = b"\x1b"
 #: The counter comes with the next log line, up to a second after it was asked for.
@@ -37,7 +30,22 @@ _PATIENCE: Final = 8.0
 _LOOK_AGAIN_S: Final = 0.2
 
 
-def open_multiplexer(context: StationContext) -> "Esp32Multiplexer":
+class MultiplexerOptions(PluginOptions):
+    """Options of its table."""
+
+    address: Port
+    baud: Baud = 115200
+    inner: Literal["current", "voltage"]
+    current_skip: Skip = 0
+    voltage_skip: Skip = 0
+    settle_ms: Annotated[float, Field(ge=0, le=1000)] = 1.0
+    boot_s: Annotated[float, Field(ge=0, le=60)] = 3.0
+    timeout_s: Annotated[float, Field(ge=0.01, le=60)] = 0.5
+    reconnect_s: Annotated[float, Field(ge=0, le=600)] = 10.0
+
+
+@driver(_DRIVER, MultiplexerOptions)
+def open_multiplexer(context: StationContext, options: MultiplexerOptions) -> "Esp32Multiplexer":
     """Open a multiplexer (role ``multiplexer``); opening its port restarts it.
 
     Options of its table: ``address`` (path of the port, or ``usb:VID:PID:SERIAL``), ``baud`` (115200), ``inner``
@@ -53,7 +61,7 @@ def open_multiplexer(context: StationContext) -> "Esp32Multiplexer":
     InstrumentError
         If the port cannot be opened, something else answers, or it steps in another order than ``inner`` says.
     """
-    return Esp32Multiplexer(context)
+    return Esp32Multiplexer(context, options)
 
 
 class Esp32Multiplexer:
@@ -63,25 +71,20 @@ class Esp32Multiplexer:
     opened anew, which restarts it.
     """
 
-    def __init__(self, context: StationContext) -> None:
-        table = InstrumentTable(context, _DRIVER, _OPTIONS)
+    def __init__(self, context: StationContext, options: MultiplexerOptions) -> None:
         self._role = context.role
         self._clock = context.clock
         self._time = RealClock()
         self._pattern = context.sensor_type.pattern
-        self._address = table.text("address", remedy='e.g. "/dev/ttyUSB0" or "usb:10C4:EA60"')
-        self._inner = table.choice("inner", ("current", "voltage"))
-        self._order = self._declared(table)
-        self._settle_s = 1e-3 * table.number("settle_ms", 1.0, at_least=0.0, at_most=1000.0)
-        self._boot_s = table.number("boot_s", 3.0, at_least=0.0, at_most=60.0)
-        self._timeout_s = table.number("timeout_s", 0.5, at_least=0.01, at_most=60.0)
-        self._reconnect_s = table.number("reconnect_s", 10.0, at_least=0.0, at_most=600.0)
+        self._address, self._inner = options.address, options.inner
+        self._order = self._declared(options)
+        self._settle_s = 1e-3 * options.settle_ms
+        self._boot_s, self._timeout_s, self._reconnect_s = options.boot_s, options.timeout_s, options.reconnect_s
         self._lock = threading.RLock()
         self._in_step = False
         #: Index of the combination that is connected; None where only asking tells.
         self._at: int | None = None
-        baud = table.whole("baud", 115200, at_least=300, at_most=4_000_000)
-        self._link = SerialLink(self._role, self._address, baud=baud, timeout_s=self._timeout_s)
+        self._link = SerialLink(self._role, self._address, baud=options.baud, timeout_s=self._timeout_s)
         try:
             self._await_boot()
             self._check_order()
@@ -172,11 +175,17 @@ class Esp32Multiplexer:
 
     # --- how ---
 
-    def _declared(self, table: InstrumentTable) -> Order:
+    def _declared(self, options: MultiplexerOptions) -> Order:
         most = self._pattern.electrode_count - 2
-        skips = [table.whole(key, 0, at_least=0, at_most=most) for key in ("current_skip", "voltage_skip")]
+        for key in ("current_skip", "voltage_skip"):
+            if (skip := getattr(options, key)) > most:
+                raise ConfigError(
+                    f"instrument {self._role!r} ({_DRIVER}): {key} is {skip}",
+                    remedy=f"it must be at most {most} with the electrodes of this sensor type",
+                )
+        skips = {"current_skip": options.current_skip, "voltage_skip": options.voltage_skip}
         try:
-            return scan_order(self._pattern, inner=self._inner, current_skip=skips[0], voltage_skip=skips[1])
+            return scan_order(self._pattern, inner=options.inner, **skips)
         except RefusedError as error:
             raise ConfigError(
                 f"instrument {self._role!r} ({_DRIVER}): {error.reason}", remedy=error.remedy

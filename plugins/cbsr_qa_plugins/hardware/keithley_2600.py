@@ -3,31 +3,21 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Final
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import MeterReading, StationContext
+from cbsr_qa.plugin import MeterReading, PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import VisaLink
 from cbsr_qa_plugins.hardware._keithley_tsp import MEASURE, TspUnit, settings
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._options import Text
 
 _DRIVER: Final = "keithley-2600"
-_OPTIONS: Final = (
-    "address",
-    "source_channel",
-    "meter_channel",
-    "compliance_V",
-    "range_V",
-    "largest_current_mA",
-    "nplc",
-    "readings",
-    "timeout_s",
-    "visa_backend",
-)
+Volts = Annotated[float, Field(ge=0.02, le=200)]
 #: Status bits of a reading in a buffer.
 _OVER_TEMPERATURE, _COMPLIANCE = 0x02, 0x40
 #: The instrument says 9.91e37 where a reading is beyond the range, or a buffer has none.
@@ -46,7 +36,29 @@ _ZERO_SHARE: Final = 1e-3
 _PATIENCE_S: Final = 0.1
 
 
-def open_source_meter(context: StationContext) -> "Keithley2600":
+class KeithleyOptions(PluginOptions):
+    """Options of its table."""
+
+    address: Annotated[Text, Field(description='a VISA resource, e.g. "TCPIP::192.168.0.5::5025::SOCKET"')]
+    source_channel: Literal["a", "b"] = "b"
+    meter_channel: Literal["a", "b"] = "a"
+    compliance_V: Volts = 20.0
+    range_V: Volts | None = None
+    largest_current_mA: Annotated[float, Field(ge=1e-4, le=1000)] = 1.0
+    nplc: Annotated[float, Field(ge=0.001, le=25)] = 0.1
+    readings: Annotated[int, Field(ge=1, le=1000)] = 1
+    timeout_s: Annotated[float, Field(ge=0.01, le=60)] = 1.0
+    visa_backend: Text = "@py"
+
+    def problems(self) -> Iterator[Problem]:
+        """One channel drives, the other measures."""
+        if self.source_channel == self.meter_channel:
+            what = f"is {self.meter_channel!r}, which both drives and measures"
+            yield Problem(("meter_channel",), what, "give source_channel and meter_channel different letters")
+
+
+@driver(_DRIVER, KeithleyOptions)
+def open_source_meter(context: StationContext, options: KeithleyOptions) -> "Keithley2600":
     """Open a source-measure unit (role ``source_meter``), switched off.
 
     Options of its table: ``address`` (VISA resource), ``source_channel`` and ``meter_channel`` (``"a"`` or ``"b"``;
@@ -61,7 +73,7 @@ def open_source_meter(context: StationContext) -> "Keithley2600":
     InstrumentError
         If nobody answers, another instrument does, or it does not take its settings.
     """
-    return Keithley2600(context)
+    return Keithley2600(context, options)
 
 
 class Keithley2600:
@@ -72,23 +84,15 @@ class Keithley2600:
     anew before it is used again; its output is then off until :meth:`source` is called.
     """
 
-    def __init__(self, context: StationContext) -> None:
-        table = InstrumentTable(context, _DRIVER, _OPTIONS)
+    def __init__(self, context: StationContext, options: KeithleyOptions) -> None:
         self._role = context.role
         self._clock = context.clock
-        self._address = table.text("address", remedy='e.g. "TCPIP::192.168.0.5::5025::SOCKET"')
-        self._source = f"smu{table.choice('source_channel', ('a', 'b'), 'b')}"
-        self._meter = f"smu{table.choice('meter_channel', ('a', 'b'), 'a')}"
-        if self._source == self._meter:
-            raise ConfigError(
-                f"instrument {self._role!r} ({_DRIVER}): {self._source} both drives and measures",
-                remedy="give source_channel and meter_channel different letters",
-            )
-        self._compliance_V = table.number("compliance_V", 20.0, at_least=0.02, at_most=200.0)
-        self._range_V = table.number("range_V", self._compliance_V, at_least=0.02, at_most=200.0)
-        self._largest_A = 1e-3 * table.number("largest_current_mA", 1.0, at_least=1e-4, at_most=1000.0)
-        self._nplc = table.number("nplc", 0.1, at_least=0.001, at_most=25.0)
-        self._readings = table.whole("readings", 1, at_least=1, at_most=1000)
+        self._address = options.address
+        self._source, self._meter = f"smu{options.source_channel}", f"smu{options.meter_channel}"
+        self._compliance_V = options.compliance_V
+        self._range_V = options.compliance_V if options.range_V is None else options.range_V
+        self._largest_A = 1e-3 * options.largest_current_mA
+        self._nplc, self._readings = options.nplc, options.readings
         self._line_Hz = 50.0
         self._lock = threading.RLock()
         self._ready = False
@@ -96,8 +100,8 @@ class Keithley2600:
         self._link = VisaLink(
             self._role,
             self._address,
-            timeout_s=table.number("timeout_s", 1.0, at_least=0.01, at_most=60.0) + self.reading_period_s,
-            backend=table.text("visa_backend", "@py"),
+            timeout_s=options.timeout_s + self.reading_period_s,
+            backend=options.visa_backend,
         )
         self._unit = TspUnit(self._link)
         try:

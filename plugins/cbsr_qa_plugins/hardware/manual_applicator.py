@@ -1,23 +1,30 @@
 """A head that an operator moves by hand: a stand with a spindle and scales, or weights put on a guided plunger."""
 
-from typing import Final
+from typing import Annotated, Final
+
+from pydantic import Field
 
 from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import StationContext
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa.plugin import PluginOptions, StationContext, driver
+from cbsr_qa_plugins.hardware._options import RIG_MOTION, Text
 from cbsr_qa_plugins.hardware.manual_samplers import Operator
 
 _DRIVER: Final = "manual-applicator"
-_KEYS: Final = ("label", "number", "tolerance_mm")
-#: Where the station states no motion: the rig's.
-_RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
 #: A depth that was missed so often is not going to be met.
 _MOST_PRESSED: Final = 5
 
 
-def open_applicator(context: StationContext) -> "ManualApplicator":
+class ManualHeadOptions(PluginOptions):
+    """Options of its table."""
+
+    label: Text = "head moved by hand"
+    number: Text | None = None
+    tolerance_mm: Annotated[float, Field(ge=1e-3, le=1)] = 0.05
+
+
+@driver(_DRIVER, ManualHeadOptions)
+def open_applicator(context: StationContext, options: ManualHeadOptions) -> "ManualApplicator":
     """Open a head that is moved by hand.
 
     Options of its table: ``label`` and ``number`` of the stand, for the record; ``tolerance_mm`` (how far a depth may
@@ -28,7 +35,7 @@ def open_applicator(context: StationContext) -> "ManualApplicator":
     ConfigError
         If an option is wrong, or there is no operator to be asked.
     """
-    return ManualApplicator(context)
+    return ManualApplicator(context, options)
 
 
 class ManualApplicator:
@@ -37,14 +44,13 @@ class ManualApplicator:
     Depths are read from a scale that is zero at the hover height and grows downwards.
     """
 
-    def __init__(self, context: StationContext) -> None:
-        table = InstrumentTable(context, _DRIVER, _KEYS)
+    def __init__(self, context: StationContext, options: ManualHeadOptions) -> None:
         self._role = context.role
         self._operator = Operator(context, _DRIVER)
-        self._motion = context.motion or _RIG_MOTION
-        self._model = table.text("label", "head moved by hand")
-        self._serial = table.text("number") if table.has("number") else ""
-        self._tolerance_mm = table.number("tolerance_mm", 0.05, at_least=1e-3, at_most=1.0)
+        self._motion = context.motion or RIG_MOTION
+        self._model = options.label
+        self._serial = options.number or ""
+        self._tolerance_mm = options.tolerance_mm
         self._surfaces: dict[tuple[float, float], float] = {}
         self._place: tuple[float, float] | None = None
         self._down = False

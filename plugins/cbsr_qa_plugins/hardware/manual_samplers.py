@@ -8,15 +8,16 @@ A load cell or scale that an operator reads.
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Final, Protocol, runtime_checkable
+from typing import Annotated, Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
+from pydantic import Field
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import Instrument, StationContext
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa.plugin import Instrument, PluginOptions, StationContext, driver
+from cbsr_qa_plugins.hardware._options import Text
 
 #: After so many answers that are none, somebody else should look.
 _MOST_ASKED: Final = 5
@@ -121,14 +122,24 @@ def _parsed(said: str, unit: str) -> float | None:
 
 
 _DRIVER: Final = "manual-load-cell"
-_KEYS: Final = ("label", "number", "unit", "capacity", "tare")
 _GRAVITY: Final = 9.80665  # standard gravity [m/s²]
 _NEWTONS: Final[Mapping[str, float]] = {"N": 1.0, "g": 1e-3 * _GRAVITY, "kg": _GRAVITY}
 #: How long a reading counts where the station says nothing [s].
 _COUNTS_S: Final = 2.0
 
 
-def open_load_cell(context: StationContext) -> "ManualLoadCell":
+class ManualCellOptions(PluginOptions):
+    """Options of the load cell's table."""
+
+    label: Text = "load cell read by hand"
+    number: Text | None = None
+    unit: Literal["N", "g", "kg"]
+    capacity: Annotated[float, Field(ge=1e-6)]
+    tare: bool = True
+
+
+@driver(_DRIVER, ManualCellOptions)
+def open_load_cell(context: StationContext, options: ManualCellOptions) -> "ManualLoadCell":
     """Open a load cell that is read by an operator.
 
     Options of its table: ``label`` and ``number``, for the record; ``unit`` it shows (``"N"``, ``"g"`` or ``"kg"``,
@@ -140,7 +151,7 @@ def open_load_cell(context: StationContext) -> "ManualLoadCell":
     ConfigError
         If an option is missing or wrong, or there is no operator to be asked.
     """
-    return ManualLoadCell(context)
+    return ManualLoadCell(context, options)
 
 
 class ManualLoadCell:
@@ -154,15 +165,12 @@ class ManualLoadCell:
     channel = "force"
     unit = "N"
 
-    def __init__(self, context: StationContext) -> None:
-        table = InstrumentTable(context, _DRIVER, _KEYS)
+    def __init__(self, context: StationContext, options: ManualCellOptions) -> None:
         self._role, self._clock = context.role, context.clock
         self._operator = Operator(context, _DRIVER)
-        self._model = table.text("label", "load cell read by hand")
-        self._serial = table.text("number") if table.has("number") else ""
-        self._shown = table.choice("unit", tuple(_NEWTONS))
-        self._most = table.number("capacity", at_least=1e-6)
-        self._tare: float | None = None if table.flag("tare", True) else 0.0
+        self._model, self._serial = options.label, options.number or ""
+        self._shown, self._most = options.unit, options.capacity
+        self._tare: float | None = None if options.tare else 0.0
         self._again_s = (context.safety.stale_s if context.safety is not None else _COUNTS_S) / 2
         self._head: HandMoved | None = None
         self._orders = -1
@@ -223,13 +231,21 @@ class ManualLoadCell:
 
 
 _DRIVER_MANUAL_THERMOMETER: Final = "manual-thermometer"
-_KEYS_MANUAL_THERMOMETER: Final = ("label", "number", "every_min")
 #: A limited temperature may be five minutes old; a question takes its time.
 _LIMITED_MIN, _UNLIMITED_MIN = 3.0, 30.0
 _COLDEST_C, _HOTTEST_C = -40.0, 100.0
 
 
-def open_thermometer(context: StationContext) -> "ManualThermometer":
+class ManualThermometerOptions(PluginOptions):
+    """Options of the thermometer's table."""
+
+    label: Text = "thermometer read by hand"
+    number: Text | None = None
+    every_min: Annotated[float, Field(ge=0.1)] | None = None
+
+
+@driver(_DRIVER_MANUAL_THERMOMETER, ManualThermometerOptions)
+def open_thermometer(context: StationContext, options: ManualThermometerOptions) -> "ManualThermometer":
     """Open a thermometer that is read by an operator; it samples ``temperature`` [°C].
 
     Options of its table: ``label`` and ``number``, for the record; ``every_min`` (how often it is asked for; by
@@ -240,7 +256,7 @@ def open_thermometer(context: StationContext) -> "ManualThermometer":
     ConfigError
         If an option is wrong, or there is no operator to be asked.
     """
-    return ManualThermometer(context)
+    return ManualThermometer(context, options)
 
 
 class ManualThermometer:
@@ -249,15 +265,12 @@ class ManualThermometer:
     channel = "temperature"
     unit = "°C"
 
-    def __init__(self, context: StationContext) -> None:
-        table = InstrumentTable(context, _DRIVER_MANUAL_THERMOMETER, _KEYS_MANUAL_THERMOMETER)
+    def __init__(self, context: StationContext, options: ManualThermometerOptions) -> None:
         self._role, self._clock = context.role, context.clock
         self._operator = Operator(context, _DRIVER_MANUAL_THERMOMETER)
-        self._label = table.text("label", "thermometer read by hand")
-        self._number = table.text("number") if table.has("number") else ""
+        self._label, self._number = options.label, options.number or ""
         limited = context.safety is not None and context.safety.temperature_C is not None
-        every_min = table.number("every_min", _LIMITED_MIN if limited else _UNLIMITED_MIN, at_least=0.1)
-        self._every_s = 60.0 * every_min
+        self._every_s = 60.0 * (options.every_min or (_LIMITED_MIN if limited else _UNLIMITED_MIN))
         self._last: tuple[float, float] | None = None
 
     # --- instrument ---

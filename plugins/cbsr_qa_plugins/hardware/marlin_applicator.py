@@ -6,43 +6,65 @@ from here, because a halted printer leaves the head in the sheet.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from typing import Final
+from typing import Annotated, Final, Literal
 
 import numpy as np
+from pydantic import Field
 
 from cbsr_qa.domain import CbsrError, ConfigError, InstrumentError
 from cbsr_qa.domain.plan import CLEARANCE_MM, SEARCH_CONTACT_STEPS, SEARCH_DWELL_S, SEARCH_FROM_MM, SEARCH_STEP_MM
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import Instrument, StationContext
+from cbsr_qa.plugin import Array, Instrument, PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa_plugins.hardware._force_watch import ForceWatch, force_among
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 from cbsr_qa_plugins.hardware._marlin_axes import Machine, MarlinAxes, Position
 from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._options import Port
 
 _DRIVER: Final = "marlin-applicator"
-_OPTIONS: Final = (
-    "address",
-    "baud",
-    "timeout_s",
-    "boot_s",
-    "firmware",
-    "steps_per_mm",
-    "centre_mm",
-    "hover_height_mm",
-    "z_axis",
-    "acceleration_mm_s2",
-    "contact_force_N",
-    "search_depth_mm",
-)
-_FIRMWARES: Final = ("prusa", "marlin")
+_MILLIMETRES: Final = (1.0, 1.0, 1.0)
+Steps = Annotated[float, Field(gt=0)]
 
 
-def open_applicator(context: StationContext) -> "MarlinApplicator":
+class MarlinOptions(PluginOptions):
+    """Options of its table."""
+
+    address: Port
+    baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115200
+    timeout_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
+    boot_s: Annotated[float, Field(ge=0.5, le=120)] = 10.0
+    firmware: Literal["prusa", "marlin"] = "prusa"
+    steps_per_mm: Annotated[tuple[Steps, Steps, Steps], Array] | None = None
+    centre_mm: Annotated[tuple[float, float], Array]
+    hover_height_mm: float
+    z_axis: Literal["up", "down"] = "up"
+    acceleration_mm_s2: Annotated[float, Field(ge=1, le=20_000)] = 200.0
+    contact_force_N: Annotated[float, Field(ge=0.01, le=5)] = 0.2
+    search_depth_mm: Annotated[float, Field(ge=0.1)] = 1.0
+
+    def problems(self) -> Iterator[Problem]:
+        """Stock Marlin counts in steps."""
+        if self.firmware == "marlin" and self.steps_per_mm is None:
+            yield Problem(("steps_per_mm",), "is missing", "stock Marlin counts in steps: give those of x, y and z")
+
+    def machine(self, hover_mm: float) -> Machine:
+        """Where the sheet lies in the machine."""
+        return Machine(
+            centre_mm=self.centre_mm,
+            hover_z_mm=self.hover_height_mm,
+            hover_mm=hover_mm,
+            upward=1 if self.z_axis == "up" else -1,
+            per_mm=(self.steps_per_mm or _MILLIMETRES) if self.firmware == "marlin" else _MILLIMETRES,
+            acceleration_mm_s2=self.acceleration_mm_s2,
+        )
+
+
+@driver(_DRIVER, MarlinOptions)
+def open_applicator(context: StationContext, options: MarlinOptions) -> "MarlinApplicator":
     """Open a printer as force applicator; it also samples ``head depth`` [mm below the nominal surface].
 
     Options of its table
@@ -65,25 +87,19 @@ def open_applicator(context: StationContext) -> "MarlinApplicator":
     InstrumentError
         If nobody answers at the address, or another instrument or firmware does.
     """
-    table = InstrumentTable(context, _DRIVER, _OPTIONS)
     if context.motion is None:
         raise ConfigError(
             f"instrument {context.role!r} ({_DRIVER}) was given no motion", remedy="open it by a station"
         )
-    machine = _machine(table, context.motion.hover_mm)
-    address = table.text("address", remedy='name its serial port, e.g. address = "usb:2C99:0002"')
-    baud = table.whole("baud", 115200, at_least=1200, at_most=4_000_000)
-    timeout_s = table.number("timeout_s", 1.0, at_least=0.05, at_most=60.0)
-    boot_s = table.number("boot_s", 10.0, at_least=0.5, at_most=120.0)
-    firmware = table.choice("firmware", _FIRMWARES, "prusa")
-    contact_N = table.number("contact_force_N", 0.2, at_least=0.01, at_most=5.0)
-    search_mm = table.number("search_depth_mm", 1.0, at_least=0.1, at_most=context.sensor_type.thickness_mm)
-    link = SerialLink(context.role, address, baud=baud, timeout_s=timeout_s)
-    try:
-        marlin = MarlinLink(link, boot_s=boot_s)
-        return MarlinApplicator(
-            context, link, marlin, machine, firmware=firmware, contact_force_N=contact_N, search_depth_mm=search_mm
+    if options.search_depth_mm > context.sensor_type.thickness_mm:
+        raise ConfigError(
+            f"instrument {context.role!r} ({_DRIVER}): search_depth_mm is {options.search_depth_mm}",
+            remedy=f"it must be at most the sheet's thickness, {context.sensor_type.thickness_mm:g}",
         )
+    link = SerialLink(context.role, options.address, baud=options.baud, timeout_s=options.timeout_s)
+    try:
+        marlin = MarlinLink(link, boot_s=options.boot_s)
+        return MarlinApplicator(context, options, link, marlin)
     except BaseException:
         link.close()
         raise
@@ -94,10 +110,8 @@ class MarlinApplicator:
 
     Parameters
     ----------
-    context : of the station.
+    context, options : of the station.
     link, marlin : the open port, and the protocol on it.
-    machine : where the sheet lies in the machine.
-    firmware, contact_force_N, search_depth_mm : as in :func:`open_applicator`.
 
     Raises
     ------
@@ -108,22 +122,13 @@ class MarlinApplicator:
     channel = "head depth"
     unit = "mm"
 
-    def __init__(
-        self,
-        context: StationContext,
-        link: SerialLink,
-        marlin: MarlinLink,
-        machine: Machine,
-        *,
-        firmware: str,
-        contact_force_N: float,
-        search_depth_mm: float,
-    ) -> None:
+    def __init__(self, context: StationContext, options: MarlinOptions, link: SerialLink, marlin: MarlinLink) -> None:
         assert context.motion is not None
         self._context, self._motion, self._clock = context, context.motion, context.clock
+        machine = options.machine(context.motion.hover_mm)
         self._link, self._marlin, self._machine = link, marlin, machine
-        self._firmware = firmware
-        self._contact_force_N, self._search_depth_mm = contact_force_N, search_depth_mm
+        self._firmware = options.firmware
+        self._contact_force_N, self._search_depth_mm = options.contact_force_N, options.search_depth_mm
         self._axes = MarlinAxes(
             marlin, machine, context.clock, lift_mm_s=self._motion.travel_speed_mm_s, fail=self._error
         )
@@ -323,21 +328,3 @@ class MarlinApplicator:
 
     def _error(self, reason: str, remedy: str) -> InstrumentError:
         return InstrumentError(self._context.role, self._link.address, reason, remedy=remedy)
-
-
-def _machine(table: InstrumentTable, hover_mm: float) -> Machine:
-    x, y = table.numbers("centre_mm", 2)
-    steps = (1.0, 1.0, 1.0)
-    if table.choice("firmware", _FIRMWARES, "prusa") == "marlin":
-        per_x, per_y, per_z = table.numbers("steps_per_mm", 3)
-        steps = (per_x, per_y, per_z)
-        if min(steps) <= 0:
-            raise table.wrong("steps_per_mm", list(steps), "they are above 0")
-    return Machine(
-        centre_mm=(x, y),
-        hover_z_mm=table.number("hover_height_mm"),
-        hover_mm=hover_mm,
-        upward=1 if table.choice("z_axis", ("up", "down"), "up") == "up" else -1,
-        per_mm=steps,
-        acceleration_mm_s2=table.number("acceleration_mm_s2", 200.0, at_least=1.0, at_most=20_000.0),
-    )

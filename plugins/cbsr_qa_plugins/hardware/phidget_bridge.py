@@ -8,22 +8,22 @@ import ctypes
 import sys
 from contextlib import suppress
 from importlib import import_module
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin import StationContext, driver
 from cbsr_qa.plugin.links import AddressLock
 from cbsr_qa.system import Clock
-from cbsr_qa_plugins.hardware._force_cell import CELL_OPTIONS, CellSettings, ForceCell, Scale
+from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell, Scale
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._options import Factor
 
 _DRIVER: Final = "phidget-bridge"
-_OPTIONS: Final = ("device_serial", "channel", "gain", "data_interval_ms", "attach_s", *CELL_OPTIONS)
 _GAINS: Final = (1, 8, 16, 32, 64, 128)
 _TIMEOUT: Final = 0x3  # nobody attached in time
 _SILENT_INTERVALS: Final = 10
@@ -34,7 +34,25 @@ _LIBUSB: Final = (
 _PLUG: Final = "plug it in; on Linux its udev rule (99-libphidget22.rules) must let this user open it"
 
 
-def open_bridge(context: StationContext) -> ForceCell:
+def _gain(value: int) -> int:
+    if value not in _GAINS:
+        raise ValueError(f"it must be one of {', '.join(map(str, _GAINS))}")
+    return value
+
+
+class BridgeOptions(CellOptions):
+    """Options of its table."""
+
+    scale: Factor
+    device_serial: Annotated[int, Field(ge=0, le=2**31)] | None = None
+    channel: Annotated[int, Field(ge=0, le=7)] = 0
+    gain: Annotated[int, AfterValidator(_gain)] = 128
+    data_interval_ms: Annotated[int, Field(ge=8, le=60_000)] = 125
+    attach_s: Annotated[float, Field(ge=0.01, le=60)] = 5.0
+
+
+@driver(_DRIVER, BridgeOptions)
+def open_bridge(context: StationContext, options: BridgeOptions) -> ForceCell:
     """Open a bridge input as load cell; it samples ``force`` [N], compression positive.
 
     Options of its table
@@ -56,23 +74,18 @@ def open_bridge(context: StationContext) -> ForceCell:
     InstrumentError
         If the bridge does not attach, or something presses on the cell while it is tared.
     """
-    table = InstrumentTable(context, _DRIVER, _OPTIONS)
-    scale, settings = Scale.of(table, "g", stated=True), CellSettings.of(table)
-    gain = table.whole("gain", 128, at_least=1, at_most=128)
-    if gain not in _GAINS:
-        raise table.wrong("gain", gain, f"it is one of {', '.join(map(str, _GAINS))}")
     source = PhidgetSource(
         context.role,
         context.clock,
-        scale,
-        device_serial=table.whole("device_serial", at_least=0, at_most=2**31) if table.has("device_serial") else None,
-        channel=table.whole("channel", 0, at_least=0, at_most=7),
-        gain=gain,
-        interval_ms=table.whole("data_interval_ms", 125, at_least=8, at_most=60_000),
-        attach_s=table.number("attach_s", 5.0, at_least=0.01, at_most=60.0),
+        Scale.of(options, "g"),
+        device_serial=options.device_serial,
+        channel=options.channel,
+        gain=options.gain,
+        interval_ms=options.data_interval_ms,
+        attach_s=options.attach_s,
     )
     try:
-        cell = ForceCell(context, source, settings, who=source.identity, address=source.address)
+        cell = ForceCell(context, source, options, who=source.identity, address=source.address)
         cell.tare()
     except BaseException:
         source.close()

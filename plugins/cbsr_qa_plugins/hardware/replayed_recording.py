@@ -8,19 +8,27 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.domain import ConfigError, InstrumentError, PluginError, RecordingError
-from cbsr_qa.domain.plan import Motion, steps as kinematics
+from cbsr_qa.domain.plan import steps as kinematics
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import StationContext
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa.plugin import PluginOptions, StationContext, driver
+from cbsr_qa_plugins.hardware._options import RIG_MOTION, Text
 
 _DRIVER: Final = "replayed-recording"
-_KEYS: Final = ("file", "format", "dataset", "channel", "start_s")
-#: Where the station states no motion: the rig's.
-_RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
 
 
-def open_replay(context: StationContext) -> "ReplayedRecording":
+class ReplayOptions(PluginOptions):
+    """Options of its table."""
+
+    file: Text
+    format: Text | None = None
+    dataset: Text | None = None
+    channel: Text = "force"
+    start_s: float | None = None
+
+
+@driver(_DRIVER, ReplayOptions)
+def open_replay(context: StationContext, options: ReplayOptions) -> "ReplayedRecording":
     """Open a recording as frame source, sampler of one of its channels, and head that only keeps time.
 
     Options of its table: ``file``; ``format`` (by default the file is recognised) and ``dataset`` (of a file that
@@ -32,7 +40,7 @@ def open_replay(context: StationContext) -> "ReplayedRecording":
     ConfigError
         If an option is wrong, the file cannot be read, or its frames are none of the station's sensor type.
     """
-    return ReplayedRecording(context)
+    return ReplayedRecording(context, options)
 
 
 class ReplayedRecording:
@@ -44,19 +52,18 @@ class ReplayedRecording:
     nothing: it takes the time that the station's motion says.
     """
 
-    def __init__(self, context: StationContext) -> None:
-        table = InstrumentTable(context, _DRIVER, _KEYS)
+    def __init__(self, context: StationContext, options: ReplayOptions) -> None:
         self._role, self._clock = context.role, context.clock
-        self._motion = context.motion or _RIG_MOTION
+        self._motion = context.motion or RIG_MOTION
         self._who = f"instrument {context.role!r} ({_DRIVER})"
-        self._recording = recording = _read(context, table)
+        self._recording = recording = _read(context, options)
         _check_frames(recording, context, self._who)
-        self._wanted = table.text("channel", "force")
+        self._wanted = options.channel
         self._samples = next((block for block in recording.samples if block.channel == self._wanted), None)
         self._period_s = float(np.median(np.diff(recording.frames.time_s)))
         begins_s = [float(recording.frames.time_s[0]) - self._period_s / 2]
         begins_s += [float(block.time_s[0]) for block in recording.samples if len(block)]
-        start_s = table.number("start_s", min(begins_s))
+        start_s = min(begins_s) if options.start_s is None else options.start_s
         #: What is added to the recording's time to get the station's.
         self._shift_s = context.clock.now() - context.resumed_at_s - start_s
         self._place = (0.0, 0.0)
@@ -189,17 +196,14 @@ class ReplayedRecording:
         return InstrumentError(self._role, str(self._recording.path), reason, remedy=remedy)
 
 
-def _read(context: StationContext, table: InstrumentTable) -> Recording:
+def _read(context: StationContext, options: ReplayOptions) -> Recording:
     if context.read_recording is None:
         raise ConfigError(
             f"instrument {context.role!r} ({_DRIVER}) was given no way to read recordings",
             remedy="open it by a station file",
         )
-    path = Path(table.text("file", remedy="name the recording to replay")).expanduser()
-    format_ = table.text("format") if table.has("format") else None
-    dataset = table.text("dataset") if table.has("dataset") else None
     try:
-        return context.read_recording(path, format_, dataset)
+        return context.read_recording(Path(options.file).expanduser(), options.format, options.dataset)
     except (RecordingError, PluginError) as error:
         raise ConfigError(f"instrument {context.role!r} ({_DRIVER}): {error.reason}", remedy=error.remedy) from error
 

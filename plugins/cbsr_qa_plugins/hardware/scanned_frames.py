@@ -1,21 +1,30 @@
 """Frames taken reading by reading: a source-measure unit, and a multiplexer that connects it to the pins."""
 
 import logging
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, join_frames
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
-from cbsr_qa.plugin import Instrument, MeterReading, Multiplexer, SourceMeter, StationContext
+from cbsr_qa.plugin import (
+    Instrument,
+    MeterReading,
+    Multiplexer,
+    PluginOptions,
+    Problem,
+    SourceMeter,
+    StationContext,
+    driver,
+)
 from cbsr_qa_plugins.hardware._contact_check import ContactFault, ContactState, contact_faults
-from cbsr_qa_plugins.hardware._options import InstrumentTable
 
 _DRIVER: Final = "scanned-frames"
-_OPTIONS: Final = ("current", "current_mA", "largest_current_mA", "headroom_percent", "contacts", "polarity")
+Milliampere = Annotated[float, Field(ge=1e-4, le=1000)]
 #: The contacts are looked at with this share of the largest current: 200 kΩ and more count as open at 20 V and 1 mA.
 _TEST_SHARE: Final = 0.1
 #: Currents that are chosen are one of these times a power of ten: the same sensor is read with the same current
@@ -26,7 +35,24 @@ _WHERE: Final = "the bench"
 _log: Final = logging.getLogger(__name__)
 
 
-def open_frames(context: StationContext) -> "ScannedFrames":
+class ScanOptions(PluginOptions):
+    """Options of its table."""
+
+    current: Literal["auto"] | None = None
+    current_mA: Milliampere | None = None
+    largest_current_mA: Milliampere = 1.0
+    headroom_percent: Annotated[float, Field(ge=0, le=90)] = 25.0
+    contacts: Literal["refuse", "warn"] = "refuse"
+    polarity: Literal["normal", "reversed"] = "normal"
+
+    def problems(self) -> Iterator[Problem]:
+        """A current is stated or chosen."""
+        if self.current is not None and self.current_mA is not None:
+            yield Problem(("current",), "is given, and current_mA too", "leave one of them out")
+
+
+@driver(_DRIVER, ScanOptions)
+def open_frames(context: StationContext, options: ScanOptions) -> "ScannedFrames":
     """Open a frame source that scans with the bench's ``source_meter`` and ``multiplexer``.
 
     Options of its table: ``current_mA``, or ``current = "auto"`` (the default: as much as leaves the headroom on this
@@ -39,7 +65,7 @@ def open_frames(context: StationContext) -> "ScannedFrames":
     ConfigError
         If an option is unknown or out of range.
     """
-    return ScannedFrames(context)
+    return ScannedFrames(context, options)
 
 
 class ScannedFrames:
@@ -50,16 +76,15 @@ class ScannedFrames:
     the next attempt begins with the first reading.
     """
 
-    def __init__(self, context: StationContext) -> None:
-        table = InstrumentTable(context, _DRIVER, _OPTIONS)
+    def __init__(self, context: StationContext, options: ScanOptions) -> None:
         self._role = context.role
         self._clock = context.clock
         self._pattern = context.sensor_type.pattern
-        self._stated_A = _stated_A(table, context.role)
-        self._largest_A = 1e-3 * table.number("largest_current_mA", 1.0, at_least=1e-4, at_most=1000.0)
-        self._used = 1 - table.number("headroom_percent", 25.0, at_least=0.0, at_most=90.0) / 100
-        self._refuses = table.choice("contacts", ("refuse", "warn"), "refuse") == "refuse"
-        self._sign = -1.0 if table.choice("polarity", ("normal", "reversed"), "normal") == "reversed" else 1.0
+        self._stated_A = None if options.current_mA is None else 1e-3 * options.current_mA
+        self._largest_A = 1e-3 * options.largest_current_mA
+        self._used = 1 - options.headroom_percent / 100
+        self._refuses = options.contacts == "refuse"
+        self._sign = -1.0 if options.polarity == "reversed" else 1.0
         self._meter: SourceMeter
         self._multiplexer: Multiplexer
         self._period_s = 0.0
@@ -258,17 +283,6 @@ class ScannedFrames:
 
     def _refused(self, reason: str, remedy: str) -> InstrumentError:
         return InstrumentError(self._role, _WHERE, reason, remedy=remedy)
-
-
-def _stated_A(table: InstrumentTable, role: str) -> float | None:
-    if not table.has("current_mA"):
-        table.choice("current", ("auto",), "auto")
-        return None
-    if table.has("current"):
-        raise ConfigError(
-            f"instrument {role!r} ({_DRIVER}) has both current and current_mA", remedy="leave one of them out"
-        )
-    return 1e-3 * table.number("current_mA", at_least=1e-4, at_most=1000.0)
 
 
 def _round_down(current_A: float) -> float:

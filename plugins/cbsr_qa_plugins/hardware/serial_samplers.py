@@ -6,22 +6,40 @@ Lines carry no checksum: one that is no number is skipped, but a digit that was 
 a reading.
 """
 
-from typing import Final
+from collections.abc import Iterator
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
 
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin import PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa_plugins.hardware._force_cell import CELL_OPTIONS, CellSettings, ForceCell, Scale
+from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell, Scale
 from cbsr_qa_plugins.hardware._line_sampler import LineSampler
-from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._options import Baud, Factor, Port
 
 _DRIVER: Final = "serial-load-cell"
-_OPTIONS: Final = ("address", "baud", "time", "rate_hz", "boot_s", "unit", *CELL_OPTIONS)
-_UNITS: Final = ("N", "g", "counts")
 
 
-def open_load_cell(context: StationContext) -> ForceCell:
+class LoadCellOptions(CellOptions):
+    """Options of the load cell's table."""
+
+    address: Port
+    baud: Baud = 115200
+    time: Literal["device_ms", "arrival"] = "device_ms"
+    rate_hz: Annotated[float, Field(ge=0.1, le=10_000)] = 8.0
+    boot_s: Annotated[float, Field(ge=0.1, le=60)] = 5.0
+    unit: Literal["N", "g", "counts"] = "N"
+
+    def problems(self) -> Iterator[Problem]:
+        """Nobody but the table knows what a count is."""
+        if self.unit == "counts" and "scale" not in self.model_fields_set:
+            yield Problem(("scale",), "is missing", "it must be how many newtons one count is")
+
+
+@driver(_DRIVER, LoadCellOptions)
+def open_load_cell(context: StationContext, options: LoadCellOptions) -> ForceCell:
     """Open a load cell that sends lines of text; it samples ``force`` [N], compression positive.
 
     Options of its table
@@ -46,20 +64,14 @@ def open_load_cell(context: StationContext) -> ForceCell:
     InstrumentError
         If no such lines come from the address, or something presses on the cell while it is tared.
     """
-    table = InstrumentTable(context, _DRIVER, _OPTIONS)
-    unit = table.choice("unit", _UNITS, "N")
-    scale, settings = Scale.of(table, unit, stated=unit == "counts"), CellSettings.of(table)
-    rate_hz = table.number("rate_hz", 8.0, at_least=0.1, at_most=10_000.0)
-    timed = table.choice("time", ("device_ms", "arrival"), "device_ms") == "device_ms"
-    boot_s = table.number("boot_s", 5.0, at_least=0.1, at_most=60.0)
-    address = table.text("address", remedy='name its serial port, e.g. address = "usb:1A86:7523"')
-    link = SerialLink(context.role, address, baud=table.whole("baud", 115200, at_least=300, at_most=4_000_000))
-    lines = LineSampler(link, context.clock, timed=timed, rate_hz=rate_hz, convert=scale.force_N)
-    model = f"load cell that sends lines of text, {unit}"
+    scale, timed = Scale.of(options, options.unit), options.time == "device_ms"
+    link = SerialLink(context.role, options.address, baud=options.baud)
+    lines = LineSampler(link, context.clock, timed=timed, rate_hz=options.rate_hz, convert=scale.force_N)
+    model = f"load cell that sends lines of text, {options.unit}"
     who = InstrumentIdentity(context.role, _DRIVER, model, "", "", simulated=False)
     try:
-        lines.wait_for_first(boot_s)
-        cell = ForceCell(context, lines, settings, who=lambda: who, address=address)
+        lines.wait_for_first(options.boot_s)
+        cell = ForceCell(context, lines, options, who=lambda: who, address=options.address)
         cell.tare()
     except BaseException:
         lines.close()
@@ -68,10 +80,22 @@ def open_load_cell(context: StationContext) -> ForceCell:
 
 
 _DRIVER_SERIAL_THERMOMETER: Final = "serial-thermometer"
-_OPTIONS_SERIAL_THERMOMETER: Final = ("address", "baud", "time", "rate_hz", "scale", "offset", "boot_s")
 
 
-def open_thermometer(context: StationContext) -> "SerialThermometer":
+class ThermometerOptions(PluginOptions):
+    """Options of the thermometer's table."""
+
+    address: Port
+    baud: Baud = 9600
+    time: Literal["arrival", "device_ms"] = "arrival"
+    rate_hz: Annotated[float, Field(ge=0.001, le=1000)] = 1.0
+    scale: Factor = 1.0
+    offset: float = 0.0
+    boot_s: Annotated[float, Field(ge=0.1, le=3600)] = 5.0
+
+
+@driver(_DRIVER_SERIAL_THERMOMETER, ThermometerOptions)
+def open_thermometer(context: StationContext, options: ThermometerOptions) -> "SerialThermometer":
     """Open a thermometer that sends lines of text; it samples ``temperature`` [°C].
 
     Options of its table
@@ -90,23 +114,16 @@ def open_thermometer(context: StationContext) -> "SerialThermometer":
     InstrumentError
         If no such lines come from the address.
     """
-    table = InstrumentTable(context, _DRIVER_SERIAL_THERMOMETER, _OPTIONS_SERIAL_THERMOMETER)
-    scale, offset = table.number("scale", 1.0), table.number("offset", 0.0)
-    if scale == 0:
-        raise table.wrong("scale", scale, "it is a number other than 0")
-    rate_hz = table.number("rate_hz", 1.0, at_least=0.001, at_most=1000.0)
-    timed = table.choice("time", ("arrival", "device_ms"), "arrival") == "device_ms"
-    boot_s = table.number("boot_s", 5.0, at_least=0.1, at_most=3600.0)
-    link = SerialLink(
-        context.role,
-        table.text("address", remedy='name its serial port, e.g. address = "usb:1A86:7523"'),
-        baud=table.whole("baud", 9600, at_least=300, at_most=4_000_000),
-    )
+    link = SerialLink(context.role, options.address, baud=options.baud)
     lines = LineSampler(
-        link, context.clock, timed=timed, rate_hz=rate_hz, convert=lambda number: scale * number + offset
+        link,
+        context.clock,
+        timed=options.time == "device_ms",
+        rate_hz=options.rate_hz,
+        convert=lambda number: options.scale * number + options.offset,
     )
     try:
-        lines.wait_for_first(boot_s)
+        lines.wait_for_first(options.boot_s)
     except BaseException:
         lines.close()
         raise

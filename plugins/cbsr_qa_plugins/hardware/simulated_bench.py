@@ -1,36 +1,35 @@
 """A whole bench in one object: frames, head and load cell over one simulated world."""
 
-import math
-from collections.abc import Mapping
 from dataclasses import replace
-from difflib import get_close_matches
-from typing import Any, Final
+from typing import Annotated, Final
 
 import numpy as np
+from pydantic import Field
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.plan import CONTACT_LENGTH_MM, Motion
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin import PluginOptions, StationContext, driver
 from cbsr_qa.simulate import SimulatedHead, SimulatedWorld, StepAddresses
 from cbsr_qa.system import in_ticks, on_tick
+from cbsr_qa_plugins.hardware._options import RIG_MOTION
 
 _DRIVER: Final = "simulated-bench"
 _FORCE_RATE_HZ: Final = 8  # of the rig's load cell; a power of two, so that sample times are exact
 
-#: Options of the instrument's table and their lowest values. The station's motion is the default of the first two.
-_OPTIONS: Final[Mapping[str, float]] = {
-    "hover_mm": 1.0,
-    "travel_speed_mm_s": 0.01,
-    "contact_length_mm": 1e-6,
-}
-#: Where the station states none: the rig's press speed of 40 mm/min, and the shipped station's other numbers.
-_RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
-_OTHER_KEYS: Final = ("scene",)  # read by whoever opened the bench
+
+class BenchOptions(PluginOptions):
+    """Options of its table. The station's motion is the default of the first two."""
+
+    hover_mm: Annotated[float, Field(ge=1)] | None = None
+    travel_speed_mm_s: Annotated[float, Field(ge=0.01)] | None = None
+    contact_length_mm: Annotated[float, Field(ge=1e-6)] = CONTACT_LENGTH_MM
+    scene: str | None = None
 
 
-def open_bench(context: StationContext) -> "SimulatedBench":
+@driver(_DRIVER, BenchOptions)
+def open_bench(context: StationContext, options: BenchOptions) -> "SimulatedBench":
     """Open a simulated bench (frame source, force applicator and the sampler ``force``).
 
     Options of its table: ``hover_mm`` and ``travel_speed_mm_s`` (default: the station's motion),
@@ -41,7 +40,7 @@ def open_bench(context: StationContext) -> "SimulatedBench":
     ConfigError
         If an option is unknown or out of range, or the scene or its effects are missing or do not fit together.
     """
-    return SimulatedBench(context)
+    return SimulatedBench(context, options)
 
 
 class SimulatedBench:
@@ -50,13 +49,12 @@ class SimulatedBench:
     channel = "force"
     unit = "N"
 
-    def __init__(self, context: StationContext) -> None:
+    def __init__(self, context: StationContext, options: BenchOptions) -> None:
         if context.scene is None or context.effect_factory is None:
             raise ConfigError(
                 f"instrument {context.role!r} ({_DRIVER}) was given no scene",
                 remedy='name one in its table, e.g. scene = "base"',
             )
-        options = _checked(context)
         self._context = context
         self._scene = context.scene
         self.world = SimulatedWorld(
@@ -66,7 +64,7 @@ class SimulatedBench:
             context.indenter,
             seed=context.seed,
             effect_factory=context.effect_factory,
-            contact_length_mm=options.get("contact_length_mm", CONTACT_LENGTH_MM),
+            contact_length_mm=options.contact_length_mm,
             began_s=context.resumed_at_s,
         )
         self._addresses = StepAddresses(context.clock, _FORCE_RATE_HZ)
@@ -190,29 +188,6 @@ class SimulatedBench:
             raise InstrumentError(self._context.role, "simulated", "the bench is closed", remedy="open it again")
 
 
-def _checked(context: StationContext) -> dict[str, float]:
-    known = [*_OPTIONS, *_OTHER_KEYS]
-    for key, value in context.options.items():
-        if key not in known:
-            near = get_close_matches(key, known, n=1)
-            meant = f"did you mean {near[0]!r}? " if near else ""
-            raise ConfigError(
-                f"instrument {context.role!r} ({_DRIVER}) has no option {key!r}",
-                remedy=f"{meant}it has {', '.join(known)}",
-            )
-        if key in _OPTIONS and not _within(value, _OPTIONS[key]):
-            raise ConfigError(
-                f"instrument {context.role!r} ({_DRIVER}): {key} is {value!r}",
-                remedy=f"it is a finite number of at least {_OPTIONS[key]:g}",
-            )
-    return {key: float(context.options[key]) for key in _OPTIONS if key in context.options}
-
-
-def _within(value: Any, lowest: float) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and lowest <= value < math.inf
-
-
-def _motion(context: StationContext, options: Mapping[str, float]) -> Motion:
-    motion = context.motion or _RIG_MOTION
-    own = {key: options[key] for key in ("hover_mm", "travel_speed_mm_s") if key in options}
-    return replace(motion, **own)
+def _motion(context: StationContext, options: BenchOptions) -> Motion:
+    own = options.model_dump(include={"hover_mm", "travel_speed_mm_s"}, exclude_none=True)
+    return replace(context.motion or RIG_MOTION, **own)

@@ -290,7 +290,7 @@ def test_a_port_without_a_board_is_refused():
     [
         ({"formt": "ascii"}, "did you mean 'format'"),
         ({"format": "text"}, "format is 'text'"),
-        ({"format": "ascii"}, "needs option 'baud'"),
+        ({"format": "ascii"}, "baud is missing"),
         ({"frame_period_s": 0.004}, "770 bytes at 1400000 baud take 0.0055 s"),
         ({"frame_period_s": "fast"}, "frame_period_s is 'fast'"),
         ({"range_counts": [5, 5]}, r"range_counts is \[5, 5\]"),

@@ -298,7 +298,7 @@ def test_no_port_at_the_address():
     ("options", "said"),
     [
         ({"inner": "drive"}, "inner is 'drive'"),
-        ({"iner": "current"}, "has no option 'iner'"),
+        ({"iner": "current"}, "iner is not a known key"),
         ({"settle_ms": -1}, "settle_ms is -1"),
         ({"voltage_skip": 15}, "voltage_skip is 15"),
     ],

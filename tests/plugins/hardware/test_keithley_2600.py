@@ -343,11 +343,11 @@ def test_an_instrument_that_is_switched_off_is_refused():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({}, "needs option 'address'"),
-        ({"address": "x", "nplcs": 1}, "has no option 'nplcs'"),
+        ({}, "address is missing"),
+        ({"address": "x", "nplcs": 1}, "nplcs is not a known key"),
         ({"address": "x", "nplc": 30}, "nplc is 30"),
         ({"address": "x", "source_channel": "c"}, "source_channel is 'c'"),
-        ({"address": "x", "source_channel": "a"}, "smua both drives and measures"),
+        ({"address": "x", "source_channel": "a"}, "meter_channel is 'a', which both drives and measures"),
         ({"address": "x", "readings": 0}, "readings is 0"),
         ({"address": "nonsense"}, "is no VISA resource"),
     ],

@@ -240,9 +240,9 @@ def test_a_head_that_moves_by_itself_needs_a_cell_that_samples_by_itself(person,
     [
         (open_applicator, {"tolerance": 1}, "did you mean 'tolerance_mm'"),
         (open_applicator, {"tolerance_mm": 0}, "tolerance_mm is 0"),
-        (open_load_cell, {"capacity": 50}, "needs option 'unit'"),
+        (open_load_cell, {"capacity": 50}, "unit is missing"),
         (open_load_cell, {"unit": "lb", "capacity": 50}, "unit is 'lb'"),
-        (open_load_cell, {"unit": "N"}, "needs option 'capacity'"),
+        (open_load_cell, {"unit": "N"}, "capacity is missing"),
         (open_load_cell, {"unit": "N", "capacity": 50, "tare": "yes"}, "tare is 'yes'"),
     ],
 )

@@ -246,9 +246,9 @@ def test_a_bench_without_meter_or_multiplexer_is_refused(bench, lacks):
     ("options", "said"),
     [
         ({"current": "most"}, "current is 'most'"),
-        ({"current": "auto", "current_mA": 0.4}, "both current and current_mA"),
+        ({"current": "auto", "current_mA": 0.4}, "current is given, and current_mA too"),
         ({"current_mA": -1}, "current_mA is -1"),
-        ({"headroom": 30}, "has no option 'headroom'"),
+        ({"headroom": 30}, "headroom is not a known key"),
         ({"contacts": "ignore"}, "contacts is 'ignore'"),
     ],
 )

@@ -246,11 +246,11 @@ def test_unplugged_at_start():
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"centre": [1, 2]}, "has no option 'centre'"),
+        ({"centre": [1, 2]}, "centre is not a known key"),
         ({"centre_mm": [1]}, "centre_mm is"),
         ({"firmware": "reprap"}, "firmware is 'reprap'"),
-        ({"firmware": "marlin"}, "needs option 'steps_per_mm'"),
-        ({"firmware": "marlin", "steps_per_mm": [0, 1, 1]}, "steps_per_mm is"),
+        ({"firmware": "marlin"}, "steps_per_mm is missing"),
+        ({"firmware": "marlin", "steps_per_mm": [0, 1, 1]}, r"steps_per_mm\[1\] is 0"),
         ({"search_depth_mm": 9.0}, "search_depth_mm is 9.0"),
     ],
 )
