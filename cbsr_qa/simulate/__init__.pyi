@@ -1,13 +1,19 @@
-from . import parameters as parameters
 from .chain import (
     NOT_MODELLED as NOT_MODELLED,
     STAGES as STAGES,
     EffectFactory as EffectFactory,
     build_chain as build_chain,
 )
+from .effect import (
+    Amount as Amount,
+    Electrode as Electrode,
+    Positive as Positive,
+    SceneEffect as SceneEffect,
+    check_at_most as check_at_most,
+    check_electrode as check_electrode,
+)
 from .frames import SimulatedFrame as SimulatedFrame
 from .head import SimulatedHead as SimulatedHead
-from .parameters import electrode as electrode, number as number, shown as shown, whole as whole
 from .ramps import (
     CONTACT_STRAIN as CONTACT_STRAIN,
     Transients as Transients,

@@ -3,11 +3,9 @@
 What no effect of the simulated world models.
 """
 
-import inspect
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from difflib import get_close_matches
 from typing import Any, Final
 
 import numpy as np
@@ -15,8 +13,16 @@ import numpy as np
 from cbsr_qa.domain import CbsrError, ConfigError, PluginError
 from cbsr_qa.domain.plan import Moment, PluginChoice, Scene, SceneSetting, SheetDesign, Transcript
 from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.plugin import AnyEffect, Effect, RecordingEffect, SheetEffect, SwitchingEffect, failure
-from cbsr_qa.simulate.parameters import shown
+from cbsr_qa.plugin import (
+    AnyEffect,
+    Effect,
+    RecordingEffect,
+    SheetEffect,
+    SwitchingEffect,
+    failure,
+    options_of,
+    shown,
+)
 
 #: ``effect_factory(name)`` returns what makes the effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
@@ -188,8 +194,8 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
 
 
 def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Callable[..., Any]) -> AnyEffect:
-    _check_parameters(scene, choice, factory)
     try:
+        options_of(factory, handed=1).read(choice.options)
         effect: AnyEffect = factory(setting, **choice.options)
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
@@ -224,26 +230,6 @@ def _check_names(name: str, effect: Any) -> None:
             raise ConfigError(
                 f"effect {name!r} has {which} = {shown(names)}", remedy="it must be a tuple of effect names"
             )
-
-
-def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., Any]) -> None:
-    try:
-        parameters = list(inspect.signature(factory).parameters.values())[1:]
-    except (TypeError, ValueError) as error:
-        raise PluginError(f"effect {choice.name!r} has a factory that cannot be called: {error}") from error
-    if any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return
-    known = {p.name: p for p in parameters}
-    where = f"scene {scene!r}, effect {choice.name!r}"
-    allowed = f"parameters: {', '.join(known)}" if known else "it takes no parameters"
-    for key in choice.options:
-        if key not in known:
-            near = get_close_matches(key, known, n=1)
-            meant = f"did you mean {near[0]!r}? " if near else ""
-            raise ConfigError(f"{where} has no parameter {shown(key)}", remedy=meant + allowed)
-    for name, parameter in known.items():
-        if parameter.default is parameter.empty and name not in choice.options:
-            raise ConfigError(f"{where} lacks parameter {name!r}", remedy=allowed)
 
 
 def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[str]) -> None:

@@ -1,6 +1,5 @@
 """Every built-in effect: what it says of itself, and that parameters which make no sense are refused by name."""
 
-import inspect
 import math
 import re
 from typing import Any
@@ -10,7 +9,7 @@ from simulated_setting import HEAD, installed, material, sensor_type
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import PluginChoice, Scene, SceneSetting
-from cbsr_qa.plugin import Kind
+from cbsr_qa.plugin import Kind, options_of
 from cbsr_qa.simulate.chain import STAGES, build_chain
 from cbsr_qa_plugins.registry import BUILT_IN
 
@@ -51,16 +50,10 @@ REQUIRED: dict[str, dict[str, Any]] = {
 }
 #: What may be below zero. All else is a length, time, share, deviation, resistance, limit or count.
 SIGNED = {"offset_V", "x_mm", "y_mm", "rotation_deg", "coefficient_per_K", "rate_K_per_h", "temperature_C", "bias_A"}
-WORDS = {"inner", "shape"}
-NO_NUMBERS = [math.nan, math.inf, -math.inf, "5 s", "5", True, [1.0], {}, 1j]
 
 
 def parameters(name: str) -> list[str]:
-    return list(inspect.signature(installed(name)).parameters)[1:]
-
-
-ALL = [(name, parameter) for name in EFFECTS for parameter in parameters(name)]
-NUMBERS = [(name, parameter) for name, parameter in ALL if parameter not in WORDS]
+    return list(options_of(installed(name), handed=1).model_fields)
 
 
 def build(name: str, **options: Any) -> None:
@@ -85,73 +78,43 @@ def test_every_effect_can_be_made_with_what_it_needs(name: str):
     assert installed(name).perturbs in STAGES
 
 
-@pytest.mark.parametrize(("name", "parameter"), NUMBERS)
-def test_what_is_no_finite_number_is_refused_by_effect_and_parameter(name: str, parameter: str):
-    for value in NO_NUMBERS:
-        error = refused(name, **{parameter: value})
-        assert f": {parameter} is {value!r}" in error.reason
-        assert re.match(r"it must be a (finite|whole) number|electrodes are numbered|it is a list", error.remedy)
-
-
-@pytest.mark.parametrize(("name", "parameter"), NUMBERS)
-def test_a_whole_number_beyond_all_floats_is_refused(name: str, parameter: str):
-    for digits in (400, 6000):
-        assert f"{parameter} is a whole number beyond 1.8e308" in refused(name, **{parameter: 10**digits}).reason
-
-
-@pytest.mark.parametrize(("name", "parameter"), [(n, p) for n, p in NUMBERS if p not in SIGNED])
-def test_what_cannot_be_negative_is_refused_below_zero(name: str, parameter: str):
-    for value in (-1e-9, -1, -1e300):
-        given = [3, value] if parameter == "electrodes" else value
-        assert parameter in refused(name, **{parameter: given}).reason
-
-
-@pytest.mark.parametrize(("name", "parameter"), [(n, p) for n, p in ALL if p in WORDS])
-def test_a_word_that_is_none_of_the_known_is_refused(name: str, parameter: str):
-    for value in ("outer", "", 3, True, ["punch"]):
-        error = refused(name, **{parameter: value})
-        assert f"{parameter} is {value!r}" in error.reason
-        assert "'" in error.remedy
-
-
 @pytest.mark.parametrize("name", [name for name in EFFECTS if parameters(name)])
-def test_a_parameter_it_does_not_have_is_refused_with_those_it_has(name: str):
-    error = refused(name, phase_of_the_moon=1.0)
-    assert "has no parameter 'phase_of_the_moon'" in error.reason
-    assert all(parameter in error.remedy for parameter in parameters(name))
+def test_what_is_no_finite_number_or_cannot_be_negative_is_refused_by_its_key(name: str):
+    """What the models refuse is in tests/plugin/test_options.py; here it is that every parameter has its bounds."""
+    for parameter in parameters(name):
+        values: list[Any] = [math.nan, math.inf, -math.inf, 10**400, True, {}]
+        values += [] if parameter in SIGNED else [-1e-9, -1, -1e300]
+        for value in values:
+            given = [3, value] if parameter == "electrodes" else value
+            assert parameter in refused(name, **{parameter: given}).reason
 
 
-#: A unit that is not the parameter's own, by its own.
-OTHER_UNITS = {
-    "s": "ms",
-    "ms": "s",
-    "mm": "m",
-    "V": "mV",
-    "N": "g",
-    "A": "mA",
-    "ohm": "kohm",
-    "Hz": "kHz",
-    "C": "K",
-    "K": "C",
-}
+def test_a_parameter_an_effect_does_not_have_is_refused_with_those_it_has():
+    error = refused("measurement-noise", relative_nois=0.1)
+    assert "relative_nois is not a known key" in error.reason
+    assert "did you mean 'relative_noise'?" in error.remedy
+    assert refused("elastic-stress", decay_ms=1.0).remedy == "allowed here: none"
 
 
-def with_unit(parameter: str) -> str | None:
-    stem, _, unit = parameter.rpartition("_")
-    return f"{stem}_{OTHER_UNITS[unit]}" if stem and unit in OTHER_UNITS else None
-
-
-@pytest.mark.parametrize(("name", "parameter"), [(n, p) for n, p in ALL if with_unit(p)])
-def test_a_parameter_in_another_unit_is_refused_with_the_nearest(name: str, parameter: str):
-    asked = with_unit(parameter)
-    error = refused(name, **{asked: 1.0})
-    assert f"has no parameter {asked!r}" in error.reason
-    assert f"did you mean {parameter!r}?" in error.remedy
-
-
-@pytest.mark.parametrize("name", [name for name in EFFECTS if not parameters(name)])
-def test_an_effect_without_parameters_says_so(name: str):
-    assert refused(name, decay_ms=1.0).remedy == "it takes no parameters"
+@pytest.mark.parametrize(
+    ("name", "options", "key"),
+    [
+        ("electrode-open", {"electrode": 16}, "electrode"),
+        ("electrode-open", {"electrode": 3, "from_s": 5.0, "to_s": 5.0}, "to_s"),
+        ("electrode-short", {"electrodes": [3, 3]}, "electrodes"),
+        ("electrode-short", {"electrodes": [3, 16]}, "electrodes"),
+        ("electrode-noise", {"electrode": 99}, "electrode"),
+        ("frame-loss", {"most_rows": 17}, "most_rows"),
+        ("head-edge", {"width_mm": 13.0}, "width_mm"),
+        ("measurement-noise", {"relative_noise": 0.1, "relative_floor": 0.2}, "relative_floor"),
+        ("watchdog-dump", {"period_s": 1.0, "pause_ms": 1000.0}, "pause_ms"),
+        ("reading-memory", {"inner": "outer"}, "inner"),
+        ("quantisation", {"bits": 33}, "bits"),
+        ("quantisation", {"range_V": 1e308}, "range_V"),
+    ],
+)
+def test_what_does_not_fit_the_scene_or_another_parameter_is_refused(name, options, key):
+    assert f"{key} is " in refused(name, **options).reason
 
 
 @pytest.mark.parametrize("name", EFFECTS)

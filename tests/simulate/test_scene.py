@@ -100,13 +100,13 @@ def test_an_effect_that_is_on_twice_is_refused():
 
 def test_an_unknown_parameter_is_refused_with_the_nearest():
     asked = scene("load-cell-noise", load_cell_noise={"rms_n": 0.1})
-    with pytest.raises(ConfigError, match="no parameter 'rms_n'") as refused:
+    with pytest.raises(ConfigError, match="rms_n is not a known key") as refused:
         build_chain(asked, SETTING, installed)
     assert "did you mean 'rms_N'" in refused.value.remedy
 
 
 def test_a_parameter_that_is_missing_is_named():
-    with pytest.raises(ConfigError, match="lacks parameter 'rms_N'"):
+    with pytest.raises(ConfigError, match="rms_N is missing"):
         build_chain(scene("load-cell-noise"), SETTING, installed)
 
 
@@ -114,7 +114,7 @@ def test_a_parameter_that_is_missing_is_named():
 def test_an_impossible_parameter_names_scene_effect_and_range(rms_N: float):
     with pytest.raises(ConfigError, match="scene 'test', effect 'load-cell-noise': rms_N is") as refused:
         build_chain(scene("load-cell-noise", load_cell_noise={"rms_N": rms_N}), SETTING, installed)
-    assert "at least 0" in refused.value.remedy
+    assert "from 0 to" in refused.value.remedy
 
 
 def test_a_parameter_of_the_wrong_type_is_refused():

@@ -1,7 +1,6 @@
 """The page on the simulated world says of every effect what it models, what not and from where, and draws it."""
 
 import importlib
-import inspect
 import re
 import sys
 import tomllib
@@ -74,7 +73,7 @@ def test_a_section_says_what_is_modelled_what_not_and_from_where(name, plugins):
     assert source.startswith("**Source:** ")
     assert figure.startswith("![")
     said = set(re.findall(r"`([^`]+)`", modelled))
-    options = set(list(inspect.signature(effect).parameters)[1:])
+    options = set(effect.Options.model_fields)
     assert options <= said, "options without a word"
     assert set(effect.needs) <= said, "what it needs is not said"
 

@@ -15,15 +15,18 @@ Readings of a frame are taken one after the other.
 Rows of a frame that never arrive.
 """
 
-from typing import Final
+from collections.abc import Iterator
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import Dump, Moment, SceneSetting, Transcript
 from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.simulate import RandomStream, number, whole
+from cbsr_qa.plugin import PluginOptions, Problem
+from cbsr_qa.simulate import Positive, RandomStream, SceneEffect, check_at_most
 from cbsr_qa.system import TICK_S
 
 #: Effects on readings before they are converted.
@@ -38,7 +41,7 @@ BEFORE_CONVERSION: Final = (
 )
 
 
-class Quantisation:
+class Quantisation(SceneEffect):
     """Every reading is rounded to the nearest step of a converter.
 
     A step is 2 × range / 2^bits.
@@ -49,12 +52,17 @@ class Quantisation:
     bits : of the converter.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        range_V: Positive
+        bits: Annotated[int, Field(ge=4, le=32)]
+
     after: tuple[str, ...] = BEFORE_CONVERSION
     perturbs = "voltages"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, range_V: float, bits: int) -> None:
-        self._step_V = 2 * number("range_V", range_V, above=True) / 2 ** whole("bits", bits, least=4, most=32)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Compute the step."""
+        self._step_V = 2 * self.options.range_V / 2**self.options.bits
 
     def apply(self, moment: Moment) -> None:
         """Round."""
@@ -62,7 +70,7 @@ class Quantisation:
             moment.voltages = self._step_V * np.round(moment.voltages / self._step_V)
 
 
-class ConverterSaturation:
+class ConverterSaturation(SceneEffect):
     """Readings beyond the converter's range are its end, and flagged as saturated.
 
     Parameters
@@ -70,22 +78,23 @@ class ConverterSaturation:
     range_V : to both sides.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        range_V: Positive
+
     after: tuple[str, ...] = BEFORE_CONVERSION
     perturbs = "voltages"
-
-    def __init__(self, setting: SceneSetting, *, range_V: float) -> None:
-        self._range_V = number("range_V", range_V, above=True)
+    options: Options
 
     def apply(self, moment: Moment) -> None:
         """Clip and flag."""
         if moment.voltages is not None and moment.flags is not None:
-            beyond = np.abs(moment.voltages) >= self._range_V
-            moment.voltages = np.clip(moment.voltages, -self._range_V, self._range_V)
+            range_V = self.options.range_V
+            beyond = np.abs(moment.voltages) >= range_V
+            moment.voltages = np.clip(moment.voltages, -range_V, range_V)
             moment.flags |= np.where(beyond, np.uint8(ReadingFlag.SATURATED), np.uint8(0))
 
 
-class ReadingOffset:
+class ReadingOffset(SceneEffect):
     """The converter's zero is off: a constant is on every reading.
 
     Parameters
@@ -93,20 +102,20 @@ class ReadingOffset:
     offset_V : added to every reading.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        offset_V: Annotated[float, Field(ge=-1e3, le=1e3)]
+
     after: tuple[str, ...] = ("voltmeter-input",)
     perturbs = "voltages"
-
-    def __init__(self, setting: SceneSetting, *, offset_V: float) -> None:
-        self._offset_V = number("offset_V", offset_V, least=-1e3, most=1e3)
+    options: Options
 
     def apply(self, moment: Moment) -> None:
         """Add it."""
         if moment.voltages is not None:
-            moment.voltages = moment.voltages + self._offset_V
+            moment.voltages = moment.voltages + self.options.offset_V
 
 
-class ReadingMemory:
+class ReadingMemory(SceneEffect):
     """Each reading keeps a share of the one before it, as of a multiplexer and converter that do not settle.
 
     s[n] = (1 − m) x[n] + m s[n−1]. A frame begins with the memory of its own last reading, as if the one before had
@@ -120,15 +129,16 @@ class ReadingMemory:
         this may only repeat; by default that, or ``"measure"`` where all readings are taken at once.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        share: Annotated[float, Field(ge=0, le=0.9)]
+        inner: Literal["measure", "drive"] | None = None
+
     after: tuple[str, ...] = ("voltmeter-input",)
     perturbs = "voltages"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, share: float, inner: str | None = None) -> None:
-        if inner is not None and inner not in ("measure", "drive"):
-            raise ConfigError(f"inner is {inner!r}", remedy="it is 'measure' or 'drive'")
-        self._share = number("share", share, most=0.9)
-        self._inner = inner
+    def prepare(self, setting: SceneSetting) -> None:
+        """Nothing is computed yet: how many readings there are is seen at the first frame."""
         self._shares: NDArray[np.float64] | None = None
 
     def apply(self, moment: Moment) -> None:
@@ -144,24 +154,24 @@ class ReadingMemory:
         """Which pair steps faster."""
         at_s = moment.reading_offsets_s
         if at_s is None or min(at_s.shape) < 2:
-            return self._inner or "measure"
+            return self.options.inner or "measure"
         told = "drive" if at_s[1, 0] < at_s[0, 1] else "measure"
-        if self._inner not in (told, None) and at_s[1, 0] != at_s[0, 1]:
+        if self.options.inner not in (told, None) and at_s[1, 0] != at_s[0, 1]:
             raise RefusedError(
-                f"reading-memory has inner = {self._inner!r}, while time-skew steps the {told!r} pair faster",
+                f"reading-memory has inner = {self.options.inner!r}, while time-skew steps the {told!r} pair faster",
                 remedy="give both the same inner, or leave it out of reading-memory",
             )
-        return told if at_s[1, 0] != at_s[0, 1] else self._inner or "measure"
+        return told if at_s[1, 0] != at_s[0, 1] else self.options.inner or "measure"
 
     def _mixed(self, count: int) -> NDArray[np.float64]:
         """Shares of the readings x in the readings s, (n, n): the inverse of 1 − m (one back, the first the last)."""
         if self._shares is None or len(self._shares) != count:
-            kept, back = self._share, np.subtract.outer(np.arange(count), np.arange(count)) % count
+            kept, back = self.options.share, np.subtract.outer(np.arange(count), np.arange(count)) % count
             self._shares = (1 - kept) * kept**back / (1 - kept**count)
         return self._shares
 
 
-class TimeSkew:
+class TimeSkew(SceneEffect):
     """The readings of a frame are taken one after the other instead of all at once.
 
     Reading n of N at (n + ½)/N of the part of the frame that is spent reading, about its middle.
@@ -172,16 +182,20 @@ class TimeSkew:
     inner : which pair steps faster, ``"measure"`` (row by row) or ``"drive"`` (the rig's command multiplexer).
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "times"
+    class Options(PluginOptions):
+        share: Annotated[float, Field(ge=0, le=1)] = 1.0
+        inner: Literal["measure", "drive"] = "measure"
 
-    def __init__(self, setting: SceneSetting, *, share: float = 1.0, inner: str = "measure") -> None:
-        if inner not in ("measure", "drive"):
-            raise ConfigError(f"inner is {inner!r}", remedy="it is 'measure' or 'drive'")
+    perturbs = "times"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Compute when each reading is taken."""
         drives, measures = setting.sensor_type.pattern.shape
         count = np.arange(drives * measures, dtype=np.float64)
-        order = count.reshape(drives, measures) if inner == "measure" else count.reshape(measures, drives).T
-        spent_s = number("share", share, most=1.0) * setting.frame_period_s
+        along_measures = self.options.inner == "measure"
+        order = count.reshape(drives, measures) if along_measures else count.reshape(measures, drives).T
+        spent_s = self.options.share * setting.frame_period_s
         # In the clock's ticks: whatever rests on differences of times is then the same at any time of a run.
         self._offsets_s = TICK_S * np.rint(((order + 0.5) / order.size - 0.5) * spent_s / TICK_S)
 
@@ -190,7 +204,7 @@ class TimeSkew:
         moment.reading_offsets_s = self._offsets_s
 
 
-class FrameLoss:
+class FrameLoss(SceneEffect):
     """Every frame, with the same probability, loses a run of rows from a random one on; its other rows arrive.
 
     Where the run begins and how long it is are uniform; the end of the frame cuts it.
@@ -201,25 +215,29 @@ class FrameLoss:
     most_rows : longest run, 1 to the rows of a frame. The lab's recordings miss one to four rows of a broken frame.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "recording"
+    class Options(PluginOptions):
+        share: Annotated[float, Field(ge=0, le=1)]
+        most_rows: Annotated[int, Field(ge=1, le=10**6)] = 4
 
-    def __init__(self, setting: SceneSetting, *, share: float, most_rows: int = 4) -> None:
+    perturbs = "recording"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Refuse runs that are longer than a frame."""
         self._rows = setting.sensor_type.pattern.shape[0]
-        self._share = number("share", share, most=1.0)
-        self._most_rows = whole("most_rows", most_rows, least=1, most=self._rows)
+        check_at_most("most_rows", self.options.most_rows, self._rows, "a frame has no more rows")
         self._stream = RandomStream(setting.seed, "frame-loss")
 
     def record(self, transcript: Transcript) -> None:
         """Mark the rows as lost."""
         for frame in range(len(transcript.lost)):
             numbers = self._stream.generator(frame)
-            if numbers.random() < self._share:
+            if numbers.random() < self.options.share:
                 first = int(numbers.integers(self._rows))
-                transcript.lost[frame, first : first + 1 + int(numbers.integers(self._most_rows))] = True
+                transcript.lost[frame, first : first + 1 + int(numbers.integers(self.options.most_rows))] = True
 
 
-class WatchdogDump:
+class WatchdogDump(SceneEffect):
     """At regular times the board's watchdog prints a log, and the board reads on when it is printed.
 
     A dump stands before the first row that would be read after its time, rows being spread evenly over their frame.
@@ -233,19 +251,25 @@ class WatchdogDump:
         them take 70 to 80 ms longer.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "recording"
+    class Options(PluginOptions):
+        period_s: Annotated[float, Field(ge=0.1, le=1e6)] = 5.0
+        pause_ms: Annotated[float, Field(ge=0, le=10_000)] = 75.0
 
-    def __init__(self, setting: SceneSetting, *, period_s: float = 5.0, pause_ms: float = 75.0) -> None:
-        self._period_s = number("period_s", period_s, least=0.1, most=1e6)
-        self._pause_s = number("pause_ms", pause_ms, most=10_000.0) / 1000
-        if self._pause_s >= self._period_s:
-            raise ConfigError(
-                f"pause_ms is {pause_ms!r}, which is not over before the next dump after {period_s:g} s",
-                remedy="take a shorter pause_ms, or a longer period_s",
-            )
+        def problems(self) -> Iterator[Problem]:
+            """Printing is over before the next dump."""
+            if self.pause_ms / 1000 >= self.period_s:
+                what = f"is {self.pause_ms!r}, which is not over before the next dump after {self.period_s:g} s"
+                yield Problem(("pause_ms",), what, "take a shorter pause_ms, or a longer period_s")
+
+    perturbs = "recording"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Draw when the first dump comes."""
+        self._pause_s = self.options.pause_ms / 1000
         self._frame_s = setting.frame_period_s
-        self._first_s = self._period_s * float(RandomStream(setting.seed, "watchdog-dump").generator(0).uniform())
+        random = RandomStream(setting.seed, "watchdog-dump").generator(0)
+        self._first_s = self.options.period_s * float(random.uniform())
 
     def record(self, transcript: Transcript) -> None:
         """Add the dumps, one after the other."""
@@ -258,4 +282,4 @@ class WatchdogDump:
         while (place := int(np.searchsorted(planned_s, due_s - late_s))) < frames * rows:
             frame, row = divmod(place, rows)
             transcript.dumps.append(Dump(frame, row, self._pause_s))
-            late_s, due_s = late_s + self._pause_s, due_s + self._period_s
+            late_s, due_s = late_s + self._pause_s, due_s + self.options.period_s

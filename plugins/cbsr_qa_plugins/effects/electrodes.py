@@ -14,13 +14,16 @@ Two electrodes that touch.
 """
 
 import math
-from typing import Final
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
+from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import Moment, SceneSetting, SheetDesign
-from cbsr_qa.simulate import RandomStream, electrode, number, parameters, shown
+from cbsr_qa.plugin import Array, PluginOptions, Problem
+from cbsr_qa.simulate import Amount, Electrode, Positive, RandomStream, SceneEffect, check_electrode
 
 #: Effects on sheet and contacts, which leave what is outside as it is.
 BESIDE_THE_SHEET: Final = ("temperature-drift",)
@@ -40,7 +43,7 @@ def in_series(moment: Moment, electrode: int, resistance_ohm: float) -> None:
 _MOST: Final = 50.0  # change of ln z; no sheet can be solved with contacts that far off
 
 
-class ContactDrift:
+class ContactDrift(SceneEffect):
     """Every contact impedance grows or falls exponentially at a rate of its own, Gaussian, drawn once per seed.
 
     Parameters
@@ -48,11 +51,15 @@ class ContactDrift:
     deviation_per_hour : standard deviation of the change of ln z in an hour.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "contacts"
+    class Options(PluginOptions):
+        deviation_per_hour: Annotated[float, Field(ge=0, le=10)]
 
-    def __init__(self, setting: SceneSetting, *, deviation_per_hour: float) -> None:
-        per_s = number("deviation_per_hour", deviation_per_hour, most=10.0) / 3600
+    perturbs = "contacts"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Draw the rate of every contact."""
+        per_s = self.options.deviation_per_hour / 3600
         count = setting.sensor_type.electrodes.count
         self._rate_per_s = per_s * RandomStream(setting.seed, "contact-drift").normal(0, (count,))
 
@@ -70,7 +77,7 @@ class ContactDrift:
         moment.contact_mm = moment.contact_mm * np.exp(grown)
 
 
-class ContactSpread:
+class ContactSpread(SceneEffect):
     """Contact impedances scatter about a common one: log-normal, independent, drawn once per seed.
 
     Parameters
@@ -79,25 +86,33 @@ class ContactSpread:
     contact_mm : mean impedance over the sheet's resistance; by default the sheet's own.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "sheet"
+    class Options(PluginOptions):
+        deviation: Annotated[float, Field(ge=0, le=10)]
+        contact_mm: Positive | None = None
 
-    def __init__(self, setting: SceneSetting, *, deviation: float, contact_mm: float | None = None) -> None:
-        self._spread = float(np.sqrt(np.log1p(number("deviation", deviation, most=10.0) ** 2)))
-        self._mean_mm = None if contact_mm is None else number("contact_mm", contact_mm, above=True)
+    perturbs = "sheet"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Compute the deviation of the logarithm."""
+        self._spread = float(np.sqrt(np.log1p(self.options.deviation**2)))
         self._stream = RandomStream(setting.seed, "contact-spread")
 
     def design(self, design: SheetDesign) -> None:
         """Scatter the contacts."""
         factor = np.exp(self._spread * self._stream.normal(0, design.contact_mm.shape) - self._spread**2 / 2)
-        mean_mm = design.contact_mm if self._mean_mm is None else self._mean_mm
+        given_mm = self.options.contact_mm
+        mean_mm = design.contact_mm if given_mm is None else given_mm
         design.contact_mm = mean_mm * factor
 
+
+MeanTime = Annotated[float, Field(ge=1e-2, le=1e9)]
+OpenLead = Annotated[float, Field(gt=0, le=1e12)]
 
 _A_BLOCK: Final = 16.0  # events on average; one of e^16 blocks is empty
 
 
-class ElectrodeIntermittent:
+class ElectrodeIntermittent(SceneEffect):
     """The lead of an electrode opens and closes at random, for times that are exponentially distributed.
 
     The two-state Markov process by uniformisation: events come as a Poisson process of the rate 1/open + 1/closed,
@@ -113,23 +128,21 @@ class ElectrodeIntermittent:
     resistance_ohm : of the open lead, as of ``electrode-open``.
     """
 
+    class Options(PluginOptions):
+        electrode: Electrode
+        mean_open_s: MeanTime
+        mean_closed_s: MeanTime
+        resistance_ohm: OpenLead = 1e9
+
     needs: tuple[str, ...] = ("source-compliance",)
     after: tuple[str, ...] = BESIDE_THE_SHEET
     perturbs = "impedance"
+    options: Options
 
-    def __init__(
-        self,
-        setting: SceneSetting,
-        *,
-        electrode: int,
-        mean_open_s: float,
-        mean_closed_s: float,
-        resistance_ohm: float = 1e9,
-    ) -> None:
-        self._electrode = parameters.electrode("electrode", electrode, setting.sensor_type.electrodes.count)
-        open_s = number("mean_open_s", mean_open_s, least=1e-2, most=1e9)
-        closed_s = number("mean_closed_s", mean_closed_s, least=1e-2, most=1e9)
-        self._ohm = number("resistance_ohm", resistance_ohm, above=True, most=1e12)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Compute the rates of the process."""
+        check_electrode("electrode", self.options.electrode, setting)
+        open_s, closed_s = self.options.mean_open_s, self.options.mean_closed_s
         self._share_open = open_s / (open_s + closed_s)
         self._block_s = _A_BLOCK * open_s * closed_s / (open_s + closed_s)
         self._stream = RandomStream(setting.seed, "electrode-intermittent")
@@ -137,7 +150,7 @@ class ElectrodeIntermittent:
     def apply(self, moment: Moment) -> None:
         """Open the lead if this is a time at which it is."""
         if self._is_open(moment.run_s):
-            in_series(moment, self._electrode, self._ohm)
+            in_series(moment, self.options.electrode, self.options.resistance_ohm)
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         """When it opens or closes."""
@@ -171,7 +184,42 @@ class ElectrodeIntermittent:
         return list(zip(times.tolist(), marks.tolist(), strict=True))
 
 
-class ElectrodeOpen:
+class _LeadOptions(PluginOptions):
+    electrode: Electrode
+    resistance_ohm: Amount
+    from_s: Amount = 0.0
+    to_s: Amount = 1e12
+
+    def problems(self) -> Iterator[Problem]:
+        """It begins before it ends."""
+        if self.to_s <= self.from_s:
+            yield Problem(("to_s",), f"is {self.to_s:g}", f"it must be a number above from_s, {self.from_s:g}")
+
+
+class _BadLead(SceneEffect):
+    """A resistance between an electrode and the multiplexer, from one time to another."""
+
+    Options: ClassVar[type[PluginOptions]] = _LeadOptions
+    after = BESIDE_THE_SHEET
+    perturbs = "impedance"
+    options: _LeadOptions
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Refuse an electrode that is not there."""
+        check_electrode("electrode", self.options.electrode, setting)
+
+    def apply(self, moment: Moment) -> None:
+        """Put it in series."""
+        if self.options.from_s <= moment.run_s < self.options.to_s:
+            in_series(moment, self.options.electrode, self.options.resistance_ohm)
+
+    def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
+        """When it begins and ends."""
+        times_s = (at_s - moment.setting.began_s for at_s in (self.options.from_s, self.options.to_s))
+        return [at_s for at_s in times_s if first_s < at_s <= last_s]
+
+
+class ElectrodeOpen(_BadLead):
     """The lead of an electrode is open: its driven pairs carry what the source's limit drives through a leak.
 
     The other pairs are not affected as long as the voltmeter draws no current: the floating lead then has the
@@ -184,36 +232,14 @@ class ElectrodeOpen:
     from_s, to_s : when, on the run's time line; by default always.
     """
 
+    class Options(_LeadOptions):
+        resistance_ohm: OpenLead = 1e9
+
     needs: tuple[str, ...] = ("source-compliance",)
-    after: tuple[str, ...] = BESIDE_THE_SHEET
-    perturbs = "impedance"
-
-    def __init__(
-        self,
-        setting: SceneSetting,
-        *,
-        electrode: int,
-        resistance_ohm: float = 1e9,
-        from_s: float = 0.0,
-        to_s: float = 1e12,
-    ) -> None:
-        self._electrode = parameters.electrode("electrode", electrode, setting.sensor_type.electrodes.count)
-        self._ohm = number("resistance_ohm", resistance_ohm, above=True, most=1e12)
-        self._from_s = number("from_s", from_s)
-        self._to_s = number("to_s", to_s, least=self._from_s, above=True)
-
-    def apply(self, moment: Moment) -> None:
-        """Open the lead."""
-        if self._from_s <= moment.run_s < self._to_s:
-            in_series(moment, self._electrode, self._ohm)
-
-    def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
-        """When it begins and ends."""
-        began_s = moment.setting.began_s
-        return [at_s - began_s for at_s in (self._from_s, self._to_s) if first_s < at_s - began_s <= last_s]
+    options: Options
 
 
-class ElectrodeShort:
+class ElectrodeShort(SceneEffect):
     """Two electrodes touch: there is a resistance between them, beside the sheet.
 
     Exact: with Z the sheet's transfer impedance and a = e_i − e_j, the short takes Z a aᵀ Z/(r + aᵀ Z a) from it.
@@ -224,27 +250,34 @@ class ElectrodeShort:
     resistance_ohm : between them; 0 is a dead short.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        electrodes: Annotated[tuple[Electrode, Electrode], Array]
+        resistance_ohm: Amount = 0.0
+
+        def problems(self) -> Iterator[Problem]:
+            """Two electrodes touch."""
+            if self.electrodes[0] == self.electrodes[1]:
+                yield Problem(("electrodes",), f"is {list(self.electrodes)}", "it must be two different electrodes")
+
     after: tuple[str, ...] = BESIDE_THE_SHEET
     perturbs = "impedance"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, electrodes: list[int], resistance_ohm: float = 0.0) -> None:
-        count = setting.sensor_type.electrodes.count
-        if not isinstance(electrodes, list | tuple) or len(electrodes) != 2 or electrodes[0] == electrodes[1]:
-            raise ConfigError(f"electrodes is {shown(electrodes)}", remedy="it is a list of two different electrodes")
-        self._between = np.zeros(count)
-        for number_, sign in zip(electrodes, (1.0, -1.0), strict=True):
-            self._between[electrode("electrodes", number_, count)] = sign
-        self._ohm = number("resistance_ohm", resistance_ohm)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Note which electrodes touch."""
+        self._between = np.zeros(setting.sensor_type.electrodes.count)
+        for electrode, sign in zip(self.options.electrodes, (1.0, -1.0), strict=True):
+            check_electrode("electrodes", electrode, setting)
+            self._between[electrode] = sign
 
     def apply(self, moment: Moment) -> None:
         """Put the resistance beside the sheet."""
         if moment.impedance_ohm is not None:
-            seen = moment.impedance_ohm @ self._between
-            moment.impedance_ohm = moment.impedance_ohm - np.outer(seen, seen) / (self._ohm + self._between @ seen)
+            ohm, seen = self.options.resistance_ohm, moment.impedance_ohm @ self._between
+            moment.impedance_ohm = moment.impedance_ohm - np.outer(seen, seen) / (ohm + self._between @ seen)
 
 
-class LeadResistance:
+class LeadResistance(_BadLead):
     """A lead is bad: there is a resistance between an electrode and the multiplexer, from one time to another.
 
     A voltmeter draws no current: only the driven pairs of this electrode show it, as more resistance. A lead that
@@ -257,30 +290,7 @@ class LeadResistance:
     from_s, to_s : when, on the run's time line; by default always.
     """
 
-    needs: tuple[str, ...] = ()
-    after: tuple[str, ...] = BESIDE_THE_SHEET
-    perturbs = "impedance"
+    class Options(_LeadOptions):
+        resistance_ohm: Annotated[float, Field(ge=0, le=1e12)]
 
-    def __init__(
-        self,
-        setting: SceneSetting,
-        *,
-        electrode: int,
-        resistance_ohm: float,
-        from_s: float = 0.0,
-        to_s: float = 1e12,
-    ) -> None:
-        self._electrode = parameters.electrode("electrode", electrode, setting.sensor_type.electrodes.count)
-        self._ohm = number("resistance_ohm", resistance_ohm, most=1e12)
-        self._from_s = number("from_s", from_s)
-        self._to_s = number("to_s", to_s, least=self._from_s, above=True)
-
-    def apply(self, moment: Moment) -> None:
-        """Put it in series."""
-        if self._from_s <= moment.run_s < self._to_s:
-            in_series(moment, self._electrode, self._ohm)
-
-    def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
-        """When it begins and ends."""
-        began_s = moment.setting.began_s
-        return [at_s - began_s for at_s in (self._from_s, self._to_s) if first_s < at_s - began_s <= last_s]
+    options: Options

@@ -10,19 +10,20 @@ Noise of the load cell.
 """
 
 from cbsr_qa.domain.plan import Moment, SceneSetting
-from cbsr_qa.simulate import RandomStream, Transients, number
+from cbsr_qa.plugin import PluginOptions
+from cbsr_qa.simulate import Amount, Positive, RandomStream, SceneEffect, Transients
 
 
-class ElasticStress:
+class ElasticStress(SceneEffect):
     """The sheet resists the head with a stress in proportion to the strain, by the material's relaxed modulus.
 
     σ = E ε: uniaxial compression, no confinement under the head.
     """
 
-    needs: tuple[str, ...] = ()
     perturbs = "stress"
 
-    def __init__(self, setting: SceneSetting) -> None:
+    def prepare(self, setting: SceneSetting) -> None:
+        """Take the modulus."""
         self._modulus_kPa = setting.material.modulus_kPa.value
 
     def apply(self, moment: Moment) -> None:
@@ -31,7 +32,7 @@ class ElasticStress:
             moment.stress_kPa[index] += self._modulus_kPa * press.strain_at(moment.time_s)
 
 
-class Confinement:
+class Confinement(SceneEffect):
     """A thin sheet that cannot bulge under a wide head is stiffer: all stress is larger by a factor.
 
     1 + 2 S² with S = r/(2 t) for a bonded layer (Gent & Lindley 1959): 2.3 for 13 mm on 4 mm.
@@ -41,20 +42,25 @@ class Confinement:
     factor : in its place.
     """
 
+    class Options(PluginOptions):
+        factor: Positive | None = None
+
     needs: tuple[str, ...] = ("elastic-stress",)
     after: tuple[str, ...] = ("stress-relaxation",)
     perturbs = "stress"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, factor: float | None = None) -> None:
-        shape = setting.indenter.radius_mm / (2 * setting.sensor_type.thickness_mm)
-        self._factor = 1 + 2 * shape**2 if factor is None else number("factor", factor, above=True)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Compute the factor of the layer."""
+        shape, given = setting.indenter.radius_mm / (2 * setting.sensor_type.thickness_mm), self.options.factor
+        self._factor = 1 + 2 * shape**2 if given is None else given
 
     def apply(self, moment: Moment) -> None:
         """Stiffen."""
         moment.stress_kPa = [self._factor * stress for stress in moment.stress_kPa]
 
 
-class StressRelaxation:
+class StressRelaxation(SceneEffect):
     """The stress under a held head relaxes by two exponentials: a generalised Maxwell body.
 
     σ(t) = E ∫ (1 + w₁ e^(−(t−s)/τ₁) + w₂ e^(−(t−s)/τ₂)) ε̇(s) ds (paper Eq 3 over its steady state). The elastic
@@ -65,7 +71,8 @@ class StressRelaxation:
     needs: tuple[str, ...] = ("elastic-stress",)
     perturbs = "stress"
 
-    def __init__(self, setting: SceneSetting) -> None:
+    def prepare(self, setting: SceneSetting) -> None:
+        """Take the kernel."""
         self._modulus_kPa = setting.material.modulus_kPa.value
         kernel = setting.material.stress_relaxation
         self._transients = Transients(kernel, kernel)
@@ -76,7 +83,7 @@ class StressRelaxation:
             moment.stress_kPa[index] += self._modulus_kPa * self._transients.of(press, moment.time_s)
 
 
-class LoadCellNoise:
+class LoadCellNoise(SceneEffect):
     """Independent Gaussian noise on every force sample.
 
     Parameters
@@ -84,19 +91,22 @@ class LoadCellNoise:
     rms_N : standard deviation [N].
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "force"
+    class Options(PluginOptions):
+        rms_N: Amount
 
-    def __init__(self, setting: SceneSetting, *, rms_N: float) -> None:
-        self._rms_N = number("rms_N", rms_N)
+    perturbs = "force"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Begin the random numbers."""
         self._stream = RandomStream(setting.seed, "load-cell-noise")
 
     def apply(self, moment: Moment) -> None:
         """Add the sample's noise."""
-        moment.force_N += self._rms_N * float(self._stream.normal(moment.index))
+        moment.force_N += self.options.rms_N * float(self._stream.normal(moment.index))
 
 
-class LoadCellSaturation:
+class LoadCellSaturation(SceneEffect):
     """Forces beyond the cell's limit read as the limit (the rig's ends at 749 g, 7.35 N).
 
     Parameters
@@ -104,13 +114,13 @@ class LoadCellSaturation:
     limit_N : to both sides.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        limit_N: Positive
+
     after: tuple[str, ...] = ("load-cell-noise",)
     perturbs = "force"
-
-    def __init__(self, setting: SceneSetting, *, limit_N: float) -> None:
-        self._limit_N = number("limit_N", limit_N, above=True)
+    options: Options
 
     def apply(self, moment: Moment) -> None:
         """Clip."""
-        moment.force_N = min(max(moment.force_N, -self._limit_N), self._limit_N)
+        moment.force_N = min(max(moment.force_N, -self.options.limit_N), self.options.limit_N)

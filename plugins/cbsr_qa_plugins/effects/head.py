@@ -16,13 +16,16 @@ How the sheet lies on the station: not quite level, not quite at its nominal hei
 """
 
 import math
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import HeadRing, Moment, SceneSetting, SheetDesign
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.simulate import RandomStream, number
+from cbsr_qa.plugin import PluginOptions
+from cbsr_qa.simulate import Amount, RandomStream, SceneEffect, check_at_most
 
 _ROUNDING = 1e-9  # of the square of the head's reach
 
@@ -53,7 +56,7 @@ def check_nested(indenter: Indenter) -> None:
 _RINGS = 8
 
 
-class HeadEdge:
+class HeadEdge(SceneEffect):
     """The strain falls from full to none over a band about the head's edge, linearly; what presses in all is kept.
 
     Made of eight nested heads of equal weight, whose sizes are the middles of eight parts of the band. The band of a
@@ -64,13 +67,18 @@ class HeadEdge:
     width_mm : of the band.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "sheet"
+    class Options(PluginOptions):
+        width_mm: Amount
 
-    def __init__(self, setting: SceneSetting, *, width_mm: float) -> None:
+    perturbs = "sheet"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Refuse a band that is wider than the head."""
         check_nested(setting.indenter)
         radius_mm = setting.indenter.radius_mm
-        self._share = number("width_mm", width_mm, most=1.9 * radius_mm) / radius_mm
+        check_at_most("width_mm", self.options.width_mm, 1.9 * radius_mm, "the head is no wider")
+        self._share = self.options.width_mm / radius_mm
 
     def design(self, design: SheetDesign) -> None:
         """Put the nested heads in the place of each ring."""
@@ -84,7 +92,7 @@ class HeadEdge:
 _RINGS_PRESSURE_PROFILE = 10
 
 
-class PressureProfile:
+class PressureProfile(SceneEffect):
     """The head presses unevenly: the response follows a pressure that depends on the distance from its axis.
 
     1 on average. ``punch``: p = ½ (1 − ρ²)^(−½), of a rigid punch on an elastic half-space (Boussinesq);
@@ -95,19 +103,20 @@ class PressureProfile:
     shape : ``"punch"`` or ``"parabola"``.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "sheet"
+    class Options(PluginOptions):
+        shape: Literal["punch", "parabola"]
 
-    def __init__(self, setting: SceneSetting, *, shape: str) -> None:
-        if shape not in ("punch", "parabola"):
-            raise ConfigError(f"shape is {shape!r}", remedy="it is 'punch' or 'parabola'")
+    perturbs = "sheet"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Refuse a head that its axis does not see whole."""
         check_nested(setting.indenter)
-        self._shape = shape
 
     def design(self, design: SheetDesign) -> None:
         """Put annuli in the place of each ring."""
         edges = np.linspace(0, 1, _RINGS_PRESSURE_PROFILE + 1)
-        inside = 1 - np.sqrt(1 - edges**2) if self._shape == "punch" else 2 * edges**2 - edges**4
+        inside = 1 - np.sqrt(1 - edges**2) if self.options.shape == "punch" else 2 * edges**2 - edges**4
         pressure = np.diff(inside) / np.diff(edges**2)
         weights = pressure - np.append(pressure[1:], 0.0)  # of whole heads: each holds all within it
         design.rings = tuple(
@@ -117,7 +126,7 @@ class PressureProfile:
         )
 
 
-class ApplicatorPositionError:
+class ApplicatorPositionError(SceneEffect):
     """The head gets beside its target by Gaussian errors of place and depth, fresh with every movement.
 
     Parameters
@@ -126,26 +135,29 @@ class ApplicatorPositionError:
     depth_error_mm : of the depth.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        error_mm: Annotated[float, Field(ge=0, le=5)]
+        depth_error_mm: Annotated[float, Field(ge=0, le=1)] = 0.0
+
     after: tuple[str, ...] = ("misplaced-sheet",)
     perturbs = "position"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, error_mm: float, depth_error_mm: float = 0.0) -> None:
-        self._error_mm = number("error_mm", error_mm, most=5.0)
-        self._depth_error_mm = number("depth_error_mm", depth_error_mm, most=1.0)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Begin the random numbers."""
         self._stream = RandomStream(setting.seed, "applicator-position-error")
 
     def apply(self, moment: Moment) -> None:
         """Put the head beside its target."""
         x, y, depth = self._stream.normal(moment.index, (3,))
         moment.place_mm = (
-            moment.place_mm[0] + self._error_mm * float(x),
-            moment.place_mm[1] + self._error_mm * float(y),
+            moment.place_mm[0] + self.options.error_mm * float(x),
+            moment.place_mm[1] + self.options.error_mm * float(y),
         )
-        moment.depth_mm += self._depth_error_mm * float(depth)
+        moment.depth_mm += self.options.depth_error_mm * float(depth)
 
 
-class Backlash:
+class Backlash(SceneEffect):
     """Every axis has play: it follows what it is told only when its play is used up, on the side it came from.
 
     The play operator (Visintin 1994): the axis stays where it is as long as that is within half of its play from
@@ -157,26 +169,26 @@ class Backlash:
     depth_play_mm : of the depth.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        play_mm: Annotated[float, Field(ge=0, le=5)]
+        depth_play_mm: Annotated[float, Field(ge=0, le=1)] = 0.0
+
     after: tuple[str, ...] = ("misplaced-sheet",)
     perturbs = "position"
-
-    def __init__(self, setting: SceneSetting, *, play_mm: float, depth_play_mm: float = 0.0) -> None:
-        self._play_mm = number("play_mm", play_mm, most=5.0)
-        self._depth_play_mm = number("depth_play_mm", depth_play_mm, most=1.0)
+    options: Options
 
     def apply(self, moment: Moment) -> None:
         """Hold the head back."""
         (x, y), (from_x, from_y) = moment.place_mm, moment.from_mm
-        moment.place_mm = (_played(x, from_x, self._play_mm), _played(y, from_y, self._play_mm))
-        moment.depth_mm = _played(moment.depth_mm, moment.from_depth_mm, self._depth_play_mm)
+        moment.place_mm = (_played(x, from_x, self.options.play_mm), _played(y, from_y, self.options.play_mm))
+        moment.depth_mm = _played(moment.depth_mm, moment.from_depth_mm, self.options.depth_play_mm)
 
 
 def _played(to_mm: float, from_mm: float, play_mm: float) -> float:
     return min(max(from_mm, to_mm - play_mm / 2), to_mm + play_mm / 2)
 
 
-class MisplacedSheet:
+class MisplacedSheet(SceneEffect):
     """The disc lies beside its place on the station, and turned: all loads are off alike.
 
     What the station calls (x, y) is R(−θ) ((x, y) − (x₀, y₀)) on the sheet.
@@ -187,24 +199,26 @@ class MisplacedSheet:
     rotation_deg : θ, how far it is turned, counterclockwise.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "position"
+    class Options(PluginOptions):
+        x_mm: Annotated[float, Field(ge=-20, le=20)] = 0.0
+        y_mm: Annotated[float, Field(ge=-20, le=20)] = 0.0
+        rotation_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
 
-    def __init__(
-        self, setting: SceneSetting, *, x_mm: float = 0.0, y_mm: float = 0.0, rotation_deg: float = 0.0
-    ) -> None:
-        self._x_mm = number("x_mm", x_mm, least=-20.0, most=20.0)
-        self._y_mm = number("y_mm", y_mm, least=-20.0, most=20.0)
-        turn = math.radians(number("rotation_deg", rotation_deg, least=-180.0, most=180.0))
+    perturbs = "position"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Compute the turn."""
+        turn = math.radians(self.options.rotation_deg)
         self._cos, self._sin = math.cos(turn), math.sin(turn)
 
     def apply(self, moment: Moment) -> None:
         """Say where on the sheet the head is told to go."""
-        x, y = moment.place_mm[0] - self._x_mm, moment.place_mm[1] - self._y_mm
+        x, y = moment.place_mm[0] - self.options.x_mm, moment.place_mm[1] - self.options.y_mm
         moment.place_mm = (self._cos * x + self._sin * y, self._cos * y - self._sin * x)
 
 
-class SheetSeat:
+class SheetSeat(SceneEffect):
     """The sheet lies off nominal in level and tilt: Gaussian, independent, drawn once per seed, fixed for the run.
 
     Parameters
@@ -212,12 +226,15 @@ class SheetSeat:
     error_mm : standard deviation of the level, and of what the tilt adds at the sheet's edge along x and along y.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "geometry"
+    class Options(PluginOptions):
+        error_mm: Amount
 
-    def __init__(self, setting: SceneSetting, *, error_mm: float) -> None:
-        deviation_mm = number("error_mm", error_mm)
-        level, along_x, along_y = deviation_mm * RandomStream(setting.seed, "sheet-seat").normal(0, (3,))
+    perturbs = "geometry"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Draw level and tilt."""
+        level, along_x, along_y = self.options.error_mm * RandomStream(setting.seed, "sheet-seat").normal(0, (3,))
         radius_mm = setting.sensor_type.radius_mm
         self._level_mm = float(level)
         self._slope = float(along_x) / radius_mm, float(along_y) / radius_mm
@@ -228,7 +245,7 @@ class SheetSeat:
         moment.surface_mm += self._level_mm + self._slope[0] * x_mm + self._slope[1] * y_mm
 
 
-class PinPositionError:
+class PinPositionError(SceneEffect):
     """Every electrode is off by a Gaussian error along x and along y, independent, drawn once per seed.
 
     Parameters
@@ -236,13 +253,16 @@ class PinPositionError:
     error_mm : standard deviation along each axis.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "sheet"
+    class Options(PluginOptions):
+        error_mm: Annotated[float, Field(ge=0, le=5)]
 
-    def __init__(self, setting: SceneSetting, *, error_mm: float) -> None:
-        self._error_mm = number("error_mm", error_mm, most=5.0)
+    perturbs = "sheet"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Begin the random numbers."""
         self._stream = RandomStream(setting.seed, "pin-position-error")
 
     def design(self, design: SheetDesign) -> None:
         """Move the electrodes."""
-        design.shift_mm = design.shift_mm + self._error_mm * self._stream.normal(0, design.shift_mm.shape)
+        design.shift_mm = design.shift_mm + self.options.error_mm * self._stream.normal(0, design.shift_mm.shape)

@@ -11,22 +11,25 @@ The mains, as far as the integration time lets it through.
 A current source whose voltage ends.
 """
 
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.constants import Boltzmann, zero_Celsius
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import Moment, SceneSetting
 from cbsr_qa.domain.readings import ReadingFlag
-from cbsr_qa.simulate import RandomStream, number, parameters
+from cbsr_qa.plugin import PluginOptions
+from cbsr_qa.simulate import Amount, Electrode, Positive, RandomStream, SceneEffect, check_electrode
 
 #: What the materials' noise is stated at: the rig's script reads at 0.01 power line cycles. The paper prints none.
 REFERENCE_NPLC: Final = 0.01
+Cycles = Annotated[float, Field(gt=0, le=25)]
 
 
-class MeasurementNoise:
+class MeasurementNoise(SceneEffect):
     """Independent Gaussian noise on all readings, alike on each, less where a reading is averaged for longer.
 
     White noise averaged over a rectangular window of N power line cycles falls as √(1/N); what averaging does not
@@ -44,29 +47,27 @@ class MeasurementNoise:
     relative_floor : what averaging does not take away, in the same unit; at most ``relative_noise``.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        relative_noise: Annotated[float, Field(ge=0, le=1e6)] | None = None
+        nplc: Cycles = REFERENCE_NPLC
+        measured_at_nplc: Cycles = REFERENCE_NPLC
+        relative_floor: Amount = 0.0
+
     after: tuple[str, ...] = ("voltmeter-input",)
     perturbs = "voltages"
+    options: Options
 
-    def __init__(
-        self,
-        setting: SceneSetting,
-        *,
-        relative_noise: float | None = None,
-        nplc: float = REFERENCE_NPLC,
-        measured_at_nplc: float = REFERENCE_NPLC,
-        relative_floor: float = 0.0,
-    ) -> None:
-        stated = setting.material.relative_noise.value if relative_noise is None else relative_noise
-        stated = number("relative_noise", stated, most=1e6)
-        longer = number("nplc", nplc, above=True, most=25.0)
-        longer /= number("measured_at_nplc", measured_at_nplc, above=True, most=25.0)
-        floor = number("relative_floor", relative_floor)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Compute the noise of a reading that is averaged for so long."""
+        options = self.options
+        given, floor = options.relative_noise, options.relative_floor
+        stated = setting.material.relative_noise.value if given is None else given
         if floor > stated:
             raise ConfigError(
                 f"relative_floor is {floor:g}, more than the noise it is part of",
                 remedy=f"it is at most relative_noise, {stated:g}",
             )
+        longer = options.nplc / options.measured_at_nplc
         self._relative = float(np.sqrt(floor**2 + (stated - floor) * (stated + floor) / longer))
         self._stream = RandomStream(setting.seed, "measurement-noise")
 
@@ -77,7 +78,7 @@ class MeasurementNoise:
             moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)
 
 
-class ElectrodeNoise:
+class ElectrodeNoise(SceneEffect):
     """Independent Gaussian noise on every reading that uses an electrode, to drive, to measure or both.
 
     It adds to that of other effects. Readings that use the electrode twice have no more of it than the others.
@@ -89,15 +90,20 @@ class ElectrodeNoise:
         ``measurement-noise``.
     """
 
-    needs: tuple[str, ...] = ()
+    class Options(PluginOptions):
+        electrode: Electrode
+        relative_noise: Amount
+
     after: tuple[str, ...] = ("voltmeter-input",)
     perturbs = "voltages"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, electrode: int, relative_noise: float) -> None:
-        which = parameters.electrode("electrode", electrode, setting.sensor_type.electrodes.count)
-        pattern = setting.sensor_type.pattern
+    def prepare(self, setting: SceneSetting) -> None:
+        """Note which readings use the electrode."""
+        which, pattern = self.options.electrode, setting.sensor_type.pattern
+        check_electrode("electrode", which, setting)
         drives, measures = (np.array([which in pair for pair in pairs]) for pairs in (pattern.drive, pattern.measure))
-        self._relative = number("relative_noise", relative_noise) * (drives[:, None] | measures)
+        self._relative = self.options.relative_noise * (drives[:, None] | measures)
         self._stream = RandomStream(setting.seed, "electrode-noise")
 
     def apply(self, moment: Moment) -> None:
@@ -107,7 +113,7 @@ class ElectrodeNoise:
             moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)
 
 
-class JohnsonNoise:
+class JohnsonNoise(SceneEffect):
     """Thermal noise of the resistance that each measured pair sees as it is read, independent between readings.
 
     √(4 k T R Δf) (Nyquist 1928). Readings average over N power line cycles, Δf = 1/(2 T_int) of a rectangular window.
@@ -119,14 +125,18 @@ class JohnsonNoise:
     temperature_C : of the sheet.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "voltages"
+    class Options(PluginOptions):
+        nplc: Cycles = 0.01
+        mains_Hz: Positive = 50.0
+        temperature_C: Annotated[float, Field(ge=-zero_Celsius, le=300)] = 23.0
 
-    def __init__(
-        self, setting: SceneSetting, *, nplc: float = 0.01, mains_Hz: float = 50.0, temperature_C: float = 23.0
-    ) -> None:
-        integration_s = number("nplc", nplc, above=True, most=25.0) / number("mains_Hz", mains_Hz, above=True)
-        kelvin = zero_Celsius + number("temperature_C", temperature_C, least=-zero_Celsius, most=300.0)
+    perturbs = "voltages"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        """Compute the noise of one ohm."""
+        integration_s = self.options.nplc / self.options.mains_Hz
+        kelvin = zero_Celsius + self.options.temperature_C
         self._per_ohm = 4 * Boltzmann * kelvin / (2 * integration_s)
         self._stream = RandomStream(setting.seed, "johnson-noise")
 
@@ -137,7 +147,7 @@ class JohnsonNoise:
             moment.voltages = moment.voltages + np.sqrt(self._per_ohm * moment.measure_ohm) * drawn
 
 
-class MainsHum:
+class MainsHum(SceneEffect):
     """A sine of the mains' frequency on all readings, averaged over each reading's integration.
 
     A sinc(N) sin(2π f t + φ) for N power line cycles: nothing is left at whole cycles, nearly all at 0.01. The phase
@@ -150,15 +160,20 @@ class MainsHum:
     mains_Hz : f.
     """
 
+    class Options(PluginOptions):
+        amplitude_V: Amount
+        nplc: Cycles = 0.01
+        mains_Hz: Annotated[float, Field(gt=0, le=1e3)] = 50.0
+
     needs: tuple[str, ...] = ("time-skew",)
     perturbs = "voltages"
+    options: Options
 
-    def __init__(
-        self, setting: SceneSetting, *, amplitude_V: float, nplc: float = 0.01, mains_Hz: float = 50.0
-    ) -> None:
-        cycles = number("nplc", nplc, above=True, most=25.0)
-        self._amplitude_V = number("amplitude_V", amplitude_V) * float(np.sinc(cycles))
-        self._rate_rad_s = 2 * np.pi * number("mains_Hz", mains_Hz, above=True, most=1e3)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Average the sine over a reading, and draw its phase."""
+        options = self.options
+        self._amplitude_V = options.amplitude_V * float(np.sinc(options.nplc))
+        self._rate_rad_s = 2 * np.pi * options.mains_Hz
         self._phase = float(RandomStream(setting.seed, "mains-hum").generator(0).uniform(0, 2 * np.pi))
 
     def apply(self, moment: Moment) -> None:
@@ -168,7 +183,7 @@ class MainsHum:
             moment.voltages = moment.voltages + self._amplitude_V * np.sin(turned)
 
 
-class SourceCompliance:
+class SourceCompliance(SceneEffect):
     """A driven pair that asks for more than the source's voltage limit gets what the limit drives, and is flagged.
 
     I = V_limit/R.
@@ -178,25 +193,26 @@ class SourceCompliance:
     limit_V : of the source; the rig's is 20 to 22 V.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "source"
+    class Options(PluginOptions):
+        limit_V: Positive = 20.0
 
-    def __init__(self, setting: SceneSetting, *, limit_V: float = 20.0) -> None:
-        self._limit_V = number("limit_V", limit_V, above=True)
+    perturbs = "source"
+    options: Options
 
     def apply(self, moment: Moment) -> None:
         """Lower the current of those pairs."""
         if moment.current_A is None or moment.drive_ohm is None or moment.flags is None:
             return
-        limited = moment.current_A * moment.drive_ohm > self._limit_V
-        moment.current_A = np.divide(self._limit_V, moment.drive_ohm, out=moment.current_A.copy(), where=limited)
+        limit_V = self.options.limit_V
+        limited = moment.current_A * moment.drive_ohm > limit_V
+        moment.current_A = np.divide(limit_V, moment.drive_ohm, out=moment.current_A.copy(), where=limited)
         moment.flags |= np.where(limited, np.uint8(ReadingFlag.COMPLIANCE), np.uint8(0))
 
 
 Array = NDArray[np.float64]
 
 
-class VoltmeterInput:
+class VoltmeterInput(SceneEffect):
     """The voltmeter loads what it measures: its input has a finite resistance, and a bias current flows out of it.
 
     U = (U₀ + i R) R_in/(R_in + R) of a pair that unloaded shows U₀ behind the resistance R (Thévenin): that between
@@ -209,19 +225,20 @@ class VoltmeterInput:
     bias_A : i.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "voltages"
+    class Options(PluginOptions):
+        input_ohm: Annotated[float, Field(gt=0, le=1e15)] = 1e10
+        bias_A: Annotated[float, Field(ge=-1e-3, le=1e-3)] = 0.0
 
-    def __init__(self, setting: SceneSetting, *, input_ohm: float = 1e10, bias_A: float = 0.0) -> None:
-        self._input_ohm = number("input_ohm", input_ohm, above=True, most=1e15)
-        self._bias_A = number("bias_A", bias_A, least=-1e-3, most=1e-3)
+    perturbs = "voltages"
+    options: Options
 
     def apply(self, moment: Moment) -> None:
         """Load every pair."""
         if moment.voltages is None or moment.measure_ohm is None:
             return
         ohm = _behind(moment, moment.voltages, moment.measure_ohm)
-        moment.voltages = (moment.voltages + self._bias_A * ohm) * (self._input_ohm / (self._input_ohm + ohm))
+        input_ohm, bias_A = self.options.input_ohm, self.options.bias_A
+        moment.voltages = (moment.voltages + bias_A * ohm) * (input_ohm / (input_ohm + ohm))
 
 
 def _behind(moment: Moment, voltages: Array, measure_ohm: Array) -> Array:

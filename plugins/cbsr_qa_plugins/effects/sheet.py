@@ -20,16 +20,18 @@ The way back is not the way there.
 """
 
 import math
-from typing import ClassVar, Final
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.geometry import SheetOutline
 from cbsr_qa.domain.plan import Moment, SceneSetting, SheetDesign, SheetField, SimulatedPress
 from cbsr_qa.domain.sensor import Relaxation
-from cbsr_qa.simulate import RandomStream, Transients, number, quasi_static
+from cbsr_qa.plugin import PluginOptions
+from cbsr_qa.simulate import Positive, RandomStream, SceneEffect, Transients, quasi_static
 
 Array = NDArray[np.float64]
 
@@ -73,7 +75,7 @@ def places_on(outline: SheetOutline) -> Array:
     return on_sheet
 
 
-class UnevenSheet:
+class UnevenSheet(SceneEffect):
     """An effect that makes one quantity of the sheet uneven: a smooth random factor, one on average over it.
 
     Drawn once a seed. Subclasses say which quantity.
@@ -85,14 +87,17 @@ class UnevenSheet:
     correlation_mm : length over which it stays alike (of a Gaussian covariance).
     """
 
+    class Options(PluginOptions):
+        deviation: Annotated[float, Field(ge=0, le=1)]
+        correlation_mm: Positive
+
     #: ``conductance``, ``response`` or ``thickness``
     quantity: ClassVar[str]
-    needs: tuple[str, ...] = ()
     perturbs = "sheet"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, deviation: float, correlation_mm: float) -> None:
-        self._deviation = number("deviation", deviation, most=1.0)
-        self._correlation_mm = number("correlation_mm", correlation_mm, above=True)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Begin the random numbers."""
         self._stream = RandomStream(setting.seed, f"uneven-{self.quantity}")
 
     def design(self, design: SheetDesign) -> None:
@@ -101,8 +106,8 @@ class UnevenSheet:
         factors.append(
             smooth_factor(
                 self._stream,
-                deviation=self._deviation,
-                correlation_mm=self._correlation_mm,
+                deviation=self.options.deviation,
+                correlation_mm=self.options.correlation_mm,
                 over_mm=places_on(design.sensor_type.outline),
             )
         )
@@ -129,7 +134,7 @@ class UnevenThickness(UnevenSheet):
     quantity = "thickness"
 
 
-class Piezoresistivity:
+class Piezoresistivity(SceneEffect):
     """The sheet's conductance under the head follows the strain along the material's quasi-static line.
 
     Δρ/ρ₀ = α_ε ε + β_ε (paper Eq 2), with the material's α_ε and β_ε. The paper fits the line to held loads; β_ε is
@@ -137,11 +142,11 @@ class Piezoresistivity:
     (:data:`cbsr_qa.simulate.CONTACT_STRAIN`) and goes with it.
     """
 
-    needs: tuple[str, ...] = ()
     perturbs = "response"
     memory_s = 0.0
 
-    def __init__(self, setting: SceneSetting) -> None:
+    def prepare(self, setting: SceneSetting) -> None:
+        """Take the line."""
         self._line = setting.material.against_strain
 
     def apply(self, moment: Moment) -> None:
@@ -150,7 +155,7 @@ class Piezoresistivity:
             moment.response[index] += quasi_static(self._line, press.strain_at(moment.time_s))
 
 
-class ConductanceRelaxation:
+class ConductanceRelaxation(SceneEffect):
     """The conductance change nears its held value by two exponentials after every press and every release.
 
     Paper Eq 3, superposed over all ramps. Every ramp of the quasi-static change q(t) is answered with K(t) = 1 + w₁
@@ -165,7 +170,8 @@ class ConductanceRelaxation:
     needs: tuple[str, ...] = ("piezoresistivity",)
     perturbs = "response"
 
-    def __init__(self, setting: SceneSetting) -> None:
+    def prepare(self, setting: SceneSetting) -> None:
+        """Take the kernels."""
         material = setting.material
         self._transients = Transients(
             material.loading_relaxation, material.unloading_relaxation, material.against_strain
@@ -178,7 +184,7 @@ class ConductanceRelaxation:
             moment.response[index] += self._transients.of(press, moment.time_s)
 
 
-class Residue:
+class Residue(SceneEffect):
     """A share of every change stays when it is released, and fades slowly.
 
     Residues of earlier loads (paper 4.2), beside the relaxation of the material itself: ramps that lift are answered
@@ -190,12 +196,18 @@ class Residue:
     decay_s : τ, minutes and more.
     """
 
+    class Options(PluginOptions):
+        share: Annotated[float, Field(ge=0, le=1)]
+        decay_s: Positive
+
     needs: tuple[str, ...] = ("piezoresistivity",)
     perturbs = "response"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, share: float, decay_s: float) -> None:
-        decay_s = number("decay_s", decay_s, above=True)
-        kernel = Relaxation((-number("share", share, most=1.0), 0.0), (decay_s, decay_s), "scene")
+    def prepare(self, setting: SceneSetting) -> None:
+        """Make the kernel of what stays."""
+        decay_s = self.options.decay_s
+        kernel = Relaxation((-self.options.share, 0.0), (decay_s, decay_s), "scene")
         self._transients = Transients(None, kernel, setting.material.against_strain)
         self.memory_s = self._transients.memory_s
 
@@ -205,7 +217,7 @@ class Residue:
             moment.response[index] += self._transients.of(press, moment.time_s)
 
 
-class UnloadingSpike:
+class UnloadingSpike(SceneEffect):
     """A release first raises the change by some share of what it will take away, and that fades.
 
     Paper 3.1.2. At the moment of a release the material's unloading kernel keeps −Σ w of what is released
@@ -219,13 +231,19 @@ class UnloadingSpike:
     decay_s : τ.
     """
 
+    class Options(PluginOptions):
+        size: Annotated[float, Field(ge=0, le=2)]
+        decay_s: Positive
+
     needs: tuple[str, ...] = ("piezoresistivity", "conductance-relaxation")
     perturbs = "response"
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, size: float, decay_s: float) -> None:
-        decay_s = number("decay_s", decay_s, above=True)
+    def prepare(self, setting: SceneSetting) -> None:
+        """Make the kernel of the spike."""
+        decay_s = self.options.decay_s
         kept = -sum(setting.material.unloading_relaxation.weights)
-        kernel = Relaxation((kept - 1 - number("size", size, most=2.0), 0.0), (decay_s, decay_s), "scene")
+        kernel = Relaxation((kept - 1 - self.options.size, 0.0), (decay_s, decay_s), "scene")
         self._transients = Transients(None, kernel, setting.material.against_strain)
         self.memory_s = self._transients.memory_s
 
@@ -235,7 +253,7 @@ class UnloadingSpike:
             moment.response[index] += self._transients.of(press, moment.time_s)
 
 
-class Hysteresis:
+class Hysteresis(SceneEffect):
     """Once a press has begun to lift, the response follows a higher curve until it is as deep again as it was.
 
     On the way back from the deepest strain ε_m of the press the change at a strain ε is larger by
@@ -246,13 +264,17 @@ class Hysteresis:
     width : of the loop over the change at its tip.
     """
 
+    class Options(PluginOptions):
+        width: Annotated[float, Field(ge=0, le=0.5)]
+
     needs: tuple[str, ...] = ("piezoresistivity",)
     perturbs = "response"
     memory_s = 0.0
+    options: Options
 
-    def __init__(self, setting: SceneSetting, *, width: float) -> None:
+    def prepare(self, setting: SceneSetting) -> None:
+        """Take the slope."""
         self._slope = setting.material.against_strain.slope.value
-        self._width = number("width", width, most=0.5)
 
     def apply(self, moment: Moment) -> None:
         """Add what the way back is higher by, of every press."""
@@ -261,7 +283,7 @@ class Hysteresis:
             if strain > 0:  # closed at the loop's lower end
                 deepest = _deepest_so_far(press, moment.time_s)
                 share = min(strain / deepest, 1.0)
-                moment.response[index] += 4 * self._width * self._slope * deepest * share * (1 - share)
+                moment.response[index] += 4 * self.options.width * self._slope * deepest * share * (1 - share)
 
 
 def _deepest_so_far(press: SimulatedPress, time_s: float) -> float:
@@ -270,7 +292,7 @@ def _deepest_so_far(press: SimulatedPress, time_s: float) -> float:
     return max([press.strain_at(end) for end in ends if end <= time_s] + [press.strain_at(time_s)])
 
 
-class TemperatureDrift:
+class TemperatureDrift(SceneEffect):
     """The room warms steadily and swings, and sheet and contacts conduct better or worse with it.
 
     By 1 + c ΔT, ΔT(t) = rate t + swing sin(2π t/period).
@@ -282,29 +304,22 @@ class TemperatureDrift:
     swing_K, period_s : of what comes and goes, such as air conditioning.
     """
 
-    needs: tuple[str, ...] = ()
-    perturbs = "impedance"
+    class Options(PluginOptions):
+        coefficient_per_K: Annotated[float, Field(ge=-0.05, le=0.05)]
+        rate_K_per_h: Annotated[float, Field(ge=-20, le=20)] = 0.0
+        swing_K: Annotated[float, Field(ge=0, le=10)] = 0.0
+        period_s: Positive = 1200.0
 
-    def __init__(
-        self,
-        setting: SceneSetting,
-        *,
-        coefficient_per_K: float,
-        rate_K_per_h: float = 0.0,
-        swing_K: float = 0.0,
-        period_s: float = 1200.0,
-    ) -> None:
-        self._coefficient = number("coefficient_per_K", coefficient_per_K, least=-0.05, most=0.05)
-        self._rate_K_per_s = number("rate_K_per_h", rate_K_per_h, least=-20.0, most=20.0) / 3600
-        self._swing_K = number("swing_K", swing_K, most=10.0)
-        self._period_s = number("period_s", period_s, above=True)
+    perturbs = "impedance"
+    options: Options
 
     def apply(self, moment: Moment) -> None:
         """Scale what the electrodes see."""
         if moment.impedance_ohm is not None:
-            warmer_K = self._rate_K_per_s * moment.run_s
-            warmer_K += self._swing_K * math.sin(2 * math.pi * moment.run_s / self._period_s)
-            factor = 1 + self._coefficient * warmer_K
+            options = self.options
+            warmer_K = options.rate_K_per_h / 3600 * moment.run_s
+            warmer_K += options.swing_K * math.sin(2 * math.pi * moment.run_s / options.period_s)
+            factor = 1 + options.coefficient_per_K * warmer_K
             if factor <= 0:
                 raise RefusedError(
                     f"temperature-drift leaves no conductance at {moment.run_s:g} s, {warmer_K:g} K from the start",

@@ -80,7 +80,7 @@ def test_without_a_limit_an_open_electrode_is_refused(effect):
 def test_an_opening_that_ends_before_it_begins_is_refused():
     with pytest.raises(ConfigError, match="to_s is 5") as refused:
         ElectrodeOpen(OF, electrode=5, from_s=9.0, to_s=5.0)
-    assert "above 9" in refused.value.remedy
+    assert "above from_s, 9" in refused.value.remedy
 
 
 # --- intermittent ---

@@ -246,7 +246,7 @@ def test_what_acts_on_others_comes_after_those_that_are_on():
     ("made", "said"),
     [
         (lambda: UnloadingSpike(OF, size=0.3, decay_s=-1.0), "decay_s is -1.0"),
-        (lambda: UnloadingSpike(OF, size=3.0, decay_s=1.0), "at most 2"),
+        (lambda: UnloadingSpike(OF, size=3.0, decay_s=1.0), "from 0 to 2"),
         (lambda: Residue(OF, share=1.5, decay_s=300.0), "share is 1.5"),
         (lambda: Hysteresis(OF, width=0.9), "width is 0.9"),
         (lambda: HeadEdge(OF, width_mm=20.0), "width_mm is 20"),

@@ -276,7 +276,7 @@ def test_contacts_that_drift_out_of_all_bounds_are_refused():
     [
         (lambda: TimeSkew(OF, inner="both"), "inner is 'both'"),
         (lambda: TimeSkew(OF, share=1.2), "share is 1.2"),
-        (lambda: ReadingMemory(OF, share=1.0), "at most 0.9"),
+        (lambda: ReadingMemory(OF, share=1.0), "from 0 to 0.9"),
         (lambda: ReadingMemory(OF, share="much"), "'much'"),
         (lambda: MainsHum(OF, amplitude_V=0.1, nplc=0.0), "nplc is 0"),
         (lambda: Quantisation(OF, range_V=2.0, bits=2), "bits is 2"),

@@ -100,9 +100,9 @@ def test_pins_are_off_as_stated():
     [
         (lambda: UnevenResponse(OF, deviation=-0.1, correlation_mm=10.0), "deviation is -0.1"),
         (lambda: UnevenConductance(OF, deviation=0.1, correlation_mm=0.0), "correlation_mm is 0"),
-        (lambda: UnevenThickness(OF, deviation=3.0, correlation_mm=10.0), "at most 1"),
+        (lambda: UnevenThickness(OF, deviation=3.0, correlation_mm=10.0), "from 0 to 1"),
         (lambda: ContactSpread(OF, deviation=0.1, contact_mm=-1.0), "contact_mm is -1"),
-        (lambda: PinPositionError(OF, error_mm=50.0), "at most 5"),
+        (lambda: PinPositionError(OF, error_mm=50.0), "from 0 to 5"),
     ],
 )
 def test_parameters_that_make_no_sense_are_named(made, said):
