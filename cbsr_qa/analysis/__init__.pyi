@@ -9,5 +9,5 @@ from .recording_files import (
 )
 from .ring import RING as RING, check_ring as check_ring, fit_ring as fit_ring
 from .strip_cycles import characterise_run as characterise_run
-from .strip_measurements import MEASURES as MEASURES, measure_characterisation as measure_characterisation
+from .strip_measurements import measure_characterisation as measure_characterisation
 from .verification import Verification as Verification, verify_calibration as verify_calibration

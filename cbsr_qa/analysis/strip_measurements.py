@@ -3,34 +3,16 @@
 from collections.abc import Iterator
 from typing import Final
 
-from cbsr_qa.domain.results import Bound, Characterisation, FittedLine, Measurement, StrainLevel, StrainSettling
+from cbsr_qa.domain.results import (
+    STRIP_MEASURES,
+    Bound,
+    Characterisation,
+    FittedLine,
+    Measurement,
+    StrainLevel,
+    StrainSettling,
+)
 from cbsr_qa.domain.sensor import Parameter, Response
-
-#: Measurement → unit.
-MEASURES: Final = {
-    "gauge_factor": "1",
-    "gauge_factor_intercept": "1",
-    "local_gauge_factor": "1",
-    "local_gauge_factor_intercept": "1",
-    "gauge_factor_error": "%",
-    "stress_sensitivity": "1/kPa",
-    "stress_sensitivity_intercept": "1",
-    "local_stress_sensitivity": "1/kPa",
-    "local_stress_sensitivity_intercept": "1",
-    "compressive_modulus": "kPa",
-    "strain_offset": "1",
-    "interelectrode_resistance": "ohm",
-    "sheet_resistance": "ohm",
-    "reading_noise": "1",
-    "conductance_change": "1",
-    "settling_time": "s",
-    "common_settling_time": "s",
-    "slow_residue": "1",
-    "cycles_used": "1",
-    "cycles_excluded": "1",
-    "strains_excluded": "1",
-    "lowest_strain": "1",
-}
 
 _BETWEEN_PINS: Final = "between the pins"
 _UNDER_HEAD: Final = "under the head, by the forward model of the strip"
@@ -64,7 +46,7 @@ def _lines(found: Characterisation) -> Iterator[Measurement]:
 
 def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str = "") -> Iterator[Measurement]:
     line = None if blocked else fitted.line
-    unit = MEASURES[name]
+    unit = STRIP_MEASURES[name]
     if line is None:
         yield Measurement(name, None, unit, qualifier=qualifier, how=blocked or fitted.why)
         return
@@ -109,8 +91,8 @@ def _strip(found: Characterisation) -> Iterator[Measurement]:
 def _parameter(name: str, parameter: Parameter | None, how: str, found: Characterisation) -> Measurement:
     if parameter is None:
         why = next((said for said in found.refused if "modulus" in said), "the stress is not known")
-        return Measurement(name, None, MEASURES[name], how=why)
-    return Measurement(name, parameter.value, MEASURES[name], parameter.stderr, how=how)
+        return Measurement(name, None, STRIP_MEASURES[name], how=why)
+    return Measurement(name, parameter.value, STRIP_MEASURES[name], parameter.stderr, how=how)
 
 
 def _level(level: StrainLevel) -> Measurement:

@@ -20,6 +20,7 @@ from cbsr_qa.config.text import line_of
 from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.plan import Recipe, Scene, ScenePlan, Station
 from cbsr_qa.domain.sensor import Material, SensorType, mesh_arrays
+from cbsr_qa.plugin import Plugins
 
 
 def with_mesh(document: Document) -> Document:
@@ -73,22 +74,26 @@ class Loaded(Generic[T]):
         return self.document.folder
 
 
-def load_station(source: Source) -> Loaded[Station]:
+def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Station]:
     """Load a station. References of its instruments to files next to it become full paths.
+
+    Parameters
+    ----------
+    plugins : with them the options of what the file names are checked too; as for every loader here.
 
     Raises
     ------
     ConfigError
         As every loader here: no such file, not TOML, or a list of all that is wrong with it.
     """
-    loaded = _load(DocumentKind.STATION, StationFile, source, None)
+    loaded = _load(DocumentKind.STATION, StationFile, source, None, plugins)
     instruments = tuple(resolved_options(i, loaded.folder) for i in loaded.value.instruments)
     return Loaded(replace(loaded.value, instruments=instruments), loaded.document)
 
 
-def load_recipe(source: Source) -> Loaded[Recipe]:
+def load_recipe(source: Source, plugins: Plugins | None = None) -> Loaded[Recipe]:
     """Load a recipe. See :func:`load_station` for what is raised."""
-    return _load(DocumentKind.RECIPE, RecipeFile, source, None)
+    return _load(DocumentKind.RECIPE, RecipeFile, source, None, plugins)
 
 
 def load_sensor_type(source: Source, *, near: Path | None = None) -> Loaded[SensorType]:
@@ -101,22 +106,28 @@ def load_material(source: Source, *, near: Path | None = None) -> Loaded[Materia
     return _load(DocumentKind.MATERIAL, MaterialFile, source, near)
 
 
-def load_scene(source: Source, *, near: Path | None = None) -> Loaded[Scene]:
+def load_scene(source: Source, plugins: Plugins | None = None, *, near: Path | None = None) -> Loaded[Scene]:
     """Load what a station needs of a scene, looked for in the folder ``near`` first; raises as :func:`load_station`.
 
     The document holds only that too: what a station's run does not use is no part of its configuration.
     """
-    plan = load_scene_plan(source, near=near)
+    plan = load_scene_plan(source, plugins, near=near)
     used = {key: value for key, value in plan.document.data.items() if key in STATION_TABLES}
     return Loaded(plan.value.scene, replace(plan.document, data=used))
 
 
-def load_scene_plan(source: Source, *, near: Path | None = None) -> Loaded[ScenePlan]:
+def load_scene_plan(source: Source, plugins: Plugins | None = None, *, near: Path | None = None) -> Loaded[ScenePlan]:
     """Load all of a scene, its recording and its loads too. See :func:`load_station` for what is raised."""
-    return _load(DocumentKind.SCENE, SceneFile, source, near)
+    return _load(DocumentKind.SCENE, SceneFile, source, near, plugins)
 
 
-def _load(kind: DocumentKind, model: type[FileModel[T]], source: Source, near: Path | None) -> Loaded[T]:
+def _load(
+    kind: DocumentKind,
+    model: type[FileModel[T]],
+    source: Source,
+    near: Path | None,
+    plugins: Plugins | None = None,
+) -> Loaded[T]:
     if isinstance(source, Mapping):
         document = Document(kind, f"stored {kind.noun}", None, "", source)
     else:
@@ -125,4 +136,4 @@ def _load(kind: DocumentKind, model: type[FileModel[T]], source: Source, near: P
             document = with_mesh(document)
         elif kind is DocumentKind.RECIPE:
             document = with_limits(document)
-    return Loaded(validated(model, document), document)
+    return Loaded(validated(model, document, plugins), document)

@@ -11,6 +11,7 @@ from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_scene
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import Recipe, Scene, Station
 from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.plugin import Plugins
 
 #: Version of the document's layout.
 LAYOUT = 1
@@ -48,8 +49,13 @@ def merge(
     material: Loaded[Material],
     *,
     seed: int,
+    plugins: Plugins | None = None,
 ) -> Configuration:
     """Put the files of a run together; scenes its instruments refer to are taken in by content.
+
+    Parameters
+    ----------
+    plugins : with them the effects of scenes are checked too.
 
     Raises
     ------
@@ -57,12 +63,12 @@ def merge(
         If a scene an instrument refers to is missing or wrong.
     """
     scenes = {
-        instrument.role: load_scene(name, near=station.folder)
+        instrument.role: load_scene(name, plugins, near=station.folder)
         for instrument in station.value.instruments
         if (name := instrument.options.get("scene")) is not None
     }
     emulated = station.value.emulated_scene
-    world = None if emulated is None else load_scene(emulated, near=station.folder)
+    world = None if emulated is None else load_scene(emulated, plugins, near=station.folder)
     content = {
         "layout": LAYOUT,
         "seed": seed,

@@ -1,17 +1,18 @@
 """Recipe files: which sequences, how their frames become numbers, and the limits that judge them."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from cbsr_qa.config.choices import Choice, check_choice, check_measured, chosen, tables
 from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, version_problems
 from cbsr_qa.config.tables import FileModel, OpenTable
 from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe
-from cbsr_qa.domain.results import CharacterisationSettings, OverlapBand
-from cbsr_qa.plugin import Problem, Table
+from cbsr_qa.domain.results import STRIP_MEASURES, CharacterisationSettings, OverlapBand
+from cbsr_qa.plugin import Kind, Plugins, Problem, Table
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 Percent = Annotated[float, Field(gt=0, le=100)]
@@ -181,6 +182,38 @@ class RecipeFile(FileModel[Recipe]):
     limits_version: LimitsVersionTable | None = None
     limits: list[LimitTable] = Field(default_factory=list)
     report: ReportTable = Field(default_factory=ReportTable)
+
+    @classmethod
+    def choices(cls, data: Any) -> Iterator[Choice]:
+        """Yield sequences, reconstruction, metrics and sections."""
+        for index, phase in tables(data, "phases"):
+            yield from chosen(Kind.SEQUENCE, phase, ("phases", index), "sequence", ("name",))
+        yield from chosen(Kind.RECONSTRUCTION, data.get("reconstruction"), ("reconstruction",), "method")
+        metrics, report = data.get("metrics"), data.get("report")
+        for name, options in metrics.items() if isinstance(metrics, Mapping) else ():
+            if isinstance(options, Mapping):
+                yield Choice(Kind.METRIC, name, ("metrics", name), options)
+        sections = report.get("sections") if isinstance(report, Mapping) else None
+        for index, name in enumerate(sections if isinstance(sections, list) else ()):
+            if isinstance(name, str):
+                yield Choice(Kind.SECTION, name, ("report", "sections", index))
+
+    @classmethod
+    def plugin_problems(cls, data: Any, plugins: Plugins) -> Iterator[Problem]:
+        """Yield what is wrong with plugins, and with limits of what they do not measure."""
+        measured: dict[str, str] = dict(STRIP_MEASURES) if "characterisation" in data else {}
+        all_known = True
+        for choice in cls.choices(data):
+            plugin, problems = check_choice(choice, plugins)
+            yield from problems
+            if choice.kind is Kind.METRIC:
+                measures = getattr(plugin, "measures", None)
+                if plugin is not None and measures is None:
+                    what, rule = "does not say what it measures", "its `measures` must map names to units"
+                    yield Problem(choice.path, what, rule)
+                all_known &= measures is not None
+                measured |= measures or {}
+        yield from check_measured(tables(data, "limits"), measured, all_known=all_known)
 
     def problems(self) -> Iterator[Problem]:
         """Names that are used must be there, and only once."""

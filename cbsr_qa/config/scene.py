@@ -1,15 +1,16 @@
 """Scene files: what the simulated world contains, and what is recorded of it."""
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
+from cbsr_qa.config.choices import Choice, chosen, tables
 from cbsr_qa.config.station import IndenterTable
 from cbsr_qa.config.tables import FileModel, OpenTable
 from cbsr_qa.config.text import plainly
 from cbsr_qa.domain.plan import CLEARANCE_MM, MOST_FRAMES, Motion, PluginChoice, Scene, SceneLoad, ScenePlan
-from cbsr_qa.plugin import Problem, Table
+from cbsr_qa.plugin import Kind, Problem, Table
 
 
 def _printable(text: str) -> str:
@@ -111,6 +112,12 @@ class SceneFile(FileModel[ScenePlan]):
     recording: RecordingTable | None = None
     loads: list[LoadTable] = Field(default_factory=list)
     effects: list[EffectTable] = Field(default_factory=list)
+
+    @classmethod
+    def choices(cls, data: Any) -> Iterator[Choice]:
+        """Yield the effects."""
+        for index, effect in tables(data, "effects"):
+            yield from chosen(Kind.EFFECT, effect, ("effects", index), "name")
 
     def problems(self) -> Iterator[Problem]:
         """An effect is on once or not at all; a recording has frames, and not too many."""

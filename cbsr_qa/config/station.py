@@ -1,6 +1,6 @@
 """Station files: what is on the bench and what the bench may do."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import date, datetime
 from pathlib import Path
@@ -8,12 +8,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
+from cbsr_qa.config.choices import Choice, chosen
 from cbsr_qa.config.documents import reference_path
 from cbsr_qa.config.tables import FileModel, OpenTable, Word
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing, SafetyLimits, Station
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.plugin import Problem, Table
+from cbsr_qa.plugin import Kind, Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -188,6 +189,15 @@ class StationFile(FileModel[Station]):
     instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
     emulation: EmulationTable | None = None
     reference_ring: ReferenceRingTable | None = None
+
+    @classmethod
+    def choices(cls, data: Any) -> Iterator[Choice]:
+        """Yield the drivers."""
+        instruments = data.get("instruments")
+        for role, table in instruments.items() if isinstance(instruments, Mapping) else ():
+            yield from chosen(
+                Kind.INSTRUMENT, table, ("instruments", role), "driver", tuple(InstrumentTable.model_fields)
+            )
 
     def problems(self) -> Iterator[Problem]:
         """Every role filled once; the head one thing only; emulated instruments with a world."""

@@ -1,14 +1,16 @@
 """What the models of all configuration files share: strict tables, problems, and how they are worded."""
 
 import re
+from collections.abc import Iterator
 from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict
 
+from cbsr_qa.config.choices import Choice, check_choice
 from cbsr_qa.config.documents import Document, not_finite
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain import ConfigError, RefusedError
-from cbsr_qa.plugin import CheckedTable, Problem, check
+from cbsr_qa.plugin import CheckedTable, Plugins, Problem, check
 
 T = TypeVar("T")
 
@@ -40,13 +42,28 @@ class OpenTable(BaseModel):
 class FileModel(CheckedTable, Generic[T]):
     """The whole of a configuration file."""
 
+    @classmethod
+    def choices(cls, data: Any) -> Iterator[Choice]:
+        """Yield the plugins that a file names, as far as what it says can be made out."""
+        yield from ()
+
+    @classmethod
+    def plugin_problems(cls, data: Any, plugins: Plugins) -> Iterator[Problem]:
+        """Yield what is wrong with plugins and their options."""
+        for choice in cls.choices(data):
+            yield from check_choice(choice, plugins)[1]
+
     def to_domain(self) -> T:
         """Return the domain object; units are converted here and nowhere else."""
         raise NotImplementedError
 
 
-def validated(model: type[FileModel[T]], document: Document) -> T:
+def validated(model: type[FileModel[T]], document: Document, plugins: Plugins | None = None) -> T:
     """Check a document against its model and turn it into its domain object.
+
+    Parameters
+    ----------
+    plugins : to check what the file says of them as well.
 
     Raises
     ------
@@ -55,6 +72,7 @@ def validated(model: type[FileModel[T]], document: Document) -> T:
     """
     infinite = [Problem(path, "is not a finite number") for path in not_finite(document.data)]
     parsed, problems = check(model, document.data)
+    problems += () if plugins is None else model.plugin_problems(document.data, plugins)
     problems = [*infinite, *(p for p in problems if all(p.path != known.path for known in infinite))]
     if problems or parsed is None:
         raise refusal(document, problems)

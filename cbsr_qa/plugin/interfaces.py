@@ -83,8 +83,8 @@ class Reconstruction(Protocol):
 class LoadMetric(Protocol):
     """A metric of one press.
 
-    A metric of either kind may have an attribute ``measures``, a mapping from the names of its measurements to
-    their units. Limits are then checked against it before anything moves; without it, only after the run.
+    A metric of either kind has an attribute ``measures``, a mapping from the names of its measurements to their
+    units. Limits are checked against it before anything moves; a recipe with a metric that lacks it is refused.
     """
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:

@@ -28,7 +28,13 @@ from cbsr_qa.system import Clock, RealClock, VirtualClock
 
 
 def configure(
-    station: str, recipe: str, *, sensor_type: str | None, material: str | None, seed: int
+    station: str,
+    recipe: str,
+    *,
+    sensor_type: str | None,
+    material: str | None,
+    seed: int,
+    plugins: Plugins | None = None,
 ) -> Configuration:
     """Load and merge the files of a run.
 
@@ -36,19 +42,21 @@ def configure(
     ----------
     station, recipe : paths or shipped names.
     sensor_type, material : instead of the station's own, which are looked for next to its file first.
+    plugins : with them the options of what the files name are checked too, with all else in one pass.
 
     Raises
     ------
     ConfigError
         If a file is missing or wrong.
     """
-    at = load_station(station)
+    at = load_station(station, plugins)
     return merge(
         at,
-        load_recipe(recipe),
+        load_recipe(recipe, plugins),
         load_sensor_type(sensor_type) if sensor_type else load_sensor_type(at.value.sensor_type, near=at.folder),
         load_material(material) if material else load_material(at.value.material, near=at.folder),
         seed=seed,
+        plugins=plugins,
     )
 
 

@@ -7,12 +7,12 @@ import pytest
 from strip_bench import strip_run
 
 from cbsr_qa.analysis.strip_cycles import characterise_run, strip_force
-from cbsr_qa.analysis.strip_measurements import MEASURES, measure_characterisation
+from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import ReadingFlag, SampleBlock
-from cbsr_qa.domain.results import CharacterisationSettings
+from cbsr_qa.domain.results import STRIP_MEASURES, CharacterisationSettings
 from cbsr_qa.domain.sensor import Response
 
 SETTINGS = CharacterisationSettings()
@@ -56,8 +56,8 @@ def test_the_scenes_gauge_factor_and_modulus_come_out_with_the_bench_noise_on(fo
 
 def test_measurements_have_the_units_that_are_promised(found):
     measured = measure_characterisation(found)
-    assert {m.name for m in measured} <= set(MEASURES)
-    assert all(m.unit == MEASURES[m.name] for m in measured)
+    assert {m.name for m in measured} <= set(STRIP_MEASURES)
+    assert all(m.unit == STRIP_MEASURES[m.name] for m in measured)
     assert all(m.value is not None or m.how for m in measured)
     keys = [(m.name, m.qualifier) for m in measured]
     assert len(set(keys)) == len(keys)

@@ -5,11 +5,10 @@ from datetime import date
 from difflib import get_close_matches
 from typing import Final
 
-from cbsr_qa.analysis import MEASURES
 from cbsr_qa.analysis.run import check_weighing
 from cbsr_qa.domain import CbsrError, ConfigError, RefusedError
 from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role, Station
-from cbsr_qa.domain.results import Limit, linear
+from cbsr_qa.domain.results import STRIP_MEASURES, Limit, linear
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse import FEWEST_FRAMES, imaging_problem
@@ -35,11 +34,11 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
             plugins.factory(Kind.SECTION, name)
         if recipe.characterisation is not None:
             check_strip(sensor_type)
-            _check_named(recipe.limits, MEASURES)
+            _check_named(recipe.limits, STRIP_MEASURES)
             return
         reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
         check_weighing(reconstruction, recipe.reconstruction.name, recipe.analysis)
-        metrics = [made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics]
+        metrics = {choice.name: made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
         _check_limits(recipe.limits, metrics)
         problem = imaging_problem(sensor_type)
         with contained(f"reconstruction {recipe.reconstruction.name!r}"):
@@ -126,11 +125,17 @@ def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str
     )
 
 
-def _check_limits(limits: Iterable[Limit], metrics: Iterable[object]) -> None:
-    declared = [getattr(metric, "measures", None) for metric in metrics]
-    if any(units is None for units in declared):
-        return  # a metric that does not say what it measures may measure anything
-    _check_named(limits, {name: unit for units in declared if units for name, unit in units.items()})
+def _check_limits(limits: Iterable[Limit], metrics: Mapping[str, object]) -> None:
+    measured: dict[str, str] = {}
+    for name, metric in metrics.items():
+        measures = getattr(metric, "measures", None)
+        if measures is None:
+            raise ConfigError(
+                f"metric {name!r} does not say what it measures",
+                remedy="its `measures` must map names of measurements to units",
+            )
+        measured |= measures
+    _check_named(limits, measured)
 
 
 def _check_named(limits: Iterable[Limit], measured: Mapping[str, str]) -> None:

@@ -58,9 +58,16 @@ class RunRequest:
         validate_reason(self.why)
         return self
 
-    def configuration(self, seed: int) -> Configuration:
-        """Load and merge the files; ConfigError where one is missing or wrong."""
-        return configure(self.station, self.recipe, sensor_type=self.sensor_type, material=self.material, seed=seed)
+    def configuration(self, seed: int, plugins: Plugins | None = None) -> Configuration:
+        """Load and merge the files; ConfigError where one is missing or wrong, as far as it is checked."""
+        return configure(
+            self.station,
+            self.recipe,
+            sensor_type=self.sensor_type,
+            material=self.material,
+            seed=seed,
+            plugins=plugins,
+        )
 
 
 def default_seed(serial: str, earlier_runs: int) -> int:
@@ -163,7 +170,7 @@ def _folders() -> tuple[Path, ...]:
 def _checked(request: RunRequest) -> Plugins:
     """Refuse what can be known to be wrong before the bench is opened; what is wrong with the files is said first."""
     plugins = discover()
-    check_configuration(request.configuration(0), plugins)
+    check_configuration(request.configuration(0, plugins), plugins)
     url = database_url(request.database)
     file = sqlite_file(parsed_url(url))
     for folder in (*_folders(), *(() if file is None else (file.parent,))):

@@ -23,7 +23,7 @@ from cbsr_qa.domain import CbsrError, RefusedError
 from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.results import CommandOutcome, EndReason
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
-from cbsr_qa.plugin import discover, software_versions
+from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.report import render_sections, report_name, write_report
 from cbsr_qa.station import configure, on_stderr, station_clock
 from cbsr_qa.store import Repository, open_store
@@ -98,7 +98,8 @@ def check_station(
     AbortedError
         If a signal stopped it; the bench is safe then, and nothing is stored.
     """
-    plugins, configuration = discover(), _configuration(request)
+    plugins = discover()
+    configuration = _configuration(request, plugins)
     ring = _ring(request, configuration.station.reference_ring)
     simulated = simulates_frames(configuration.station)
     _refuse_both(request, ring, simulated)
@@ -162,7 +163,7 @@ def _check(
     )
 
 
-def _configuration(request: CheckRequest) -> Configuration:
+def _configuration(request: CheckRequest, plugins: Plugins) -> Configuration:
     validate_operator(request.operator)
     if request.golden is not None:
         validate_serial(request.golden)
@@ -172,6 +173,7 @@ def _configuration(request: CheckRequest) -> Configuration:
         sensor_type=request.sensor_type,
         material=request.material,
         seed=request.seed,
+        plugins=plugins,
     )
 
 

@@ -11,6 +11,7 @@ from .calibration import (
     VerifiedFile as VerifiedFile,
 )
 from .characterisation import (
+    STRIP_MEASURES as STRIP_MEASURES,
     Characterisation as Characterisation,
     CharacterisationSettings as CharacterisationSettings,
     CycleChange as CycleChange,

@@ -1,6 +1,8 @@
 """Characterisation of a material from press cycles on a strip (paper 2.2)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,32 @@ from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation, Response, StripRelaxation
 
 Array = NDArray[np.float64]
+
+#: What the characterisation of a strip measures: names of measurements → units.
+STRIP_MEASURES: Final[Mapping[str, str]] = {
+    "gauge_factor": "1",
+    "gauge_factor_intercept": "1",
+    "local_gauge_factor": "1",
+    "local_gauge_factor_intercept": "1",
+    "gauge_factor_error": "%",
+    "stress_sensitivity": "1/kPa",
+    "stress_sensitivity_intercept": "1",
+    "local_stress_sensitivity": "1/kPa",
+    "local_stress_sensitivity_intercept": "1",
+    "compressive_modulus": "kPa",
+    "strain_offset": "1",
+    "interelectrode_resistance": "ohm",
+    "sheet_resistance": "ohm",
+    "reading_noise": "1",
+    "conductance_change": "1",
+    "settling_time": "s",
+    "common_settling_time": "s",
+    "slow_residue": "1",
+    "cycles_used": "1",
+    "cycles_excluded": "1",
+    "strains_excluded": "1",
+    "lowest_strain": "1",
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,92 @@
+"""Plugins that a configuration file names: their options are checked with the rest of the file, in one pass."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from typing import Any
+
+from cbsr_qa.domain import CbsrError, PluginError
+from cbsr_qa.plugin import KeyPath, Kind, Plugins, Problem, check, contained, options_of, shown
+
+#: Plugins that are made of their options alone; the others need a bench or a scene.
+_MADE_OF_OPTIONS = (Kind.SEQUENCE, Kind.RECONSTRUCTION, Kind.METRIC)
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A plugin that a file names.
+
+    Parameters
+    ----------
+    path : of the table its options are in.
+    named : key of its name, where that is not the table's own.
+    """
+
+    kind: Kind
+    name: str
+    path: KeyPath
+    options: Mapping[str, Any] = field(default_factory=dict)
+    named: KeyPath = ()
+
+
+def tables(data: Any, key: str) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    """Yield the tables of an array of tables, whatever else is in it."""
+    found = data.get(key) if isinstance(data, Mapping) else None
+    for index, table in enumerate(found if isinstance(found, list) else ()):
+        if isinstance(table, Mapping):
+            yield index, table
+
+
+def chosen(kind: Kind, table: Any, path: KeyPath, key: str, known: Sequence[str] = ()) -> Iterator[Choice]:
+    """Yield the plugin that a table names under a key; its options are the keys that are not the table's own."""
+    name = table.get(key) if isinstance(table, Mapping) else None
+    if isinstance(name, str):
+        options = {k: value for k, value in table.items() if k not in (key, *known)}
+        yield Choice(kind, name, path, options, (*path, key))
+
+
+def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem]]:
+    """Check the options of a plugin, and make it where that takes no more than options.
+
+    Returns
+    -------
+    The plugin, None where it was not made, and what is wrong.
+    """
+    try:
+        factory = plugins.factory(choice.kind, choice.name)
+    except PluginError as error:
+        return None, [Problem(choice.named or choice.path, f"is {shown(choice.name)}: {error.reason}", error.remedy)]
+    if choice.kind is Kind.INSTRUMENT and not hasattr(factory, "Options"):
+        return None, []  # it looks at its table itself
+    _, problems = check(options_of(factory, handed=int(choice.kind is Kind.EFFECT)), choice.options)
+    if problems or choice.kind not in _MADE_OF_OPTIONS:
+        return None, [replace(problem, path=(*choice.path, *problem.path)) for problem in problems]
+    try:
+        with contained(f"{choice.kind} {choice.name!r}"):
+            return factory(**choice.options), []
+    except CbsrError as error:
+        return None, [Problem(choice.path, f"cannot be used: {error.reason}", error.remedy)]
+
+
+def check_measured(
+    limits: Iterator[tuple[int, Mapping[str, Any]]], measured: Mapping[str, str], *, all_known: bool
+) -> Iterator[Problem]:
+    """Yield limits of what nothing measures, or in another unit than it is measured in.
+
+    Parameters
+    ----------
+    measured : names of measurements and their units.
+    all_known : whether nothing else is measured.
+    """
+    for index, limit in limits:
+        name, unit = limit.get("measurement"), limit.get("unit")
+        if not isinstance(name, str) or not isinstance(unit, str):
+            continue
+        if name not in measured and all_known:
+            near = get_close_matches(name, measured, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            what = f"is {shown(name)}, which no metric of this recipe measures"
+            yield Problem(("limits", index, "measurement"), what, f"{hint}measured: {', '.join(sorted(measured))}")
+        elif name in measured and unit != measured[name]:
+            rule = f"it must be {measured[name]!r}, the unit that {name} is measured in"
+            yield Problem(("limits", index, "unit"), f"is {shown(unit)}", rule)
