@@ -50,22 +50,22 @@ def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem
 
     Returns
     -------
-    The plugin, None where it was not made, and what is wrong.
+    The plugin (its factory where it was not made, None where there is none), and what is wrong.
     """
     try:
         factory = plugins.factory(choice.kind, choice.name)
     except PluginError as error:
         return None, [Problem(choice.named or choice.path, f"is {shown(choice.name)}: {error.reason}", error.remedy)]
     if choice.kind is Kind.INSTRUMENT and not hasattr(factory, "Options"):
-        return None, []  # it looks at its table itself
+        return factory, []  # it looks at its table itself
     _, problems = check(options_of(factory, handed=int(choice.kind is Kind.EFFECT)), choice.options)
     if problems or choice.kind not in _MADE_OF_OPTIONS:
-        return None, [replace(problem, path=(*choice.path, *problem.path)) for problem in problems]
+        return factory, [replace(problem, path=(*choice.path, *problem.path)) for problem in problems]
     try:
         with contained(f"{choice.kind} {choice.name!r}"):
             return factory(**choice.options), []
     except CbsrError as error:
-        return None, [Problem(choice.path, f"cannot be used: {error.reason}", error.remedy)]
+        return factory, [Problem(choice.path, f"cannot be used: {error.reason}", error.remedy)]
 
 
 def check_measured(

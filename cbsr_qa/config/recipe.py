@@ -208,7 +208,7 @@ class RecipeFile(FileModel[Recipe]):
             yield from problems
             if choice.kind is Kind.METRIC:
                 measures = getattr(plugin, "measures", None)
-                if plugin is not None and measures is None:
+                if not problems and measures is None:
                     what, rule = "does not say what it measures", "its `measures` must map names to units"
                     yield Problem(choice.path, what, rule)
                 all_known &= measures is not None

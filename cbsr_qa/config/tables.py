@@ -86,11 +86,11 @@ def refusal(document: Document, problems: list[Problem]) -> ConfigError:
     """Return the error that lists what is wrong with a file, each with its line; of very many the first ones."""
     some = "" if len(problems) <= MOST_LISTED else f", of which these are the first {MOST_LISTED}"
     lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}{some}:"]
-    for problem in problems[:MOST_LISTED]:
-        line = line_of(document.text, problem.path)
+    placed = [(line_of(document.text, problem.path), problem) for problem in problems]
+    for line, problem in sorted(placed, key=lambda each: each[0] or 0)[:MOST_LISTED]:
         where = f"line {line}: " if line else ""
         lines.append(f"  {where}{problem}")
     what = "it" if len(problems) == 1 else "them"
     return ConfigError(
-        "\n".join(lines), remedy=f"mend {what} and try again; docs/reference/configuration.md lists every key"
+        "\n".join(lines), remedy=f"correct {what} and try again; docs/reference/configuration.md lists every key"
     )

@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial, update_wrapper
 from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
@@ -10,6 +11,7 @@ from pydantic import ConfigDict, Field, create_model
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.plugin.instruments import StationContext
 from cbsr_qa.plugin.problems import CheckedTable, Problem, check
+from cbsr_qa.plugin.words import dotted
 
 #: A pair or an array that is written as an array in TOML, and as a tuple in Python.
 Array: Final = Field(strict=False)
@@ -38,10 +40,10 @@ class PluginOptions(CheckedTable):
 
 def refused(problems: list[Problem]) -> ConfigError:
     """Return the error that lists what is wrong with options."""
+    found = "; ".join(str(replace(problem, allowed="")) for problem in problems)
     if len(problems) == 1:
-        (problem,) = problems
-        return ConfigError(str(Problem(problem.path, problem.what)), remedy=problem.allowed)
-    return ConfigError("; ".join(map(str, problems)), remedy="see cbsr-qa plugins show for what is allowed")
+        return ConfigError(found, remedy=problems[0].allowed)
+    return ConfigError(found, remedy="; ".join(f"{dotted(p.path)}: {p.allowed}" for p in problems if p.allowed))
 
 
 class WithOptions:
