@@ -24,6 +24,8 @@ def cbsr_phase_finished(phase):
 
 
 class Metric:
+    measures = {"hostility": "1"}  # noqa: RUF012
+
     def __init__(self):
         _act("factory")
 

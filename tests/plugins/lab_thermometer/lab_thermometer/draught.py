@@ -1,9 +1,14 @@
 """A door that opens: what the lab that owns the thermometer wants to try on a scene."""
 
-from cbsr_qa.domain import ConfigError
+from typing import Annotated
+
+from pydantic import Field
+
+from cbsr_qa.plugin import PluginOptions
+from cbsr_qa.simulate import SceneEffect
 
 
-class RoomDraught:
+class RoomDraught(SceneEffect):
     """The sheet cools while a door is open, and resists more.
 
     Parameters
@@ -13,16 +18,16 @@ class RoomDraught:
     from_s, to_s : when the door is open.
     """
 
-    needs = ()
-    perturbs = "impedance"
+    class Options(PluginOptions):
+        cooler_K: Annotated[float, Field(ge=0)]
+        resists_per_K: float
+        from_s: float
+        to_s: float
 
-    def __init__(self, setting, *, cooler_K, resists_per_K, from_s, to_s):
-        if not cooler_K >= 0:
-            raise ConfigError(f"cooler_K is {cooler_K!r}", remedy="it is a finite number of at least 0")
-        self._factor = 1 + resists_per_K * cooler_K
-        self._from_s, self._to_s = from_s, to_s
+    perturbs = "impedance"
 
     def apply(self, moment):
         """Scale what the electrodes see."""
-        if self._from_s <= moment.time_s < self._to_s:
-            moment.impedance_ohm = self._factor * moment.impedance_ohm
+        options = self.options
+        if options.from_s <= moment.time_s < options.to_s:
+            moment.impedance_ohm = (1 + options.resists_per_K * options.cooler_K) * moment.impedance_ohm

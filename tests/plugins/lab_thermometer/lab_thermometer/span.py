@@ -8,6 +8,8 @@ from cbsr_qa.domain.results import Measurement
 class TemperatureSpan:
     """Highest minus lowest temperature."""
 
+    measures = {"temperature_span": "°C"}  # noqa: RUF012
+
     def measure_run(self, run):
         """Measure it, or say that nobody recorded a temperature."""
         blocks = [b for p in run.record.phases for b in p.samples if b.channel == "temperature"]

@@ -4,6 +4,7 @@ import numpy as np
 
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.plugin import PluginOptions, driver
 
 
 class Thermometer:
@@ -40,6 +41,14 @@ class Thermometer:
         """Nothing to close."""
 
 
-def open_thermometer(context):
+class ThermometerOptions(PluginOptions):
+    """Options of its table in the station file."""
+
+    start_C: float
+    rise_C_per_h: float
+
+
+@driver("lab-thermometer", ThermometerOptions)
+def open_thermometer(context, options):
     """Make one from its table in the station file."""
-    return Thermometer(context, context.options["start_C"], context.options["rise_C_per_h"])
+    return Thermometer(context, options.start_C, options.rise_C_per_h)
