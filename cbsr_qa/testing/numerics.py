@@ -80,7 +80,7 @@ def assert_adjoint(
 
 
 def check_metric(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
-    """Ask a metric as a run does, and compare with what it says it ``measures``, where it does.
+    """Ask a metric as a run does, and compare with what it says it ``measures``.
 
     Returns
     -------
@@ -96,8 +96,7 @@ def check_metric(metric: LoadMetric | RunMetric, observation: RunObservation) ->
     assert isinstance(metric, LoadMetric | RunMetric), "a metric has measure_load or measure_run"
     taken = ask(metric, observation)
     units = getattr(metric, "measures", None)
+    assert units is not None, "a metric has `measures`: names of its measurements and their units"
     for value in taken:
-        assert units is None or units.get(value.name) == value.unit, (
-            f"{value.name} in {value.unit} is not among {units}"
-        )
+        assert units.get(value.name) == value.unit, f"{value.name} in {value.unit} is not among {units}"
     return taken

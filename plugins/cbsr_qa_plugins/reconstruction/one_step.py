@@ -14,7 +14,6 @@ from cbsr_qa.eit.inverse import (
     Correlation,
     OneStep,
     Prior,
-    Regularisation,
     RidgeSearch,
     TemporalImages,
     high_pass,
