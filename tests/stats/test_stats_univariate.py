@@ -1,4 +1,4 @@
-"""Univariate statistics and one-way analysis of variance against NIST's certified values and exact arithmetic."""
+"""Univariate statistics against NIST's certified values and exact arithmetic."""
 
 import json
 from fractions import Fraction
@@ -11,7 +11,6 @@ from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.stats.difference import one_way
 from cbsr_qa.stats.samples import quantile, summary
 
 NUM_ACC_4 = [10000000.2] + [10000000.1, 10000000.3] * 500
@@ -109,50 +108,3 @@ def test_quantile_intervals_cover(below):
     lots = random.gamma(2.0, size=(1500, 60))
     covered = np.mean([quantile(lot, below).interval.holds(true) for lot in lots])
     assert 0.94 <= covered <= 0.985  # at least 95 %, give or take 0.6 % of drawing, and not much more
-
-
-@pytest.mark.shared
-def test_certified_analysis_of_variance(oracle):
-    certified = oracle["SiRstv"]
-    groups = [[y for instrument, y in certified["data"] if instrument == number] for number in range(1, 6)]
-    found = one_way(groups)
-    assert found.between == pytest.approx(certified["SSB"], rel=1e-9)
-    assert found.within == pytest.approx(certified["SSW"], rel=1e-9)
-    assert found.statistic == pytest.approx(certified["F"], rel=1e-9)
-    assert found.share_between == pytest.approx(certified["R2"], rel=1e-9)
-    assert found.residual_deviation == pytest.approx(certified["resid_sd"], rel=1e-9)
-    assert (found.freedom_between, found.freedom_within) == (4, 20)
-    assert found.p_value == pytest.approx(stats.f_oneway(*groups).pvalue, rel=1e-9)
-
-
-@pytest.mark.parametrize("replicates", [21, 201, 2001])
-@pytest.mark.parametrize(("offset", "digits"), [(1, 14), (10**6, 9), (10**12, 4)])
-def test_simulated_sets_of_nist_lose_the_digits_that_doubles_lose(replicates, offset, digits):
-    """SmLs01 to 09 (Simon & Lesage 1989): nine groups about 0.3 to 0.5, values 0.1 away; certified F = n."""
-    groups = [
-        [offset + tenths / 10] + [offset + (tenths + away) / 10 for away in (-1, 1)] * (replicates // 2)
-        for tenths in (4, 3, 5, 3, 5, 3, 5, 3, 5)
-    ]
-    found = one_way(groups)
-    assert found.statistic == pytest.approx(replicates, rel=10.0**-digits)
-    assert found.within == pytest.approx(0.09 * (replicates - 1), rel=10.0**-digits)
-
-
-@settings(deadline=None)
-@given(st.lists(values, min_size=2, max_size=5), st.integers(-(2**30), 2**30))
-def test_analysis_of_variance_knows_no_origin(groups, shift):
-    if all(len(set(group)) == 1 for group in groups):
-        with pytest.raises(NumericsError, match="no variance"):
-            one_way(groups)
-        return
-    there, here = one_way([[x + shift for x in group] for group in groups]), one_way(groups[::-1])
-    assert there.statistic == pytest.approx(here.statistic, rel=1e-9, abs=1e-9)
-
-
-def test_groups_that_have_no_variance_are_refused():
-    with pytest.raises(NumericsError, match="1 group instead of at least 2"):
-        one_way([[1.0, 2.0]])
-    with pytest.raises(NumericsError, match="every group has one value"):
-        one_way([[1.0], [2.0]])
-    with pytest.raises(NumericsError, match="batch 42: 0 values"):
-        one_way([[1.0, 2.0], []], ["batch 41", "batch 42"])
