@@ -11,12 +11,6 @@ An estimated difference with its standard error: interval, p value, and whether 
 Two one-sided tests (Schuirmann 1987) call a difference Δ equivalent to none where both Δ ≤ −m and Δ ≥ m are refuted
 at level α, which is the same as the 1 − 2α interval lying within ± m.
 
-Analysis of variance of groups: whether their means are alike.
-
-    SSB = Σ n_g (x̄_g − x̄)²,  SSW = Σ Σ (x − x̄_g)²,  F = (SSB/(k − 1)) / (SSW/(N − k))
-
-Source: NIST Statistical Reference Datasets, one-way analysis of variance (definitions and certified values).
-
 Many tests at once: p values adjusted so that a page of thirty metrics does not find one difference by chance.
 
 Sources: Holm 1979 (family-wise error); Benjamini & Hochberg 1995 (false discovery rate of independent or positively
@@ -25,14 +19,14 @@ dependent tests). Both are the step-down or step-up procedure turned into adjust
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import exp, fsum, inf, isfinite, lgamma, log, sqrt
+from math import exp, inf, isfinite, lgamma, log, sqrt
 
 import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.stats.intervals import noncentrality
-from cbsr_qa.stats.samples import LEAST_SPREAD, Estimate, Interval, Summary, centred, constant, sample, share, summary
+from cbsr_qa.stats.samples import LEAST_SPREAD, Estimate, Interval, Summary, sample, share, summary
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,10 +191,10 @@ def unbiasing(freedom: float) -> float:
     return exp(lgamma(freedom / 2) - lgamma((freedom - 1) / 2) - 0.5 * log(freedom / 2))
 
 
-def pooled_deviation(one: Summary, two: Summary) -> float:
+def pooled_deviation(first: Summary, two: Summary) -> float:
     """Return s_p = √(Σ (n_g − 1) s_g² / (n₁ + n₂ − 2))."""
-    squares = sum((group.count - 1) * _deviation(group) ** 2 for group in (one, two))
-    return sqrt(squares / (one.count + two.count - 2))
+    squares = sum((group.count - 1) * _deviation(group) ** 2 for group in (first, two))
+    return sqrt(squares / (first.count + two.count - 2))
 
 
 def _both(first: Iterable[float], second: Iterable[float], names: tuple[str, str]) -> tuple[Summary, Summary]:
@@ -221,62 +215,6 @@ def _deviation(group: Summary) -> float:
 
 def _title(names: tuple[str, str]) -> str:
     return f"{names[0]} − {names[1]}"
-
-
-@dataclass(frozen=True, slots=True)
-class OneWay:
-    """Table of a one-way analysis of variance; squares in the square of the values' unit."""
-
-    between: float
-    within: float
-    freedom_between: int
-    freedom_within: int
-    statistic: float
-    p_value: float
-
-    @property
-    def share_between(self) -> float:
-        """R² = SSB / (SSB + SSW)."""
-        return self.between / (self.between + self.within)
-
-    @property
-    def residual_deviation(self) -> float:
-        """√(SSW / (N − k)), in the values' unit."""
-        return sqrt(self.within / self.freedom_within)
-
-
-def one_way(groups: Sequence[Iterable[float]], names: Sequence[str] = ()) -> OneWay:
-    """Return the analysis of variance of at least two groups.
-
-    Parameters
-    ----------
-    groups : values of each group, at least one each and two in one of them.
-    names : of the groups, for messages.
-
-    Raises
-    ------
-    NumericsError
-        One group, an empty one, no repeats, missing values, or groups that differ within by rounding at most.
-    """
-    if len(groups) < 2:
-        raise NumericsError(f"analysis of variance: {len(groups)} group instead of at least 2")
-    labels = names or [f"group {index + 1}" for index in range(len(groups))]
-    arrays = [sample(values, name) for values, name in zip(groups, labels, strict=True)]
-    count = sum(map(len, arrays))
-    if count == len(arrays):
-        raise NumericsError("analysis of variance: every group has one value: no variance within groups")
-    grand, _ = centred(np.concatenate(arrays))
-    parts = [centred(array - grand) for array in arrays]
-    between = fsum(len(rest) * mean**2 for mean, rest in parts)
-    within = fsum(square for _, rest in parts for square in rest**2)
-    # Group by group: a sum of squares against a common threshold calls many small groups' true spread rounding.
-    if all(constant(array) for array in arrays) or not within:
-        raise NumericsError(
-            "analysis of variance: values within groups differ only by rounding: there is no variance"
-        )
-    free = len(arrays) - 1, count - len(arrays)
-    statistic = (between / free[0]) / (within / free[1])
-    return OneWay(between, within, *free, statistic, float(stats.f.sf(statistic, *free)))
 
 
 def holm(p_values: Sequence[float]) -> Array:

@@ -156,24 +156,6 @@ def capability_of_extremes(
     return Capability(len(apart), (low_mean + high_mean) / 2, within, overall, cp, cpk, pp, ppk)
 
 
-def capability_of(
-    mean: float,
-    deviation: float,
-    count: int,
-    *,
-    lower: float | None = None,
-    upper: float | None = None,
-    confidence: float = 0.95,
-) -> tuple[Index | None, Index]:
-    """Return Cp (None for one limit) and Cpk of a mean and a deviation with ``count`` − 1 degrees of freedom."""
-    _check_limits(lower, upper, "values")
-    share(confidence, "confidence")
-    if count < 2 or not deviation > 0:
-        raise NumericsError(f"capability: {count} values with a deviation of {deviation:g} have no capability index")
-    spread = _Spread(deviation, count - 1, count)
-    return _both(spread, lower, upper, confidence), _nearest(spread, mean, lower, upper, confidence)
-
-
 def _check_limits(lower: float | None, upper: float | None, what: str) -> None:
     if lower is None and upper is None:
         raise NumericsError(f"{what}: capability needs at least one limit")

@@ -10,18 +10,25 @@ from scipy import stats
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.stats.difference import benjamini_hochberg, holm
-from cbsr_qa.stats.process_capability import capability, capability_of, capability_of_extremes, passed_share
+from cbsr_qa.stats.process_capability import capability, capability_of_extremes, passed_share
+
+
+def indices(mean, deviation, count, **limits):
+    """Cp and Cpk of values with exactly this mean and deviation."""
+    drawn = np.arange(count) - (count - 1) / 2
+    found = capability([mean + deviation * drawn / drawn.std(ddof=1)], **limits)
+    return found.cp, found.cpk
 
 
 @pytest.mark.shared
 def test_handbook_index(shared):
     printed = json.loads((shared / "oracle" / "statistics.json").read_text(encoding="utf-8"))["cpk"]
-    cp, cpk = capability_of(printed["mean"], printed["s"], 50, lower=printed["LSL"], upper=printed["USL"])
+    cp, cpk = indices(printed["mean"], printed["s"], 50, lower=printed["LSL"], upper=printed["USL"])
     assert (cp.value, cpk.value) == pytest.approx((printed["Cp"], printed["Cpk"]), rel=1e-14)
 
 
 def test_interval_of_cp_is_the_chi_square_one():
-    cp, _ = capability_of(0.0, 1.0, 50, lower=-4.0, upper=4.0)
+    cp, _ = indices(0.0, 1.0, 50, lower=-4.0, upper=4.0)
     # χ² of 49 degrees of freedom: 31.555 and 70.222 (printed tables).
     ends = 4 / 3 * sqrt(31.555 / 49), 4 / 3 * sqrt(70.222 / 49)
     assert (cp.low, cp.high) == pytest.approx(ends, rel=2e-5)
@@ -30,7 +37,7 @@ def test_interval_of_cp_is_the_chi_square_one():
 @pytest.mark.parametrize("mean", [-2.0, 0.5, 2.0, 12.0])
 def test_interval_of_one_limit_has_the_tails_it_says(mean):
     """At each end the observed index is exactly the quantile it should be; also for a mean beyond the limit."""
-    _, found = capability_of(mean, 1.0, 12, lower=0.0)
+    _, found = indices(mean, 1.0, 12, lower=0.0)
     scale = 3 * sqrt(12)
     assert stats.nct.cdf(scale * found.value, 11, scale * found.low) == pytest.approx(0.975, abs=1e-8)
     assert stats.nct.cdf(scale * found.value, 11, scale * found.high) == pytest.approx(0.025, abs=1e-8)

@@ -99,9 +99,9 @@ def sum_interval(parts: Sequence[MeanSquare], confidence: float) -> Interval:
 def _pairs(parts: Sequence[MeanSquare], tails: _Tails) -> float:
     """Cross terms of mean squares of one sign."""
     total = 0.0
-    for index, one in enumerate(parts):
+    for index, part in enumerate(parts):
         for two in parts[index + 1 :]:
-            total += tails.alike(one.freedom, two.freedom) * one.term * two.term
+            total += tails.alike(part.freedom, two.freedom) * part.term * two.term
     return total / (len(parts) - 1) if len(parts) > 1 else 0.0
 
 
@@ -115,7 +115,7 @@ def pivot_interval(squares: Sequence[MeanSquare], function: Callable[[Array], Ar
     confidence : share between 0 and 1; draws come from a fixed seed, so that one study has one interval.
     """
     random = np.random.default_rng(20000415)
-    drawn = np.array([one.freedom * one.value / random.chisquare(one.freedom, _DRAWS) for one in squares])
+    drawn = np.array([square.freedom * square.value / random.chisquare(square.freedom, _DRAWS) for square in squares])
     tail = (1 - confidence) / 2
     low, high = np.quantile(function(drawn), [tail, 1 - tail])
     return Interval(float(low), float(high), confidence)

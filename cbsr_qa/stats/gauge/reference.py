@@ -118,14 +118,14 @@ class Linearity:
         line = self.line
         return self._widened(line.at(reference), 1 / line.count, (reference - line.centre) / line.squares)
 
-    def _widened(self, found: Contrast, level: float, slope: float) -> Referenced:
+    def _widened(self, contrast: Contrast, level: float, slope: float) -> Referenced:
         """Add the uncertainty of references whose readings have weights level + slope (x − x̄).
 
         A reference that is u too high reads (1 + b) u too low, b the slope: the truth is further to the left too.
         """
         line = self.line
         parts = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
-        return Referenced(found.value, found.standard_error, found.freedom, hypot(*parts))
+        return Referenced(contrast.value, contrast.standard_error, contrast.freedom, hypot(*parts))
 
     def acceptable(self, confidence: float = 0.95) -> bool:
         """Whether a bias of zero lies within the confidence band at every reference value."""

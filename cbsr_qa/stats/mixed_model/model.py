@@ -18,7 +18,14 @@ from scipy import linalg
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.stats.crossings import Crossing
 from cbsr_qa.stats.difference import Contrast, checked
-from cbsr_qa.stats.mixed_model.reml import Ratio, SensorSums, SmallSample, sensor_sums, small_sample, variance_ratio
+from cbsr_qa.stats.mixed_model.reml import (
+    RandomEffectSums,
+    Ratio,
+    SmallSample,
+    random_effect_sums,
+    small_sample,
+    variance_ratio,
+)
 from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, centred, sample
 from cbsr_qa.stats.variance_components import FEWEST_REPEATS
 
@@ -137,7 +144,7 @@ def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
 class _Reduced:
     """Response as origin + scale (X start + r), and the sums of X and r; the start affects only rounding."""
 
-    sums: SensorSums
+    sums: RandomEffectSums
     origin: float
     scale: float
     start: Array
@@ -163,7 +170,7 @@ def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
     rest = away / scale - matrix @ start
     if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
         raise NumericsError(f"{what}: values do not differ within groups and stations: there is no variance")
-    return _Reduced(sensor_sums(matrix, rest, design.sensor), origin, scale, start)
+    return _Reduced(random_effect_sums(matrix, rest, design.sensor), origin, scale, start)
 
 
 def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
@@ -173,7 +180,7 @@ def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
     )
 
 
-def _inseparable(sums: SensorSums) -> str:
+def _inseparable(sums: RandomEffectSums) -> str:
     """Say why sensor and run variance cannot be separated; empty otherwise."""
     if sums.runs == sums.total_sensors:
         return "no sensor has more than one run, so that sensors and runs cannot be told apart"
@@ -233,7 +240,7 @@ def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
     )
 
 
-def _repeats(sums: SensorSums) -> int:
+def _repeats(sums: RandomEffectSums) -> int:
     """Degrees of freedom of repeated runs, stations' differences subtracted."""
     return sums.runs - sums.total_sensors - sums.within_rank()
 

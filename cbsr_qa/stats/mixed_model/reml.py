@@ -45,7 +45,7 @@ from cbsr_qa.stats.samples import Interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SensorSums:
+class RandomEffectSums:
     """Sums over sensors, Z having p columns of X and the response as the last.
 
     Parameters
@@ -113,7 +113,7 @@ class SensorSums:
         return self.within[np.ix_(moving, moving)], self.within[moving, -1]
 
 
-def sensor_sums(matrix: SparseArray, response: Array, sensor: IntArray) -> SensorSums:
+def random_effect_sums(matrix: SparseArray, response: Array, sensor: IntArray) -> RandomEffectSums:
     """Return the sums.
 
     Parameters
@@ -131,7 +131,7 @@ def sensor_sums(matrix: SparseArray, response: Array, sensor: IntArray) -> Senso
     sizes, place = np.unique(counts, return_inverse=True)
     alike = [np.flatnonzero(place == index) for index in range(len(sizes))]
     between = np.stack([_cross(means[those], mean[those]) for those in alike])
-    return SensorSums(runs, sizes.astype(float), np.bincount(place).astype(float), within, between)
+    return RandomEffectSums(runs, sizes.astype(float), np.bincount(place).astype(float), within, between)
 
 
 def _cross(matrix: SparseArray, response: Array) -> Array:
@@ -164,7 +164,7 @@ class Ratio:
 class Likelihood:
     """Profile criterion of θ; see the module."""
 
-    sums: SensorSums
+    sums: RandomEffectSums
     restricted: bool = True
 
     @property
@@ -208,7 +208,7 @@ class Likelihood:
         return float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / self.freedom
 
 
-def variance_ratio(sums: SensorSums, *, restricted: bool = True, confidence: float = 0.95) -> Ratio:
+def variance_ratio(sums: RandomEffectSums, *, restricted: bool = True, confidence: float = 0.95) -> Ratio:
     """Return the θ that minimises the criterion; 0 if the likelihood decreases from there on.
 
     Raises
@@ -274,7 +274,7 @@ class SmallSample:
         return 2 / float(traces @ self.variances @ traces)
 
 
-def small_sample(sums: SensorSums, ratio: float) -> SmallSample:
+def small_sample(sums: RandomEffectSums, ratio: float) -> SmallSample:
     """Return the covariances at a ratio of variances θ ≥ 0."""
     inner = sums.within[:-1, :-1]
 
@@ -292,7 +292,7 @@ def small_sample(sums: SensorSums, ratio: float) -> SmallSample:
     return SmallSample(plain, 0.5 * (adjusted + adjusted.T), slopes, variances)
 
 
-def _information(sums: SensorSums, ratio: float, plain: Array, slopes: Array, curves: Array) -> Array:
+def _information(sums: RandomEffectSums, ratio: float, plain: Array, slopes: Array, curves: Array) -> Array:
     """Expected restricted information ½ [tr(V⁻¹V_iV⁻¹V_j) − 2 tr(ΦQ_ij) + tr(ΦP_iΦP_j)] of both variances."""
     inside = sums.runs - sums.total_sensors
     traces = np.array(

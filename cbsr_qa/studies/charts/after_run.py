@@ -48,7 +48,7 @@ def charts_after(
         return None
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
-    for recipe, golden in dict.fromkeys((one.recipe, one.golden) for one in references):
+    for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
         members = [one for one in references if (one.recipe, one.golden) == (recipe, golden)]
         table = store.fleet(_looked_at(identity.station, members, until))
         figures = reference_figures(table, members)
@@ -103,7 +103,7 @@ def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> Fle
 def _looked_at(station: str, members: Sequence[ChartReference], until: str) -> RunSelection:
     """Select the latest runs of one recipe, of one golden sensor or of production."""
     first = members[0]
-    grouped = any(one.chart is ChartKind.MEANS for one in members)
+    grouped = any(member.chart is ChartKind.MEANS for member in members)
     return RunSelection(
         serials=(first.golden,) if first.golden else (),
         stations=(station,),
@@ -116,12 +116,12 @@ def _looked_at(station: str, members: Sequence[ChartReference], until: str) -> R
 
 
 def _signal(
-    one: ChartReference, lines: Sequence[RunLine], figures: dict[MetricKey, dict[str, RunFigure]]
+    reference: ChartReference, lines: Sequence[RunLine], figures: dict[MetricKey, dict[str, RunFigure]]
 ) -> StandingSignal | None:
-    of = figures.get(one.key, {})
-    pairs = [(line, of[line.run].value) for line in lines if line.run in of and line.run > one.last_run]
-    kept = [(line, value) for line, value in pairs if value is not None and of[line.run].unit == one.unit]
-    if len(kept) < one.subgroup:
+    of = figures.get(reference.key, {})
+    pairs = [(line, of[line.run].value) for line in lines if line.run in of and line.run > reference.last_run]
+    kept = [(line, value) for line, value in pairs if value is not None and of[line.run].unit == reference.unit]
+    if len(kept) < reference.subgroup:
         return None
-    charts = charts_of([value for _, value in kept], one, Standard(one.mean, one.deviation))
-    return standing(charts, [line for line, _ in kept], one, cut=len(lines) >= LOOK_BACK)
+    charts = charts_of([value for _, value in kept], reference, Standard(reference.mean, reference.deviation))
+    return standing(charts, [line for line, _ in kept], reference, cut=len(lines) >= LOOK_BACK)

@@ -116,7 +116,7 @@ def standing(
     charts : of the values of ``lines``.
     cut : whether there were earlier runs that were not looked at.
     """
-    found = [_standing(one) for one in charts if one.chart.name != UNCOUNTED]
+    found = [_standing(chart) for chart in charts if chart.chart.name != UNCOUNTED]
     begun = sorted(filter(None, found), key=lambda one: one[0])
     if not begun:
         return None
@@ -148,9 +148,9 @@ def _sum_began(charts: Sequence[Charted], begin: int) -> int | None:
     return None
 
 
-def _standing(one: Charted) -> tuple[int, tuple[str, ...]] | None:
+def _standing(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
     """Value at which the standing signal began, and the rules that spoke since."""
-    chart, first = one.chart, len(one.chart.points)
+    chart, first = charted.chart, len(charted.chart.points)
     for signal in reversed(chart.signals):
         if first - signal.index > (STANDS if first == len(chart.points) else JOINED):
             break
@@ -159,7 +159,7 @@ def _standing(one: Charted) -> tuple[int, tuple[str, ...]] | None:
         return None
     of = f"{chart.name}, " if chart.name not in ("individuals", "means") else ""
     rules = dict.fromkeys(f"{of}{signal.rule}" for signal in chart.signals if signal.index >= first)
-    return one.ends[first], tuple(rules)
+    return charted.ends[first], tuple(rules)
 
 
 #: Runs that are drawn; of longer charts only the latest.

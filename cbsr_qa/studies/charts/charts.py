@@ -53,7 +53,7 @@ class Charts:
     @property
     def signals(self) -> tuple[StandingSignal, ...]:
         """Those that stand."""
-        return tuple(one.signal for one in self.charts if one.signal is not None)
+        return tuple(chart.signal for chart in self.charts if chart.signal is not None)
 
 
 def control_charts(request: ChartsRequest, *, database: str | None = None) -> Charts:
@@ -89,7 +89,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
         stored = period is not None and not request.dry_run
         if stored:
             store.save_chart_references([one.reference for one in charts if one.reference is not None])
-    in_control = all(one.signal is None for one in charts)
+    in_control = all(chart.signal is None for chart in charts)
     golden = request.golden
     simulated = bool(lines[-1].simulated)
     return Charts(request.station, recipe, golden, len(lines), in_control, stored, simulated, notes, charts)
@@ -130,9 +130,9 @@ def _retired(store: Repository, request: ChartsRequest, held: Sequence[ChartRefe
     """Retire the charts of one kind, of the metrics that are named or of all; return a note that names them."""
     now, by, why = RealClock().wall(), request.operator, request.why
     rows = [
-        replace(one, reference=store.new_id(), operator=by, made_at=now, why=why, retired=True)
-        for one in held
-        if one.chart is request.retire
+        replace(reference, reference=store.new_id(), operator=by, made_at=now, why=why, retired=True)
+        for reference in held
+        if reference.chart is request.retire
     ]
     if not rows:
         kinds = ", ".join(sorted({str(one.chart) for one in held}))
@@ -141,13 +141,13 @@ def _retired(store: Repository, request: ChartsRequest, held: Sequence[ChartRefe
             remedy=f"charts that hold are {kinds}" if kinds else "this station has no charts",
         )
     store.save_chart_references(rows)
-    return _RETIRED.format(operator=by, charts=named([one.label for one in rows]))
+    return _RETIRED.format(operator=by, charts=named([row.label for row in rows]))
 
 
 def _against_stored(
     table: FleetTable, request: ChartsRequest, recipe: str, lines: Sequence[RunLine], held: Sequence[ChartReference]
 ) -> tuple[MetricChart, ...]:
-    lacking = [name for name in request.metrics if name not in {one.name for one in held}]
+    lacking = [name for name in request.metrics if name not in {reference.name for reference in held}]
     if not held or lacking:
         of = f" for {named(lacking)}" if lacking else ""
         series_of(lines, figures_of(table), request.metrics)  # a name that nobody measured is refused first
@@ -181,7 +181,7 @@ def _with_period(
     charts = tuple(_new_chart(store, one, request, period, own[0].recipe) for one in series)
     if not charts:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
-    if all(one.reference is None for one in charts):
+    if all(chart.reference is None for chart in charts):
         said = "\n".join("; ".join((f"  {one.label}: {one.why}", *one.notes)) for one in charts[:10])
         raise RefusedError(
             f"no limits come of this reference period:\n{said}", remedy="choose another or a longer one"

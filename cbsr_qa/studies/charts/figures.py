@@ -12,16 +12,16 @@ from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, fit_
 from cbsr_qa.studies.charts.charting import MOST_DRAWN, ChartPhase, MetricChart
 
 
-def control_charts_svg(one: MetricChart) -> str:
+def control_charts_svg(chart: MetricChart) -> str:
     """Draw charts below each other: one row a name (individuals above their moving range), both phases side by side.
 
     Returns
     -------
     The ``<svg>`` element.
     """
-    rows = list(dict.fromkeys(part.name for part in one.charts))
-    numbers = {run: number for number, run in enumerate(one.runs, start=1)}
-    first = max(0, len(one.runs) - MOST_DRAWN) + 1
+    rows = list(dict.fromkeys(part.name for part in chart.charts))
+    numbers = {run: number for number, run in enumerate(chart.runs, start=1)}
+    first = max(0, len(chart.runs) - MOST_DRAWN) + 1
 
     def build() -> Canvas:
         height = 0.75 + 1.55 * len(rows)
@@ -31,12 +31,12 @@ def control_charts_svg(one: MetricChart) -> str:
         )
         labelled = [figure.add_subplot(grid[row]) for row in range(len(rows))]
         for name, axes in zip(rows, labelled, strict=True):
-            for part in one.charts:
+            for part in chart.charts:
                 if part.name == name:
                     _draw(axes, part, numbers, first)
-            if one.reference_runs >= first:
-                axes.axvspan(first - 0.5, one.reference_runs + 0.5, color=FAINT, alpha=0.25, linewidth=0)
-            axes.set_ylabel(unit_column(name, one.unit))
+            if chart.reference_runs >= first:
+                axes.axvspan(first - 0.5, chart.reference_runs + 0.5, color=FAINT, alpha=0.25, linewidth=0)
+            axes.set_ylabel(unit_column(name, chart.unit))
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             axes.tick_params(labelbottom=axes is labelled[-1])
         labelled[-1].set_xlabel("run, in the order they were made")

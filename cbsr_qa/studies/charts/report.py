@@ -52,26 +52,26 @@ _ALTERNATIVE: Final = "Control charts of {label}; the table and the sentences ab
 _NO_CHART: Final = "No chart: {why}."
 
 
-def charts_outcome(found: Charts) -> CommandOutcome[Charts]:
+def charts_outcome(charts: Charts) -> CommandOutcome[Charts]:
     """Lay charts out; the exit code is 1 where a signal stands."""
-    sections = [Section("How to read this page", tuple(_reading(found)), page_only=True)]
-    sections += [Section("Charts", (_table(found),))] if found.charts else []
-    sections += [Section(one.label, tuple(_blocks(one))) for one in found.charts]
-    return CommandOutcome(found, _page(found), tuple(sections), 0 if found.in_control else 1)
+    sections = [Section("How to read this page", tuple(_reading(charts)), page_only=True)]
+    sections += [Section("Charts", (_table(charts),))] if charts.charts else []
+    sections += [Section(chart.label, tuple(_blocks(chart))) for chart in charts.charts]
+    return CommandOutcome(charts, _page(charts), tuple(sections), 0 if charts.in_control else 1)
 
 
-def _page(found: Charts) -> Page:
-    charted = [one.reference for one in found.charts if one.reference is not None]
+def _page(charts: Charts) -> Page:
+    charted = [chart.reference for chart in charts.charts if chart.reference is not None]
     facts = (
-        ("Station", found.station),
-        ("Recipe", found.recipe),
-        ("Charted", f"golden sensor {found.golden}" if found.golden else "production runs"),
-        ("Runs", str(found.runs)),
+        ("Station", charts.station),
+        ("Recipe", charts.recipe),
+        ("Charted", f"golden sensor {charts.golden}" if charts.golden else "production runs"),
+        ("Runs", str(charts.runs)),
         *(("Limits", text) for text in dict.fromkeys(map(_set, charted))),
-        *((("Stored", plural(len(charted), "new reference")),) if found.stored else ()),
+        *((("Stored", plural(len(charted), "new reference")),) if charts.stored else ()),
     )
-    simulated = ("the runs charted here",) if found.simulated else ()
-    return Page("Control charts", found.station, _banner(found, len(charted)), facts, simulated, found.notes)
+    simulated = ("the runs charted here",) if charts.simulated else ()
+    return Page("Control charts", charts.station, _banner(charts, len(charted)), facts, simulated, charts.notes)
 
 
 def _banner(found: Charts, charted: int) -> Banner:
@@ -94,60 +94,64 @@ def _set(limits: ChartReference) -> str:
     return _SET.format(chart=limits.chart, by=by, day=f"{limits.made_at:%Y-%m-%d}", why=why, rules=rules)
 
 
-def _reading(found: Charts) -> Iterator[Paragraph]:
-    limits = [one.reference for one in found.charts if one.reference is not None]
-    kinds = dict.fromkeys(_LIMITS[one.chart].format(width=one.width, threshold=one.threshold) for one in limits)
+def _reading(charts: Charts) -> Iterator[Paragraph]:
+    limits = [chart.reference for chart in charts.charts if chart.reference is not None]
+    kinds = dict.fromkeys(
+        _LIMITS[limit.chart].format(width=limit.width, threshold=limit.threshold) for limit in limits
+    )
     away = _AWAY.format(kinds=" or ".join(kinds)) if kinds else _NOTHING
     yield from (Paragraph(text.format(limits=away)) for text in _READING)
 
 
-def _table(found: Charts) -> Table:
-    return text_table(_CAPTION, _COLUMNS, [_row(one) for one in found.charts], (2, 3, 4, 5, 7))
+def _table(charts: Charts) -> Table:
+    return text_table(_CAPTION, _COLUMNS, [_row(chart) for chart in charts.charts], (2, 3, 4, 5, 7))
 
 
-def _row(one: MetricChart) -> tuple[str | Cell, ...]:
-    limits = one.reference
+def _row(chart: MetricChart) -> tuple[str | Cell, ...]:
+    limits = chart.reference
     if limits is None:
-        return one.label, unit_shown(one.unit), *[_NONE] * 6, Cell("no chart", Outcome.NOT_MEASURED)
-    days = " to ".join(map(str, one.reference_days)) if one.reference_days else _NONE
+        return chart.label, unit_shown(chart.unit), *[_NONE] * 6, Cell("no chart", Outcome.NOT_MEASURED)
+    days = " to ".join(map(str, chart.reference_days)) if chart.reference_days else _NONE
     state = Cell("in control", Outcome.PASS)
-    if one.signal is not None:
-        state = Cell(f"signals since {one.signal.since:%Y-%m-%d} ({plural(one.signal.runs, 'run')})", Outcome.FAIL)
-    latest = _latest(one)
+    if chart.signal is not None:
+        state = Cell(
+            f"signals since {chart.signal.since:%Y-%m-%d} ({plural(chart.signal.runs, 'run')})", Outcome.FAIL
+        )
+    latest = _latest(chart)
     return (
-        one.label,
-        unit_shown(one.unit),
+        chart.label,
+        unit_shown(chart.unit),
         number(limits.mean, 4),
         number(limits.deviation),
         f"{number(latest.lower[-1], 4)} to {number(latest.upper[-1], 4)}" if latest else _NONE,
         number(latest.points[-1], 4) if latest else _NONE,
         f"{plural(limits.runs, 'run')}, {days}",
-        str(len(one.values) - one.reference_runs),
+        str(len(chart.values) - chart.reference_runs),
         state,
     )
 
 
-def _latest(one: MetricChart) -> ChartPhase | None:
+def _latest(chart: MetricChart) -> ChartPhase | None:
     """Return the chart of the latest points; of a pair the first."""
-    return next((part for part in reversed(one.charts) if part.name == one.charts[0].name), None)
+    return next((part for part in reversed(chart.charts) if part.name == chart.charts[0].name), None)
 
 
-def _blocks(one: MetricChart) -> Iterator[Block]:
-    if one.reference is None:
-        yield Paragraph(_NO_CHART.format(why=one.why), "warning")
-    if one.signal is not None:
-        yield Paragraph(f"S{one.signal.since_words()[1:]}.", "warning")
-    yield from (Paragraph(f"{note[0].upper()}{note[1:]}.", "note") for note in one.notes)
-    if one.charts:
-        yield _figure(one)
+def _blocks(chart: MetricChart) -> Iterator[Block]:
+    if chart.reference is None:
+        yield Paragraph(_NO_CHART.format(why=chart.why), "warning")
+    if chart.signal is not None:
+        yield Paragraph(f"S{chart.signal.since_words()[1:]}.", "warning")
+    yield from (Paragraph(f"{note[0].upper()}{note[1:]}.", "note") for note in chart.notes)
+    if chart.charts:
+        yield _figure(chart)
 
 
-def _figure(one: MetricChart) -> Figure:
+def _figure(chart: MetricChart) -> Figure:
     def draw() -> str:
         # matplotlib is loaded only where something is drawn
         from cbsr_qa.studies.charts.figures import control_charts_svg
 
-        return control_charts_svg(one)
+        return control_charts_svg(chart)
 
-    cut = _CUT if len(one.runs) > MOST_DRAWN else ""
-    return Figure(_FIGURE.format(label=one.label, cut=cut), _ALTERNATIVE.format(label=one.label), draw)
+    cut = _CUT if len(chart.runs) > MOST_DRAWN else ""
+    return Figure(_FIGURE.format(label=chart.label, cut=cut), _ALTERNATIVE.format(label=chart.label), draw)

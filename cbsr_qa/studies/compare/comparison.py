@@ -150,11 +150,11 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     deciding = grouping.deciding(table.runs, terms.policy)
     metrics = _adjusted([_compared(values, table, grouping, deciding, design) for values in chosen], terms)
     members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
-    differences = tuple(chain.from_iterable(one.differences or (_not_compared(one),) for one in metrics))
+    differences = tuple(chain.from_iterable(metric.differences or (_not_compared(metric),) for metric in metrics))
     return Comparison(
         by=terms.by,
         reference=grouping.reference,
-        compared=any(one.difference is not None for one in differences),
+        compared=any(difference.known for difference in differences),
         policy=terms.policy,
         quarantine=terms.quarantine,
         adjustment=terms.adjustment,
@@ -266,15 +266,17 @@ def _notes(
 
 def _adjusted(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricComparison]:
     """Adjust p values: those of groups for all of groups, and so those of likeness and those of stations."""
-    every = [one for metric in metrics for one in metric.differences]
+    every = [difference for metric in metrics for difference in metric.differences]
     groups = iter(_adjust([one.p_unadjusted for one in every], terms.adjustment))
     alike = iter(_adjust([one.equivalence_p_unadjusted for one in every], terms.adjustment))
-    stations = iter(_adjust([one.p_unadjusted for metric in metrics for one in metric.stations], terms.adjustment))
+    stations = iter(
+        _adjust([station.p_unadjusted for metric in metrics for station in metric.stations], terms.adjustment)
+    )
 
-    def with_p(one: Difference) -> Difference:
+    def with_p(difference: Difference) -> Difference:
         likeness = next(alike)
         shown = None if likeness is None else likeness <= terms.level
-        return replace(one, p=next(groups), equivalence_p=likeness, equivalent=shown)
+        return replace(difference, p=next(groups), equivalence_p=likeness, equivalent=shown)
 
     return [
         replace(

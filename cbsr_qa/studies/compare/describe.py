@@ -89,7 +89,7 @@ def groups_of(
     runs: Sequence[RunLine], grouping: Grouping, values: Sequence[MetricValues], terms: Terms
 ) -> list[Group]:
     """Describe every group."""
-    failing = [(one.key.label, one.failed) for one in values if one.failed.any()]
+    failing = [(value.key.label, value.failed) for value in values if value.failed.any()]
     return [_group(name, runs, grouping, failing, terms) for name in grouping.names]
 
 

@@ -98,6 +98,11 @@ class Estimated(OfMetric):
     p_unadjusted: float | None = None
     warnings: tuple[str, ...] = ()
 
+    @property
+    def known(self) -> bool:
+        """Whether the model could tell it."""
+        return self.difference is not None
+
 
 @dataclass(frozen=True, slots=True)
 class StationDifference(Estimated):
@@ -191,10 +196,10 @@ def fitted(design: Crossing, values: Array, what: str, *, of_stations: bool) -> 
 _Told = TypeVar("_Told", Difference, StationDifference)
 
 
-def _told(bare: _Told, found: Contrast, terms: Terms) -> _Told:
+def _told(bare: _Told, contrast: Contrast, terms: Terms) -> _Told:
     """Fill in what an estimate says, before it is adjusted."""
-    inside = found.interval(terms.confidence)
-    return replace(bare, difference=found.value, low=inside.low, high=inside.high, p_unadjusted=found.p_value())
+    inside = contrast.interval(terms.confidence)
+    return replace(bare, difference=contrast.value, low=inside.low, high=inside.high, p_unadjusted=contrast.p_value())
 
 
 def difference(

@@ -208,33 +208,33 @@ class Design:
         one, two = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
         return tuple(sorted({self.levels[level][1] for level in one & two}))
 
-    def untold(self, found: Crossing, first: str, second: str) -> str:
+    def untold(self, crossing: Crossing, first: str, second: str) -> str:
         """Say why two groups cannot be told apart; empty where the crossing's own words will do.
 
         Parameters
         ----------
         found : the crossing of the runs that have a value.
         """
-        known = found.stations if self.of_stations else found.groups
+        known = crossing.stations if self.of_stations else crossing.groups
         absent = [name for name in (first, second) if name not in known]
         if absent:
             return f"no run of {' and of '.join(absent)} that counts has a value of it"
-        if not self.levels or found.group_parts[known.index(first)] == found.group_parts[known.index(second)]:
+        if not self.levels or crossing.group_parts[known.index(first)] == crossing.group_parts[known.index(second)]:
             return ""
-        batches, stations = (self._apart(found, (first, second), side) for side in (1, 0))
+        batches, stations = (self._apart(crossing, (first, second), side) for side in (1, 0))
         other = "batches" if batches and not stations else "stations" if stations and not batches else ""
         told = f"and {other} cannot be told apart" if other else "cannot be told from batches and stations"
-        where = "; ".join(f"{name} is {self._words(found, name, other)}" for name in (first, second))
+        where = "; ".join(f"{name} is {self._words(crossing, name, other)}" for name in (first, second))
         return f"{self.noun}s {told}: {where}; run some sensors of one batch at one station in both"
 
-    def _apart(self, found: Crossing, names: tuple[str, str], side: int) -> bool:
+    def _apart(self, crossing: Crossing, names: tuple[str, str], side: int) -> bool:
         """Whether nothing connects two groups by batches (side 1) or stations (side 0) alone."""
-        joined = _joined(self, found, side)
+        joined = _joined(self, crossing, side)
         one, two = (int(joined.group_parts[joined.index("group", name)]) for name in names)
         return one != two
 
-    def _words(self, found: Crossing, name: str, other: str) -> str:
-        pairs = sorted(self.levels[level] for level in _levels_of(found)[name])
+    def _words(self, crossing: Crossing, name: str, other: str) -> str:
+        pairs = sorted(self.levels[level] for level in _levels_of(crossing)[name])
         if other:
             seen = {_batch(batch) if other == "batches" else station for station, batch in pairs}
             return f"{named(sorted(seen))} only"
@@ -284,19 +284,21 @@ def _batch(name: str) -> str:
 
 
 @lru_cache(maxsize=4)
-def _levels_of(found: Crossing) -> Mapping[str, frozenset[str]]:
+def _levels_of(crossing: Crossing) -> Mapping[str, frozenset[str]]:
     """Group → the levels its runs have; kept, because every pair of groups in a metric asks."""
-    pairs = np.unique(found.group * len(found.stations) + found.station)
+    pairs = np.unique(crossing.group * len(crossing.stations) + crossing.station)
     seen: dict[str, set[str]] = {}
-    for group, level in zip(*divmod(pairs, len(found.stations)), strict=True):
-        seen.setdefault(found.groups[group], set()).add(found.stations[level])
+    for group, level in zip(*divmod(pairs, len(crossing.stations)), strict=True):
+        seen.setdefault(crossing.groups[group], set()).add(crossing.stations[level])
     return {name: frozenset(levels) for name, levels in seen.items()}
 
 
 @lru_cache(maxsize=4)
 def _joined(design: Design, found: Crossing, side: int) -> Crossing:
     """Groups crossed with the batches (side 1) or the stations (side 0) of their levels."""
-    pairs = sorted({(name, design.levels[one][side]) for name, levels in _levels_of(found).items() for one in levels})
+    pairs = sorted(
+        {(name, design.levels[level][side]) for name, levels in _levels_of(found).items() for level in levels}
+    )
     groups = [group for group, _ in pairs]
     return crossing(groups, [other for _, other in pairs], groups)
 

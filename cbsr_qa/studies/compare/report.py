@@ -53,51 +53,59 @@ _RULE_OF_NUMBERS: Final = (
 )
 
 
-def compare_outcome(found: Comparison) -> CommandOutcome[Comparison]:
+def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
     """Lay a comparison out; its headline, sentences and rules are filled in."""
-    warnings, remarks = tuple(_important(found)), tuple(_remarks(found))
+    warnings, remarks = tuple(_important(comparison)), tuple(_remarks(comparison))
     said = replace(
-        found, headline=_headline(found), sentences=(*warnings, *remarks, *found.warnings), rules=tuple(_rules(found))
+        comparison,
+        headline=_headline(comparison),
+        sentences=(*warnings, *remarks, *comparison.warnings),
+        rules=tuple(_rules(comparison)),
     )
     identity = (
-        ("Compared by", str(found.by)),
-        ("Reference", found.reference),
-        ("Sensors", str(sum(group.n for group in found.groups))),
-        ("Runs", str(sum(group.runs for group in found.groups))),
-        ("Stations", ", ".join(all_stations(found))),
-        ("Recipes", ", ".join(found.recipes)),
+        ("Compared by", str(comparison.by)),
+        ("Reference", comparison.reference),
+        ("Sensors", str(sum(group.n for group in comparison.groups))),
+        ("Runs", str(sum(group.runs for group in comparison.groups))),
+        ("Stations", ", ".join(all_stations(comparison))),
+        ("Recipes", ", ".join(comparison.recipes)),
     )
-    banner = Banner("plain", "●" if found.compared else _NONE, said.headline, "")
-    subject, every = f"by {found.by}", (*warnings, *found.warnings)
-    page = Page("Comparison", subject, banner, identity, found.simulated, every, remarks)
-    return CommandOutcome(said, page, tuple(sections(said)), 0 if found.compared else _NOTHING)
+    banner = Banner("plain", "●" if comparison.compared else _NONE, said.headline, "")
+    subject, every = f"by {comparison.by}", (*warnings, *comparison.warnings)
+    page = Page("Comparison", subject, banner, identity, comparison.simulated, every, remarks)
+    return CommandOutcome(said, page, tuple(sections(said)), 0 if comparison.compared else _NOTHING)
 
 
-def _headline(found: Comparison) -> str:
+def _headline(comparison: Comparison) -> str:
     """Answer in one line: the largest differences, a station that reads differently, what is not shown to differ."""
-    everyone = [group.name for group in found.groups]
-    if not found.compared:
+    everyone = [group.name for group in comparison.groups]
+    if not comparison.compared:
         return _NO_COMPARISON.format(groups=_listed(everyone))
     differ = sorted(
-        ((metric, one) for metric, one in each(found) if significant(one, found)),
+        ((metric, difference) for metric, difference in each(comparison) if significant(difference, comparison)),
         key=lambda pair: -abs(pair[1].effect_size or 0.0),
     )
     shown: list[tuple[MetricComparison, Estimated, str]] = [
-        (metric, one, _who(str(one.group), found)) for metric, one in differ[:_MOST_IN_HEADLINE]
+        (metric, difference, _who(str(difference.group), comparison))
+        for metric, difference in differ[:_MOST_IN_HEADLINE]
     ]
     titles = {metric.values.title for metric, *_ in shown}
     drifted = sorted(
-        ((m, one) for m in found.of_metrics for one in m.stations if significant(one, found)),
+        ((m, station) for m in comparison.of_metrics for station in m.stations if significant(station, comparison)),
         key=lambda pair: (pair[0].values.title not in titles, pair[1].p),
     )
-    shown += [(metric, one, of_kind("station", one.station)) for metric, one in drifted[:1]]
-    clauses = [*_readings(shown, found), *_not_shown({one.group for _, one in differ}, found), *_not_compared(found)]
+    shown += [(metric, difference, of_kind("station", difference.station)) for metric, difference in drifted[:1]]
+    clauses = [
+        *_readings(shown, comparison),
+        *_not_shown({one.group for _, one in differ}, comparison),
+        *_not_compared(comparison),
+    ]
     more = len(differ) + len(drifted) - len(shown)
     text = "; ".join([*clauses, *([_MORE.format(count=plural(more, "more difference"))] if more else [])])
     return text if text.startswith(tuple(everyone)) else f"{text[0].upper()}{text[1:]}"
 
 
-def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], found: Comparison) -> Iterator[str]:
+def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparison: Comparison) -> Iterator[str]:
     """Say what reads how much above or below its reference; the metric is named where it changes."""
     before = ""
     for metric, one, who in shown:
@@ -109,31 +117,33 @@ def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], found: C
             size=amount(size, metric.values.unit, 2),
             low=number(low, 2),
             high=number(high, 2),
-            side=side(metric, one, found),
+            side=side(metric, one, comparison),
             reference=one.reference,
             metric="" if metric.values.title == before else f" in {metric.values.title}",
         )
         before = metric.values.title
 
 
-def _not_shown(differ: Collection[str | None], found: Comparison) -> Iterator[str]:
-    same = [name for name in _known(found) if name not in differ and name != found.reference]
+def _not_shown(differ: Collection[str | None], comparison: Comparison) -> Iterator[str]:
+    same = [name for name in _known(comparison) if name not in differ and name != comparison.reference]
     if differ and same:
-        yield _NOT_SHOWN.format(groups=_listed(same), reference=found.reference)
+        yield _NOT_SHOWN.format(groups=_listed(same), reference=comparison.reference)
     elif same:
         tested = [
-            m.values.title for m in found.of_metrics if any(one.difference is not None for one in m.differences)
+            m.values.title for m in comparison.of_metrics if any(difference.known for difference in m.differences)
         ]
         metrics = tested[0] if len(tested) == 1 else f"any of {len(tested)} metrics"
-        yield _NONE_SHOWN.format(groups=_listed(_known(found)), metrics=metrics)
+        yield _NONE_SHOWN.format(groups=_listed(_known(comparison)), metrics=metrics)
 
 
-def _not_compared(found: Comparison) -> Iterator[str]:
+def _not_compared(comparison: Comparison) -> Iterator[str]:
     """Say which groups could not be compared, wholly or in some metrics, without those in which nothing differs."""
-    metrics = [metric for metric in found.of_metrics if metric.differences and not _idle(metric)]
-    counts = Counter(one.group for metric in metrics for one in metric.differences if one.difference is None)
-    names = [group.name for group in found.groups[1:] if counts[group.name]]
-    never = [name for name in names if name not in _known(found)]
+    metrics = [metric for metric in comparison.of_metrics if metric.differences and not _idle(metric)]
+    counts = Counter(
+        difference.group for metric in metrics for difference in metric.differences if not difference.known
+    )
+    names = [group.name for group in comparison.groups[1:] if counts[group.name]]
+    never = [name for name in names if name not in _known(comparison)]
     if never:
         yield _NEVER.format(groups=_listed(never))
     some = sorted((name for name in names if name not in never), key=lambda name: -counts[name])
@@ -142,33 +152,38 @@ def _not_compared(found: Comparison) -> Iterator[str]:
         yield _IN_SOME.format(groups=_listed(list(members)), count=count, metrics=metrics_text)
 
 
-def _important(found: Comparison) -> Iterator[str]:
+def _important(comparison: Comparison) -> Iterator[str]:
     """Return what may change a decision: what was not compared and why, and what a plain test would claim."""
-    if not found.of_metrics:
+    if not comparison.of_metrics:
         yield _NO_VALUES
-    yield from _refusals(found, of_idle=False)
-    for metric in found.of_metrics:
+    yield from _refusals(comparison, of_idle=False)
+    for metric in comparison.of_metrics:
         read = _constant(metric)
         if read:
             yield _CONSTANT.format(metric=capital(metric.values.title), values=named(read, 8))
     claims = [
-        f"{one.group} − {one.reference} in {metric.values.title} ({amount(one.naive.difference, metric.values.unit)})"
-        for metric, one in each(found)
-        if one.naive is not None and one.naive.p < found.terms.level and not significant(one, found)
+        f"{pair.group} − {pair.reference} in {metric.values.title} "
+        f"({amount(pair.naive.difference, metric.values.unit)})"
+        for metric, pair in each(comparison)
+        if pair.naive is not None and pair.naive.p < comparison.terms.level and not significant(pair, comparison)
     ]
     if claims:
-        yield _T_TEST.format(others=others(found), claims=named(claims, 5))
+        yield _T_TEST.format(others=others(comparison), claims=named(claims, 5))
 
 
-def _remarks(found: Comparison) -> Iterator[str]:
+def _remarks(comparison: Comparison) -> Iterator[str]:
     """Return what is worth knowing, each note once with its metrics."""
-    if found.compared and not found.terms.margins and not all(significant(one, found) for _, one in each(found)):
+    if (
+        comparison.compared
+        and not comparison.terms.margins
+        and not all(significant(one, comparison) for _, one in each(comparison))
+    ):
         yield _NOT_ALIKE
-    yield from _refusals(found, of_idle=True)
-    yield from _by_text(_NOTE, ((note, m) for m in found.of_metrics for note in m.notes), found)
+    yield from _refusals(comparison, of_idle=True)
+    yield from _by_text(_NOTE, ((note, m) for m in comparison.of_metrics for note in m.notes), comparison)
 
 
-def _refusals(found: Comparison, *, of_idle: bool) -> Iterator[str]:
+def _refusals(comparison: Comparison, *, of_idle: bool) -> Iterator[str]:
     """Say why pairs were not compared, each reason once.
 
     Parameters
@@ -176,40 +191,40 @@ def _refusals(found: Comparison, *, of_idle: bool) -> Iterator[str]:
     of_idle : of metrics in which all sensors read the same, which matter least; else of all others.
     """
     refused = (
-        (one.warnings[0].removeprefix(f"{metric.values.key.label}: "), metric)
-        for metric, one in each(found)
-        if one.difference is None and _idle(metric) is of_idle
+        (difference.warnings[0].removeprefix(f"{metric.values.key.label}: "), metric)
+        for metric, difference in each(comparison)
+        if not difference.known and _idle(metric) is of_idle
     )
-    return _by_text(_REFUSED, refused, found)
+    return _by_text(_REFUSED, refused, comparison)
 
 
-def _by_text(template: str, pairs: Iterable[tuple[str, MetricComparison]], found: Comparison) -> Iterator[str]:
+def _by_text(template: str, pairs: Iterable[tuple[str, MetricComparison]], comparison: Comparison) -> Iterator[str]:
     metrics: dict[str, dict[str, None]] = {}
     for text, metric in pairs:
         metrics.setdefault(text, {})[metric.values.title] = None
     for text, titles in metrics.items():
-        of = "all metrics" if len(titles) == len(found.of_metrics) > 1 else named(list(titles), 3)
+        of = "all metrics" if len(titles) == len(comparison.of_metrics) > 1 else named(list(titles), 3)
         yield template.format(metrics=capital(of), text=text)
 
 
-def _rules(found: Comparison) -> Iterator[str]:
-    terms = found.terms
+def _rules(comparison: Comparison) -> Iterator[str]:
+    terms = comparison.terms
     for rule in (*_RULES, *([_RULE_OF_NUMBERS] if terms.margins or terms.detect else [])):
         yield rule.format(
             policy=terms.policy,
             quarantine=terms.quarantine,
             adjustment=terms.adjustment,
             confidence=100 * terms.confidence,
-            where="of one batch" if found.by is By.STATION else "at one station",
+            where="of one batch" if comparison.by is By.STATION else "at one station",
             level=terms.level,
             power=100 * terms.power,
         )
 
 
-def _known(found: Comparison) -> list[str]:
+def _known(comparison: Comparison) -> list[str]:
     """Return the reference and the groups that could be compared with it in any metric, in their order."""
-    told = {one.group for one in found.metrics if one.difference is not None}
-    return [group.name for group in found.groups if group.name in told or group.name == found.reference]
+    told = {metric.group for metric in comparison.metrics if metric.difference is not None}
+    return [group.name for group in comparison.groups if group.name in told or group.name == comparison.reference]
 
 
 def _idle(metric: MetricComparison) -> bool:
@@ -226,7 +241,7 @@ def _constant(metric: MetricComparison) -> list[str]:
         name: float(np.mean(np.concatenate(values))) for name, values in of_group.items() if sum(map(len, values))
     }
     scatter = any(sum(map(len, of_group[name])) < 2 or not _same(of_group[name]) for name in read)
-    if all(one.difference is not None for one in metric.differences) or _idle(metric) or scatter or len(read) < 2:
+    if all(difference.known for difference in metric.differences) or _idle(metric) or scatter or len(read) < 2:
         return []
     for digits in range(3, _MOST_DIGITS + 1):  # as many as tell them apart
         written = {name: amount(value, metric.values.unit, digits) for name, value in read.items()}
@@ -241,8 +256,8 @@ def _same(samples: Sequence[Array]) -> bool:
     return bool(len(values)) and bool(np.ptp(values) <= 1e-12 * np.abs(values).max())
 
 
-def _who(group: str, found: Comparison) -> str:
-    return of_kind(str(found.by), group) if found.by in (By.BATCH, By.MATERIAL, By.STATION) else group
+def _who(group: str, comparison: Comparison) -> str:
+    return of_kind(str(comparison.by), group) if comparison.by in (By.BATCH, By.MATERIAL, By.STATION) else group
 
 
 def _listed(names: Sequence[str], most: int = 3) -> str:

@@ -43,57 +43,63 @@ _MAP: Final = (
 _BY_PLACE: Final = "{metric}: {pair} by place; p adjusted for the places."
 
 
-def sections(found: Comparison) -> Iterator[Section]:
+def sections(comparison: Comparison) -> Iterator[Section]:
     """Lay out tables first, then what the page alone has."""
-    drawn = _drawn(found)
-    distributions: list[Block] = [_strips(metric, found) for metric in drawn]
-    if drawn and len(drawn) < len(found.of_metrics):
-        more = plural(len(found.of_metrics) - len(drawn), "metric")
+    drawn = _drawn(comparison)
+    distributions: list[Block] = [_strips(metric, comparison) for metric in drawn]
+    if drawn and len(drawn) < len(comparison.of_metrics):
+        more = plural(len(comparison.of_metrics) - len(drawn), "metric")
         distributions.append(Paragraph(f"{more} more in the tables only.", "note"))
     for title, blocks, page_only in (
-        ("Differences", _difference_tables(found), False),
-        ("Stations", _stations_table(found), False),
-        ("Groups", _group_tables(found), False),
+        ("Differences", _difference_tables(comparison), False),
+        ("Stations", _stations_table(comparison), False),
+        ("Groups", _group_tables(comparison), False),
         ("Distributions", distributions, True),
-        ("Where on the sheet", (block for metric in drawn for block in _maps(metric, found)), True),
-        ("Values of each group", (*_values_table(found), *_capability_table(found)), True),
-        ("Rules", map(Paragraph, found.rules), True),
+        ("Where on the sheet", (block for metric in drawn for block in _maps(metric, comparison)), True),
+        ("Values of each group", (*_values_table(comparison), *_capability_table(comparison)), True),
+        ("Rules", map(Paragraph, comparison.rules), True),
     ):
         laid_out = tuple(blocks)
         if laid_out:
             yield Section(title, laid_out, page_only)
 
 
-def _difference_tables(found: Comparison) -> Iterator[Table]:
-    terms, inside = found.terms, f"{100 * found.confidence:g} % interval"
+def _difference_tables(comparison: Comparison) -> Iterator[Table]:
+    terms, inside = comparison.terms, f"{100 * comparison.confidence:g} % interval"
     columns = ("metric", "difference", inside, "p", "effect size", "result")
     decides, power = 100 - 200 * terms.level, f"{100 * terms.power:g} %"
     of_likeness = ("metric", "margin", "difference", f"{decides:g} % interval", "p", "alike", f"sensors for {power}")
-    for group in found.groups[1:]:
-        pairs = [(metric, one) for metric, one in each(found) if one.group == group.name]
-        words = {"pair": f"{group.name} − {found.reference}", "others": others(found), "taken_out": _taken_out(found)}
+    for group in comparison.groups[1:]:
+        pairs = [(metric, difference) for metric, difference in each(comparison) if difference.group == group.name]
+        words = {
+            "pair": f"{group.name} − {comparison.reference}",
+            "others": others(comparison),
+            "taken_out": _taken_out(comparison),
+        }
         models = ", ".join(dict.fromkeys(one.model.partition(":")[0] for _, one in pairs))
-        rows = [_difference_row(*row, found) for row in pairs]
+        rows = [_difference_row(*row, comparison) for row in pairs]
         yield from _table(_DIFFERENCES.format(**words, models=models), columns, rows, range(1, 5))
-        rows = [_likeness_row(metric, group.name, found) for metric in _asked(found, terms.margins)]
+        rows = [_likeness_row(metric, group.name, comparison) for metric in _asked(comparison, terms.margins)]
         yield from _table(_ALIKE.format(**words, decides=decides), of_likeness, rows, (1, 2, 3, 4, 6))
-        rows = [row for one in pairs for row in _other_rows(*one)]
+        rows = [row for pair in pairs for row in _other_rows(*pair)]
         columns_of_others = ("metric", "method", "difference", inside, "p")
         yield from _table(_OTHER.format(**words), columns_of_others, rows, (2, 3, 4), folded=True)
-    if len(found.groups) > 1:
-        rows = [_needed_row(metric, terms.detect[metric.values.key.name]) for metric in _asked(found, terms.detect)]
+    if len(comparison.groups) > 1:
+        rows = [
+            _needed_row(metric, terms.detect[metric.values.key.name]) for metric in _asked(comparison, terms.detect)
+        ]
         yield from _table(_TO_FIND.format(power=power), ("metric", "difference", "sensors of each"), rows, (1, 2))
 
 
-def _difference_row(metric: MetricComparison, one: Difference, found: Comparison) -> tuple[str, ...]:
-    effect = _NONE if one.effect_size is None else number(one.effect_size, 2)
-    return (_label(metric), *_estimated(one), effect, _result(metric, one, found))
+def _difference_row(metric: MetricComparison, difference: Difference, comparison: Comparison) -> tuple[str, ...]:
+    effect = _NONE if difference.effect_size is None else number(difference.effect_size, 2)
+    return (_label(metric), *_estimated(difference), effect, _result(metric, difference, comparison))
 
 
-def _likeness_row(metric: MetricComparison, group: str, found: Comparison) -> tuple[str, ...]:
-    margin = found.terms.margins[metric.values.key.name]
+def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) -> tuple[str, ...]:
+    margin = comparison.terms.margins[metric.values.key.name]
     asked = _label(metric), f"± {number(margin)}"
-    one = next((one for one in metric.differences if one.group == group), None)
+    one = next((difference for difference in metric.differences if difference.group == group), None)
     if one is None or one.difference is None:
         return *asked, _NONE, _NONE, _NONE, "not tested", _NONE
     hopeless = abs(one.difference) >= margin
@@ -107,40 +113,45 @@ def _likeness_row(metric: MetricComparison, group: str, found: Comparison) -> tu
     )
 
 
-def _other_rows(metric: MetricComparison, one: Difference) -> Iterator[tuple[str, ...]]:
+def _other_rows(metric: MetricComparison, difference: Difference) -> Iterator[tuple[str, ...]]:
     """A row for each of the other methods that had an answer: numbers of both side by side would not fit a page."""
-    if one.robust is not None:
-        robust = one.robust
+    if difference.robust is not None:
+        robust = difference.robust
         shift = number(robust.shift), _ends(robust.interval), _p(robust.p)
         yield _label(metric), f"shift; {robust.method}", *shift
-    if one.naive is not None:
-        naive = one.naive
+    if difference.naive is not None:
+        naive = difference.naive
         yield _label(metric), "t test", number(naive.difference), _range(naive.low, naive.high), _p(naive.p)
 
 
 def _needed_row(metric: MetricComparison, size: float) -> tuple[str, ...]:
-    fitted = next((one for one in metric.differences if one.deviation is not None), None)
+    fitted = next((difference for difference in metric.differences if difference.deviation is not None), None)
     return _label(metric), number(size), "not known" if fitted is None else _count(fitted.sensors_needed)
 
 
-def _asked(found: Comparison, amounts: Mapping[str, float]) -> list[MetricComparison]:
-    return [metric for metric in found.of_metrics if metric.values.key.name in amounts]
+def _asked(comparison: Comparison, amounts: Mapping[str, float]) -> list[MetricComparison]:
+    return [metric for metric in comparison.of_metrics if metric.values.key.name in amounts]
 
 
-def _stations_table(found: Comparison) -> Iterator[Table]:
+def _stations_table(comparison: Comparison) -> Iterator[Table]:
     rows = [
-        (_label(metric), f"{one.station} − {one.reference}", *_estimated(one), _result(metric, one, found))
-        for metric in found.of_metrics
-        for one in metric.stations
+        (
+            _label(metric),
+            f"{station.station} − {station.reference}",
+            *_estimated(station),
+            _result(metric, station, comparison),
+        )
+        for metric in comparison.of_metrics
+        for station in metric.stations
     ]
-    mixed = found.by in (By.MATERIAL, By.PERIOD, By.SOFTWARE) and len(_all_batches(found)) > 1
+    mixed = comparison.by in (By.MATERIAL, By.PERIOD, By.SOFTWARE) and len(_all_batches(comparison)) > 1
     caption = _STATIONS.format(others="batches" if mixed else "groups")
-    columns = ("metric", "stations", "difference", f"{100 * found.confidence:g} % interval", "p", "result")
+    columns = ("metric", "stations", "difference", f"{100 * comparison.confidence:g} % interval", "p", "result")
     return _table(caption, columns, rows, (2, 3, 4))
 
 
-def _group_tables(found: Comparison) -> Iterator[Table]:
-    columns = (str(found.by), "sensors", "runs", "yield", "first-pass yield", "not measured", "stations")
+def _group_tables(comparison: Comparison) -> Iterator[Table]:
+    columns = (str(comparison.by), "sensors", "runs", "yield", "first-pass yield", "not measured", "stations")
     rows = [
         (
             one.name,
@@ -151,36 +162,36 @@ def _group_tables(found: Comparison) -> Iterator[Table]:
             str(one.not_measured or ""),
             ", ".join(one.stations),
         )
-        for one in found.groups
+        for one in comparison.groups
     ]
     yield from _table(_GROUPS, columns, rows, (1, 2, 5))
     failed = []
-    for group in found.groups:
+    for group in comparison.groups:
         total = sum(one.sensors for one in group.failures)
         failed += [
-            (group.name, one.metric, str(one.sensors), f"{100 * one.sensors / total:.0f} %")
-            for one in group.failures[:_MOST_DRAWN]
+            (group.name, failure.metric, str(failure.sensors), f"{100 * failure.sensors / total:.0f} %")
+            for failure in group.failures[:_MOST_DRAWN]
         ]
-    yield from _table(_FAILURES, (str(found.by), "metric", "sensors", "of all failures"), failed, (2, 3))
+    yield from _table(_FAILURES, (str(comparison.by), "metric", "sensors", "of all failures"), failed, (2, 3))
 
 
-def _drawn(found: Comparison) -> list[MetricComparison]:
+def _drawn(comparison: Comparison) -> list[MetricComparison]:
     def rank(metric: MetricComparison) -> tuple[float, bool]:
-        p_values = [one.p or 0.0 for one in metric.differences if significant(one, found)]
+        p_values = [difference.p or 0.0 for difference in metric.differences if significant(difference, comparison)]
         return min(p_values, default=1.0), not metric.values.limited
 
-    members = [metric for metric in found.of_metrics if any(len(values) for *_, values in metric.samples)]
+    members = [metric for metric in comparison.of_metrics if any(len(values) for *_, values in metric.samples)]
     return sorted(members, key=rank)[:_MOST_DRAWN]
 
 
-def _strips(metric: MetricComparison, found: Comparison) -> Figure:
-    shown = [one for one in metric.samples if len(one[2])]
+def _strips(metric: MetricComparison, comparison: Comparison) -> Figure:
+    shown = [sample for sample in metric.samples if len(sample[2])]
 
     def draw() -> str:
         # matplotlib is loaded only where something is drawn
         from cbsr_qa.studies.compare.figures import strips
 
-        return strips(_label(metric), shown, [group.name for group in found.groups])
+        return strips(_label(metric), shown, [group.name for group in comparison.groups])
 
     words = "; ".join(
         f"{group} on {station}: {len(v)} sensors, mean {number(float(v.mean()))}" for group, station, v in shown
@@ -188,22 +199,22 @@ def _strips(metric: MetricComparison, found: Comparison) -> Figure:
     return Figure(_STRIPS.format(metric=capital(metric.values.title)), words, draw)
 
 
-def _maps(metric: MetricComparison, found: Comparison) -> Iterator[Block]:
+def _maps(metric: MetricComparison, comparison: Comparison) -> Iterator[Block]:
     title = capital(metric.values.title)
-    for one in metric.differences:
-        if not one.places:
+    for difference in metric.differences:
+        if not difference.places:
             continue
-        pair = f"{one.group} − {one.reference}"
-        known = [(p.x_mm, p.y_mm, p) for p in one.places if p.x_mm is not None and p.y_mm is not None]
+        pair = f"{difference.group} − {difference.reference}"
+        known = [(p.x_mm, p.y_mm, p) for p in difference.places if p.x_mm is not None and p.y_mm is not None]
         if known:
             words = "; ".join(f"{place.location}: {number(place.difference)}" for *_, place in known)
-            caption = _MAP.format(metric=title, pair=pair, others=others(found))
-            yield Figure(caption, words, partial(_draw_map, metric.values.unit, known, found.terms.level))
-        rows = [(p.location, number(p.difference), _range(p.low, p.high), _p(p.p)) for p in one.places]
+            caption = _MAP.format(metric=title, pair=pair, others=others(comparison))
+            yield Figure(caption, words, partial(_draw_map, metric.values.unit, known, comparison.terms.level))
+        rows = [(p.location, number(p.difference), _range(p.low, p.high), _p(p.p)) for p in difference.places]
         columns = (
             "place",
             unit_column("difference", metric.values.unit),
-            f"{100 * found.confidence:g} % interval",
+            f"{100 * comparison.confidence:g} % interval",
             "p",
         )
         yield from _table(_BY_PLACE.format(metric=title, pair=pair), columns, rows, (1, 2, 3), folded=True)
@@ -215,24 +226,24 @@ def _draw_map(unit: str, places: Sequence[tuple[float, float, PlaceDifference]],
     return difference_map(unit, places, level)
 
 
-def _values_table(found: Comparison) -> Iterator[Table]:
+def _values_table(comparison: Comparison) -> Iterator[Table]:
     columns = ("metric", "group", "n", "mean", "spread", "5 %", "25 %", "median", "75 %", "95 %")
     rows = [
-        (_label(metric), one.group, str(one.n), *_moments(one))
-        for metric in found.of_metrics
-        for one in metric.distributions
+        (_label(metric), distribution.group, str(distribution.n), *_moments(distribution))
+        for metric in comparison.of_metrics
+        for distribution in metric.distributions
     ]
     return _table(_VALUES, columns, rows, range(2, 10))
 
 
-def _moments(one: Distribution) -> tuple[str, ...]:
-    moments = [one.mean, one.deviation, *one.quantiles.values()]
+def _moments(distribution: Distribution) -> tuple[str, ...]:
+    moments = [distribution.mean, distribution.deviation, *distribution.quantiles.values()]
     return tuple(_NONE if value is None else number(value) for value in (*moments, *[None] * (7 - len(moments))))
 
 
-def _capability_table(found: Comparison) -> Iterator[Table]:
+def _capability_table(comparison: Comparison) -> Iterator[Table]:
     rows = []
-    for metric in found.of_metrics:
+    for metric in comparison.of_metrics:
         for one in metric.distributions if metric.values.limited else ():
             index = one.capability
             indices = (None,) * 4 if index is None else (index.cp, index.cpk, index.pp, index.ppk)
@@ -256,56 +267,60 @@ def _table(
         yield replace(text_table(caption, [columns[k] for k in kept], cells, right), folded=folded)
 
 
-def each(found: Comparison) -> Iterator[tuple[MetricComparison, Difference]]:
+def each(comparison: Comparison) -> Iterator[tuple[MetricComparison, Difference]]:
     """Go through all differences with their metrics."""
-    return ((metric, one) for metric in found.of_metrics for one in metric.differences)
+    return ((metric, difference) for metric in comparison.of_metrics for difference in metric.differences)
 
 
-def significant(one: Estimated, found: Comparison) -> bool:
+def significant(difference: Estimated, comparison: Comparison) -> bool:
     """Whether an adjusted p value is below the level."""
-    return one.p is not None and one.p < found.terms.level
+    return difference.p is not None and difference.p < comparison.terms.level
 
 
-def side(metric: MetricComparison, one: Estimated, found: Comparison) -> str:
+def side(metric: MetricComparison, difference: Estimated, comparison: Comparison) -> str:
     """Say on which side of its reference a group lies; better or worse where one limit says which that is."""
-    above, values = (one.difference or 0.0) > 0, metric.values
+    above, values = (difference.difference or 0.0) > 0, metric.values
     if (
-        isinstance(one, Difference)
-        and found.by is not By.STATION
+        isinstance(difference, Difference)
+        and comparison.by is not By.STATION
         and (values.lower is None) != (values.upper is None)
     ):
         return "worse than" if above is (values.lower is None) else "better than"
     return "above" if above else "below"
 
 
-def _result(metric: MetricComparison, one: Estimated, found: Comparison) -> str:
-    if one.difference is None:
+def _result(metric: MetricComparison, difference: Estimated, comparison: Comparison) -> str:
+    if difference.difference is None:
         return "not compared"
-    return side(metric, one, found).removesuffix(" than") if significant(one, found) else "not shown"
+    return (
+        side(metric, difference, comparison).removesuffix(" than")
+        if significant(difference, comparison)
+        else "not shown"
+    )
 
 
-def others(found: Comparison) -> str:
+def others(comparison: Comparison) -> str:
     """Return what must not be taken for a group: batches too, where periods or software versions are compared."""
-    if found.by is By.STATION:
+    if comparison.by is By.STATION:
         return "batches"
-    mixed = found.by in (By.PERIOD, By.SOFTWARE) and len(_all_batches(found)) > 1
+    mixed = comparison.by in (By.PERIOD, By.SOFTWARE) and len(_all_batches(comparison)) > 1
     return "stations and batches" if mixed else "stations"
 
 
-def _taken_out(found: Comparison) -> str:
-    kind, members = others(found), {"stations": all_stations(found), "batches": _all_batches(found)}
+def _taken_out(comparison: Comparison) -> str:
+    kind, members = others(comparison), {"stations": all_stations(comparison), "batches": _all_batches(comparison)}
     if len(members.get(kind, ())) == 1:
         return f"all of {of_kind('station' if kind == 'stations' else 'batch', members[kind][0])}"
     return f"differences of {kind} taken out"
 
 
-def all_stations(found: Comparison) -> list[str]:
+def all_stations(comparison: Comparison) -> list[str]:
     """Return the stations of all groups, sorted."""
-    return sorted({name for group in found.groups for name in group.stations})
+    return sorted({name for group in comparison.groups for name in group.stations})
 
 
-def _all_batches(found: Comparison) -> list[str]:
-    return sorted({name for group in found.groups for name in group.batches})
+def _all_batches(comparison: Comparison) -> list[str]:
+    return sorted({name for group in comparison.groups for name in group.batches})
 
 
 def _label(metric: MetricComparison) -> str:
@@ -317,10 +332,10 @@ def amount(value: float, unit: str, digits: int = 3) -> str:
     return f"{number(value, digits)} {unit_shown(unit)}".rstrip()
 
 
-def _estimated(one: Estimated) -> tuple[str, str, str]:
-    if one.difference is None or one.low is None or one.high is None:
+def _estimated(difference: Estimated) -> tuple[str, str, str]:
+    if difference.difference is None or difference.low is None or difference.high is None:
         return _NONE, _NONE, _NONE
-    return number(one.difference), _range(one.low, one.high), _p(one.p)
+    return number(difference.difference), _range(difference.low, difference.high), _p(difference.p)
 
 
 def _range(low: float, high: float) -> str:

@@ -81,12 +81,12 @@ def _toleranced(request: GaugeRequest, series: Series) -> Iterator[Toleranced]:
     if not request.metrics:
         yield _with_limits(series, MetricWanted(series.key.name))
         return
-    for index, one in enumerate(request.metrics):
-        if not one.means(series.key):
+    for index, metric in enumerate(request.metrics):
+        if not metric.means(series.key):
             continue
-        if one.unit and one.unit != series.unit:
-            raise _other_unit(request.at("metrics", index, "unit"), one.unit, series)
-        yield _with_limits(series, one)
+        if metric.unit and metric.unit != series.unit:
+            raise _other_unit(request.at("metrics", index, "unit"), metric.unit, series)
+        yield _with_limits(series, metric)
         return
 
 
@@ -106,7 +106,7 @@ def _other_unit(at: str, unit: str, series: Series) -> RefusedError:
 
 
 def _check_references(request: GaugeRequest, lines: Sequence[RunLine], metrics: Sequence[Toleranced]) -> None:
-    measured, serials = {one.series.key.name for one in metrics}, {line.serial for line in lines}
+    measured, serials = {metric.series.key.name for metric in metrics}, {line.serial for line in lines}
     for index, reference in enumerate(request.references):
         if reference.metric not in measured:
             raise RefusedError(

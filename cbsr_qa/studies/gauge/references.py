@@ -244,7 +244,9 @@ def _linearity(
     references: Sequence[ReferenceValue], rows: Sequence[tuple[RunLine, float, str]], who: str, confidence: float
 ) -> BiasLinearity:
     """Fit one appraiser's readings: pooled with others', differences between stations would be taken for scatter."""
-    readings = {one: [value for line, value, _ in rows if line.serial == one.serial] for one in references}
+    readings = {
+        reference: [value for line, value, _ in rows if line.serial == reference.serial] for reference in references
+    }
     pairs = [(one.value, value) for one, values in readings.items() for value in values]
     known = [(len(values), one.value, one.uncertainty) for one, values in readings.items() if values]
     try:

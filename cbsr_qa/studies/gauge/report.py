@@ -48,28 +48,28 @@ _CATEGORIES: Final = "It distinguishes {count} of sensors (interval {inside}); a
 _LARGEST: Final = "The largest part is {name}: deviation {deviation}, {share} of the gauge's variance."
 
 
-def gauge_outcome(found: GaugeStudy) -> CommandOutcome[GaugeStudy]:
+def gauge_outcome(study: GaugeStudy) -> CommandOutcome[GaugeStudy]:
     """Lay a study out."""
     sections = [Section("How to read this page", tuple(map(Paragraph, _READING)), page_only=True)]
-    sections += [Section(one.label, tuple(_blocks(one, found))) for one in found.metrics]
-    return CommandOutcome(found, _page(found), tuple(sections))
+    sections += [Section(metric.label, tuple(_blocks(metric, study))) for metric in study.metrics]
+    return CommandOutcome(study, _page(study), tuple(sections))
 
 
-def _page(found: GaugeStudy) -> Page:
-    facts = [("Recipe", found.recipe), ("Sensors", f"{len(found.sensors)} ({named(found.sensors)})")]
-    if found.study is not None:
-        facts.insert(0, ("Study", f"{found.study.name} ({found.study.file}, SHA-256 {found.study.sha256})"))
-    facts.append((f"{found.appraiser.capitalize()}s", ", ".join(found.appraisers)))
-    facts.append(("Runs", str(len(found.runs))))
-    days = [f"{word} {day}" for word, day in (("from", found.since), ("to", found.until)) if day]
+def _page(study: GaugeStudy) -> Page:
+    facts = [("Recipe", study.recipe), ("Sensors", f"{len(study.sensors)} ({named(study.sensors)})")]
+    if study.study is not None:
+        facts.insert(0, ("Study", f"{study.study.name} ({study.study.file}, SHA-256 {study.study.sha256})"))
+    facts.append((f"{study.appraiser.capitalize()}s", ", ".join(study.appraisers)))
+    facts.append(("Runs", str(len(study.runs))))
+    days = [f"{word} {day}" for word, day in (("from", study.since), ("to", study.until)) if day]
     facts += [("Period", f"{' '.join(days)} (UTC)")] if days else []
-    subject = f"{plural(len(found.sensors), 'sensor')} by {plural(len(found.appraisers), found.appraiser)}"
-    simulated = ("the runs of this study",) if found.simulated else ()
-    return Page("Gauge study", subject, _banner(found), tuple(facts), simulated, found.notes)
+    subject = f"{plural(len(study.sensors), 'sensor')} by {plural(len(study.appraisers), study.appraiser)}"
+    simulated = ("the runs of this study",) if study.simulated else ()
+    return Page("Gauge study", subject, _banner(study), tuple(facts), simulated, study.notes)
 
 
-def _banner(found: GaugeStudy) -> Banner:
-    shares = [(one.anova.components.gauge.percent_study, one.label) for one in found.metrics if one.anova]
+def _banner(study: GaugeStudy) -> Banner:
+    shares = [(metric.anova.components.gauge.percent_study, metric.label) for metric in study.metrics if metric.anova]
     if not shares:
         return Banner("plain", _NONE, "No gauge study", "bias alone is shown; what is missing is named below")
     share, label = max(shares)
@@ -80,28 +80,28 @@ def _banner(found: GaugeStudy) -> Banner:
     return Banner(tone, symbol, f"The gauge makes up {_percent(share)} of the deviation", f"{of}: {_grade(share)}")
 
 
-def _blocks(one: MetricGauge, found: GaugeStudy) -> Iterator[Block]:
-    if one.anova is None:
-        uneven = f"; uneven: {named(one.missing)}" if one.missing else ""
-        yield Paragraph(f"No study: {one.why}{uneven}.", "warning")
+def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
+    if metric.anova is None:
+        uneven = f"; uneven: {named(metric.missing)}" if metric.missing else ""
+        yield Paragraph(f"No study: {metric.why}{uneven}.", "warning")
     else:
-        yield from (Paragraph(text) for text in _sentences(one, found))
-        yield _figure(one, found.appraiser)
-        yield _components(one, found.confidence)
-        yield _anova(one)
-        if one.missing:
-            yield Paragraph(f"Uneven: {named(one.missing)}.", "note")
-    yield from (Paragraph(f"{note[0].upper()}{note[1:]}.", "note") for note in one.notes)
-    if one.references is not None:
-        yield from _reference_tables(one.references, one.unit, found)
+        yield from (Paragraph(text) for text in _sentences(metric, study))
+        yield _figure(metric, study.appraiser)
+        yield _components(metric, study.confidence)
+        yield _anova(metric)
+        if metric.missing:
+            yield Paragraph(f"Uneven: {named(metric.missing)}.", "note")
+    yield from (Paragraph(f"{note[0].upper()}{note[1:]}.", "note") for note in metric.notes)
+    if metric.references is not None:
+        yield from _reference_tables(metric.references, metric.unit, study)
 
 
-def _sentences(one: MetricGauge, found: GaugeStudy) -> Iterator[str]:
-    assert one.anova is not None
-    gauge, inside = one.anova.components.gauge, one.anova.gauge_percent_contribution_interval
+def _sentences(metric: MetricGauge, study: GaugeStudy) -> Iterator[str]:
+    assert metric.anova is not None
+    gauge, inside = metric.anova.components.gauge, metric.anova.gauge_percent_contribution_interval
     yield _SHARE.format(
         contribution=_percent(gauge.percent_contribution),
-        confidence=100 * found.confidence,
+        confidence=100 * study.confidence,
         low=_percent(inside.low),
         high=_percent(inside.high),
         study=_percent(gauge.percent_study),
@@ -114,55 +114,55 @@ def _sentences(one: MetricGauge, found: GaugeStudy) -> Iterator[str]:
         yield _TOLERANCE.format(
             share=_percent(gauge.percent_tolerance),
             inside=f" ({_percent(ends.low)} to {_percent(ends.high)})" if ends else "",
-            of=one.tolerance_of,
-            width=_with_unit(one.tolerance or 0.0, one.unit),
+            of=metric.tolerance_of,
+            width=_with_unit(metric.tolerance or 0.0, metric.unit),
             grade=_grade(gauge.percent_tolerance),
         )
-    if one.anova.categories is not None:
-        count = plural(one.anova.categories, "category", "categories")
-        inside_of = _ends(one.anova.categories_interval, 2)
+    if metric.anova.categories is not None:
+        count = plural(metric.anova.categories, "category", "categories")
+        inside_of = _ends(metric.anova.categories_interval, 2)
         yield _CATEGORIES.format(count=count, inside=inside_of, least=_LEAST_CATEGORIES)
-        yield _largest(one, found.appraiser)
-    yield from (f"{note[0].upper()}{note[1:]}." for note in one.anova.notes)
+        yield _largest(metric, study.appraiser)
+    yield from (f"{note[0].upper()}{note[1:]}." for note in metric.anova.notes)
 
 
-def _largest(one: MetricGauge, appraiser: str) -> str:
+def _largest(metric: MetricGauge, appraiser: str) -> str:
     """Say where most of the gauge's variance comes from."""
-    assert one.anova is not None
+    assert metric.anova is not None
     parts = {
-        "the scatter of repeated runs": one.anova.components.repeatability.variance,
-        f"differences between {appraiser}s": one.anova.appraiser_variance,
-        f"differences between {appraiser}s that depend on the sensor": one.anova.interaction_variance or 0.0,
+        "the scatter of repeated runs": metric.anova.components.repeatability.variance,
+        f"differences between {appraiser}s": metric.anova.appraiser_variance,
+        f"differences between {appraiser}s that depend on the sensor": metric.anova.interaction_variance or 0.0,
     }
     name, variance = max(parts.items(), key=lambda part: part[1])
-    share = _percent(100 * variance / one.anova.components.gauge.variance)
-    return _LARGEST.format(name=name, deviation=_with_unit(sqrt(variance), one.unit), share=share)
+    share = _percent(100 * variance / metric.anova.components.gauge.variance)
+    return _LARGEST.format(name=name, deviation=_with_unit(sqrt(variance), metric.unit), share=share)
 
 
-def _figure(one: MetricGauge, appraiser: str) -> Figure:
+def _figure(metric: MetricGauge, appraiser: str) -> Figure:
     def draw() -> str:
         # matplotlib is loaded only where something is drawn
         from cbsr_qa.studies.gauge.figures import six_panels
 
-        assert one.crossing is not None
-        assert one.anova is not None
-        return six_panels(one.crossing, one.anova.components, one.unit)
+        assert metric.crossing is not None
+        assert metric.anova is not None
+        return six_panels(metric.crossing, metric.anova.components, metric.unit)
 
     caption = (
-        f"Where the variation of {one.label} comes from: shares of the components; every run by sensor and by "
+        f"Where the variation of {metric.label} comes from: shares of the components; every run by sensor and by "
         f"{appraiser}, with means; ranges of repeated runs, where a point beyond the limit repeats worse than the "
         "rest; means against limits of repeatability, most of which lie outside where the gauge tells sensors apart; "
         f"and means of each sensor by {appraiser}, whose lines cross where there is an interaction."
     )
-    return Figure(caption, f"Six panels of the gauge study of {one.label}; the table has the components.", draw)
+    return Figure(caption, f"Six panels of the gauge study of {metric.label}; the table has the components.", draw)
 
 
-def _components(one: MetricGauge, confidence: float) -> Table:
-    assert one.anova is not None
-    assert one.average_range is not None
+def _components(metric: MetricGauge, confidence: float) -> Table:
+    assert metric.anova is not None
+    assert metric.average_range is not None
     rows = []
     for shown, name in _PARTS:
-        part = getattr(one.anova.components, name)
+        part = getattr(metric.anova.components, name)
         inside = part.variance_interval
         rows.append(
             (
@@ -172,16 +172,16 @@ def _components(one: MetricGauge, confidence: float) -> Table:
                 _percent(part.percent_contribution),
                 _percent(part.percent_study),
                 _NONE if part.percent_tolerance is None else _percent(part.percent_tolerance),
-                number(getattr(one.average_range.components, name).deviation),
+                number(getattr(metric.average_range.components, name).deviation),
             )
         )
     of = ("of variance", "of deviation", "of tolerance", "by ranges")
-    columns = ("component", unit_column("deviation", one.unit), f"{100 * confidence:g} % interval", *of)
+    columns = ("component", unit_column("deviation", metric.unit), f"{100 * confidence:g} % interval", *of)
     return text_table("Components of variation.", columns, rows, range(1, 7))
 
 
-def _anova(one: MetricGauge) -> Table:
-    assert one.anova is not None
+def _anova(metric: MetricGauge) -> Table:
+    assert metric.anova is not None
     rows = [
         (
             row.source,
@@ -191,23 +191,23 @@ def _anova(one: MetricGauge) -> Table:
             _NONE if row.f is None else number(row.f),
             _NONE if row.p is None else number(row.p, 2),
         )
-        for row in one.anova.table
+        for row in metric.anova.table
     ]
-    pooled = "pooled into repeatability" if one.anova.interaction_pooled else "kept"
+    pooled = "pooled into repeatability" if metric.anova.interaction_pooled else "kept"
     columns = ("source", "degrees of freedom", "sum of squares", "mean square", "F", "p")
     table = text_table(f"Analysis of variance; the interaction is {pooled}.", columns, rows, range(1, 6))
     return Table(table.caption, table.columns, table.rows, table.numeric, folded=True)
 
 
-def _reference_tables(found: AgainstReferences, unit: str, of: GaugeStudy) -> Iterator[Table]:
+def _reference_tables(references: AgainstReferences, unit: str, of: GaugeStudy) -> Iterator[Table]:
     sure, who = f"{100 * of.confidence:g} % interval", of.appraiser
     columns: tuple[str, ...] = ("sensor", who, unit_column("reference", unit), "runs")
     columns += (unit_column("bias", unit), sure, "p", "result")
-    yield from _table("Bias against reference values", columns, found.bias, _bias, range(2, 7))
+    yield from _table("Bias against reference values", columns, references.bias, _bias, range(2, 7))
     columns = (who, "slope of the bias", sure, unit_column("references", unit), "bias depends on value", "bias")
-    yield from _table("Linearity of the bias", columns, found.linearity, _linearity, range(1, 4))
+    yield from _table("Linearity of the bias", columns, references.linearity, _linearity, range(1, 4))
     columns = ("sensor", who, unit_column("drift per day", unit), sure, "control chart")
-    yield from _table("Stability over time", columns, found.stability, _stability, range(2, 4))
+    yield from _table("Stability over time", columns, references.stability, _stability, range(2, 4))
 
 
 _Row = TypeVar("_Row", Bias, BiasLinearity, BiasStability)
@@ -221,42 +221,48 @@ def _table(
     numeric: range,
 ) -> Iterator[Table]:
     """Lay rows out, if there are any; for many rows that are unknown the reason is the same, and stands once."""
-    whys = tuple(dict.fromkeys(one.why for one in rows if one.why))
+    whys = tuple(dict.fromkeys(row.why for row in rows if row.why))
     caption = f"{what}; {_NONE}: {named(whys)}." if whys else f"{what}."
     if rows:
         yield text_table(caption, columns, [cells(one) for one in rows], numeric)
 
 
-def _bias(one: Bias) -> tuple[str, ...]:
-    reference = with_uncertainty(one.reference, one.uncertainty)
-    known = (one.serial, one.appraiser or _NONE, reference, str(one.runs))
-    if one.bias is None:
+def _bias(bias: Bias) -> tuple[str, ...]:
+    reference = with_uncertainty(bias.reference, bias.uncertainty)
+    known = (bias.serial, bias.appraiser or _NONE, reference, str(bias.runs))
+    if bias.bias is None:
         return *known, *[_NONE] * 4
     return (
         *known,
-        *_estimated(one.bias),
-        number(one.bias.p, 2),
-        "not significant" if one.bias.holds_zero else "biased",
+        *_estimated(bias.bias),
+        number(bias.bias.p, 2),
+        "not significant" if bias.bias.holds_zero else "biased",
     )
 
 
-def _linearity(one: BiasLinearity) -> tuple[str, ...]:
-    if one.slope is None or one.references is None:
-        return one.appraiser, *[_NONE] * 5
-    ends = " to ".join(map(number, one.references))
-    depends = "not significant" if one.slope.holds_zero else "yes"
-    return one.appraiser, *_estimated(one.slope), ends, depends, "not significant" if one.acceptable else "yes"
+def _linearity(linearity: BiasLinearity) -> tuple[str, ...]:
+    if linearity.slope is None or linearity.references is None:
+        return linearity.appraiser, *[_NONE] * 5
+    ends = " to ".join(map(number, linearity.references))
+    depends = "not significant" if linearity.slope.holds_zero else "yes"
+    return (
+        linearity.appraiser,
+        *_estimated(linearity.slope),
+        ends,
+        depends,
+        "not significant" if linearity.acceptable else "yes",
+    )
 
 
-def _stability(one: BiasStability) -> tuple[str, ...]:
-    if one.drift_per_day is None:
-        return one.serial, one.appraiser, *[_NONE] * 3
-    chart = f"fewer than {FEWEST_CHARTED} runs" if one.in_control is None else one.signal or "in control"
-    return one.serial, one.appraiser, *_estimated(one.drift_per_day), chart
+def _stability(stability: BiasStability) -> tuple[str, ...]:
+    if stability.drift_per_day is None:
+        return stability.serial, stability.appraiser, *[_NONE] * 3
+    chart = f"fewer than {FEWEST_CHARTED} runs" if stability.in_control is None else stability.signal or "in control"
+    return stability.serial, stability.appraiser, *_estimated(stability.drift_per_day), chart
 
 
-def _estimated(one: Estimate) -> tuple[str, str]:
-    return number(one.value), f"{number(one.low)} to {number(one.high)}"
+def _estimated(estimate: Estimate) -> tuple[str, str]:
+    return number(estimate.value), f"{number(estimate.low)} to {number(estimate.high)}"
 
 
 def _ends(interval: Interval, digits: int = 3) -> str:

@@ -281,7 +281,7 @@ def _studied(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], request:
 
 def _check_any(metrics: Sequence[MetricGauge], *, largest_balanced: bool) -> None:
     """Refuse where no metric can be studied, saying what is missing."""
-    if any(one.anova is not None or one.references is not None for one in metrics):
+    if any(metric.anova is not None or metric.references is not None for metric in metrics):
         return
     first = metrics[0]
     said = f"{first.label}: {first.why}"

@@ -175,7 +175,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
 def _simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
     """Say what was simulated, each thing once: seeds differ from run to run."""
     words = {said for run in runs for said in run.line.simulated}
-    return tuple(sorted({re.sub(r", seed \d+$", "", said) for said in words}))
+    return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in words}))
 
 
 def _analysed(run: RunLine) -> bool:

@@ -255,15 +255,15 @@ def _mean(group: Group) -> float:
     return sum(sum(values) / len(values) for values in sensors) / len(sensors)
 
 
-def _ends(found: LotLimits) -> tuple[float | None, float | None]:
-    lower, upper = (None if bound is None else bound.limit for bound in (found.lower, found.upper))
+def _ends(limits: LotLimits) -> tuple[float | None, float | None]:
+    lower, upper = (None if bound is None else bound.limit for bound in (limits.lower, limits.upper))
     return lower, upper
 
 
-def _without(found: LotLimits, smallest: Runs, largest: Runs, values: int, ask: Ask) -> BareLimits | None:
-    if not found.far_out:
+def _without(limits: LotLimits, smallest: Runs, largest: Runs, values: int, ask: Ask) -> BareLimits | None:
+    if not limits.far_out:
         return None
-    kept = [index for index in range(len(largest)) if index not in found.far_out]
+    kept = [index for index in range(len(largest)) if index not in limits.far_out]
     other = lot_limits([smallest[index] for index in kept], [largest[index] for index in kept], values, ask)
     return BareLimits(*_ends(other), other.why)
 

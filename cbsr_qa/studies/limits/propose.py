@@ -98,7 +98,7 @@ def propose_limits(
     digest = lot.data_sha256()
     proposals = tuple(propose(group, lot, terms) for group in groups_of(lot, names, everything))
     _check_any(proposals, names)
-    limits = tuple(one for one in proposals if isinstance(one, ProposedLimit))
+    limits = tuple(proposal for proposal in proposals if isinstance(proposal, ProposedLimit))
     found = ProposedLimits(
         version=version or f"{made.isoformat()}-{digest[:8]}",
         date=made,
@@ -110,7 +110,7 @@ def propose_limits(
         lot=lot,
         limits=limits,
         not_proposed=tuple(one for one in proposals if isinstance(one, NoLimit)),
-        lot_fails_any=tuple(sorted({serial for one in limits for serial in one.lot_fails})),
+        lot_fails_any=tuple(sorted({serial for limit in limits for serial in limit.lot_fails})),
         without_size=_without_size(limits),
         output=None if output is None else str(output),
     )
@@ -122,8 +122,8 @@ def propose_limits(
 def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str, ...]) -> None:
     """Refuse where a measurement that was named came to nothing, or all did."""
     for name in names or (None,):
-        members = [one for one in proposals if name in (None, one.measurement)]
-        refused = [one for one in members if isinstance(one, NoLimit)]
+        members = [proposal for proposal in proposals if name in (None, proposal.measurement)]
+        refused = [member for member in members if isinstance(member, NoLimit)]
         if len(refused) == len(members):
             said = "\n".join(f"  {one.label}: {one.why}{far_from_others(one)}" for one in refused[:10])
             rest = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
@@ -133,19 +133,19 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
             )
 
 
-def far_from_others(one: NoLimit) -> str:
+def far_from_others(refusal: NoLimit) -> str:
     """Name the sensors that lie far from the others, in brackets after a blank; empty without any."""
-    return f" ({', '.join(one.far_out)} far from the others)" if one.far_out else ""
+    return f" ({', '.join(refusal.far_out)} far from the others)" if refusal.far_out else ""
 
 
 def _without_size(limits: tuple[ProposedLimit, ...]) -> tuple[str, ...]:
     sized = {
-        (one.phase, one.qualifier)
-        for one in limits
-        if one.measurement == "area_ratio" and (one.lower or 0.0) > 0 and one.upper is not None
+        (limit.phase, limit.qualifier)
+        for limit in limits
+        if limit.measurement == "area_ratio" and (limit.lower or 0.0) > 0 and limit.upper is not None
     }
     overlaps = [one for one in limits if one.measurement == "area_overlap"]
-    return tuple(one.label for one in overlaps if (one.phase, one.qualifier) not in sized)
+    return tuple(overlap.label for overlap in overlaps if (overlap.phase, overlap.qualifier) not in sized)
 
 
 def lot_words(lot: Lot) -> str:
@@ -155,29 +155,29 @@ def lot_words(lot: Lot) -> str:
     return f"{words} (SIMULATED)" if lot.simulated else words
 
 
-def limits_toml(found: ProposedLimits) -> str:
+def limits_toml(proposed: ProposedLimits) -> str:
     """Return the file that a recipe takes in, its limits sealed by their digest."""
-    tables = [_limit_table(one.limit(found.version)) for one in found.limits]
+    tables = [_limit_table(limit.limit(proposed.version)) for limit in proposed.limits]
     header = {
-        "version": found.version,
-        "date": found.date.isoformat(),
-        "lot": lot_words(found.lot),
-        "serials": list(found.lot.sensors),
-        "coverage_percent": round(100 * found.coverage, 9),
-        "confidence_percent": round(100 * found.confidence, 9),
-        "rule": found.rule,
-        "data_sha256": found.data_sha256,
+        "version": proposed.version,
+        "date": proposed.date.isoformat(),
+        "lot": lot_words(proposed.lot),
+        "serials": list(proposed.lot.sensors),
+        "coverage_percent": round(100 * proposed.coverage, 9),
+        "confidence_percent": round(100 * proposed.confidence, 9),
+        "rule": proposed.rule,
+        "data_sha256": proposed.data_sha256,
         "limits_sha256": limits_digest(tables),
     }
-    lines = [f"# {one_line(remark)}" for remark in _remarks(found)]
+    lines = [f"# {one_line(remark)}" for remark in _remarks(proposed)]
     lines += ["", "[limits_version]", *_keys(header)]
     for table in tables:
         lines += ["", "[[limits]]", *_keys(table)]
     return "\n".join(lines) + "\n"
 
 
-def _remarks(found: ProposedLimits) -> Iterator[str]:
-    lot = found.lot
+def _remarks(proposed: ProposedLimits) -> Iterator[str]:
+    lot = proposed.lot
     yield 'Limits proposed by cbsr-qa limits propose; limits_from = "this file" in [recipe] takes them in.'
     if lot.simulated:
         yield f"From SIMULATED sensors: {'; '.join(lot.simulated)}"
@@ -185,8 +185,8 @@ def _remarks(found: ProposedLimits) -> Iterator[str]:
         yield f"Left out by name: {', '.join(lot.left_out)}"
     yield from (f"Taken in although not good: {words}" for words in lot.not_good)
     yield from (f"Mixed {words}" for words in lot.mixed)
-    yield from (SIZELESS.format(label=label) for label in found.without_size)
-    yield from (f"No limit for {one.label}: {one.why}" for one in found.not_proposed)
+    yield from (SIZELESS.format(label=label) for label in proposed.without_size)
+    yield from (f"No limit for {refusal.label}: {refusal.why}" for refusal in proposed.not_proposed)
 
 
 def _limit_table(limit: Limit) -> dict[str, Any]:

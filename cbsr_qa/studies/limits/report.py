@@ -38,40 +38,43 @@ _FAR: Final = "{label}: {serials} far from the others, and in the lot; without: 
 _NOT_PROPOSED: Final = "{label}: no limit is proposed: {why}{far}."
 
 
-def limits_outcome(found: ProposedLimits) -> CommandOutcome[ProposedLimits]:
+def limits_outcome(proposed: ProposedLimits) -> CommandOutcome[ProposedLimits]:
     """Lay proposed limits out."""
-    guarded = [one for one in found.limits if one.uncertainty.standard is not None]
-    blocks: list[Block] = [_limits(found), _basis(found.limits)]
-    blocks += [_guards(guarded, found.guard_factor)] if guarded else []
+    guarded = [limit for limit in proposed.limits if limit.uncertainty.standard is not None]
+    blocks: list[Block] = [_limits(proposed), _basis(proposed.limits)]
+    blocks += [_guards(guarded, proposed.guard_factor)] if guarded else []
     sections = [Section("Limits", tuple(blocks))]
-    notes = tuple(_notes(found))
+    notes = tuple(_notes(proposed))
     sections += [Section("Notes", notes)] if notes else []
-    return CommandOutcome(found, _page(found), tuple(sections))
+    return CommandOutcome(proposed, _page(proposed), tuple(sections))
 
 
-def _page(found: ProposedLimits) -> Page:
-    lot, count, failing = found.lot, len(found.limits), found.lot_fails_any
-    together = min(100 * count * (1 - found.coverage), 100.0)
+def _page(proposed: ProposedLimits) -> Page:
+    lot, count, failing = proposed.lot, len(proposed.limits), proposed.lot_fails_any
+    together = min(100 * count * (1 - proposed.coverage), 100.0)
     fails = _LOT_FAILS.format(
         failing=len(failing), sensors=len(lot.sensors), names=f": {named(failing)}" if failing else ""
     )
     reason = _EACH.format(
-        coverage=100 * found.coverage,
-        confidence=100 * found.confidence,
+        coverage=100 * proposed.coverage,
+        confidence=100 * proposed.confidence,
         together=_TOGETHER.format(count=count, percent=together) if count > 1 else "",
         fails=fails,
     )
-    facts = [("Golden lot", lot_words(lot)), ("Version", f"{found.version}, data SHA-256 {found.data_sha256[:16]}…")]
-    facts += [("Rule", found.rule)]
+    facts = [
+        ("Golden lot", lot_words(lot)),
+        ("Version", f"{proposed.version}, data SHA-256 {proposed.data_sha256[:16]}…"),
+    ]
+    facts += [("Rule", proposed.rule)]
     facts += [("Left out", ", ".join(lot.left_out))] if lot.left_out else []
-    facts += [("File", found.output)] if found.output else []
+    facts += [("File", proposed.output)] if proposed.output else []
     warnings = (*(f"not good: {words}" for words in lot.not_good), *(f"mixed {words}" for words in lot.mixed))
-    warnings += tuple(SIZELESS.format(label=label) for label in found.without_size)
+    warnings += tuple(SIZELESS.format(label=label) for label in proposed.without_size)
     banner = Banner("plain", _NONE, f"{plural(count, 'limit')} proposed", reason)
-    return Page("Proposed limits", found.version, banner, tuple(facts), lot.simulated, warnings)
+    return Page("Proposed limits", proposed.version, banner, tuple(facts), lot.simulated, warnings)
 
 
-def _limits(found: ProposedLimits) -> Table:
+def _limits(proposed: ProposedLimits) -> Table:
     columns = (
         "measurement",
         "unit",
@@ -85,23 +88,23 @@ def _limits(found: ProposedLimits) -> Table:
         "present",
     )
     rows = []
-    for one in found.limits:
-        taken = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in one.bounds.values())
-        now = _NONE if one.lot_fails_present is None else len(one.lot_fails_present)
+    for limit in proposed.limits:
+        taken = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in limit.bounds.values())
+        now = _NONE if limit.lot_fails_present is None else len(limit.lot_fails_present)
         rows.append(
             (
-                one.label,
-                unit_shown(one.unit),
-                f"{one.sensors} × {one.values}" if one.values > 1 else str(one.sensors),
-                number(one.mean, 4),
-                number(max(bound.worst_deviation for bound in one.bounds.values()), 4),
+                limit.label,
+                unit_shown(limit.unit),
+                f"{limit.sensors} × {limit.values}" if limit.values > 1 else str(limit.sensors),
+                number(limit.mean, 4),
+                number(max(bound.worst_deviation for bound in limit.bounds.values()), 4),
                 next(iter(taken)) if len(taken) == 1 else "see below",
-                _exact(one.lower),
-                _exact(one.upper),
-                number(one.marginal) if one.marginal else "none",
-                _limit_words(one.present),
-                f"{now} → {len(one.lot_fails)} of {one.sensors}",
-                str(len(one.lot_marginal)),
+                _exact(limit.lower),
+                _exact(limit.upper),
+                number(limit.marginal) if limit.marginal else "none",
+                _limit_words(limit.present),
+                f"{now} → {len(limit.lot_fails)} of {limit.sensors}",
+                str(len(limit.lot_marginal)),
             )
         )
     return text_table(_LIMITS, (*columns, "fail", "marginal"), rows, (2, 3, 4, 6, 7, 8, 11))
@@ -109,7 +112,11 @@ def _limits(found: ProposedLimits) -> Table:
 
 def _basis(limits: tuple[ProposedLimit, ...]) -> Table:
     columns = ("measurement", "side", "value of a run", "distribution", "p", "k", "mean", "deviation", "others")
-    rows = [(one.label, side, *_rests_on(bound, one.values)) for one in limits for side, bound in one.bounds.items()]
+    rows = [
+        (limit.label, side, *_rests_on(bound, limit.values))
+        for limit in limits
+        for side, bound in limit.bounds.items()
+    ]
     return text_table(_BASIS, (*columns, "refuted (p)"), rows, (4, 5, 6, 7))
 
 
@@ -129,7 +136,7 @@ def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
         _NONE if bound.factor is None else f"{bound.factor:.3f}{logs}",
         number(bound.worst_mean, 4),
         number(bound.worst_deviation, 4),
-        ", ".join(f"{one.distribution} {number(one.limit, 4)}" for one in bound.narrower) or _NONE,
+        ", ".join(f"{other.distribution} {number(other.limit, 4)}" for other in bound.narrower) or _NONE,
         ", ".join(refuted) or _NONE,
     )
 
@@ -137,41 +144,41 @@ def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
 def _guards(guarded: list[ProposedLimit], factor: float) -> Table:
     risks = ("C accepted", "P accepted", "C refused", "P refused")
     rows = []
-    for one in guarded:
-        found, shares = one.uncertainty, [_NONE] * 4
+    for limit in guarded:
+        found, shares = limit.uncertainty, [_NONE] * 4
         assert found.standard is not None
         assert found.coverage_factor is not None
-        if one.risks is not None:
-            shares = [*_shares(one.risks.marginal_accepted), *_shares(one.risks.marginal_refused)]
+        if limit.risks is not None:
+            shares = [*_shares(limit.risks.marginal_accepted), *_shares(limit.risks.marginal_refused)]
         freedom = _NONE if found.degrees_of_freedom is None else str(found.degrees_of_freedom)
         known = (
             f"{found.coverage_factor:.2f}",
             number(found.standard, 4),
-            unit_shown(one.unit),
+            unit_shown(limit.unit),
             found.source,
             freedom,
         )
-        rows.append((one.label, *known, *shares))
+        rows.append((limit.label, *known, *shares))
     columns = ("measurement", "k", "u", "unit", "source", "degrees of freedom", *risks)
     return text_table(_GUARD.format(factor=factor), columns, rows, (1, 2, 5, 6, 7, 8, 9))
 
 
-def _notes(found: ProposedLimits) -> Iterator[Paragraph]:
-    for one in found.limits:
-        label = one.label
-        if one.far_out:
-            bare = one.without_far_out
+def _notes(proposed: ProposedLimits) -> Iterator[Paragraph]:
+    for limit in proposed.limits:
+        label = limit.label
+        if limit.far_out:
+            bare = limit.without_far_out
             limits = "none" if bare is None else bare.why or _sides(bare.lower, bare.upper)
-            yield Paragraph(_FAR.format(label=label, serials=", ".join(one.far_out), limits=limits), "warning")
-        if one.uncertainty.standard is None:
-            yield Paragraph(_NO_GUARD.format(label=label, why=one.uncertainty.source), "note")
-        elif one.risks is None:
-            yield Paragraph(_NO_RISKS.format(label=label, why=one.no_risks), "note")
-        if one.lower is not None and one.lower <= 0 and one.positive:
+            yield Paragraph(_FAR.format(label=label, serials=", ".join(limit.far_out), limits=limits), "warning")
+        if limit.uncertainty.standard is None:
+            yield Paragraph(_NO_GUARD.format(label=label, why=limit.uncertainty.source), "note")
+        elif limit.risks is None:
+            yield Paragraph(_NO_RISKS.format(label=label, why=limit.no_risks), "note")
+        if limit.lower is not None and limit.lower <= 0 and limit.positive:
             yield Paragraph(_NEGATIVE.format(label=label), "note")
-        if one.present is None:
+        if limit.present is None:
             yield Paragraph(_BOTH.format(label=label), "note")
-    for none in found.not_proposed:
+    for none in proposed.not_proposed:
         text = _NOT_PROPOSED.format(label=none.label, why=none.why, far=far_from_others(none))
         yield Paragraph(text, "warning")
 

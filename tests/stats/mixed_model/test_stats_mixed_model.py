@@ -15,7 +15,7 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.stats.crossings import crossing
 from cbsr_qa.stats.difference import pooled, welch
 from cbsr_qa.stats.mixed_model.model import Model, fit
-from cbsr_qa.stats.mixed_model.reml import Likelihood, sensor_sums, small_sample, variance_ratio
+from cbsr_qa.stats.mixed_model.reml import Likelihood, random_effect_sums, small_sample, variance_ratio
 
 
 def dense_covariance(sensor, ratio):
@@ -58,7 +58,7 @@ def test_dyestuff_is_lme4s(shared):
     assert found.sensor_deviation**2 == pytest.approx(printed["REML"]["var_batch"], rel=1e-12)
     assert found.run_deviation**2 == pytest.approx(printed["REML"]["var_resid"], rel=1e-12)
     assert found.criterion == pytest.approx(printed["REML_criterion"], abs=5e-5)
-    sums = sensor_sums(sparse.csr_array(np.ones((30, 1))), values - 1500, np.repeat(np.arange(6), 5))
+    sums = random_effect_sums(sparse.csr_array(np.ones((30, 1))), values - 1500, np.repeat(np.arange(6), 5))
     full = variance_ratio(sums, restricted=False)
     assert full.variance == pytest.approx(printed["ML"]["var_resid"], rel=1e-12)
     assert full.variance * full.value == pytest.approx(printed["ML"]["var_batch"], rel=1e-5)
@@ -90,7 +90,7 @@ def test_the_reduced_problem_is_the_dense_one(seed):
 def test_small_sample_terms_are_those_of_the_paper(ratio):
     random = np.random.default_rng(801)
     rows = uneven(random)
-    sums = sensor_sums(rows.design.columns(), random.normal(size=len(rows.sensor)), rows.sensor)
+    sums = random_effect_sums(rows.design.columns(), random.normal(size=len(rows.sensor)), rows.sensor)
     found, matrix = small_sample(sums, ratio), rows.design.columns().toarray()
     phi, adjusted, slopes, weights = dense_kenward_roger(matrix, rows.sensor, 1.0, ratio)
     assert found.plain == pytest.approx(phi, rel=1e-9)
@@ -106,7 +106,7 @@ def test_small_sample_terms_are_those_of_the_paper(ratio):
 def test_slope_is_that_of_the_criterion(ratio):
     random = np.random.default_rng(802)
     rows = uneven(random)
-    sums = sensor_sums(rows.design.columns(), random.normal(size=len(rows.sensor)), rows.sensor)
+    sums = random_effect_sums(rows.design.columns(), random.normal(size=len(rows.sensor)), rows.sensor)
     for restricted in (True, False):
         likelihood, step = Likelihood(sums, restricted), 1e-4 * (ratio + 1e-3)
         ends = likelihood.criterion(np.array([ratio + step, ratio - step]))
