@@ -29,10 +29,11 @@ PARTS = (
 )
 _HEAD = """# Performance
 
-Written by `make bench`. Both sides of a comparison run in turn on one machine and one thread, and the fastest of
-each is kept, of 20 or more where it takes less than a tenth of a second: ratios carry over to other machines, times
-do not. Accuracy is against truth the method does not know.
-"Peer" is pyEIT 1.2.4 run here beside ours, where nothing else is said.
+This page compares the speed and accuracy of the program with its goals and with other software. `make bench` writes
+it. Both sides of a comparison run in turn on one machine and one thread, and the fastest repeat of each counts (of 20
+or more if one takes less than a tenth of a second). So ratios carry over to other machines, but times do not. Accuracy
+is measured against a truth that the method does not know. Unless the table names another, "peer" is pyEIT 1.2.4, run
+on the same machine.
 """
 _COLUMNS = "| what | to reach | here | peer | |\n| --- | --- | --- | --- | --- |\n"
 

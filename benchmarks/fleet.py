@@ -48,8 +48,9 @@ def rows() -> Iterator[Row]:
 def notes() -> str:
     """What the table does not say."""
     return (
-        "\nCompare reads, fits every metric, draws and writes the page, Python's start included; fastest of three."
-        " Every third sensor ran on all three stations, the others on one: 16 668 runs, 770 000 values.\n"
+        "\nTimes include Python's start, reading, fitting every metric, drawing and writing the page; the"
+        " fastest of three counts. Every third sensor ran on all three stations, the others on one: 16 668"
+        " runs, 770 000 values.\n"
     )
 
 

@@ -66,11 +66,11 @@ def rows() -> Iterator[Row]:
 def notes() -> str:
     """What the table does not say."""
     return (
-        "\nThe calibration is what `cbsr-qa run --station simulated --recipe nine-locations` issues; the loads are"
-        " the run's ten random ones, at other places and forces than it was calibrated with. The other way"
-        " reconstructs an image with the matrix of the file, keeps what exceeds 85 % of its maximum, takes the mean"
-        " of the heaviest blob and solves the paper's Eq 7 with the mean of the file's nine ρ̄₀. Truth is the load"
-        " cell.\n"
+        "\nThe calibration is the one that `cbsr-qa run --station simulated --recipe nine-locations` issues."
+        " The loads are the run's ten random ones, at other places and forces than those of the calibration."
+        " The method it is compared with reconstructs an image with the matrix of the file, keeps what exceeds"
+        " 85 % of its maximum, takes the mean of the region with the largest integral and solves the paper's"
+        " Eq 7 with the mean of the file's nine ρ̄₀. The load cell gives the truth.\n"
     )
 
 

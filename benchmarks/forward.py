@@ -123,7 +123,7 @@ def _local_updates() -> Iterator[Row]:
 
 
 def _cost_of_accuracy() -> Iterator[str]:
-    yield "\nWhat accuracy costs: assembling, factorising and solving 16 drives on a prepared disc, arcs, z = 0.05."
+    yield "\nWhat accuracy costs: time to assemble, factorise and solve 16 drives on a prepared disc, arcs, z = 0.05."
     yield "\n| order | elements | unknowns | error, 208 used | error, all | error with the inclusion | time |"
     yield "| --- | --- | --- | --- | --- | --- | --- |"
     for order, sizes in ((1, (0.12, 0.06, 0.04, 0.028)), (2, (0.2, 0.15, 0.12, 0.1, 0.08))):

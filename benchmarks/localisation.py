@@ -225,9 +225,9 @@ def _sizes(problem: ImagingProblem) -> Iterator[Row]:
 def notes() -> str:
     """What the table does not say."""
     return (
-        "\n*Noise below each reading* is a deviation of 0.1 % (60 dB) or 1 % of each channel's own reading: by this"
-        " meaning alone the bounds come out that were stated with the peers' figures (here 0.075 and 0.75 mm, place"
-        " and amplitude unknown). Regions are bounded by the contour of the 85 % mask; errors are means over sites"
-        " and frames, ± the standard error over seeds. The truth is on another mesh with other contacts. The default"
-        " noise figure of 0.5 is the choice of GREIT's authors.\n"
+        "\n*Noise below each reading* has a standard deviation of 0.1 % (60 dB) or 1 % of each channel's own"
+        " reading. Only this meaning reproduces the bounds published with the peers' results (here 0.075 and"
+        " 0.75 mm, with unknown place and amplitude). Regions are bounded by the contour of the 85 % mask."
+        " Errors are means over sites and frames, ± the standard error over seeds. The truth is computed on"
+        " another mesh with other contacts. The default noise figure of 0.5 is the choice of GREIT's authors.\n"
     )

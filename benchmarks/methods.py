@@ -62,7 +62,7 @@ def _row(
 def notes() -> str:
     """What the table does not say."""
     return (
-        "\nImages of single frames; time a frame is that of a block of 36. No method but pyEIT's is tuned on these"
-        " loads: parameters are the defaults, chosen on the nominal model. Masks of 85 %, regions bounded by a"
-        " contour. The truth is on another mesh with other contacts.\n"
+        "\nImages are of single frames; the time of a frame is that in a block of 36. Only pyEIT's methods are"
+        " tuned on these loads; the others use their defaults, chosen on the nominal model. Masks are at 85 %,"
+        " with regions bounded by a contour. The truth is computed on another mesh with other contacts.\n"
     )

@@ -49,12 +49,13 @@ def rows() -> Iterator[Row]:
 def notes() -> str:
     """What the table does not say."""
     return (
-        "\nSet-up is everything from a mesh in memory: assembly, factorisation, fields, Jacobian, NOSER prior,"
-        " imaging matrix of all 208 readings. Reciprocal readings have equal rows, so that 104 are solved for. Pixels"
-        " are in single precision, as exact as readings of 24 bits, and of the sheet's own pixels and 104 folded"
-        " readings alone; pyEIT multiplies all of them in double precision, which is most of the difference. pyEIT's"
-        " set-up takes half a minute and is timed once. Criteria that look at readings were given the 36 frames of"
-        " the nine sites, with the noise of each channel.\n"
+        "\nSet-up is everything from a mesh in memory on: assembly, factorisation, fields, Jacobian, NOSER"
+        " prior and imaging matrix of all 208 readings. Reciprocal readings have equal rows, so the matrix is"
+        " solved for 104 of them. Our pixels are in single precision, which is as exact as readings of 24"
+        " bits, and only pixels of the sheet and the 104 merged readings are multiplied. pyEIT multiplies all"
+        " pixels and readings in double precision, which causes most of the difference. Its set-up takes half"
+        " a minute and is timed once. Criteria that depend on readings use the 36 frames of the nine sites,"
+        " with the noise of each channel.\n"
     )
 
 

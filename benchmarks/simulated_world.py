@@ -36,7 +36,7 @@ _MATERIALS: Final = ("cbsr-8wt", "cbsr-9wt")
 
 
 def rows() -> Iterator[Row]:
-    """The nine-location run, the campaign, and frames against solving each afresh."""
+    """The nine-location run, the campaign, and frames compared with solving each again."""
     everything, base = (fastest(lambda name=name: _recorded(set_up(name, recorded=True)), _REPEATS) for name in _RUNS)
     run = "nine locations, 18 min of station time, 432 frames and 8641 force samples, meshing included"
     yield Row(f"{run}: scene `everything`", "≤ 3 s", shown(everything), met=everything <= 3)
@@ -106,7 +106,7 @@ def _frame() -> Row:
     def loads() -> dict[LoadFamily, float]:
         return dict(zip(families, strengths[next(turn) % 64].tolist(), strict=True))
 
-    def afresh(changed: dict[LoadFamily, float]) -> Array:
+    def factorised(changed: dict[LoadFamily, float]) -> Array:
         elements = np.concatenate([family.elements for family in changed])
         change = np.concatenate([family.change(strength) for family, strength in changed.items()])
         return sheet.unit_model.changed_on(elements, change).voltages() / sheet.conductance_S
@@ -116,13 +116,13 @@ def _frame() -> Row:
         return sheet.voltages(places)
 
     some = loads()
-    exact = afresh(some)
+    exact = factorised(some)
     error = np.abs(tabulated(some) - exact).max() / np.abs(exact[sheet.sensor_type.pattern.usable()]).mean()
     compared = compare(
         f"a frame of nine loads of other strengths, {len(sheet.mesh.elements)} elements of second order"
         f" (right to {error:.0e} of the mean reading)",
         ("tabulated loads", lambda: tabulated(loads())),
-        ("factorising afresh", lambda: afresh(loads())),
+        ("factorising again", lambda: factorised(loads())),
         _REPEATS,
         burst=8,
     )

@@ -74,7 +74,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="1:4", help="first and one after the last")
     seeds = range(*map(int, parser.parse_args().seeds.split(":")))
     all_told = [one for seed in seeds for one in told(issued(seed))]
-    print("| held | loads told | bias | σ | error over stated, rms |\n| --- | --- | --- | --- | --- |")
+    print("| held | loads reported | bias | σ | error over stated, rms |\n| --- | --- | --- | --- | --- |")
     print("\n".join(row(all_told, frame) for frame in _FRAMES))
 
 
