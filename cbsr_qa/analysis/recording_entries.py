@@ -5,24 +5,25 @@ expected; whoever opened the file puts its name before them.
 """
 
 import json
-import math
-from dataclasses import fields
-from typing import Any, Final, NoReturn
+from typing import Annotated, Any, Final, Literal, NoReturn, TypeVar
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
 from cbsr_qa.calibration.file import attribute
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
-from cbsr_qa.plugin import echo, printable
+from cbsr_qa.plugin import CheckedTable, check, printable, shown
 
 #: Characters of one text: names have some tens, notes some hundreds.
 _LONGEST_TEXT: Final = 1000
 _LONGEST_NOTE: Final = 2**14
 _LONGEST_JSON: Final = 2**24
 _MOST_ELECTRODES: Final = 4096
+
+_Note = Annotated[str, Field(max_length=_LONGEST_NOTE)]
 
 
 def group_of(parent: h5py.Group, name: str) -> h5py.Group:
@@ -108,117 +109,77 @@ def _no_constant(name: str) -> NoReturn:
     raise ValueError(name)
 
 
-class Described:
-    """An object of a file's JSON; every value is validated when read.
-
-    Parameters
-    ----------
-    said : as parsed.
-    where : how messages name it.
-    """
-
-    def __init__(self, said: Any, where: str) -> None:
-        if not isinstance(said, dict):
-            raise RefusedError(f"{where} is {_kind(said)}; an object is expected")
-        self._said, self._where = said, where
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._said
-
-    def text(self, key: str) -> str:
-        """A string."""
-        return _text(f"{self._where}.{key}", self._take(key, str, "a text"))
-
-    def texts(self, key: str) -> tuple[str, ...]:
-        """A list of strings."""
-        return texts(f"{self._where}.{key}", self._take(key, list, "a list of strings"))
-
-    def flag(self, key: str) -> bool:
-        """A boolean."""
-        return bool(self._take(key, bool, "true or false"))
-
-    def whole(self, key: str, most: int) -> int:
-        """A whole number of at least 0."""
-        value = self._take(key, int, "a whole number")
-        if not 0 <= value <= most:
-            raise RefusedError(f"{self._where}.{key} is {_kind(value)}; 0 to {most} are allowed")
-        return int(value)
-
-    def real(self, key: str) -> float:
-        """A finite number."""
-        return _real(f"{self._where}.{key}", self._take(key, (int, float), "a number"))
-
-    def absent(self, key: str) -> bool:
-        """Whether an optional value is null."""
-        return self._take(key, object, "a value") is None
-
-    def within(self, key: str) -> "Described":
-        """A nested object."""
-        return Described(self._take(key, dict, "an object"), f"{self._where}.{key}")
-
-    def layout(self) -> Electrodes:
-        """The object as a layout of electrodes."""
-        kind = self.text("kind")
-        if kind not in set(ElectrodeKind):
-            raise RefusedError(f"{self._where}.kind is {echo(kind)}; allowed: {', '.join(ElectrodeKind)}")
-        if "places_mm" in self:
-            return PlacedElectrodes(ElectrodeKind(kind), self._places("places_mm"), self.real("width_mm"))
-        known = {field.name for field in fields(ElectrodeLayout)}
-        if unknown := sorted(set(self._said) - known):
-            raise RefusedError(f"{self._where}.{echo(unknown[0])} is unknown; allowed: {', '.join(sorted(known))}")
-        return ElectrodeLayout(
-            self.whole("count", _MOST_ELECTRODES),
-            ElectrodeKind(kind),
-            self.real("ring_radius_mm"),
-            self.real("width_mm"),
-            self.real("first_angle_deg"),
-            self.flag("counterclockwise"),
-        )
-
-    def _places(self, key: str) -> tuple[tuple[float, float], ...]:
-        where, found = f"{self._where}.{key}", []
-        for place in self._take(key, list, "a list of places"):
-            if not isinstance(place, list) or len(place) != 2:
-                raise RefusedError(f"{where} holds {echo(str(place))}; pairs of numbers are expected")
-            found.append((_real(where, place[0]), _real(where, place[1])))
-        return tuple(found[: _MOST_ELECTRODES + 1])
-
-    def _take(self, key: str, kind: Any, expected: str) -> Any:
-        if key not in self._said:
-            raise RefusedError(f"{self._where}.{key} is missing")
-        value = self._said[key]
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind not in (bool, object)):
-            raise RefusedError(f"{self._where}.{key} is {_kind(value)}; {expected} is expected")
-        return value
+_Kind = Literal["pin", "arc"]
+_Length = Annotated[float, Field(gt=-1e300, lt=1e300)]
 
 
-def texts(where: str, said: Any) -> tuple[str, ...]:
+class _Ring(CheckedTable):
+    count: Annotated[int, Field(ge=0, le=_MOST_ELECTRODES)]
+    kind: _Kind
+    ring_radius_mm: _Length
+    width_mm: _Length
+    first_angle_deg: _Length
+    counterclockwise: bool
+
+
+class _Places(CheckedTable):
+    kind: _Kind
+    places_mm: list[Annotated[list[_Length], Field(min_length=2, max_length=2)]]
+    width_mm: _Length
+
+
+class Description(CheckedTable):
+    """The attribute ``description`` of a recording file; keys of later versions are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    dataset: Annotated[str, Field(max_length=_LONGEST_TEXT)]
+    scan: Literal["full", "driven_pairs"]
+    still: bool
+    magnitudes_only: bool
+    clock: Annotated[str, Field(max_length=_LONGEST_TEXT)]
+    sensor_type: Annotated[str, Field(max_length=_LONGEST_TEXT)] | None
+    layout: dict[str, Any] | None
+    notes: list[_Note]
+    simulated: list[_Note] | None = None
+    frames_dropped: Annotated[int, Field(ge=0, le=2**53)] = 0
+
+    def electrodes(self) -> Electrodes | None:
+        """The layout of electrodes. RefusedError if a key is missing, unknown or not allowed."""
+        if self.layout is None:
+            return None
+        if "places_mm" in self.layout:
+            placed = checked(_Places, self.layout, "description.layout")
+            places_mm = tuple((x, y) for x, y in placed.places_mm[: _MOST_ELECTRODES + 1])
+            return PlacedElectrodes(ElectrodeKind(placed.kind), places_mm, placed.width_mm)
+        ring = checked(_Ring, self.layout, "description.layout")
+        return ElectrodeLayout(**{**ring.model_dump(), "kind": ElectrodeKind(ring.kind)})
+
+
+_Checked = TypeVar("_Checked", bound=CheckedTable)
+
+
+def checked(model: type[_Checked], value: Any, where: str) -> _Checked:
+    """Validate an object of a file's JSON. RefusedError names the first wrong key, its value and what is allowed."""
+    if not isinstance(value, dict):
+        raise RefusedError(f"{where} is {shown(value)}; an object is expected")
+    table, problems = check(model, value)
+    if problems or table is None:
+        raise RefusedError(f"{where}.{problems[0]}")
+    return table
+
+
+def texts(where: str, value: Any) -> tuple[str, ...]:
     """Validate a list of strings, and return it."""
-    if not isinstance(said, list) or not all(isinstance(one, str) for one in said):
+    if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
         raise RefusedError(f"{where} is not a list of strings")
-    return tuple(_text(where, one, _LONGEST_NOTE) for one in said)
+    return tuple(_text(where, text, _LONGEST_NOTE) for text in value)
 
 
 def _text(where: str, value: str, longest: int = _LONGEST_TEXT) -> str:
     if len(value) > longest:
         raise RefusedError(f"{where} has {len(value)} characters; at most {longest} are allowed")
     return value
-
-
-def _real(where: str, value: Any) -> float:
-    real = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
-    if not real or not math.isfinite(value):
-        raise RefusedError(f"{where} is {_kind(value)}; a finite number is expected")
-    return float(value)
-
-
-def _kind(value: Any) -> str:
-    """Describe a value for a message."""
-    if isinstance(value, str):
-        return echo(value)
-    if isinstance(value, dict | list):
-        return "an object" if isinstance(value, dict) else "a list"
-    return json.dumps(value)[:60]
 
 
 def _dataset(parent: h5py.Group, name: str) -> h5py.Dataset:

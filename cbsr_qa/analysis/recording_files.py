@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording_entries import (
-    Described,
+    Description,
+    checked,
     group_of,
     json_of,
     numbers,
@@ -39,7 +40,6 @@ SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 
 #: In bytes, of a file whose content is our own.
 _ANY_SIZE: Final = 2**40
-_MOST_DROPPED: Final = 2**53
 
 #: How notes of files that have no ``simulated`` of their own begin.
 _SIMULATED_NOTE: Final = "simulated: "
@@ -203,38 +203,34 @@ def _put(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> None:
 
 
 def _read(path: Path, file: h5py.File) -> Recording:
-    said = Described(json_of(file, "description"), "description")
-    notes, simulated = _told(said)
-    scan = said.text("scan")
-    if scan not in set(ScanKind):
-        raise RefusedError(f"description.scan is {echo(scan)}; allowed: {', '.join(ScanKind)}")
+    description = checked(Description, json_of(file, "description"), "description")
+    notes, simulated = _notes(description)
     return Recording(
         path=path,
         format=FORMAT,
-        dataset=said.text("dataset"),
-        scan=ScanKind(scan),
+        dataset=description.dataset,
+        scan=ScanKind(description.scan),
         frames=_read_frames(group_of(file, "frames")),
         reference=_read_frames(group_of(file, "reference")) if "reference" in file else None,
-        still=said.flag("still"),
-        magnitudes_only=said.flag("magnitudes_only"),
-        clock=said.text("clock"),
+        still=description.still,
+        magnitudes_only=description.magnitudes_only,
+        clock=description.clock,
         samples=_read_channels(group_of(file, "samples")) if "samples" in file else (),
         loads=_read_loads(group_of(file, "loads")) if "loads" in file else (),
-        layout=None if said.absent("layout") else said.within("layout").layout(),
-        sensor_type=None if said.absent("sensor_type") else said.text("sensor_type"),
+        layout=description.electrodes(),
+        sensor_type=description.sensor_type,
         notes=notes,
-        frames_dropped=said.whole("frames_dropped", _MOST_DROPPED) if "frames_dropped" in said else 0,
+        frames_dropped=description.frames_dropped,
         simulated=simulated,
     )
 
 
-def _told(said: Described) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _notes(description: Description) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return notes and the simulation's description, which earlier versions stored as notes."""
-    notes = said.texts("notes")
-    if "simulated" in said:
-        return notes, said.texts("simulated")
-    marked = tuple(note for note in notes if note.startswith(_SIMULATED_NOTE))
-    others = tuple(note for note in notes if note not in marked)
+    if description.simulated is not None:
+        return tuple(description.notes), tuple(description.simulated)
+    marked = [note for note in description.notes if note.startswith(_SIMULATED_NOTE)]
+    others = tuple(note for note in description.notes if note not in marked)
     return others, tuple(note.removeprefix(_SIMULATED_NOTE) for note in marked)
 
 
@@ -280,8 +276,8 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
     return tuple(
         LoadRecord(
             int(index[k]),
-            Load(label, *_place(columns, k), int(trial[k])),
-            *_times_s(columns, k),
+            Load(label, *(float(columns[name][k]) for name in ("x_mm", "y_mm", "strain")), int(trial[k])),
+            *(float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:]),
             clear_s=None if np.isnan(cleared[k]) else cleared[k],
         )
         for k, label in enumerate(labels)
@@ -296,15 +292,6 @@ def _check_finite(
             f"{group.name}/{name}, row {k} (from 0), of load {echo(labels[k])}, is {column[k]:g} {unit};"
             " a finite number is expected"
         )
-
-
-def _place(columns: dict[str, NDArray[np.float64]], k: int) -> tuple[float, float, float]:
-    return float(columns["x_mm"][k]), float(columns["y_mm"][k]), float(columns["strain"][k])
-
-
-def _times_s(columns: dict[str, NDArray[np.float64]], k: int) -> tuple[float, float, float, float, float]:
-    press, hold, release, up, rest = (float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:])
-    return press, hold, release, up, rest
 
 
 def _digest(file: h5py.File, size_bytes: int = _ANY_SIZE) -> str:
