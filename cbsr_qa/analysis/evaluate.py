@@ -89,12 +89,12 @@ def _characterised(
     """Evaluate a run on a strip: from press cycles to its material, without an image."""
     try:
         with stages.stage("characterising the material"):
-            found = characterise_run(record, settings)
+            material = characterise_run(record, settings)
     except NumericsError as error:
         why = f"the material cannot be characterised: {error.reason}"
         return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (error.remedy,) if error.remedy else ())
-    judged = judge(measure_characterisation(found), limits)
-    return Conclusion(None, judged, decide(judged), (*found.refused, *found.reduced), found)
+    judged = judge(measure_characterisation(material), limits)
+    return Conclusion(None, judged, decide(judged), (*material.refused, *material.reduced), material)
 
 
 def calibrated(

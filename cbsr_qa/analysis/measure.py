@@ -40,64 +40,64 @@ def answered(answer: Iterable[Measurement]) -> list[Measurement]:
     taken = list(islice(answer, MOST_ANSWERS + 1))
     if len(taken) > MOST_ANSWERS:
         raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
-    return [_checked(number, one) for number, one in enumerate(taken, start=1)]
+    return [_checked(number, measurement) for number, measurement in enumerate(taken, start=1)]
 
 
-def _checked(number: int, one: object) -> Measurement:
-    if type(one) is not Measurement:
-        raise PluginError(f"measurement {number} is {with_type(one)}; it must be a Measurement")
+def _checked(number: int, measurement: object) -> Measurement:
+    if type(measurement) is not Measurement:
+        raise PluginError(f"measurement {number} is {with_type(measurement)}; it must be a Measurement")
     plain: dict[str, Any] = {}
     for name in (field.name for field in fields(Measurement)):
-        said = getattr(one, name, None)
+        value = getattr(measurement, name, None)
         check, allowed = _FIELDS[name]
-        plain[name] = check(said)
+        plain[name] = check(value)
         if plain[name] is _WRONG:
-            raise PluginError(f"measurement {number}: {name} is {with_type(said)}; it must be {allowed}")
-    return replace(one, **plain)
+            raise PluginError(f"measurement {number}: {name} is {with_type(value)}; it must be {allowed}")
+    return replace(measurement, **plain)
 
 
 #: What a check returns for a value that is not allowed.
 _WRONG: Final = object()
 
 
-def _number(said: object) -> object:
+def _number(value: object) -> object:
     # Not bool: a metric that answers True has compared something, and says no quantity.
-    if said is None:
+    if value is None:
         return None
-    if isinstance(said, bool) or not isinstance(said, Real):
+    if isinstance(value, bool) or not isinstance(value, Real):
         return _WRONG
     try:
-        number = float(said)
-        exact = number == said
+        number = float(value)
+        exact = number == value
     except (OverflowError, ValueError, TypeError):
         return _WRONG
     return number if exact and math.isfinite(number) else _WRONG
 
 
-def _whole(said: object) -> object:
-    if said is None:
+def _whole(value: object) -> object:
+    if value is None:
         return None
-    if isinstance(said, bool) or not isinstance(said, Integral) or not 0 <= int(said) <= _LARGEST:
+    if isinstance(value, bool) or not isinstance(value, Integral) or not 0 <= int(value) <= _LARGEST:
         return _WRONG
-    return int(said)
+    return int(value)
 
 
-def _text(said: object) -> object:
-    if not isinstance(said, str) or len(said) > LONGEST_TEXT or _UNWRITABLE.search(said):
+def _text(value: object) -> object:
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT or _UNWRITABLE.search(value):
         return _WRONG
-    return str.__str__(said)  # plain also where it is numpy's or an enumeration's
+    return str.__str__(value)  # plain also where it is numpy's or an enumeration's
 
 
-def _named(said: object) -> object:
-    return _text(said) if said else _WRONG
+def _named(value: object) -> object:
+    return _text(value) if value else _WRONG
 
 
-def _bound(said: object) -> object:
-    return said if isinstance(said, Bound) else _WRONG
+def _bound(value: object) -> object:
+    return value if isinstance(value, Bound) else _WRONG
 
 
 def _unset(value: object) -> Callable[[object], object]:
-    return lambda said: value if said is value else _WRONG
+    return lambda field_value: value if field_value is value else _WRONG
 
 
 _TEXT: Final = (_text, f"text of at most {LONGEST_TEXT} characters without control characters")
@@ -158,8 +158,8 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
         if not fitting:
             judged.append(_unmeasured(limit, "no metric of this recipe measures it: enable one, or remove the limit"))
         elif not same_unit:
-            found = judged[fitting[0]].unit
-            judged.append(_unmeasured(limit, f"the limit is in {limit.unit}, the measurement in {found}"))
+            unit = judged[fitting[0]].unit
+            judged.append(_unmeasured(limit, f"the limit is in {limit.unit}, the measurement in {unit}"))
     return tuple(judged)
 
 

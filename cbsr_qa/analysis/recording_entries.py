@@ -28,10 +28,10 @@ _Note = Annotated[str, Field(max_length=_LONGEST_NOTE)]
 
 def group_of(parent: h5py.Group, name: str) -> h5py.Group:
     """Return a group. RefusedError if it is missing, or a dataset."""
-    found = _member(parent, name)
-    if not isinstance(found, h5py.Group):
-        raise RefusedError(f"{found.name} is a dataset; a group is expected")
-    return found
+    member = _member(parent, name)
+    if not isinstance(member, h5py.Group):
+        raise RefusedError(f"{member.name} is a dataset; a group is expected")
+    return member
 
 
 def numbers(
@@ -89,8 +89,8 @@ def real_of(item: h5py.Group, name: str, what: str) -> float | None:
         return None
     value = attribute(item, name)
     if not isinstance(value, np.integer | np.floating) or not np.isfinite(value):
-        said = item.attrs.get_id(name).dtype if value is None else printable(str(value))
-        raise RefusedError(f"{what} ({name} of {item.name}) is {said}; one finite real number is expected")
+        what_it_is = item.attrs.get_id(name).dtype if value is None else printable(str(value))
+        raise RefusedError(f"{what} ({name} of {item.name}) is {what_it_is}; one finite real number is expected")
     return float(value)
 
 
@@ -98,11 +98,11 @@ def json_of(item: h5py.Group, name: str) -> Any:
     """Return the JSON value of an attribute. RefusedError if invalid, or with NaN or lone surrogates."""
     text = text_of(item, name, _LONGEST_JSON)
     try:
-        said = json.loads(text, parse_constant=_no_constant)
-        json.dumps(said, ensure_ascii=False).encode()  # JSON can spell halves of characters, which are no text
+        value = json.loads(text, parse_constant=_no_constant)
+        json.dumps(value, ensure_ascii=False).encode()  # JSON can spell halves of characters, which are no text
     except (ValueError, RecursionError) as error:
         raise RefusedError(f"attribute {name} of {item.name} is not JSON") from error
-    return said
+    return value
 
 
 def _no_constant(name: str) -> NoReturn:
@@ -183,10 +183,10 @@ def _text(where: str, value: str, longest: int = _LONGEST_TEXT) -> str:
 
 
 def _dataset(parent: h5py.Group, name: str) -> h5py.Dataset:
-    found = _member(parent, name)
-    if not isinstance(found, h5py.Dataset):
-        raise RefusedError(f"{found.name} is a group; a dataset is expected")
-    return found
+    member = _member(parent, name)
+    if not isinstance(member, h5py.Dataset):
+        raise RefusedError(f"{member.name} is a group; a dataset is expected")
+    return member
 
 
 def _member(parent: h5py.Group, name: str) -> h5py.Group | h5py.Dataset:

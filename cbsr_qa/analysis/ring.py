@@ -79,8 +79,8 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     mean = frames.voltages.mean(axis=0)
     absolute = frames.unit is VoltageUnit.VOLT and frames.current_A is not None
     current = frames.current_A if absolute and frames.current_A is not None else 1.0
-    found, leads_fitted, offset_fitted = _solve(current * closed, current * lead_readings(pattern), mean, used)
-    gain, offset, leads = found[0], found[1], found[2:]
+    solution, leads_fitted, offset_fitted = _solve(current * closed, current * lead_readings(pattern), mean, used)
+    gain, offset, leads = solution[0], solution[1], solution[2:]
     expected = current * closed if absolute else gain * closed
     fitted = gain * current * closed + offset + current * lead_readings(pattern) @ leads
     return RingFit(
@@ -132,13 +132,13 @@ def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) ->
     size = _sizes(closed)[used]
     columns = np.column_stack([closed[used], np.ones(size.size), leads[used]]) / size[:, None]
     wanted = mean[used] / size
-    found = np.zeros(columns.shape[1])
-    for count in (len(found), 2, 1):
+    solution = np.zeros(columns.shape[1])
+    for count in (len(solution), 2, 1):
         part = columns[:, :count]
         scale = np.linalg.norm(part, axis=0)
         if size.size > count and (scale > 0).all() and np.linalg.matrix_rank(part / scale) == count:
-            found[:count] = np.linalg.lstsq(part / scale, wanted, rcond=None)[0] / scale
-            return found, count > 2, count > 1
+            solution[:count] = np.linalg.lstsq(part / scale, wanted, rcond=None)[0] / scale
+            return solution, count > 2, count > 1
     raise NumericsError(
         f"{int(used.sum())} of {used.size} readings of the ring are without a flag, too few to fit a gain",
         remedy="check that the ring is connected, and lower the drive current where it is at compliance",

@@ -172,9 +172,9 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
     forces = [strip_force(phase, strip.pressed_mm2) for phase in phases]
     unread: list[str] = []
     readings = [
-        one
+        cycle
         for phase, force in zip(phases, forces, strict=True)
-        for one in _phase_cycles(phase, resistance_ohm, force, unread)
+        for cycle in _phase_cycles(phase, resistance_ohm, force, unread)
     ]
     count = len(rested.ohm)
     deviation = float(rested.ohm.std(ddof=1)) if count > 1 else 0.0
@@ -248,14 +248,14 @@ def _phase_cycles(
         strain = round(load.load.strain, 9)
         number = counts.get(strain, 0)
         counts[strain] = number + 1
-        one = _cycle(load, number, pins, resistance_ohm, force)
-        if min(len(one.held), len(one.rested)) < _FEWEST:
+        cycle = _cycle(load, number, pins, resistance_ohm, force)
+        if min(len(cycle.held), len(cycle.rested)) < _FEWEST:
             unread.append(
-                f"left out: cycle {number + 1} of {100 * strain:g} % strain has {len(one.held)} usable readings of"
-                f" its hold and {len(one.rested)} of its rest; {_FEWEST} of each are needed"
+                f"left out: cycle {number + 1} of {100 * strain:g} % strain has {len(cycle.held)} usable readings of"
+                f" its hold and {len(cycle.rested)} of its rest; {_FEWEST} of each are needed"
             )
             continue
-        cycles.append(one)
+        cycles.append(cycle)
     return cycles
 
 

@@ -18,30 +18,30 @@ _BETWEEN_PINS: Final = "between the pins"
 _UNDER_HEAD: Final = "under the head, by the forward model of the strip"
 
 
-def measure_characterisation(found: Characterisation) -> tuple[Measurement, ...]:
+def measure_characterisation(material: Characterisation) -> tuple[Measurement, ...]:
     """Return the measurements of a characterisation; undetermined ones have no value and give the reason."""
     return (
-        *_lines(found),
-        *_strip(found),
-        *(_level(level) for level in found.levels),
-        *(_settling(one) for one in found.settlings),
-        *_counts(found),
+        *_lines(material),
+        *_strip(material),
+        *(_level(level) for level in material.levels),
+        *(_settling(each) for each in material.settlings),
+        *_counts(material),
     )
 
 
-def _lines(found: Characterisation) -> Iterator[Measurement]:
-    blocked = found.refused[0] if found.response is Response.AUTO and found.refused else ""
+def _lines(material: Characterisation) -> Iterator[Measurement]:
+    blocked = material.refused[0] if material.response is Response.AUTO and material.refused else ""
     for name, line, how in (
-        ("gauge_factor", found.against_strain, f"slope against strain, {_BETWEEN_PINS}; steady levels of fits"),
-        ("local_gauge_factor", found.local_against_strain, f"slope against strain, {_UNDER_HEAD}"),
-        ("stress_sensitivity", found.against_stress, f"slope against stress, {_BETWEEN_PINS}"),
-        ("local_stress_sensitivity", found.local_against_stress, f"slope against stress, {_UNDER_HEAD}"),
+        ("gauge_factor", material.against_strain, f"slope against strain, {_BETWEEN_PINS}; steady levels of fits"),
+        ("local_gauge_factor", material.local_against_strain, f"slope against strain, {_UNDER_HEAD}"),
+        ("stress_sensitivity", material.against_stress, f"slope against stress, {_BETWEEN_PINS}"),
+        ("local_stress_sensitivity", material.local_against_stress, f"slope against stress, {_UNDER_HEAD}"),
     ):
         yield from _line(name, line, how, blocked)
-    for line, since in zip(found.end_of_hold, ("from before the press", "from the rested strip"), strict=True):
+    for line, since in zip(material.end_of_hold, ("from before the press", "from the rested strip"), strict=True):
         how = f"slope against strain, {_BETWEEN_PINS}; readings at the end of the hold"
         yield next(_line("gauge_factor", line, how, blocked, f"end of hold, {since}"))
-    yield _relative_error(found)
+    yield _relative_error(material)
 
 
 def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str = "") -> Iterator[Measurement]:
@@ -57,21 +57,21 @@ def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str 
     yield Measurement(f"{name}_intercept", line.intercept.value, "1", line.intercept.stderr, how=how)
 
 
-def _relative_error(found: Characterisation) -> Measurement:
+def _relative_error(material: Characterisation) -> Measurement:
     """Relative standard error of the slope, without the assumed contacts: they affect all slopes equally.
 
     Of a characterisation that cannot stand for its material there is none, so that a limit on it is not met.
     """
-    name, fitted = "gauge_factor_error", found.local_against_strain
-    if found.refused or fitted.line is None:
-        return Measurement(name, None, "%", how=next(iter(found.refused), fitted.why))
+    name, fitted = "gauge_factor_error", material.local_against_strain
+    if material.refused or fitted.line is None:
+        return Measurement(name, None, "%", how=next(iter(material.refused), fitted.why))
     measured = sum(error**2 for part, error in fitted.parts if part != "contacts of the pins") ** 0.5
     how = "standard error of the local gauge factor over itself, without what is assumed of the pins' contacts"
     return Measurement(name, 100 * measured / abs(fitted.line.slope.value), "%", how=how)
 
 
-def _strip(found: Characterisation) -> Iterator[Measurement]:
-    strip, resistance = found.strip, found.strip.resistance_ohm
+def _strip(material: Characterisation) -> Iterator[Measurement]:
+    strip, resistance = material.strip, material.strip.resistance_ohm
     yield Measurement(
         "interelectrode_resistance", resistance.value, "ohm", resistance.stderr, how="between the pins, rested"
     )
@@ -80,17 +80,19 @@ def _strip(found: Characterisation) -> Iterator[Measurement]:
     )
     yield Measurement("sheet_resistance", resistance.value / strip.squares, "ohm", how=how)
     yield Measurement("reading_noise", strip.relative_noise, "1", how="rms over mean of the rested readings")
-    yield _parameter("compressive_modulus", found.modulus_kPa, "slope of steady stress against strain", found)
-    yield _parameter("strain_offset", found.strain_offset, "strain at which that line crosses zero stress", found)
-    if found.residue is not None:
-        share, decay = found.residue
+    yield _parameter("compressive_modulus", material.modulus_kPa, "slope of steady stress against strain", material)
+    yield _parameter(
+        "strain_offset", material.strain_offset, "strain at which that line crosses zero stress", material
+    )
+    if material.residue is not None:
+        share, decay = material.residue
         how = f"share of a release that fades with {decay.value:.3g} ± {decay.stderr or 0:.2g} s"
         yield Measurement("slow_residue", share.value, "1", share.stderr, how=how)
 
 
-def _parameter(name: str, parameter: Parameter | None, how: str, found: Characterisation) -> Measurement:
+def _parameter(name: str, parameter: Parameter | None, how: str, material: Characterisation) -> Measurement:
     if parameter is None:
-        why = next((said for said in found.refused if "modulus" in said), "the stress is not known")
+        why = next((reason for reason in material.refused if "modulus" in reason), "the stress is not known")
         return Measurement(name, None, STRIP_MEASURES[name], how=why)
     return Measurement(name, parameter.value, STRIP_MEASURES[name], parameter.stderr, how=how)
 
@@ -108,31 +110,31 @@ def _level(level: StrainLevel) -> Measurement:
     )
 
 
-def _settling(one: StrainSettling) -> Measurement:
-    name = "common_settling_time" if one.strain is None else "settling_time"
-    at = "" if one.strain is None else f", {100 * one.strain:g} % strain"
-    constants = " and ".join(f"{tau:.3g} s" for tau in one.fit.time_constants_s)
-    how = f"{one.fit.status}{f', {constants}' if constants else ''}; {one.traces} cycles fitted together"
+def _settling(each: StrainSettling) -> Measurement:
+    name = "common_settling_time" if each.strain is None else "settling_time"
+    at = "" if each.strain is None else f", {100 * each.strain:g} % strain"
+    constants = " and ".join(f"{tau:.3g} s" for tau in each.fit.time_constants_s)
+    how = f"{each.fit.status}{f', {constants}' if constants else ''}; {each.traces} cycles fitted together"
     return Measurement(
         name,
-        one.settling.value_s,
+        each.settling.value_s,
         "s",
-        one.stderr_s,
-        qualifier=f"{one.words}{at}",
-        how=f"{how}; {one.settling.why}".removesuffix("; "),
-        bound=Bound.LOWER if one.settling.censored else Bound.EXACT,
-        strain=one.strain,
+        each.stderr_s,
+        qualifier=f"{each.words}{at}",
+        how=f"{how}; {each.settling.why}".removesuffix("; "),
+        bound=Bound.LOWER if each.settling.censored else Bound.EXACT,
+        strain=each.strain,
     )
 
 
-def _counts(found: Characterisation) -> Iterator[Measurement]:
-    excluded = [level.why for level in found.levels if level.why]
-    used = sum(level.cycles for level in found.levels if not level.why)
-    lost = sum(level.cycles for level in found.levels if level.why) + len(found.unread)
+def _counts(material: Characterisation) -> Iterator[Measurement]:
+    excluded = [level.why for level in material.levels if level.why]
+    used = sum(level.cycles for level in material.levels if not level.why)
+    lost = sum(level.cycles for level in material.levels if level.why) + len(material.unread)
     yield Measurement("cycles_used", float(used), "1", how="cycles the lines are drawn through")
     yield Measurement(
-        "cycles_excluded", float(lost), "1", how="; ".join((*found.unread, *excluded)) or "none left out"
+        "cycles_excluded", float(lost), "1", how="; ".join((*material.unread, *excluded)) or "none left out"
     )
     yield Measurement("strains_excluded", float(len(excluded)), "1", how="; ".join(excluded) or "none left out")
     how = "least strain at which α ε + β is three standard errors from zero"
-    yield Measurement("lowest_strain", found.lowest_strain, "1", how=how)
+    yield Measurement("lowest_strain", material.lowest_strain, "1", how=how)

@@ -73,7 +73,7 @@ def verify_calibration(run: RunObservation, calibration: Calibration) -> Verific
     """
     _check(run, calibration)
     reader = _Reader(run, calibration)
-    loads = tuple(found for load in run.loads if (found := reader.load(load)) is not None)
+    loads = tuple(verified for load in run.loads if (verified := reader.load(load)) is not None)
     if not loads:
         raise CalibrationError(
             "no load of the run was pressed alone, with its force recorded, where the calibration reaches"
@@ -174,15 +174,15 @@ class _Reader:
             late = held_s > held_s[-1] - (held_s[-1] - held_s[0]) / 4
             return float(matches.strength[late].mean()) - base, float(noise[0] / np.sqrt(late.sum()))
         ramp_s = max(load.record.unloaded_s - load.record.release_start_s, 0.0)
-        found = predict_steady(
+        prediction = predict_steady(
             held_s, matches.strength - base, noise, model.loading, ramp_s=ramp_s, at_s=model.steady_s
         )
-        return float(found.values[0]), float(found.stderr[0])
+        return float(prediction.values[0]), float(prediction.stderr[0])
 
     def _relaxed_N(self, samples: SampleBlock, load: LoadObservation) -> float:
         """Force at the hold of the calibration, by how stress relaxed in it."""
         held_s = samples.time_s - load.record.hold_start_s
-        shapes = [one.fit for one in self._calibration.issued.relaxations if _of_stress(one)]
+        shapes = [relaxation.fit for relaxation in self._calibration.issued.relaxations if _of_stress(relaxation)]
         if not shapes or not len(samples):
             return float(load.force_N or 0.0)
         steady_s = self._calibration.model.steady_s
@@ -199,9 +199,9 @@ def _of_stress(relaxation: LoadRelaxation) -> bool:
 
 def _sensitivity(loads: tuple[VerifiedLoad, ...]) -> tuple[float, float]:
     """Slope through zero of estimated against measured force; not surer than the loads agree."""
-    measured = np.array([one.measured_N for one in loads])
-    estimated = np.array([one.estimated_N for one in loads])
-    weight = 1 / np.array([one.stderr_N for one in loads]) ** 2
+    measured = np.array([load.measured_N for load in loads])
+    estimated = np.array([load.estimated_N for load in loads])
+    weight = 1 / np.array([load.stderr_N for load in loads]) ** 2
     information = float(weight @ measured**2)
     slope = float(weight @ (measured * estimated)) / information
     spare = len(loads) - 1

@@ -186,14 +186,14 @@ def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, 
 
 
 def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) -> tuple[str, ...]:
-    said: list[str] = []
+    remarks: list[str] = []
     if recording.problems and recording.rows_rejected:
         rows = "row was" if recording.rows_rejected == 1 else "rows were"
-        said.append(f"{recording.rows_rejected} {rows} rejected, see the list of problems")
+        remarks.append(f"{recording.rows_rejected} {rows} rejected, see the list of problems")
     carry_over = ready.carry_over
     if carry_over is not None and carry_over.worth_correcting and not ready.corrected:
-        said.append(f"readings carry over {carry_over.share:.0%} of the previous one; not corrected, as requested")
-    said += [*ready.remarks(), *searched.remarks]
+        remarks.append(f"readings carry over {carry_over.share:.0%} of the previous one; not corrected, as requested")
+    remarks += [*ready.remarks(), *searched.remarks]
     if searched.sightings and searched.why:
-        said.append(searched.why)
-    return tuple(said)
+        remarks.append(searched.why)
+    return tuple(remarks)

@@ -49,14 +49,14 @@ def find_changes(scores: Array) -> tuple[Change, ...]:
     ----------
     scores : (n, p) float64, unit noise if the readings' noise were white and independent.
     """
-    found: list[Change] = []
+    changes: list[Change] = []
     for window in WINDOWS:
-        while len(found) < _MOST_CHANGES:
-            more = _strongest(scores, window, found)
+        while len(changes) < _MOST_CHANGES:
+            more = _strongest(scores, window, changes)
             if not more:
                 break
-            found += more
-    return tuple(sorted(_rescored(scores, found), key=lambda change: change.frame))
+            changes += more
+    return tuple(sorted(_rescored(scores, changes), key=lambda change: change.frame))
 
 
 def nearest_step(scores: Array) -> tuple[float, float]:
@@ -64,12 +64,12 @@ def nearest_step(scores: Array) -> tuple[float, float]:
 
     Each window has its own threshold. Where there are too few frames for any, the step is 0.
     """
-    found = [(0.0, threshold_for(len(scores), WINDOWS[0]))]
+    steps = [(0.0, threshold_for(len(scores), WINDOWS[0]))]
     for window in WINDOWS:
         at, z = _steps(scores, window, [])
         if z.size:
-            found.append((float(np.abs(z).max()), threshold_for(len(at), window)))
-    return max(found, key=lambda one: one[0] / one[1])
+            steps.append((float(np.abs(z).max()), threshold_for(len(at), window)))
+    return max(steps, key=lambda step: step[0] / step[1])
 
 
 def threshold_for(moments: int, window: int) -> float:
@@ -77,9 +77,9 @@ def threshold_for(moments: int, window: int) -> float:
     return THRESHOLD * (1 + window / moments) if moments else np.inf
 
 
-def _strongest(scores: Array, window: int, found: list[Change]) -> list[Change]:
+def _strongest(scores: Array, window: int, known: list[Change]) -> list[Change]:
     """Steps above the threshold, strongest first, none within the windows of a stronger one."""
-    at, z = _steps(scores, window, found)
+    at, z = _steps(scores, window, known)
     if not z.size:
         return []
     size = np.abs(z).max(axis=1)
@@ -99,9 +99,9 @@ def _reach(window: int, change: Change) -> int:
     return window + max(change.window, 2) - 1
 
 
-def _steps(scores: Array, window: int, found: list[Change]) -> tuple[NDArray[np.int64], Array]:
+def _steps(scores: Array, window: int, known: list[Change]) -> tuple[NDArray[np.int64], Array]:
     """Moments whose windows hold no step found before, and each place's step over its noise there."""
-    at = _quiet(len(scores), window, found)
+    at = _quiet(len(scores), window, known)
     if len(at) < _enough(window):
         return at, np.empty((0, scores.shape[1]))
     step = _differences(scores, at, window)
@@ -109,10 +109,10 @@ def _steps(scores: Array, window: int, found: list[Change]) -> tuple[NDArray[np.
     return at, (step - middle) / noise
 
 
-def _quiet(frames: int, window: int, found: list[Change]) -> NDArray[np.int64]:
+def _quiet(frames: int, window: int, known: list[Change]) -> NDArray[np.int64]:
     """Moments whose windows hold none of the steps."""
     at = np.arange(window, frames - window + 1, dtype=np.int64)
-    for change in found:
+    for change in known:
         at = at[np.abs(at - change.frame) > _reach(window, change)]
     return at
 
@@ -134,12 +134,12 @@ def _spread(step: Array) -> tuple[Array, Array]:
     return middle, np.maximum(noise, max(1.0, float(np.median(noise))))
 
 
-def _rescored(scores: Array, found: list[Change]) -> list[Change]:
+def _rescored(scores: Array, changes: list[Change]) -> list[Change]:
     """Score all steps again against the noise estimated without them."""
     out: list[Change] = []
     for window in WINDOWS:
-        own = [change for change in found if change.window == window]
-        at = _quiet(len(scores), window, found)
+        own = [change for change in changes if change.window == window]
+        at = _quiet(len(scores), window, changes)
         if not own or len(at) < _enough(window):
             out += own
             continue

@@ -51,19 +51,19 @@ def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
     used : (drives, measures) bool with m True entries.
     """
     drive, measure = np.nonzero(used)
-    found = [Suspect(f"drive pair {k}", pair, drive == k) for k, pair in enumerate(pattern.drive)]
-    found += [Suspect(f"measure pair {k}", pair, measure == k) for k, pair in enumerate(pattern.measure)]
+    suspects = [Suspect(f"drive pair {k}", pair, drive == k) for k, pair in enumerate(pattern.drive)]
+    suspects += [Suspect(f"measure pair {k}", pair, measure == k) for k, pair in enumerate(pattern.measure)]
     if pattern.drive == pattern.measure:
-        found += [
+        suspects += [
             Suspect(f"pair {k} (electrodes {pair[0]} and {pair[1]})", pair, (drive == k) | (measure == k))
             for k, pair in enumerate(pattern.drive)
         ]
     for electrode in range(pattern.electrode_count):
         driven = np.array([electrode in pair for pair in pattern.drive])
         measured = np.array([electrode in pair for pair in pattern.measure])
-        found.append(Suspect(f"electrode {electrode}", (electrode,), driven[drive] | measured[measure]))
-    kept = [one for one in found if one.readings.any() and not one.readings.all()]
-    return tuple(sorted(kept, key=lambda one: int(one.readings.sum())))
+        suspects.append(Suspect(f"electrode {electrode}", (electrode,), driven[drive] | measured[measure]))
+    kept = [suspect for suspect in suspects if suspect.readings.any() and not suspect.readings.all()]
+    return tuple(sorted(kept, key=lambda suspect: int(suspect.readings.sum())))
 
 
 def suspect_in(

@@ -137,22 +137,22 @@ def search(white: Array, match: Matcher, no_loads: NoLoads | None = None) -> tup
     """
     pulses = find_pulses(white @ match.patterns)
     changes = find_changes(white @ match.patterns)
-    found = find_presses(white, match, changes, no_loads)
-    pulses = tuple(pulse for pulse in pulses if not any(_trembles(pulse, press, match) for press in found.presses))
+    presses = find_presses(white, match, changes, no_loads)
+    pulses = tuple(pulse for pulse in pulses if not any(_trembles(pulse, press, match) for press in presses.presses))
     if not pulses:
-        return found, changes
+        return presses, changes
     calm = without_pulses(white, pulses)
     changes = find_changes(calm @ match.patterns)
-    found = find_presses(calm, match, changes, no_loads)
+    presses = find_presses(calm, match, changes, no_loads)
     short = _Search(white, match, no_loads or NoLoads(np.zeros(white.shape[1])), [])
     for pulse in pulses:
         short.close_short(pulse)
     for press in short.found.presses:
-        _add_short(press, found)
-    found.suspects += short.found.suspects
-    found.gains += short.found.gains
-    found.rejected += short.found.rejected
-    return found, (*changes, *pulses)
+        _add_short(press, presses)
+    presses.suspects += short.found.suspects
+    presses.gains += short.found.gains
+    presses.rejected += short.found.rejected
+    return presses, (*changes, *pulses)
 
 
 def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
@@ -167,19 +167,19 @@ def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
     return bool(apart <= SAME_PLACE and press.start + _CLOSE < pulse.frame < press.end + _CLOSE)
 
 
-def _add_short(short: Press, found: Found) -> None:
+def _add_short(short: Press, presses: Found) -> None:
     """Add a short press, unless it belongs to a lasting one."""
-    for press in found.presses:
+    for press in presses.presses:
         apart = np.hypot(press.places[0].x - short.places[0].x, press.places[0].y - short.places[0].y)
         if apart > SAME_PLACE or not press.start - _CLOSE < short.start < press.end + _CLOSE:
             continue
         kept = abs(press.places[0].score) < _RESIDUE * abs(short.places[0].score)
         if kept and abs(press.start - short.start) < short.end - short.start + _CLOSE:
             # What lasts is what the sheet keeps of the short press.
-            found.presses.remove(press)
+            presses.presses.remove(press)
             break
         return
-    found.presses.append(short)
+    presses.presses.append(short)
 
 
 @dataclass(slots=True)
@@ -196,7 +196,7 @@ class _Search:
         if places := self._loads(group.frame, before, held):
             first = min(int(np.ceil(start)), int(end))
             peak = first + int(np.argmax(along[first : max(int(np.ceil(end)), first + 1)]))
-            score = max(one.score for one in group.changes)
+            score = max(change.score for change in group.changes)
             self.found.presses.append(Press(start, peak, end, before, held, places, score, group.slow))
 
     def close_short(self, pulse: Change) -> None:
@@ -254,7 +254,7 @@ class _Search:
         """Frames at which other events begin, up to the next press at the same place, or the end."""
         later = [other for other in self.groups if other.frame > group.frame and other is not group]
         limits: list[int] = []
-        for other in sorted(later, key=lambda one: one.frame):
+        for other in sorted(later, key=lambda each: each.frame):
             limits.append(max(other.frame - other.changes[0].window, group.changes[-1].frame + 1))
             if same_place(group, other, self.match):
                 return limits

@@ -81,13 +81,13 @@ def group_changes(white: Array, match: Matcher, changes: tuple[Change, ...]) -> 
     return groups
 
 
-def same_place(one: Group, other: Group, match: Matcher) -> bool:
+def same_place(earlier: Group, other: Group, match: Matcher) -> bool:
     """Whether two presses are at one place, so the later one ends the earlier."""
-    return min(_apart(change, other, match) for change in one.changes) <= SAME_PLACE
+    return min(_apart(change, other, match) for change in earlier.changes) <= SAME_PLACE
 
 
 def _apart(change: Change, group: Group, match: Matcher) -> float:
-    return min(float(np.hypot(*(match.places[change.place] - match.places[one.place]))) for one in group.changes)
+    return min(float(np.hypot(*(match.places[change.place] - match.places[step.place]))) for step in group.changes)
 
 
 def _taken(change: Change, group: Group, white: Array, match: Matcher) -> bool:
@@ -172,9 +172,9 @@ def find_pulses(scores: Array) -> tuple[Change, ...]:
         over = np.flatnonzero(size > threshold_for(len(at), _BESIDE))
         candidates += [Change(int(at[k]), width, int(place[k]), int(sign[k]), float(size[k])) for k in over]
     taken: list[Change] = []
-    for one in sorted(candidates, key=lambda change: -change.score)[: 10 * _MOST_PULSES]:
-        if all(_apart_recording_pulses(one, other) > _BESIDE for other in taken):
-            taken.append(one)
+    for pulse in sorted(candidates, key=lambda change: -change.score)[: 10 * _MOST_PULSES]:
+        if all(_apart_recording_pulses(pulse, other) > _BESIDE for other in taken):
+            taken.append(pulse)
     return tuple(sorted(taken[:_MOST_PULSES], key=lambda change: change.frame))
 
 
@@ -207,5 +207,5 @@ def _scaled(difference: Array) -> Array:
     return scaled
 
 
-def _apart_recording_pulses(one: Change, other: Change) -> int:
-    return max(one.frame - (other.frame + other.window), other.frame - (one.frame + one.window))
+def _apart_recording_pulses(earlier: Change, other: Change) -> int:
+    return max(earlier.frame - (other.frame + other.window), other.frame - (earlier.frame + earlier.window))

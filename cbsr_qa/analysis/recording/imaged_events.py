@@ -75,7 +75,9 @@ def _imaged(
 ) -> ImagedPlace | None:
     image = event.image.values.tobytes()
     beside = [
-        one for one in events if one is not event and one.sign == event.sign and one.image.values.tobytes() == image
+        other
+        for other in events
+        if other is not event and other.sign == event.sign and other.image.values.tobytes() == image
     ]
     values = np.maximum(event.sign * event.image.values, 0.0)
     regions, assigned = _assigned(Image(event.image.mesh, values), [event, *beside], radius_mm)
@@ -105,7 +107,7 @@ def _assigned(image: Image, events: Sequence[LoadEvent], radius_mm: float) -> tu
     """Regions of an image with the first event's sign, and their assignment to events."""
     regions = split_blobs(masked_blobs(image, (_MASK,))[0], _VALLEY)
     head_mm = _HEAD * radius_mm
-    places = [RoundFootprint(one.x_over_R * radius_mm, one.y_over_R * radius_mm, head_mm) for one in events]
+    places = [RoundFootprint(event.x_over_R * radius_mm, event.y_over_R * radius_mm, head_mm) for event in events]
     return regions, assign_regions(regions, places, gate_mm=2 * head_mm)
 
 
@@ -194,10 +196,10 @@ def image_events(
     images = prepare_for_events(reconstruction, chosen.name, sheet, scene.model, sightings, offset=offset)
     slow = not isinstance(images.prepared, LinearReconstruction)
     made: list[LoadEvent] = []
-    for number, one in enumerate(sightings, start=1):
+    for number, seen in enumerate(sightings, start=1):
         if slow:
             tell(f"imaging event {number} of {len(sightings)} with {chosen.name}")
-        made.append(_event(scene, one, images.of(one, _name(scene, number, one.peak_s))))
+        made.append(_event(scene, seen, images.of(seen, _name(scene, number, seen.peak_s))))
 
     def together(numbers: Sequence[int]) -> Array:
         tell(f"imaging event {numbers[0] + 1} and its neighbours with {chosen.name}")
@@ -206,10 +208,10 @@ def image_events(
     fated = with_fates(made, sheet.radius_mm, together=None if images.superposes else together)
     events = with_imaged_places(fated, sheet.radius_mm, sheet.layout)
     imaging = EventImaging(chosen, images.prepared.choice, len(sheet.problem.mesh.elements))
-    alone = images.sequences and all(len(one.frames) == 1 for one in sightings)
+    alone = images.sequences and all(len(seen.frames) == 1 for seen in sightings)
     unknown = bool(getattr(reconstruction, "absolute", False)) and offset
-    said = (*images.remarks, *_limits(chosen.name, alone=alone, unknown=unknown), *_unseen(scene, events, images))
-    return Imaged(events, imaging, said)
+    remarks = (*images.remarks, *_limits(chosen.name, alone=alone, unknown=unknown), *_unseen(scene, events, images))
+    return Imaged(events, imaging, remarks)
 
 
 def _name(scene: RecordedScene, number: int, peak_s: float) -> str:
@@ -218,24 +220,24 @@ def _name(scene: RecordedScene, number: int, peak_s: float) -> str:
     return f"E{number}" if untimed else f"E{number} (at {peak_s:.1f} s)"
 
 
-def _event(scene: RecordedScene, one: Sighting, values: Array) -> LoadEvent:
-    radius, place = scene.sheet.radius_mm, one.place
+def _event(scene: RecordedScene, seen: Sighting, values: Array) -> LoadEvent:
+    radius, place = scene.sheet.radius_mm, seen.place
     return LoadEvent(
-        start_s=one.start_s,
-        peak_s=min(max(one.peak_s, one.start_s), one.end_s),
-        end_s=one.end_s,
+        start_s=seen.start_s,
+        peak_s=min(max(seen.peak_s, seen.start_s), seen.end_s),
+        end_s=seen.end_s,
         x_over_R=place.x,
         y_over_R=place.y,
         electrode=scene.sheet.layout.electrode_at(place.x, place.y),
         electrodes=scene.sheet.layout.count,
-        sign=one.sign,
-        snr=one.score,
+        sign=seen.sign,
+        snr=seen.score,
         image=Image(scene.sheet.problem.mesh, values),
         x_mm=place.x * radius if scene.named else None,
         y_mm=place.y * radius if scene.named else None,
-        force_N=_peak_force(scene.recording.samples, one.start_s, one.end_s),
-        track=one.track,
-        motion=motion_of(one.track, scene.sheet.layout),
+        force_N=_peak_force(scene.recording.samples, seen.start_s, seen.end_s),
+        track=seen.track,
+        motion=motion_of(seen.track, scene.sheet.layout),
     )
 
 
@@ -249,15 +251,15 @@ def _peak_force(samples: tuple[SampleBlock, ...], start_s: float, end_s: float) 
 
 def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
     """Describe what a method could not be given."""
-    said = []
+    remarks = []
     if alone:
-        said.append(f"{name} needs consecutive frames; this recording has none, so each event is imaged alone")
+        remarks.append(f"{name} needs consecutive frames; this recording has none, so each event is imaged alone")
     if unknown:
-        said.append(
+        remarks.append(
             f"{name} starts from the nominal sheet: readings are counts with an unknown offset, so those of"
             " the unloaded sensor itself are not known"
         )
-    return said
+    return remarks
 
 
 def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImages) -> list[str]:

@@ -126,12 +126,12 @@ class EventImages:
 
     def together(self, sightings: Sequence[Sighting]) -> Array:
         """Image (e,) of the changes of several events, each counted once."""
-        changes = {one.change.tobytes(): one for one in sightings}.values()
+        changes = {seen.change.tobytes(): seen for seen in sightings}.values()
         if self.superposes:
-            total: Array = np.sum([self.of(one) for one in changes], axis=0)
+            total: Array = np.sum([self.of(seen) for seen in changes], axis=0)
             return total
         where = f"{self.name} cannot image the {len(changes)} changes up to {sightings[0].peak_s:.1f} s together"
-        image: Array = self._images(where, np.sum([one.change for one in changes], axis=0)[None])[0]
+        image: Array = self._images(where, np.sum([seen.change for seen in changes], axis=0)[None])[0]
         return image
 
     @property
@@ -171,7 +171,7 @@ def prepare_for_events(
     PluginError
         If it fails in a way no method should.
     """
-    clearest = {one.change.tobytes(): one.change for one in sorted(sightings, key=lambda one: -one.score)}
+    clearest = {seen.change.tobytes(): seen.change for seen in sorted(sightings, key=lambda seen: -seen.score)}
     problem = replace(
         sheet.problem, nominal=sheet.problem.nominal or sheet.problem, sample=np.array(list(clearest.values()))
     )
@@ -194,15 +194,15 @@ def _prepared(
             prepared = reconstruction.prepare(replace(problem, sample=None))
         except NumericsError:
             raise refused from None
-        said = f"cannot choose the parameter of {name} from this recording: {refused.reason}"
-        return prepared, (said,)
+        remark = f"cannot choose the parameter of {name} from this recording: {refused.reason}"
+        return prepared, (remark,)
 
 
 def _with_measured(
     name: str, problem: ImagingProblem, model: UnitModel, sightings: Sequence[Sighting]
 ) -> tuple[ImagingProblem, Array]:
     """Add the readings before the first event, and the gain to their scale."""
-    unloaded = min(sightings, key=lambda one: one.start_s).unloaded
+    unloaded = min(sightings, key=lambda seen: seen.start_s).unloaded
     plain = plain_model(unloaded, problem)
     if plain is None:
         raise NumericsError(

@@ -63,14 +63,14 @@ def find_steps(time_s: Array, readings: Array, sigma: Array) -> tuple[NoiseStep,
     """
     if len(readings) < 2 * _STAY_FRAMES:
         return ()
-    found = [*_level_steps(time_s, readings, sigma), *_noise_steps(time_s, readings)]
-    return tuple(sorted(found, key=lambda step: step.time_s))
+    steps = [*_level_steps(time_s, readings, sigma), *_noise_steps(time_s, readings)]
+    return tuple(sorted(steps, key=lambda step: step.time_s))
 
 
 def _level_steps(time_s: Array, readings: Array, sigma: Array) -> list[NoiseStep]:
     jumps = np.abs(np.diff(readings, axis=0)) / sigma
     candidates = np.flatnonzero((jumps > _JUMP).mean(axis=1) >= 0.5) + 1
-    found: list[NoiseStep] = []
+    steps: list[NoiseStep] = []
     last = -_STAY_FRAMES
     for at in candidates:
         before = np.median(readings[max(at - _STAY_FRAMES, 0) : at], axis=0)
@@ -78,12 +78,12 @@ def _level_steps(time_s: Array, readings: Array, sigma: Array) -> list[NoiseStep
         if np.mean(np.abs(after - before) > _JUMP * sigma) >= 0.5:
             middle = float(time_s[at - 1] + time_s[at]) / 2
             step = NoiseStep(middle, "level", float(np.median(before)), float(np.median(after)))
-            if found and at - last < _STAY_FRAMES:
+            if steps and at - last < _STAY_FRAMES:
                 # One step in the middle of a frame: its readings jump in two frames that follow each other.
-                step = replace(step, before=found.pop().before)
-            found.append(step)
+                step = replace(step, before=steps.pop().before)
+            steps.append(step)
             last = int(at)
-    return found
+    return steps
 
 
 def _noise_steps(time_s: Array, readings: Array) -> list[NoiseStep]:

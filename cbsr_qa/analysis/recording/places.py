@@ -110,8 +110,8 @@ def find_places(change: Array, match: Matcher, *, most: int = _MOST_LOADS) -> tu
         if gain < needed or _nearest(match, moved) < _SEPARATE:
             break
         chosen, explained = moved, explained + gain
-    found = [_refined(change, match, chosen, k) for k in range(len(chosen))]
-    return tuple(sorted(found, key=lambda place: -abs(place.score))), explained / total
+    places = [_refined(change, match, chosen, k) for k in range(len(chosen))]
+    return tuple(sorted(places, key=lambda place: -abs(place.score))), explained / total
 
 
 def fitted(change: Array, match: Matcher, places: tuple[Place, ...]) -> Array:

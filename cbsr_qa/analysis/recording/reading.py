@@ -32,12 +32,12 @@ def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, da
     return guarded(path, name, lambda: reader.read(path, ReadOptions(dataset)))
 
 
-def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
+def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
     """Find the plugin that can read a file.
 
     Parameters
     ----------
-    asked : a format by name; None to let each plugin look at the file's name and beginning.
+    format_name : a format by name; None to let each plugin look at the file's name and beginning.
 
     Raises
     ------
@@ -47,8 +47,8 @@ def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[Recordi
         If the named format is unknown.
     """
     head = _head(path)
-    if asked is not None:
-        return made(plugins, Kind.RECORDING, PluginChoice(asked), "--format"), asked
+    if format_name is not None:
+        return made(plugins, Kind.RECORDING, PluginChoice(format_name), "--format"), format_name
     failed: list[str] = []
     for name in plugins.in_order(Kind.RECORDING):
         try:

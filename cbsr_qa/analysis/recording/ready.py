@@ -124,9 +124,9 @@ class ReadyReadings:
 
     def remarks(self) -> list[str]:
         """Describe corrections of readings, and channels that failed during the recording."""
-        said = []
+        remarks = []
         if self.spikes:
-            said.append(
+            remarks.append(
                 f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for about a"
                 " frame, and their reciprocals did not; they were replaced by their neighbours in time"
             )
@@ -135,11 +135,11 @@ class ReadyReadings:
             first = float(self.block.time_s[int(self.faults.stuck_from[partly].min())])
             listed = ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(partly)[:_MOST_LISTED])
             more = int(partly.sum()) - _MOST_LISTED
-            said.append(
+            remarks.append(
                 f"stuck after {first:.1f} s: channels {listed}{f' and {more} more' if more > 0 else ''};"
                 " they were left out"
             )
-        return said
+        return remarks
 
     def noise_use(self) -> Mask:
         """Readings for the noise estimate: the used ones, or all that are not bad if none is used."""

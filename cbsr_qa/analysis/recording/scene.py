@@ -109,12 +109,12 @@ class RecordedScene:
         if sigma == 0:
             return Searched((), "the frames equal the reference: nothing has changed")
         if len(changes) > 1:
-            found, why = find_moving(*self._matched(self.sheet, changes, sigma))
+            objects, why = find_moving(*self._matched(self.sheet, changes, sigma))
             remarks: tuple[str, ...] = ()
         else:
-            found, why, remarks = self._still(changes, sigma)
-            found = self._turned(found)
-        sightings = tuple(self._object_seen(one, changes, timed=rate_hz is not None) for one in found)
+            objects, why, remarks = self._still(changes, sigma)
+            objects = self._turned(objects)
+        sightings = tuple(self._object_seen(seen, changes, timed=rate_hz is not None) for seen in objects)
         return Searched(sightings, why, remarks, scene=self)
 
     def _matched(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
@@ -124,41 +124,43 @@ class RecordedScene:
     def _still(self, changes: Array, sigma: float) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
         """Search a still image; in a tank, with the patterns of balls as large as those found."""
         white, match = self._matched(self.sheet, changes, sigma)
-        found, why = find_still(white[0], match)
+        objects, why = find_still(white[0], match)
         tank = None
-        if found and not self.named and not self.ready.offset:
+        if objects and not self.named and not self.ready.offset:
             tank = fitted_tank(self.model.reference, self.sheet.problem)
         if tank is None:
-            return found, why, ()
-        ball, conducts, on_sheet = _FIRST_BALL, found[0].place.score > 0, found
+            return objects, why, ()
+        ball, conducts, on_sheet = _FIRST_BALL, objects[0].place.score > 0, objects
         for _ in range(_BALL_ROUNDS):
             sheet = tank.sheet(self.sheet, ball=ball, conducts=conducts)
             white, match = self._matched(sheet, changes, sigma)
-            found, _ = find_still(white[0], match)
-            if not found:
+            objects, _ = find_still(white[0], match)
+            if not objects:
                 return on_sheet, why, ()
-            ball, conducts = tank.ball_of(found, sheet, changes[0])
+            ball, conducts = tank.ball_of(objects, sheet, changes[0])
         remark = (
             f"the reference frame decays like that of a tank {tank.depth:.2f} radii deep, not like a sheet's:"
             f" places are those of balls in it, of {ball:.2f} radii or more"
         )
-        return found, why, (remark,)
+        return objects, why, (remark,)
 
-    def _turned(self, found: tuple[Object, ...]) -> tuple[Object, ...]:
+    def _turned(self, objects: tuple[Object, ...]) -> tuple[Object, ...]:
         """Take the directions of still objects from a robust fit in one scale, where the tank follows the model."""
-        plain = None if self.ready.offset or not found else plain_model(self.model.reference, self.sheet.problem)
+        plain = None if self.ready.offset or not objects else plain_model(self.model.reference, self.sheet.problem)
         if plain is None:
-            return found
+            return objects
         match = matcher(self.sheet.patterns, self.sheet.places, np.ones(len(plain.gain)), plain.nuisance)
-        places = robust_directions(tuple(one.place for one in found), plain.changes(self.readings)[0], match)
-        return tuple(replace(one, place=place, track=((0, place),)) for one, place in zip(found, places, strict=True))
+        places = robust_directions(tuple(seen.place for seen in objects), plain.changes(self.readings)[0], match)
+        return tuple(
+            replace(seen, place=place, track=((0, place),)) for seen, place in zip(objects, places, strict=True)
+        )
 
     def presses(self, rate_hz: float | None) -> Searched:
         """Search for presses, each relative to the frames before it.
 
         Where readings that share one contact changed together they are left out, and all the others searched again.
         """
-        scene, said, times, electrodes = self, list[str](), list[float](), set[int]()
+        scene, remarks, times, electrodes = self, list[str](), list[float](), set[int]()
         for _ in range(_MOST_CONTACTS):
             searched, suspects = scene._search(rate_hz)
             bad = np.zeros(scene.readings.shape[1], dtype=bool)
@@ -169,7 +171,7 @@ class RecordedScene:
                     continue
                 times.append(time_s)
                 electrodes |= set(suspect.electrodes)
-                said.append(
+                remarks.append(
                     f"{suspect.name}: its readings changed together at {time_s:.1f} s: a contact or cable fault,"
                     " not a load; they were left out"
                 )
@@ -178,10 +180,10 @@ class RecordedScene:
                 break
             scene = scene.without(bad)
         why = searched.why or (
-            "" if searched.sightings else "no change is a load: " + "; ".join([*said, *searched.remarks])
+            "" if searched.sightings else "no change is a load: " + "; ".join([*remarks, *searched.remarks])
         )
         return replace(
-            searched, why=why, remarks=(*said, *searched.remarks), suspect_electrodes=tuple(sorted(electrodes))
+            searched, why=why, remarks=(*remarks, *searched.remarks), suspect_electrodes=tuple(sorted(electrodes))
         )
 
     def _search(self, rate_hz: float | None) -> tuple[Searched, list[tuple[float, Suspect]]]:
@@ -192,15 +194,15 @@ class RecordedScene:
         sigma = np.maximum(sigma, 0.5 * float(np.median(sigma)))
         match = matcher(self.sheet.patterns, self.sheet.places, sigma, self.model.nuisance)
         white = match.whiten(changes)
-        found, seen = search(white, match, self._no_loads(match))
-        presses, unclear = held_from_the_beginning(found.presses, len(white))
+        result, seen = search(white, match, self._no_loads(match))
+        presses, unclear = held_from_the_beginning(result.presses, len(white))
         seen_loads = [
             self._press_seen(press, place, times, readings, changes) for press in presses for place in press.places
         ]
-        sightings = tuple(sorted(seen_loads, key=lambda one: one.start_s))
-        remarks = (*_gains(found, times), *_signs(sightings, unclear, times))
-        suspects = [(float(times[frame]), suspect) for frame, suspect in found.suspects]
-        why = _rejected(found, times) if seen else _quiet(white @ match.patterns)
+        sightings = tuple(sorted(seen_loads, key=lambda load: load.start_s))
+        remarks = (*_gains(result, times), *_signs(sightings, unclear, times))
+        suspects = [(float(times[frame]), suspect) for frame, suspect in result.suspects]
+        why = _rejected(result, times) if seen else _quiet(white @ match.patterns)
         if not (why or sightings or remarks):
             at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
             why = f"the changes (at {at}) only return to the initial state: no load is applied"
@@ -239,17 +241,17 @@ class RecordedScene:
             readings[press.before].mean(axis=0),
         )
 
-    def _object_seen(self, found: Object, changes: Array, *, timed: bool) -> Sighting:
+    def _object_seen(self, seen: Object, changes: Array, *, timed: bool) -> Sighting:
         times = self.ready.block.time_s
-        track = tuple((float(times[k]), place.x, place.y) for k, place in found.track)
-        frames, at = nearest_frames(changes, found.peak) if timed else (changes[found.peak][None], 0)
+        track = tuple((float(times[k]), place.x, place.y) for k, place in seen.track)
+        frames, at = nearest_frames(changes, seen.peak) if timed else (changes[seen.peak][None], 0)
         return Sighting(
-            float(times[found.first]),
-            float(times[found.peak]),
-            float(times[found.last]),
-            found.place,
-            found.score,
-            changes[found.peak],
+            float(times[seen.first]),
+            float(times[seen.peak]),
+            float(times[seen.last]),
+            seen.place,
+            seen.score,
+            changes[seen.peak],
             frames,
             slice(at, at + 1),
             self.model.reference,
@@ -262,35 +264,35 @@ def _quiet(scores: Array) -> str:
     return f"nothing stands out of the noise: the largest step is {step:.1f} times its noise, {needed:.1f} is needed"
 
 
-def _rejected(found: Found, times: Array) -> str:
-    said = [f"a change at {times[frame]:.1f} s is not an event: {why}" for frame, why in sorted(found.rejected)]
-    more = f"; and {len(said) - _MOST_LISTED} more like these" if len(said) > _MOST_LISTED else ""
-    return "; ".join(said[:_MOST_LISTED]) + more
+def _rejected(searched: Found, times: Array) -> str:
+    reasons = [f"a change at {times[frame]:.1f} s is not an event: {why}" for frame, why in sorted(searched.rejected)]
+    more = f"; and {len(reasons) - _MOST_LISTED} more like these" if len(reasons) > _MOST_LISTED else ""
+    return "; ".join(reasons[:_MOST_LISTED]) + more
 
 
-def _gains(found: Found, times: Array) -> list[str]:
+def _gains(searched: Found, times: Array) -> list[str]:
     """Report moments at which all readings changed in proportion."""
     return [
         f"all readings changed in proportion, by {share:+.1%}, at {times[frame]:.1f} s: a gain or the drive current,"
         " not a load"
-        for frame, share in found.gains
+        for frame, share in searched.gains
     ]
 
 
 def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) -> list[str]:
     """Describe ambiguities in the signs of the loads."""
-    said = []
-    if len({one.sign for one in sightings}) > 1:
-        listed = ", ".join(f"{one.start_s:.1f} s {'more' if one.sign > 0 else 'less'}" for one in sightings)
-        said.append(
+    remarks = []
+    if len({load.sign for load in sightings}) > 1:
+        listed = ", ".join(f"{load.start_s:.1f} s {'more' if load.sign > 0 else 'less'}" for load in sightings)
+        remarks.append(
             f"the loads disagree about the sign (conducts {listed}): one sheet responds with one sign, so one"
             " of them may be a release or another disturbance"
         )
     for press in unclear:
         at = float(np.interp(press.start, np.arange(len(times)), times))
         less = press.places[0].score > 0
-        said.append(
+        remarks.append(
             f"the change at {at:.1f} s is never reversed: it may be the release of a load held from the"
             f" start, which then conducts {'less' if less else 'more'}"
         )
-    return said
+    return remarks

@@ -125,7 +125,7 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
 
 
 def _object(stretch: list[tuple[int, Place]]) -> Object:
-    peak, place = max(stretch, key=lambda one: abs(one[1].score))
+    peak, place = max(stretch, key=lambda seen: abs(seen[1].score))
     return Object(stretch[0][0], stretch[-1][0], peak, place, abs(place.score), tuple(stretch))
 
 
@@ -162,7 +162,7 @@ class Tank:
         patterns = changes / reference[:, None] * sheet.problem.reference[:, None]
         return replace(sheet, patterns=patterns)
 
-    def ball_of(self, found: tuple[Object, ...], sheet: Sheet, change: Array) -> tuple[float, bool]:
+    def ball_of(self, objects: tuple[Object, ...], sheet: Sheet, change: Array) -> tuple[float, bool]:
         """Radius of the balls, and whether they conduct, that the found places and the size of a change call for.
 
         Nothing changes readings more than a perfect insulator or conductor, so that no smaller ball explains them.
@@ -171,7 +171,7 @@ class Tank:
         ----------
         change : (m,) of the sheet's readings.
         """
-        basis = np.column_stack([*(sheet.patterns[:, one.place.index] for one in found), sheet.problem.reference])
+        basis = np.column_stack([*(sheet.patterns[:, seen.place.index] for seen in objects), sheet.problem.reference])
         volume = np.linalg.lstsq(basis, change, rcond=None)[0][:-1]
         radius = float(np.mean(np.cbrt(3 * np.abs(volume) / (4 * np.pi))))
         return min(max(radius, _SIZES[0]), _SIZES[1]), bool(volume.sum() > 0)
@@ -201,9 +201,9 @@ def fitted_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
         ratio = np.log(np.abs(reference / field.readings()[used]))
         return float(np.std([np.median(ratio[group]) for group in groups]))
 
-    found = minimize_scalar(left, bounds=_DEPTHS, method="bounded", options={"xatol": 1e-3})
-    depth = float(found.x)
-    if not float(found.fun) < min(_EXPLAINED_RECORDING_TANK, _OF_SHEET * left(_THIN)):
+    fit = minimize_scalar(left, bounds=_DEPTHS, method="bounded", options={"xatol": 1e-3})
+    depth = float(fit.x)
+    if not float(fit.fun) < min(_EXPLAINED_RECORDING_TANK, _OF_SHEET * left(_THIN)):
         return None
     return Tank(depth, DeepTank(depth, angles, pattern, electrode=_ELECTRODE))
 
@@ -218,4 +218,4 @@ def _distances(pattern: DrivePattern, used: Mask) -> list[NDArray[np.int64]]:
     )
     apart = (first[1] - first[0]) % count
     apart = np.minimum(apart, count - apart)
-    return [np.flatnonzero(apart == one) for one in np.unique(apart)]
+    return [np.flatnonzero(apart == distance) for distance in np.unique(apart)]

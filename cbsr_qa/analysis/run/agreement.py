@@ -59,14 +59,14 @@ def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
 
 
 def _image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
-    found = []
+    agreements = []
     for loading in (True, False):
         loads = [load for load in run.loads if all(_of(load, signal, loading) for signal in ("conductance", "image"))]
         if loads:
             blobs, image = (_measured(loads, signal, loading) for signal in ("conductance", "image"))
             agreement = compare_relaxations(blobs, image, tolerance=run.settings.settling_tolerance)
-            found.append(DirectedAgreement(loading, "blobs", "whole image", len(loads), agreement))
-    return tuple(found)
+            agreements.append(DirectedAgreement(loading, "blobs", "whole image", len(loads), agreement))
+    return tuple(agreements)
 
 
 def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
@@ -104,10 +104,10 @@ def _against(
     expected = _expected(strip, loading, float(np.median([load.hold_s for load in force.used])))
     if expected is None:
         return _without(loading, "the material file has no strip relaxation in this direction")
-    found = compare_relaxations(
+    agreement = compare_relaxations(
         expected, KernelCurve.of_sheet(kernel, *window), tolerance=run.settings.settling_tolerance
     )
-    return DirectedAgreement(loading, "strip", "sheet", kernel.loads, found)
+    return DirectedAgreement(loading, "strip", "sheet", kernel.loads, agreement)
 
 
 def _expected(strip: StripRelaxation, loading: bool, hold_s: float) -> KernelCurve | None:
@@ -141,9 +141,9 @@ def _without(loading: bool, why: str) -> DirectedAgreement:
 
 
 def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> MeasuredRelaxation:
-    seen = [found for load in loads if (found := _of(load, signal, loading))]
-    starts = [0 if loading else relaxation_start(one.trace.values) for one in seen]
-    traces = [(one.trace.time_s[at:], one.trace.values[at:]) for one, at in zip(seen, starts, strict=True)]
+    seen = [curve for load in loads if (curve := _of(load, signal, loading))]
+    starts = [0 if loading else relaxation_start(curve.trace.values) for curve in seen]
+    traces = [(curve.trace.time_s[at:], curve.trace.values[at:]) for curve, at in zip(seen, starts, strict=True)]
     window_s = max(float(time_s[-1]) for time_s, _ in traces)
     change = None if loading else float(np.mean([_end(load, signal) for load in loads]))
     start_s = min(float(time_s[0]) for time_s, _ in traces)
@@ -152,8 +152,8 @@ def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> M
 
 def _of(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservation | None:
     """The relaxation of a signal, None if it is too short."""
-    found = (seen for seen in load.relaxations if seen.signal == signal and seen.loading is loading)
-    return next((seen for seen in found if len(seen.trace.values) >= _FEWEST), None)
+    relaxations = (seen for seen in load.relaxations if seen.signal == signal and seen.loading is loading)
+    return next((seen for seen in relaxations if len(seen.trace.values) >= _FEWEST), None)
 
 
 def _end(load: LoadObservation, signal: str) -> float:

@@ -59,14 +59,14 @@ def _estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, Estima
     try:
         model = load_model(run.record.sensor_type)
         noise = reading_variance(run.unloaded, run.usable)
-        found = _estimates(run, alone, model, noise, reference) if alone else {}
+        estimates = _estimates(run, alone, model, noise, reference) if alone else {}
     except NumericsError as error:
         return {_key(load): EstimatedLoad(None, None, error.reason) for load in run.loads}
     many = "{} loads were held at once; the estimate needs one"
     rest = {
         _key(load): EstimatedLoad(None, None, many.format(load.together)) for load in run.loads if load.together > 1
     }
-    return {**found, **rest}
+    return {**estimates, **rest}
 
 
 def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
@@ -116,7 +116,7 @@ def _estimates(
         own = reference == "load" and len(window.before) > 0
         count = len(window.before) if own else len(run.unloaded) - run.settings.noise_floor_frames
         groups[(len(window.steady), count if own else -count)].append((load, window))
-    found: dict[Key, EstimatedLoad] = {}
+    estimates: dict[Key, EstimatedLoad] = {}
     scale = model_scale(model, run.reference, run.usable)
     for (steady, signed), members in groups.items():
         variance = noise * (1 / steady + 1 / abs(signed)) / scale**2
@@ -128,8 +128,8 @@ def _estimates(
                 for _, window in members
             ]
         )
-        found |= _group(run, [load for load, _ in members], model, readings, changes[:, run.usable] / scale)
-    return found
+        estimates |= _group(run, [load for load, _ in members], model, readings, changes[:, run.usable] / scale)
+    return estimates
 
 
 def _group(
@@ -148,7 +148,7 @@ def _group(
         known = LoadEstimator(model, readings, expected_radius_mm=head.radius_mm, known=True)
         given = known.estimate(changes, start_mm=start)
     pairs = zip(loads, given, sized, strict=True)
-    return {_key(load): EstimatedLoad(one, other) for load, one, other in pairs}
+    return {_key(load): EstimatedLoad(with_head, other) for load, with_head, other in pairs}
 
 
 def model_scale(model: RoundLoadModel, reference: Array, usable: NDArray[np.bool_]) -> float:

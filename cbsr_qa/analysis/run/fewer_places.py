@@ -49,20 +49,20 @@ class MapCost:
     expected: float | None = None
 
 
-def map_costs(run: RunObservation, found: RunForce) -> tuple[MapCost, ...]:
+def map_costs(run: RunObservation, force: RunForce) -> tuple[MapCost, ...]:
     """Return maps of ever fewer places, and of one load per place; the whole run's map comes last.
 
     Parameters
     ----------
-    found : the force of the run; nothing comes of one that was not learned.
+    force : the force of the run; nothing comes of one that was not learned.
 
     Returns
     -------
     In order of places; empty where there are too few places to leave some out.
     """
-    if found.learned is None:
+    if force.learned is None:
         return ()
-    loads = _Loads(run, found)
+    loads = _Loads(run, force)
     counts = sorted({round(share * loads.count) for share in _SHARES})
     costs = [loads.of_places(count) for count in counts if FEWEST < count < loads.count]
     if not costs:
@@ -96,18 +96,18 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
 class _Loads:
     """The loads that a run's map was learned from."""
 
-    def __init__(self, run: RunObservation, found: RunForce) -> None:
-        learned = found.learned
+    def __init__(self, run: RunObservation, force: RunForce) -> None:
+        learned = force.learned
         assert learned is not None
         responds = np.isfinite(learned.ratio)
-        used = [load for load, yes in zip(found.used, responds, strict=True) if yes]
-        self._places = found.sheet_pose.places_mm(places_mm(used))
-        self._log = np.log(learned.ratio[responds]) + _by_the_line(run, found, used)
+        used = [load for load, yes in zip(force.used, responds, strict=True) if yes]
+        self._places = force.sheet_pose.places_mm(places_mm(used))
+        self._log = np.log(learned.ratio[responds]) + _by_the_line(run, force, used)
         self._variance = (learned.ratio_stderr[responds] / learned.ratio[responds]) ** 2
         self._scatter = learned.model.scatter
         self._seconds = np.array(list(_seconds(run, used)))
         self._radius_mm = run.record.sensor_type.radius_mm
-        radius_mm = calibrated_radius_mm(found)
+        radius_mm = calibrated_radius_mm(force)
         area = sheet_places(learned.model, stride=2)
         self._area = area[np.hypot(*area.T) <= max(radius_mm, float(np.hypot(*area.T).min()))]
         self._stated = map_quality(learned, radius_mm).rms_error
@@ -165,11 +165,11 @@ class _Loads:
         )
 
 
-def _by_the_line(run: RunObservation, found: RunForce, used: list[LoadObservation]) -> Array:
+def _by_the_line(run: RunObservation, force: RunForce, used: list[LoadObservation]) -> Array:
     """Logarithm of the sensor's own line over the material's, for each load."""
-    assert found.learned is not None
+    assert force.learned is not None
     stress = np.array([load.force_N or 0.0 for load in used]) * 1e3 / run.record.indenter.area_mm2
-    given, own = run.record.material.against_stress, found.learned.line
+    given, own = run.record.material.against_stress, force.learned.line
     nominal = given.slope.value * stress + given.intercept.value
     ratio: Array = np.log(nominal / (own.slope.value * stress + own.intercept.value))
     return ratio

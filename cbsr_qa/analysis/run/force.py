@@ -274,13 +274,13 @@ class _RunForce:
         rows, noise = data.changed()
         left = filter_.at(data.before, data.place_mm).strength
         given = _noisy(filter_.at(rows, data.place_mm), noise, left * learned.model.residue_stderr)
-        found = _noisy(filter_.search(rows), noise, left * learned.model.residue_stderr)
-        found = scattered(found, filter_.size_slope(found.place_mm), learned.model.place_scatter_mm)
+        matches = _noisy(filter_.search(rows), noise, left * learned.model.residue_stderr)
+        matches = scattered(matches, filter_.size_slope(matches.place_mm), learned.model.place_scatter_mm)
         known, known_stderr = inverse.force(given)
-        one, _ = flat.force(given)
-        seen, seen_stderr = inverse.force(found)
-        detected = np.sqrt(found.gain / noise) >= learned.model.threshold
-        apart = np.hypot(*(found.place_mm - data.place_mm).T)
+        flat_N, _ = flat.force(given)
+        seen, seen_stderr = inverse.force(matches)
+        detected = np.sqrt(matches.gain / noise) >= learned.model.threshold
+        apart = np.hypot(*(matches.place_mm - data.place_mm).T)
         return [
             ForceTest(
                 load=loads[k],
@@ -291,7 +291,7 @@ class _RunForce:
                 found_N=float(seen[k]) if detected[k] and np.isfinite(seen[k]) else None,
                 found_stderr_N=float(seen_stderr[k]) if detected[k] and np.isfinite(seen[k]) else None,
                 place_error_mm=float(apart[k]) if detected[k] else None,
-                global_N=float(one[k]),
+                global_N=float(flat_N[k]),
             )
             for k in range(len(loads))
             if np.isfinite(known[k])

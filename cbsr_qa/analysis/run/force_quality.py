@@ -105,13 +105,13 @@ class ForceErrors:
         return count
 
 
-def tests_of(run: RunObservation, found: RunForce, how: str) -> tuple[ForceTest, ...]:
+def tests_of(run: RunObservation, force: RunForce, how: str) -> tuple[ForceTest, ...]:
     """Return the tests of one kind.
 
     Of held-out loads those of phases that press all over the sheet, where a run has any: presses at one place again
     and again (noise figure, relaxation) are a sample of that place, not of the sheet.
     """
-    tests = tuple(test for test in found.tests if test.how == how)
+    tests = tuple(test for test in force.tests if test.how == how)
     spread = {phase.name for phase in run.record.phases if phase.role in (Role.GRID, Role.RANDOM)}
     sample = tuple(test for test in tests if test.load.phase in spread)
     return sample if sample and how == HELD_OUT else tests
@@ -119,11 +119,11 @@ def tests_of(run: RunObservation, found: RunForce, how: str) -> tuple[ForceTest,
 
 def errors_of(tests: Sequence[ForceTest], *, known: bool) -> ForceErrors:
     """Return the errors with the place given, or estimated."""
-    told = tuple(test for test in tests if known or test.found_N is not None)
-    estimate = np.array([test.known_N if known else test.found_N or 0.0 for test in told])
-    stated = np.array([_stated_N(test, known=known) for test in told])
-    measured = np.array([test.measured_N for test in told])
-    return ForceErrors(told, len(tests) - len(told), estimate - measured, stated)
+    estimated = tuple(test for test in tests if known or test.found_N is not None)
+    estimate = np.array([test.known_N if known else test.found_N or 0.0 for test in estimated])
+    stated = np.array([_stated_N(test, known=known) for test in estimated])
+    measured = np.array([test.measured_N for test in estimated])
+    return ForceErrors(estimated, len(tests) - len(estimated), estimate - measured, stated)
 
 
 def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
@@ -132,10 +132,10 @@ def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
     return ForceErrors(tuple(tests), 0, error, np.full(len(tests), np.inf))
 
 
-def calibrated_radius_mm(found: RunForce) -> float:
+def calibrated_radius_mm(force: RunForce) -> float:
     """Return the distance of the farthest calibration load from the centre [mm]."""
-    assert found.learned is not None
-    places = places_mm([load for load, why in zip(found.used, found.learned.refused, strict=True) if not why])
+    assert force.learned is not None
+    places = places_mm([load for load, why in zip(force.used, force.learned.refused, strict=True) if not why])
     return float(np.hypot(*places.T).max())
 
 
@@ -209,7 +209,7 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
 
 
 def gauge_factor(
-    run: RunObservation, found: RunForce, *, traces: Sequence[TimedValues] | None = None
+    run: RunObservation, force: RunForce, *, traces: Sequence[TimedValues] | None = None
 ) -> tuple[Estimate, Estimate]:
     """Return the gauge factor of the sheet, and the ratio of steady to observed values.
 
@@ -222,10 +222,10 @@ def gauge_factor(
     CbsrError
         If strains, loads or relaxations do not say; the reason is in it.
     """
-    learned = found.learned
+    learned = force.learned
     assert learned is not None
-    usable = [k for k, load in enumerate(found.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
-    loads = [found.used[k] for k in usable]
+    usable = [k for k, load in enumerate(force.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
+    loads = [force.used[k] for k in usable]
     if not loads:
         raise NumericsError("no load of the calibration has a nominal strain")
     line = run.record.material.against_stress

@@ -124,10 +124,10 @@ def mask_views(
     if settings.outline == "contour":
         outlined = masked_contours(image, settings.masks)
     views = []
-    for fraction, found, regions in zip(settings.masks, blobs, outlined, strict=True):
+    for fraction, own, regions in zip(settings.masks, blobs, outlined, strict=True):
         region, fate = _sensed(regions, pressed, others)
         contour = None if isinstance(region, Blob) else region
-        views.append(MaskView(fraction, found, _sensed(found, pressed, others)[0], contour, fate, len(regions)))
+        views.append(MaskView(fraction, own, _sensed(own, pressed, others)[0], contour, fate, len(regions)))
     return tuple(views)
 
 
@@ -141,12 +141,12 @@ def sensed_regions(
 ) -> list[Region | None]:
     """Return :attr:`MaskView.region` of every mask alone, for half the time."""
     image = _cleared(mesh, signed, noise_floor)
-    found: Sequence[Sequence[Region]] = (
+    regions_of_masks: Sequence[Sequence[Region]] = (
         masked_contours(image, settings.masks)
         if settings.outline == "contour"
         else masked_blobs(image, settings.masks)
     )
-    return [_sensed(regions, pressed, others)[0] for regions in found]
+    return [_sensed(regions, pressed, others)[0] for regions in regions_of_masks]
 
 
 def _sensed(

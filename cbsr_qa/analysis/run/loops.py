@@ -38,14 +38,14 @@ def observe_loops(
     unloaded : frames of the rested sheet: how noisy each reading is.
     usable : (drives, measures) bool, readings to look at.
     """
-    found = []
+    loops_of_places = []
     for phase in record.phases:
         places: dict[tuple[str, float, float], list[LoadRecord]] = defaultdict(list)
         for loop in phase.loops:
             places[(loop.load.label, loop.load.x_mm, loop.load.y_mm)].append(loop)
         for loops in places.values():
-            found.append(_observe(phase, tuple(loops), unloaded, usable, record.indenter, settings))
-    return tuple(found)
+            loops_of_places.append(_observe(phase, tuple(loops), unloaded, usable, record.indenter, settings))
+    return tuple(loops_of_places)
 
 
 def deepest(record: LoadRecord) -> HeldStrain:
@@ -76,7 +76,7 @@ def _observe(
         return _nothing(phase, loops, stress, no_force, _FRAMELESS)
     before = _before(phase, phase.frames, first_s, settings.reference_frames)
     during = phase.frames.between(first_s, last_s)
-    if not len(before) or not all(len(during.between(h.start_s, h.end_s)) for one in loops for h in one.held):
+    if not len(before) or not all(len(during.between(h.start_s, h.end_s)) for cycle in loops for h in cycle.held):
         return _nothing(phase, loops, stress, no_force, _FRAMELESS)
     noise = unloaded.voltages[:, usable].std(axis=0, ddof=1)
     scale = 1 / np.sqrt(noise**2 + np.mean(noise**2)) if noise.any() else np.ones(len(noise))
@@ -105,7 +105,7 @@ def _nothing(
 
 def _no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
     """Report that the cell was at its limit while one of the strains was held."""
-    holds = [replace(one, hold_start_s=h.start_s, release_start_s=h.end_s) for one in loops for h in one.held]
+    holds = [replace(loop, hold_start_s=h.start_s, release_start_s=h.end_s) for loop in loops for h in loop.held]
     return next((why for hold in holds if (why := stood_at_limit(samples, hold))), "")
 
 
@@ -141,9 +141,9 @@ def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array
     for _ in range(_ROUNDS):
         normal = np.einsum("hi,hr,hj->rij", design, weights, design)
         drawn = np.einsum("hi,hr,hr->ri", design, weights, values)
-        found = np.linalg.solve(normal + 1e-12 * np.eye(3), drawn[:, :, None])[:, :, 0]
-        weights = _huber(values - design @ found.T, axis=0)
-    slope: Array = found[:, 0]
+        fit = np.linalg.solve(normal + 1e-12 * np.eye(3), drawn[:, :, None])[:, :, 0]
+        weights = _huber(values - design @ fit.T, axis=0)
+    slope: Array = fit[:, 0]
     return slope
 
 

@@ -54,9 +54,9 @@ def _metrics(
     """Three metrics of every mask, (3, k); NaN where no blob is seen."""
     chosen, pressed = setting.settings, setting.indenter.at(record.load.x_mm, record.load.y_mm)
     regions = sensed_regions(setting.imager.mesh, signed, setting.noise_floor, chosen, pressed, others)
-    found = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
+    metrics = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
     nothing = (np.nan, np.nan, np.nan)
-    return np.array([nothing if f is None else (f.error_mm, f.overlap_percent, f.deviation_mm2) for f in found]).T
+    return np.array([nothing if f is None else (f.error_mm, f.overlap_percent, f.deviation_mm2) for f in metrics]).T
 
 
 def observe_run(

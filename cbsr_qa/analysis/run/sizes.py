@@ -85,16 +85,16 @@ def size_response(
     problem = prepared.problem
     centre, out_mm = problem.sensor_type.outline.centre_mm, _OUT * problem.sensor_type.radius_mm
     places = (("centre", centre), (f"{out_mm:.3g} mm out", (centre[0] + out_mm, centre[1])))
-    found = tuple(
+    responses = tuple(
         SizeResponse(words, diameters, tuple(_area(prepared, place, diameter, mask) for diameter in diameters))
         for words, place in places
         if _on_sheet(problem, place, diameters[-1])
     )
-    if not found:
+    if not responses:
         raise NumericsError(
             f"a target of {diameters[-1]:.3g} mm fits neither the centre of the sheet nor 0.6 radii out"
         )
-    return found
+    return responses
 
 
 def size_response_of(run: RunObservation) -> tuple[SizeResponse, ...]:

@@ -170,10 +170,10 @@ def _read_given_mesh(read: Reading, group: str) -> GivenMesh | None:
 
 def _write_relaxations(out: Entries, group: str, relaxations: tuple[LoadRelaxation, ...]) -> None:
     """One group per signal, so that every dataset has one unit; ``number`` is the place among all of them."""
-    for signal in dict.fromkeys(one.signal for one in relaxations):
-        numbers = [number for number, one in enumerate(relaxations) if one.signal == signal]
+    for signal in dict.fromkeys(relaxation.signal for relaxation in relaxations):
+        numbers = [number for number, relaxation in enumerate(relaxations) if relaxation.signal == signal]
         members = [relaxations[number] for number in numbers]
-        units = {one.unit for one in members}
+        units = {relaxation.unit for relaxation in members}
         if not signal.isidentifier():
             raise CalibrationError(f"a relaxing signal is named {signal!r}; letters, digits and _ are allowed")
         if len(units) != 1:

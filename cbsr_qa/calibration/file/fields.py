@@ -54,7 +54,7 @@ class Codec:
         """Keep dataclasses as a list for every field."""
         for field in kept_fields(of):
             path, units = _place(field, within, own)
-            held, group = [getattr(one, field.name) for one in items], group_of(field.hint)
+            held, group = [getattr(item, field.name) for item in items], group_of(field.hint)
             if group is not None:
                 self.write_list(out, group, held, path, units)
             elif not (field.kept.not_kept or (held and all(map(field.is_left_out, held)))):
@@ -107,7 +107,7 @@ def problems(value: Any, within: str) -> Iterator[str]:
         held, path = getattr(value, field.name), _place(field, within, PURE)[0]
         if is_dataclass(held) and not field.kept.not_kept:
             yield from problems(held, path)
-            lengths |= {one.name: getattr(held, one.name) for one in kept_fields(type(held)) if one.hint is int}
+            lengths |= {part.name: getattr(held, part.name) for part in kept_fields(type(held)) if part.hint is int}
         elif held is not None and not field.kept.not_kept:
             if field.kept.limited:
                 yield from _beyond(field.kept, path, np.asarray(held))
@@ -159,7 +159,7 @@ def _kept(field: KeptField, held: Any) -> Value:
     if field.hint in (bool, Mask):
         return np.array(held, dtype=np.bool_)
     if field.hint in _INTEGERS:
-        absent = [-1 if one is None else one for one in held] if isinstance(held, list) else held
+        absent = [-1 if number is None else number for number in held] if isinstance(held, list) else held
         return np.array(absent, dtype=np.int64)
     if field.hint == tuple[float, ...]:
         held = _padded(held)

@@ -140,9 +140,9 @@ def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
     def force(of: ForceModel, matches: Matches) -> Array:
         return ForceInverse(of, line, area_mm2, map_tables(of)).force(matches)[0]
 
-    true, found = force(model, fine.at(rows, places)), force(thin, TemplateFilter(thin).at(rows, places))
-    there = np.isfinite(found)
-    error = found[there] / true[there] - 1
+    true, coarse = force(model, fine.at(rows, places)), force(thin, TemplateFilter(thin).at(rows, places))
+    there = np.isfinite(coarse)
+    error = coarse[there] / true[there] - 1
     lost = int(np.count_nonzero(~there))
     if not there.any():
         return Loss(len(places), lost, 1.0, 1.0)

@@ -136,12 +136,12 @@ def texts(path: str, dataset: h5py.Dataset) -> str | tuple[str, ...]:
     held = dataset.asstr()
     if not dataset.ndim:
         return str(held[()])
-    found: list[str] = []
+    read: list[str] = []
     left = _MOST_CHARACTERS
     for k in range(dataset.size):
         text = str(held[k])
         left -= len(text)
         if left < 0:
             raise RefusedError(f"{path} holds more than {_MOST_CHARACTERS} characters: no file of ours has as many")
-        found.append(text)
-    return tuple(found)
+        read.append(text)
+    return tuple(read)

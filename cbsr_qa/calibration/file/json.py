@@ -62,10 +62,10 @@ def dataset(entry: Entry, *, spelt_out: int = _SPELT_OUT) -> dict[str, Any]:
     if isinstance(entry.value, tuple):
         return {"units": entry.units, "kind": "text", "shape": [len(entry.value)], "values": list(entry.value)}
     kind, values = _kind(entry.value), entry.value
-    told = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
+    stated = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
     if values.size > spelt_out or np.isinf(values).any():  # JSON has no word for infinity
-        return {**told, "base64": base64.b64encode(_bytes(values, kind)).decode()}
-    return {**told, "values": [_number(value) for value in values.ravel().tolist()]}
+        return {**stated, "base64": base64.b64encode(_bytes(values, kind)).decode()}
+    return {**stated, "values": [_number(value) for value in values.ravel().tolist()]}
 
 
 def read_json_calibration(path: Path) -> Calibration:
@@ -96,7 +96,7 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
             f"written to schema version {version!r}; this program knows versions up to {SCHEMA_VERSION}",
             remedy="update cbsr-qa",
         )
-    entries = {name: _entry(name, told) for name, told in document["datasets"].items()}
+    entries = {name: _entry(name, stated) for name, stated in document["datasets"].items()}
     digest = content_digest(entries, version)
     if digest != document.get("digest") or version != schema_version(entries):
         raise CalibrationError(
@@ -117,21 +117,21 @@ def _document(path: Path) -> dict[str, Any]:
     return document if isinstance(document, dict) else {}
 
 
-def _entry(path: str, told: object) -> Entry:
+def _entry(path: str, stated: object) -> Entry:
     try:
-        if not isinstance(told, dict):
+        if not isinstance(stated, dict):
             raise CalibrationError(f"{path} is no dataset")
-        units, kind, shape = told["units"], told["kind"], tuple(told["shape"])
+        units, kind, shape = stated["units"], stated["kind"], tuple(stated["shape"])
         if not (isinstance(units, str) and all(type(n) is int and n >= 0 for n in shape)):
             raise CalibrationError(f"{path} states no units or no shape")
         f"{path}{units}".encode()  # JSON can spell halves of characters, which are none
-        return Entry(units, _texts(told, shape) if kind == "text" else _array(told, _KINDS[kind], kind, shape))
+        return Entry(units, _texts(stated, shape) if kind == "text" else _array(stated, _KINDS[kind], kind, shape))
     except (KeyError, TypeError, ValueError, OverflowError, binascii.Error) as error:
         raise CalibrationError(f"{path} is not a dataset of a calibration: {error}") from error
 
 
-def _texts(told: dict[str, Any], shape: tuple[int, ...]) -> Value:
-    texts = told["values"]
+def _texts(stated: dict[str, Any], shape: tuple[int, ...]) -> Value:
+    texts = stated["values"]
     if not all(isinstance(text, str) for text in texts) or shape not in ((), (len(texts),)):
         raise ValueError("a text is expected")
     "".join(texts).encode()
@@ -141,11 +141,11 @@ def _texts(told: dict[str, Any], shape: tuple[int, ...]) -> Value:
     return tuple(texts)
 
 
-def _array(told: dict[str, Any], kind: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    if "base64" in told:
-        held = np.frombuffer(base64.b64decode(told["base64"], validate=True), dtype=f"<{name}")
+def _array(stated: dict[str, Any], kind: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    if "base64" in stated:
+        held = np.frombuffer(base64.b64decode(stated["base64"], validate=True), dtype=f"<{name}")
     else:
-        numbers = [np.nan if value is None else value for value in told["values"]]
+        numbers = [np.nan if value is None else value for value in stated["values"]]
         held = np.array(numbers, dtype=np.int64 if name in ("i8", "u1") else np.float64)
         if name in ("i8", "u1") and any(type(value) is not int for value in numbers):
             raise ValueError("whole numbers are expected")

@@ -100,10 +100,10 @@ class MeasuredRelaxation:
 
     def settled(self, tolerance: float) -> tuple[float, float] | None:
         """Return the settling time of the mean trace and its standard error [s]; None without a plain number."""
-        found, stderr = common_settling_time(
+        settling, stderr = common_settling_time(
             self.common, window_s=self.window_s, tolerance=tolerance, loaded_change=self.loaded_change
         )
-        return (found.value_s, stderr) if found.value_s and not found.censored and stderr else None
+        return (settling.value_s, stderr) if settling.value_s and not settling.censored and stderr else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,18 +217,18 @@ def compare_relaxations(
 
 
 def _curves(first: ComparableRelaxation, second: ComparableRelaxation, time_s: Array) -> ComparedCurves:
-    (one, variance), (other, more) = first.relative(time_s), second.relative(time_s)
-    return ComparedCurves(time_s, one, np.sqrt(variance), other, np.sqrt(more))
+    (curve, variance), (other, more) = first.relative(time_s), second.relative(time_s)
+    return ComparedCurves(time_s, curve, np.sqrt(variance), other, np.sqrt(more))
 
 
 def _times(
     first: ComparableRelaxation, second: ComparableRelaxation, tolerance: float
 ) -> tuple[float | None, float | None, float | None, Agreement]:
     """Ratio of the settling times, its standard error, the largest that is left open, and what follows."""
-    one, other = first.settled(tolerance), second.settled(tolerance)
-    if one is None or other is None:
+    earlier, other = first.settled(tolerance), second.settled(tolerance)
+    if earlier is None or other is None:
         return None, None, None, Agreement.UNDECIDED
-    (one_s, one_stderr), (other_s, other_stderr) = one, other
+    (one_s, one_stderr), (other_s, other_stderr) = earlier, other
     log_ratio = float(np.log(other_s / one_s))
     log_stderr = float(np.hypot(one_stderr / one_s, other_stderr / other_s))
     limit = float(np.log1p(TIME_MARGIN))

@@ -85,13 +85,13 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     if np.abs(level).max() <= rounding:
         return _without_curve(FitStatus.FLAT, used, "no relaxation: the traces are constant")
     bounds_s = _bounds_s(used)
-    one = _one(used, bounds_s)
-    small = float(one.residual @ one.residual) > 0.5 * float(level @ level)
-    if small and chance_of_gain(level, one.residual, _parameters(used, 1), len(used) + 1) > _SIGNIFICANCE:
+    single = _one(used, bounds_s)
+    small = float(single.residual @ single.residual) > 0.5 * float(level @ level)
+    if small and chance_of_gain(level, single.residual, _parameters(used, 1), len(used) + 1) > _SIGNIFICANCE:
         return _without_curve(FitStatus.FLAT, used, "no relaxation stands out of the noise")
-    two = _two(used, bounds_s, float(np.log(one.time_constants_s[0])))
-    why = _why_not_two(one, two, bounds_s, _parameters(used, 3), rounding)
-    return _kept(one if why else two, used, bounds_s, why)
+    two = _two(used, bounds_s, float(np.log(single.time_constants_s[0])))
+    why = _why_not_two(single, two, bounds_s, _parameters(used, 3), rounding)
+    return _kept(single if why else two, used, bounds_s, why)
 
 
 def common_settling_time(
@@ -119,11 +119,11 @@ def common_settling_time(
         loaded_change=loaded_change,
         start_s=start_s,
     )
-    found = settled(common.fit)
-    if found.value_s is None or found.censored or not len(common.shares):
-        return found, None
+    settling = settled(common.fit)
+    if settling.value_s is None or settling.censored or not len(common.shares):
+        return settling, None
     gradient = np.array([_slope(common, index, settled) for index in range(len(common.covariance))])
-    return found, float(np.sqrt(max(gradient @ common.covariance @ gradient, 0.0)))
+    return settling, float(np.sqrt(max(gradient @ common.covariance @ gradient, 0.0)))
 
 
 def _slope(common: CommonRelaxation, index: int, settled: "partial[SettlingTime]") -> float:
@@ -168,13 +168,13 @@ def _two(traces: Sequence[TimedValues], bounds_s: tuple[float, float], middle: f
 
 
 def _why_not_two(
-    one: JointExponentials, two: JointExponentials, bounds_s: tuple[float, float], parameters: int, rounding: float
+    single: JointExponentials, two: JointExponentials, bounds_s: tuple[float, float], parameters: int, rounding: float
 ) -> str:
     """Why the second exponential cannot be kept; empty if it can."""
     first, second = two.time_constants_s
-    chance = chance_of_gain(one.residual, two.residual, parameters, 2)
+    chance = chance_of_gain(single.residual, two.residual, parameters, 2)
     checks = (
-        (np.abs(one.residual).max() <= rounding, "one exponential explains the traces to rounding"),
+        (np.abs(single.residual).max() <= rounding, "one exponential explains the traces to rounding"),
         (chance > _SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
         (second < _SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
         (second > 0.99 * bounds_s[1], f"a second time constant would lie at its bound of {bounds_s[1]:.3g} s"),
@@ -184,25 +184,25 @@ def _why_not_two(
 
 
 def _kept(
-    found: JointExponentials, traces: Sequence[TimedValues], bounds_s: tuple[float, float], why: str
+    joint: JointExponentials, traces: Sequence[TimedValues], bounds_s: tuple[float, float], why: str
 ) -> CommonRelaxation:
-    slowest, error = float(found.time_constants_s[-1]), float(found.log_stderr[-1])
+    slowest, error = float(joint.time_constants_s[-1]), float(joint.log_stderr[-1])
     if slowest > 0.99 * bounds_s[1] or (error > _LOG_ERROR and slowest > bounds_s[1] / 10):
         return _without_curve(FitStatus.DRIFTING, traces, "still drifting: slower than the traces are long")
     if error > _LOG_ERROR:
         return _without_curve(FitStatus.REJECTED, traces, "the data do not determine a time constant")
     every = np.concatenate([values - values.mean() for _, values in traces])
     fit = RelaxationFit(
-        status=FitStatus.TWO if len(found.shares) == 2 else FitStatus.ONE,
-        offset=float(found.offsets.mean()),
-        amplitudes=tuple(found.amplitudes.tolist()),
-        time_constants_s=tuple(found.time_constants_s.tolist()),
-        offset_stderr=float(np.sqrt(found.mean_covariance[0, 0])),
-        time_constant_stderr_s=tuple((found.time_constants_s * found.log_stderr).tolist()),
-        r_squared=1 - float(found.residual @ found.residual) / float(every @ every),
+        status=FitStatus.TWO if len(joint.shares) == 2 else FitStatus.ONE,
+        offset=float(joint.offsets.mean()),
+        amplitudes=tuple(joint.amplitudes.tolist()),
+        time_constants_s=tuple(joint.time_constants_s.tolist()),
+        offset_stderr=float(np.sqrt(joint.mean_covariance[0, 0])),
+        time_constant_stderr_s=tuple((joint.time_constants_s * joint.log_stderr).tolist()),
+        r_squared=1 - float(joint.residual @ joint.residual) / float(every @ every),
         why=why,
     )
-    return CommonRelaxation(fit, found.offsets, found.scales, found.shares, found.mean_covariance, traces=len(traces))
+    return CommonRelaxation(fit, joint.offsets, joint.scales, joint.shares, joint.mean_covariance, traces=len(traces))
 
 
 def _without_curve(status: FitStatus, traces: Sequence[TimedValues], why: str) -> CommonRelaxation:

@@ -19,8 +19,8 @@ STRESS: Final = "stress"
 
 def trace_of(load: LoadObservation, signal: str, *, loading: bool) -> Trace | None:
     """Trace of a load's signal after the press or after the release; None where there is none, or no sample in it."""
-    found = (r.trace for r in load.relaxations if r.signal == signal and r.loading == loading)
-    trace = next(found, None)
+    traces = (r.trace for r in load.relaxations if r.signal == signal and r.loading == loading)
+    trace = next(traces, None)
     return None if trace is None or not len(trace.values) else trace
 
 
@@ -71,8 +71,8 @@ def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frame
     NumericsError
         If no load has such a trace over that time.
     """
-    found = [_creep(load, signal, from_s, frames) for load in loads]
-    pairs = [pair for pair in found if pair is not None]
+    changes = [_creep(load, signal, from_s, frames) for load in loads]
+    pairs = [pair for pair in changes if pair is not None]
     if not pairs:
         raise NumericsError(_no_trace(signal, from_s))
     return ratio_of_sums(*zip(*pairs, strict=True))
@@ -189,10 +189,10 @@ def _last_two(
     places: dict[str, list[LoadObservation]] = defaultdict(list)
     for load in loads:
         places[load.record.load.label].append(load)
-    found = {}
+    pairs = {}
     for place, cycles in places.items():
         ordered = sorted(cycles, key=lambda load: load.record.load.trial)
         levels = [level(load) for load in ordered[-2:]]
         if len(levels) == 2 and levels[0] is not None and levels[1] is not None:
-            found[place] = (levels[0], levels[1])
-    return found
+            pairs[place] = (levels[0], levels[1])
+    return pairs

@@ -141,8 +141,8 @@ def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
     errors = finite_numbers([curve.stderr for curve in curves], "errors of the differences")
     difference, stderr = differences.mean(axis=0), np.sqrt((errors**2).sum(axis=0)) / len(curves)
     widest = int(np.argmax(np.abs(difference)))
-    found = Estimate(float(abs(difference[widest])), float(stderr[widest]), 0)
-    return Hysteresis(found, float(first.strain[first.peak + 1 + widest]), bool(difference[widest] > 0))
+    widest_difference = Estimate(float(abs(difference[widest])), float(stderr[widest]), 0)
+    return Hysteresis(widest_difference, float(first.strain[first.peak + 1 + widest]), bool(difference[widest] > 0))
 
 
 def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
@@ -181,14 +181,14 @@ def _differences(output: Array, stress: Array, peak: int) -> Array:
     span = float(output[:, peak].mean())
     if not abs(span) > 0:
         raise NumericsError("the output at the deepest strain is zero: there is nothing to be a share of")
-    found = []
+    differences = []
     for values, at in zip(output, stress, strict=True):
         rising = np.concatenate([[0.0], at[: peak + 1]])
         if not (np.diff(rising) > 0).all():
             raise NumericsError("the stress does not rise with the strain on the way up")
         there = np.interp(at[peak + 1 :], rising, np.concatenate([[0.0], values[: peak + 1]]))
-        found.append((values[peak + 1 :] - there) / span)
-    return np.array(found)
+        differences.append((values[peak + 1 :] - there) / span)
+    return np.array(differences)
 
 
 def _propagated(output: Levels, stress: Levels, peak: int, plain: Array) -> Array:

@@ -60,11 +60,11 @@ def fit_joint(
     problem = _Joint(traces)
     lowest, highest = np.log(bounds_s)
     lower, upper = ([lowest], [highest]) if len(starts[0]) == 1 else ([lowest] * 2 + [-2.0], [highest] * 2 + [3.0])
-    found = [
+    fits = [
         least_squares(problem.residual, np.clip(start, lower, upper), jac=problem.jacobian, bounds=(lower, upper))
         for start in starts
     ]
-    best = np.asarray(min(found, key=lambda one: float(one.cost)).x, dtype=np.float64)
+    best = np.asarray(min(fits, key=lambda fit: float(fit.cost)).x, dtype=np.float64)
     return problem.assembled(polished(problem.residual, problem.jacobian, best, (np.array(lower), np.array(upper))))
 
 

@@ -43,10 +43,10 @@ class QuasiStaticFit:
         """Return the fit with its standard errors and where it comes from."""
         slope_error, intercept_error = np.sqrt(np.diag(self.covariance))
         left_out = ", ".join(f"{100 * strain:g} %" for strain in self.excluded)
-        said = f"{source}; left out: {left_out}" if left_out else source
+        where_from = f"{source}; left out: {left_out}" if left_out else source
         return QuasiStatic(
-            Parameter(self.slope, float(slope_error), said),
-            Parameter(self.intercept, float(intercept_error), said),
+            Parameter(self.slope, float(slope_error), where_from),
+            Parameter(self.intercept, float(intercept_error), where_from),
             float(self.covariance[0, 1]),
         )
 

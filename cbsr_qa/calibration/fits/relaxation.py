@@ -156,12 +156,12 @@ def fit_relaxation(
             FitStatus.REJECTED, values, rounding, f"{len(values)} points are too few; {_FEWEST[1]} are needed"
         )
     bounds_s = _bounds_s(time_s)
-    one = fit_exponentials(time_s, values, 1, bounds_s, rounding)
+    single = fit_exponentials(time_s, values, 1, bounds_s, rounding)
     if len(values) < _FEWEST[2]:
-        return _kept(one, values, bounds_s, r_squared_gate, "too few points for a second exponential")
+        return _kept(single, values, bounds_s, r_squared_gate, "too few points for a second exponential")
     two = fit_exponentials(time_s, values, 2, bounds_s, rounding)
-    why = _why_not_two(one, two, bounds_s, rounding)
-    return _kept(one if why else two, values, bounds_s, r_squared_gate, why)
+    why = _why_not_two(single, two, bounds_s, rounding)
+    return _kept(single if why else two, values, bounds_s, r_squared_gate, why)
 
 
 def relaxation_curve(fit: RelaxationFit, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -218,14 +218,14 @@ def _bounds_s(time_s: NDArray[np.float64]) -> tuple[float, float]:
     return max(lowest, abs(float(time_s[0])) / 30), highest
 
 
-def _why_not_two(one: Exponentials, two: Exponentials, bounds_s: tuple[float, float], rounding: float) -> str:
+def _why_not_two(single: Exponentials, two: Exponentials, bounds_s: tuple[float, float], rounding: float) -> str:
     """Why the second exponential cannot be kept; empty if it can."""
     first, second = two.time_constants_s
     at_bound = second > 0.99 * bounds_s[1] or first < 1.01 * bounds_s[0]
-    chance = chance_of_gain(one.residual, two.residual, 5, 2)
+    chance = chance_of_gain(single.residual, two.residual, 5, 2)
     checks = (
         (
-            one.sum_of_squares <= len(one.residual) * rounding**2,
+            single.sum_of_squares <= len(single.residual) * rounding**2,
             "one exponential explains the trace to rounding",
         ),
         (
@@ -244,43 +244,43 @@ def _why_not_two(one: Exponentials, two: Exponentials, bounds_s: tuple[float, fl
 
 
 def _kept(
-    found: Exponentials,
+    fit: Exponentials,
     values: NDArray[np.float64],
     bounds_s: tuple[float, float],
     r_squared_gate: float,
     why: str,
 ) -> RelaxationFit:
-    count = len(found.time_constants_s)
+    count = len(fit.time_constants_s)
     status = FitStatus.TWO if count == 2 else FitStatus.ONE
     centred = values - values.mean()
-    r_squared = 1 - found.sum_of_squares / float(centred @ centred)
-    stderr = np.where(np.isfinite(found.stderr), found.stderr, np.finfo(np.float64).max)
+    r_squared = 1 - fit.sum_of_squares / float(centred @ centred)
+    stderr = np.where(np.isfinite(fit.stderr), fit.stderr, np.finfo(np.float64).max)
     if r_squared < r_squared_gate:
         status, why = FitStatus.REJECTED, f"R² {r_squared:.3f} is below {r_squared_gate:g}"
-    elif count == 1 and _drifts(found, bounds_s):
+    elif count == 1 and _drifts(fit, bounds_s):
         return _without_curve(
             FitStatus.DRIFTING, values[-max(len(values) // 4, 1) :], 0.0, _DRIFTING, r_squared=r_squared
         )
-    elif count == 1 and found.stderr[2] > 1.0:
+    elif count == 1 and fit.stderr[2] > 1.0:
         status, why = FitStatus.REJECTED, "the data do not determine a time constant"
     return RelaxationFit(
         status=status,
-        offset=float(found.coefficients[0]),
-        amplitudes=tuple(found.coefficients[1:].tolist()),
-        time_constants_s=tuple(found.time_constants_s.tolist()),
+        offset=float(fit.coefficients[0]),
+        amplitudes=tuple(fit.coefficients[1:].tolist()),
+        time_constants_s=tuple(fit.time_constants_s.tolist()),
         offset_stderr=float(stderr[0]),
         time_constant_stderr_s=tuple(
-            np.minimum(found.time_constants_s * stderr[1 + count :], np.finfo(np.float64).max).tolist()
+            np.minimum(fit.time_constants_s * stderr[1 + count :], np.finfo(np.float64).max).tolist()
         ),
         r_squared=r_squared,
         why=why,
     )
 
 
-def _drifts(one: Exponentials, bounds_s: tuple[float, float]) -> bool:
+def _drifts(fit: Exponentials, bounds_s: tuple[float, float]) -> bool:
     """Whether the trace shows that it relaxes more slowly than it is long, but not how slowly."""
-    tau_s, window_s = float(one.time_constants_s[0]), bounds_s[1] / 10
-    return tau_s > 0.99 * bounds_s[1] or (tau_s > window_s and float(one.stderr[2]) > 1.0)
+    tau_s, window_s = float(fit.time_constants_s[0]), bounds_s[1] / 10
+    return tau_s > 0.99 * bounds_s[1] or (tau_s > window_s and float(fit.stderr[2]) > 1.0)
 
 
 def _without_curve(

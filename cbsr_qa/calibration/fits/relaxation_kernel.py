@@ -115,9 +115,9 @@ class _Reduced:
         self.weights = mean[:half]
         loads = [_projected(trace, self.weights, np.exp(mean[half:]), frame_s) for trace in traces]
         self.data, self.level, self.parts, self.slopes, self.size = (
-            np.array(one) for one in zip(*(load[:5] for load in loads), strict=True)
+            np.array(row) for row in zip(*(load[:5] for load in loads), strict=True)
         )
-        squares, spare = (np.array(one, dtype=np.float64) for one in zip(*(load[5:] for load in loads), strict=True))
+        squares, spare = (np.array(row, dtype=np.float64) for row in zip(*(load[5:] for load in loads), strict=True))
         pooled = squares.sum() / max(float(spare.sum()), 1.0)
         own = np.where(spare >= _OWN_NOISE, squares / np.maximum(spare, 1), pooled)
         given = own if noise is None else np.asarray(noise, dtype=np.float64) ** 2
@@ -231,8 +231,8 @@ def learn_kernel(
         If numbers of loads differ, a number is not finite, or time stamps repeat or step back.
     """
     loads, unit = _scaled(_loads(traces, ramp_s, released, start_s))
-    told = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
-    used = [loads[index] for index in told]
+    usable = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
+    used = [loads[index] for index in usable]
     common = fit_common_relaxation([(load.time_s, load.values) for load in used])
     why = common.fit.why if common.fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING) else ""
     if not why and not _stands_out(used, common):
@@ -240,15 +240,15 @@ def learn_kernel(
     if why:
         return _no_kernel(released is None, len(used), start_s, why)
     weights, time_constants_s, prior = _beginning(used, common, frame_s)
-    own = None if noise is None else [noise[index] * unit for index in told]
-    found = shared_kernel(used, weights, time_constants_s, prior, frame_s=frame_s, noise=own)
+    own = None if noise is None else [noise[index] * unit for index in usable]
+    posterior = shared_kernel(used, weights, time_constants_s, prior, frame_s=frame_s, noise=own)
     return RelaxationKernel(
         loading=released is None,
-        weights=found.weights,
-        time_constants_s=found.time_constants_s,
-        covariance=found.covariance,
-        scatter=found.relative_scatter * np.abs(found.weights),
-        scatter_freedom=found.freedom,
+        weights=posterior.weights,
+        time_constants_s=posterior.time_constants_s,
+        covariance=posterior.covariance,
+        scatter=posterior.relative_scatter * np.abs(posterior.weights),
+        scatter_freedom=posterior.freedom,
         loads=len(used),
         start_s=start_s,
     )

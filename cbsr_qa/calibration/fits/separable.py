@@ -90,9 +90,9 @@ def fit_exponentials(
     best: NDArray[np.float64] | None = None
     cost = np.inf
     for start in _starts(time_s, y, count, (lowest, highest)):
-        found = least_squares(residual, start, jac=jacobian, bounds=(lowest, highest), xtol=1e-12, ftol=1e-13)
-        if found.cost < cost or best is None:
-            best, cost = np.asarray(found.x), float(found.cost)
+        searched = least_squares(residual, start, jac=jacobian, bounds=(lowest, highest), xtol=1e-12, ftol=1e-13)
+        if searched.cost < cost or best is None:
+            best, cost = np.asarray(searched.x), float(searched.cost)
     assert best is not None
     best = polished(residual, jacobian, np.asarray(best, dtype=np.float64), (lowest, highest))
     return _assembled(time_s, values, np.sort(best), rounding)
@@ -101,7 +101,7 @@ def fit_exponentials(
 def polished(
     residual: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     jacobian: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    found: NDArray[np.float64],
+    place: NDArray[np.float64],
     bounds: tuple[float | NDArray[np.float64], float | NDArray[np.float64]],
 ) -> NDArray[np.float64]:
     """Go on from where a search ended by plain Gauss–Newton steps, as long as they gain anything.
@@ -109,15 +109,15 @@ def polished(
     A search ends where the sum of squares hardly falls any more. Without noise that is far from where the parameters
     are known to: of two similar time constants it leaves six digits where the values carry eleven.
     """
-    left = residual(found)
+    left = residual(place)
     for _ in range(_POLISHING):
-        step = np.linalg.lstsq(jacobian(found), -left, rcond=None)[0]
-        aim = np.clip(found + step, *bounds)
+        step = np.linalg.lstsq(jacobian(place), -left, rcond=None)[0]
+        aim = np.clip(place + step, *bounds)
         after = residual(aim)
         if not after @ after < left @ left:
             break
-        found, left = aim, after
-    return found
+        place, left = aim, after
+    return place
 
 
 def chance_of_gain(before: NDArray[np.float64], after: NDArray[np.float64], parameters: int, added: int) -> float:

@@ -137,7 +137,7 @@ class HoldsSoFar:
         """
         shape = self._frames.shape
         time, value, stderr = (
-            np.broadcast_to(np.asarray(one, dtype=np.float64), shape) for one in (time_s, values, noise)
+            np.broadcast_to(np.asarray(number, dtype=np.float64), shape) for number in (time_s, values, noise)
         )
         if not (np.isfinite(time).all() and np.isfinite(value).all() and np.isfinite(stderr).all()):
             raise NumericsError("a frame holds a time, a value or a noise that is not a finite number")
@@ -172,7 +172,7 @@ class HoldsSoFar:
             return self._of_holds(at_s)
         shape = self._frames.shape
         change, stderr = (
-            np.broadcast_to(np.asarray(one, dtype=np.float64), shape) for one in (released, released_stderr)
+            np.broadcast_to(np.asarray(number, dtype=np.float64), shape) for number in (released, released_stderr)
         )
         if not (np.isfinite(change).all() and np.isfinite(stderr).all()):
             raise NumericsError("a released change or its standard error is not a finite number")
@@ -232,7 +232,7 @@ class HoldsSoFar:
 
     def _predicted(self, unknown: Array, known: Array, wanted: Array) -> SteadyPrediction:
         """Predict the rows that are wanted, with so much of the transient known."""
-        root, found, left = self._regressed(unknown, known)
+        root, solution, left = self._regressed(unknown, known)
         along = (wanted[:, None, :] @ unknown)[:, 0]
         parts = (along[:, None, :] @ root)[:, 0]
         errors = (root @ parts[:, :, None])[:, :, 0]
@@ -243,7 +243,7 @@ class HoldsSoFar:
         share = np.clip(of_scatter / variance, 1e-6, 1.0)
         spare = self._frames - 1
         return SteadyPrediction(
-            (along * found).sum(axis=1) + known * wanted[:, 1],
+            (along * solution).sum(axis=1) + known * wanted[:, 1],
             np.sqrt(variance),
             self._kernel.scatter_freedom / share**2,
             np.where(spare > 0, left / np.maximum(spare, 1), 0.0),

@@ -86,9 +86,9 @@ def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
     common = _fitted(steps, traces)
     for _ in range(_PASSES):
         traces = _without_carried(steps, constants_of(common))
-        found = _fitted(steps, traces)
-        settled = _alike(common, found)
-        common = found
+        refitted = _fitted(steps, traces)
+        settled = _alike(common, refitted)
+        common = refitted
         if settled:
             break
     return separated_with(steps, common, constants_of(common))
@@ -118,9 +118,9 @@ def shifted_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, A
     """
     plain = constants_of(common)
     moved = []
-    for loading, one in common.items():
+    for loading, fit in common.items():
         count = len(plain[loading])
-        block = one.covariance[1 + count :, 1 + count :]
+        block = fit.covariance[1 + count :, 1 + count :]
         size, direction = np.linalg.eigh(block) if count else (np.zeros(0), np.zeros((0, 0)))
         for k in range(count):
             shift = np.sqrt(max(float(size[k]), 0.0)) * direction[:, k]
@@ -131,7 +131,7 @@ def shifted_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, A
 def constants_of(common: dict[bool, CommonRelaxation]) -> dict[bool, Array]:
     """Time constants of each direction, none where it is not there [s]."""
     nothing: dict[bool, Array] = {True: np.zeros(0), False: np.zeros(0)}
-    return nothing | {loading: np.array(one.fit.time_constants_s) for loading, one in common.items()}
+    return nothing | {loading: np.array(fit.fit.time_constants_s) for loading, fit in common.items()}
 
 
 def _fitted(steps: Sequence[StepTrace], traces: Sequence[TimedValues]) -> dict[bool, CommonRelaxation]:
@@ -185,9 +185,9 @@ def fit_step(trace: TimedValues, constants_s: Array) -> tuple[Array, float]:
 
 
 def _alike(before: dict[bool, CommonRelaxation], after: dict[bool, CommonRelaxation]) -> bool:
-    one, other = constants_of(before), constants_of(after)
+    earlier, other = constants_of(before), constants_of(after)
     return all(
-        len(one[way]) == len(other[way]) and np.allclose(one[way], other[way], rtol=_CONVERGED)
+        len(earlier[way]) == len(other[way]) and np.allclose(earlier[way], other[way], rtol=_CONVERGED)
         for way in (True, False)
     )
 
@@ -286,12 +286,14 @@ def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) ->
     constants = {way: next((c for c in (known[way], known[not way]) if len(c)), unseen) for way in (True, False)}
     plain = separated_with(steps, separated.common, constants)
     moved = [
-        separated_with(steps, separated.common, {way: one[way] if len(known[way]) else constants[way] for way in one})
-        for one in shifted_constants(separated.common)
+        separated_with(
+            steps, separated.common, {way: near[way] if len(known[way]) else constants[way] for way in near}
+        )
+        for near in shifted_constants(separated.common)
     ]
     width = len(loops[0].held)
     own = _shaped(plain.level_stderr, len(loops), width)
-    shifts = [_shaped(one.levels - plain.levels, len(loops), width)[None] for one in moved]
+    shifts = [_shaped(near.levels - plain.levels, len(loops), width)[None] for near in moved]
     return Levels(_shaped(plain.levels, len(loops), width), np.concatenate([_apart(own), *shifts]))
 
 
@@ -313,7 +315,7 @@ def _step(trace: Trace, start_s: float, end_s: float, *, loading: bool) -> StepT
     time_s, values = trace.time_s[inside] - start_s, trace.values[inside]
     if len(time_s) > _MOST:
         parts = np.array_split(np.arange(len(time_s)), _MOST)
-        time_s, values = (np.array([one[part].mean() for part in parts]) for one in (time_s, values))
+        time_s, values = (np.array([samples[part].mean() for part in parts]) for samples in (time_s, values))
     return StepTrace(start_s, loading, time_s, values, int((time_s < FROM_S).sum()))
 
 

@@ -145,7 +145,7 @@ def learn_force(
         bend_stderr=prior,
     )
     mean, variance = response.predict(bank.places_mm)
-    fitted = _line(line, response.bend if bend is not None else (0.0, prior**2), middle, told=bend is not None)
+    fitted = _line(line, response.bend if bend is not None else (0.0, prior**2), middle, fitted=bend is not None)
     model = replace(
         even,
         log_response=mean,
@@ -186,19 +186,19 @@ def _seen(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
 def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
     """Largest share of a single load's signal, as energy, that a second head explains, beyond noise."""
     rows, noise = loads.changed()
-    found = filter_.search(rows[used])
-    second, _ = filter_.beside(rows[used], found.place_mm, found.strength)
+    matches = filter_.search(rows[used])
+    second, _ = filter_.beside(rows[used], matches.place_mm, matches.strength)
     # Noise at the best of all places is below the threshold but for one frame in thousands.
     extra = np.maximum(second - noise[used] * filter_.threshold**2, 0.0)
-    return float((extra / found.gain).max())
+    return float((extra / matches.gain).max())
 
 
 def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
     """How far loads are found from where they were pressed, beyond noise; a load out of all reach does not count."""
     rows, noise = loads.changed()
-    found = filter_.search(rows[used])
-    error = ((found.place_mm - loads.place_mm[used]) ** 2).mean(axis=1)
-    expected = found.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise[used]
+    matches = filter_.search(rows[used])
+    error = ((matches.place_mm - loads.place_mm[used]) ** 2).mean(axis=1)
+    expected = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise[used]
     return float(np.sqrt(max(float(np.median(error - expected)) / _MEDIAN, 0.0)))
 
 
@@ -226,23 +226,23 @@ def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, e
     variance = ((line.slope.stderr or 0.0) * stress) ** 2 + (line.intercept.stderr or 0.0) ** 2
     variance += 2 * stress * (line.covariance or 0.0)
     unclear = np.abs(predicted) < _CLEAR * np.sqrt(np.maximum(variance, 0.0))
-    found = []
+    reasons = []
     for number in range(len(predicted)):
         if not np.isfinite(seen.contrast[number]):
-            found.append("the place is outside what can be calibrated")
+            reasons.append("the place is outside what can be calibrated")
         elif not stress[number] > 0:
-            found.append("no force was measured")
+            reasons.append("no force was measured")
         elif predicted[number] == 0 or unclear[number]:
-            found.append(f"α σ + β = {predicted[number]:.3g} at {stress[number]:.3g} kPa is not clear of zero")
+            reasons.append(f"α σ + β = {predicted[number]:.3g} at {stress[number]:.3g} kPa is not clear of zero")
         elif seen.detectability[number] < _CLEAR:
-            found.append("the load does not stand out of the noise of the readings")
+            reasons.append("the load does not stand out of the noise of the readings")
         elif seen.contrast[number] * predicted[number] < 0:
-            found.append("the place changed the other way than the response of the material")
+            reasons.append("the place changed the other way than the response of the material")
         elif error[number] > LARGEST_ERROR:
-            found.append(f"its amplitude is known to {error[number]:.0%} only")
+            reasons.append(f"its amplitude is known to {error[number]:.0%} only")
         else:
-            found.append("")
-    return tuple(found)
+            reasons.append("")
+    return tuple(reasons)
 
 
 def _bend(line: QuasiStatic, stress: Array, predicted: Array) -> tuple[Array | None, float, float]:
@@ -258,18 +258,18 @@ def _bend(line: QuasiStatic, stress: Array, predicted: Array) -> tuple[Array | N
     return column, line.intercept.stderr or _UNKNOWN_INTERCEPT, middle
 
 
-def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, told: bool) -> QuasiStatic:
+def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, fitted: bool) -> QuasiStatic:
     """The line with another intercept, turned about the change in the middle, which the map keeps.
 
     Parameters
     ----------
     bend : change of the intercept and its variance.
-    told : whether that is what the loads said.
+    fitted : whether that is what the loads said.
     """
     change, variance = bend
     alpha, beta = line.slope.value, line.intercept.value
     by_slope, by_intercept = -alpha / middle, 1 - beta / middle
-    how = "fitted to this sensor's loads" if told else "assumed: all loads of the calibration press alike"
+    how = "fitted to this sensor's loads" if fitted else "assumed: all loads of the calibration press alike"
     return QuasiStatic(
         slope=Parameter(alpha + by_slope * change, abs(by_slope) * sqrt(variance), line.slope.source),
         intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), how),

@@ -64,9 +64,9 @@ class PressureMap:
         readings = volts(frames).reshape(-1, *issued.reference.shape)[:, self._used]
         changes = np.where(bad[:, None] != 0, 0.0, readings * factor - issued.reference[self._used])
         images = changes @ issued.reconstruction.matrix.T / issued.scale
-        found = self._stress(issued.response.sign * images)
-        found[bad != 0] = np.nan
-        return found
+        stress = self._stress(issued.response.sign * images)
+        stress[bad != 0] = np.nan
+        return stress
 
     @property
     def floor_kPa(self) -> Array:
@@ -77,8 +77,8 @@ class PressureMap:
         slope, intercept = self._line.slope.value, self._line.intercept.value
         # A response that makes pressed places conduct less has a negative line; images are signed to be positive.
         sign = np.sign(slope)
-        found: Array = (change / self.baseline_conductance - sign * intercept) / (sign * slope)
-        return found
+        stress: Array = (change / self.baseline_conductance - sign * intercept) / (sign * slope)
+        return stress
 
 
 class _Homogeneous:
@@ -97,8 +97,8 @@ class _Homogeneous:
 
     def __call__(self, places_mm: Array) -> Array:
         """At places (n, 2); beyond where a head fits, that of the nearest place where one does."""
-        found: Array = self._between(places_mm)
-        return np.where(np.isfinite(found), found, self._nearest(places_mm))
+        between: Array = self._between(places_mm)
+        return np.where(np.isfinite(between), between, self._nearest(places_mm))
 
 
 def _gains(calibration: Calibration, nodes: NDArray[np.int64], places_mm: Array) -> Array:
@@ -121,5 +121,5 @@ def _gains(calibration: Calibration, nodes: NDArray[np.int64], places_mm: Array)
 def _every(stride: int, model: ForceModel) -> NDArray[np.bool_]:
     """Which nodes (nodes,) are of a coarser lattice."""
     rows, columns = np.nonzero(model.node >= 0)
-    found: NDArray[np.bool_] = (rows % stride == 0) & (columns % stride == 0)
-    return found
+    chosen: NDArray[np.bool_] = (rows % stride == 0) & (columns % stride == 0)
+    return chosen

@@ -152,17 +152,17 @@ def _lattice(model: RoundLoadModel) -> Lattice:
     return Lattice((x - half[0] * spacing, y - half[1] * spacing), spacing, 2 * half[0] + 1, 2 * half[1] + 1)
 
 
-def _templates(readings: MergedReadings, found: _Pressed) -> tuple[Array, Array, Array, Array]:
+def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Array, Array, Array]:
     per = 2 * CONTRAST / (2 + CONTRAST)
-    by_x, by_y, _, by_square = (readings.of_model(found.readings.slope[:, k]) / per for k in range(4))
-    rows = readings.of_model(found.readings.change) / per + by_square * found.beyond_mm2[:, None]
+    by_x, by_y, _, by_square = (readings.of_model(pressed.readings.slope[:, k]) / per for k in range(4))
+    rows = readings.of_model(pressed.readings.change) / per + by_square * pressed.beyond_mm2[:, None]
     size = np.linalg.norm(rows, axis=1)
     rows, by_x, by_y, by_square = (values / size[:, None] for values in (rows, by_x, by_y, by_square))
     along = [(rows * by).sum(axis=1) for by in (by_x, by_y)]
     turn_x, turn_y = (by - rows * part[:, None] for by, part in zip((by_x, by_y), along, strict=True))
     pairs = ((turn_x, turn_x), (turn_x, turn_y), (turn_y, turn_y))
-    slopes = np.column_stack([*along, *((one * other).sum(axis=1) for one, other in pairs)])
-    return rows, np.log(size), by_square * found.square_mm2, slopes
+    slopes = np.column_stack([*along, *((slope * other).sum(axis=1) for slope, other in pairs)])
+    return rows, np.log(size), by_square * pressed.square_mm2, slopes
 
 
 def unlearned_model(bank: TemplateBank, merging: Array) -> ForceModel:

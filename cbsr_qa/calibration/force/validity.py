@@ -41,13 +41,13 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
             " in the mean"
         )
     strains = {round(load.record.load.strain, 6) for load in used}
-    one = f"all loads were pressed at one strain ({100 * strains.pop():g} %)" if len(strains) == 1 else ""
+    alike_strain = f"all loads were pressed at one strain ({100 * strains.pop():g} %)" if len(strains) == 1 else ""
     if not learned.fitted_intercept:
         lowest, highest = learned.model.stress_kPa
         alike = f"all loads pressed alike ({lowest:.3g} to {highest:.3g} kPa)"
-        yield f"{one or alike}: the intercept of the response cannot be told from the map and is assumed"
-    elif one:
-        yield one
+        yield f"{alike_strain or alike}: the intercept of the response cannot be told from the map and is assumed"
+    elif alike_strain:
+        yield alike_strain
 
 
 def prediction_words(learned: LearnedForce) -> str:

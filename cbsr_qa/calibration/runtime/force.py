@@ -185,13 +185,13 @@ def map_tables(model: ForceModel) -> Array:
     padded = np.pad(node, 1, constant_values=-1)
     row, column = np.nonzero(node >= 0)
     here = padded[row + 1, column + 1]
-    found = np.zeros((len(values), 2))
+    gradient = np.zeros((len(values), 2))
     for axis, (down, across) in enumerate(((0, 1), (1, 0))):
         ahead, behind = padded[row + 1 + down, column + 1 + across], padded[row + 1 - down, column + 1 - across]
         both = (ahead >= 0) & (behind >= 0)
         difference = values[ahead] - values[behind]
-        found[here, axis] = np.where(both, difference / (2 * model.lattice.spacing_mm), 0.0)
-    return np.column_stack([values, model.log_response_stderr, found])
+        gradient[here, axis] = np.where(both, difference / (2 * model.lattice.spacing_mm), 0.0)
+    return np.column_stack([values, model.log_response_stderr, gradient])
 
 
 def range_flags(force_N: Array, stderr_N: Array, place_mm: Array, validity: Validity) -> NDArray[np.int64]:

@@ -47,16 +47,16 @@ def surfaces_at(tables: Array, offset: Array) -> Array:
     """
     both = weights_at(offset)
     weights = both[:, 1, :, None, :, None] * both[:, 0, None, :, None, :]
-    found: Array = weights.reshape(len(offset), 4, 16) @ tables
-    return found
+    surfaces: Array = weights.reshape(len(offset), 4, 16) @ tables
+    return surfaces
 
 
 def values_at(tables: Array, offset: Array) -> Array:
     """Interpolate tables as :func:`surfaces_at`, without slopes: (n, k)."""
     value = weights_at(offset)[:, :, 0]
     weights = value[:, 1, :, None] * value[:, 0, None, :]
-    found: Array = (weights.reshape(len(offset), 1, 16) @ tables)[:, 0]
-    return found
+    interpolation: Array = (weights.reshape(len(offset), 1, 16) @ tables)[:, 0]
+    return interpolation
 
 
 def stencils(node: Indices) -> Indices:
@@ -79,7 +79,7 @@ def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
     weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(at), 1, 4)
     node = model.node[cell[:, 1, None] + _DOWN, cell[:, 0, None] + _ACROSS]
     missing = ~inside | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
-    found: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
-    found[missing] = np.nan
-    shaped: Array = found.reshape(len(at), *values.shape[1:])
+    values_there: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
+    values_there[missing] = np.nan
+    shaped: Array = values_there.reshape(len(at), *values.shape[1:])
     return shaped

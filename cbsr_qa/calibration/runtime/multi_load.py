@@ -66,22 +66,22 @@ class Heads:
         """
         groups = [[number] for number in range(len(self))]
         for other in range(len(self)):
-            for one in range(other):
-                if not self._apart(one, other, nearest_mm):
-                    mine, theirs = (next(g for g in groups if n in g) for n in (one, other))
+            for first in range(other):
+                if not self._apart(first, other, nearest_mm):
+                    mine, theirs = (next(g for g in groups if n in g) for n in (first, other))
                     if mine is not theirs:
                         mine += theirs
                         groups.remove(theirs)
         return [sorted(group) for group in groups]
 
-    def _apart(self, one: int, other: int, nearest_mm: float) -> bool:
-        deviation = np.sqrt(np.diag(self.covariance).reshape(-1, 3)[[one, other], 0])
-        if (np.abs(self.strength[[one, other]]) < _RESOLVED * deviation).any():
+    def _apart(self, first: int, other: int, nearest_mm: float) -> bool:
+        deviation = np.sqrt(np.diag(self.covariance).reshape(-1, 3)[[first, other], 0])
+        if (np.abs(self.strength[[first, other]]) < _RESOLVED * deviation).any():
             return False
-        way = self.place_mm[one] - self.place_mm[other]
+        way = self.place_mm[first] - self.place_mm[other]
         distance = float(np.hypot(*way))
         along = np.zeros(len(self.covariance))
-        along[3 * one + 1 : 3 * one + 3], along[3 * other + 1 : 3 * other + 3] = way, -way
+        along[3 * first + 1 : 3 * first + 3], along[3 * other + 1 : 3 * other + 3] = way, -way
         error = float(np.sqrt(max(float(along @ self.covariance @ along), 0.0))) / max(distance, 1e-9)
         return distance > _RESOLVED * error and distance + error > nearest_mm
 
@@ -149,16 +149,16 @@ class HeadCounter:
         -------
         None where no head explains more than noise; 0 where no further head does.
         """
-        found = self._fitted(rows, first_mm[None])
-        if found is None or found.gain < self._least:
+        heads = self._fitted(rows, first_mm[None])
+        if heads is None or heads.gain < self._least:
             return None, 0.0
         while True:
-            further = self._with_another(rows, found)
-            if further is None or further.gain - found.gain < self._least + self._misfit * found.gain:
-                return found.sorted(), 0.0
-            if len(found) >= at_most:
-                return found.sorted(), float(rows @ rows) / found.gain - 1
-            found = further
+            further = self._with_another(rows, heads)
+            if further is None or further.gain - heads.gain < self._least + self._misfit * heads.gain:
+                return heads.sorted(), 0.0
+            if len(heads) >= at_most:
+                return heads.sorted(), float(rows @ rows) / heads.gain - 1
+            heads = further
 
     def _with_another(self, rows: Array, heads: Heads) -> Heads | None:
         """The best fit with one head more, from several starts."""

@@ -169,17 +169,17 @@ class Calibration:
         counter = HeadCounter(
             finder, threshold=self.model.threshold, misfit=self.model.misfit, diameter_mm=head.diameter_mm
         )
-        found = []
+        several_forces = []
         for frame, flag in enumerate(bad.tolist()):
             if flag:
-                found.append(nothing_together(np.nan, np.nan, Flag(flag)))
+                several_forces.append(nothing_together(np.nan, np.nan, Flag(flag)))
             elif matches.gain[frame] < least and not several[frame]:
-                found.append(nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED))
+                several_forces.append(nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED))
             else:
                 most = at_most if several[frame] else 1
                 heads, further = counter.heads(rows[frame], matches.place_mm[frame], most)
-                found.append(self._together(heads, further if several[frame] else 0.0, finder, head))
-        return tuple(found)
+                several_forces.append(self._together(heads, further if several[frame] else 0.0, finder, head))
+        return tuple(several_forces)
 
     def _together(
         self, heads: Heads | None, unexplained: float, finder: TemplateFilter, head: Indenter

@@ -107,10 +107,10 @@ class TemplateFilter:
         nodes, offset = self._cells(places_mm)
         value = weights_at(offset)[:, :, 0]
         weights = (value[:, 1, :, None] * value[:, 0, None, :]).reshape(len(nodes), 16)
-        found: Array = np.einsum("nk,nkr->nr", weights, self.templates[nodes])
-        found *= np.exp(np.einsum("nk,nk->n", weights, self._tables[nodes, 0]))[:, None]
-        found[(nodes < 0).any(axis=1)] = np.nan
-        return found
+        templates: Array = np.einsum("nk,nkr->nr", weights, self.templates[nodes])
+        templates *= np.exp(np.einsum("nk,nk->n", weights, self._tables[nodes, 0]))[:, None]
+        templates[(nodes < 0).any(axis=1)] = np.nan
+        return templates
 
     def template_and_slopes(self, places_mm: Array) -> Array:
         """Changes per strength at places (n, 2) and their slopes along x and y [1/mm]: (n, 3, r).
@@ -124,12 +124,12 @@ class TemplateFilter:
         weights = np.stack(
             [(down[:, :, None] * across[:, None, :]).reshape(-1, 16) for down, across in pairs], axis=1
         )
-        found: Array = weights @ self.templates[nodes]
+        templates: Array = weights @ self.templates[nodes]
         size = (weights @ self._tables[nodes, 0][:, :, None])[:, :, 0]
-        found[:, 1:] += found[:, :1] * size[:, 1:, None]
-        found *= np.exp(size[:, 0])[:, None, None]
-        found[(nodes < 0).any(axis=1)] = np.nan
-        return found
+        templates[:, 1:] += templates[:, :1] * size[:, 1:, None]
+        templates *= np.exp(size[:, 0])[:, None, None]
+        templates[(nodes < 0).any(axis=1)] = np.nan
+        return templates
 
     def size_slope(self, places_mm: Array) -> Array:
         """Slope (n, 2) of the logarithm of a change's size at places (n, 2) [1/mm]; 0 where there is no node."""
@@ -154,7 +154,7 @@ class TemplateFilter:
         -------
         Gain (n,) as of :class:`Matches`, and strength (n,).
         """
-        gain, found = np.zeros(len(rows)), np.zeros(len(rows))
+        gain, gain_strength = np.zeros(len(rows)), np.zeros(len(rows))
         for first in range(0, len(rows), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             there = np.nan_to_num(self.template(place_mm[part]))
@@ -162,8 +162,8 @@ class TemplateFilter:
             best = np.abs(score).argmax(axis=1)
             peak = score[np.arange(len(best)), best]
             gain[part] = peak**2
-            found[part] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
-        return gain, found
+            gain_strength[part] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
+        return gain, gain_strength
 
     def _search(self, rows: Array) -> Matches:
         cell, offset = self._cell_of_best(rows @ self.bank)

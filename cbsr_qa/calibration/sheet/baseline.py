@@ -104,11 +104,11 @@ def location_baseline(location: str, x_mm: float, y_mm: float, loads: Sequence[L
     The standard error is that of the scatter between the loads, not below what the loads' own errors allow. Loads
     that say nothing are left out; why is in ``why``.
     """
-    said = [(load.value, load.stderr) for load in loads if load.value is not None and load.stderr is not None]
+    known = [(load.value, load.stderr) for load in loads if load.value is not None and load.stderr is not None]
     remarks = "; ".join(dict.fromkeys(load.why for load in loads if load.why))
-    if not said:
+    if not known:
         return BaselineConductance(location, x_mm, y_mm, None, None, 0, remarks or "no load was pressed here")
-    values, errors = np.array(said).T
+    values, errors = np.array(known).T
     own = float(np.sqrt((errors**2).sum())) / len(values)
     scatter = float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
     return BaselineConductance(
@@ -129,23 +129,23 @@ def baseline_conductance(
     places: dict[tuple[str, float, float], list[LoadBaseline]] = {}
     for load in loads:
         place = load.record.load
-        found = load_baseline(load, against_stress, noise_images, main_mask)
-        places.setdefault((place.label, place.x_mm, place.y_mm), []).append(found)
-    return tuple(location_baseline(*place, found) for place, found in places.items())
+        baseline = load_baseline(load, against_stress, noise_images, main_mask)
+        places.setdefault((place.label, place.x_mm, place.y_mm), []).append(baseline)
+    return tuple(location_baseline(*place, baseline) for place, baseline in places.items())
 
 
 def _signed_prediction(against_stress: QuasiStatic, stress_kPa: float, response: Response) -> tuple[float, str]:
     """Predicted change in the direction of the response, and why it cannot be used; empty where it can."""
     predicted, error = predicted_change(against_stress, stress_kPa)
-    said = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
+    words = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
     if predicted == 0 or abs(predicted) < _CLEAR * error:
-        return 0.0, f"{said} is not clear of zero"
+        return 0.0, f"{words} is not clear of zero"
     signed = response.sign * predicted
     if signed < 0:
         expected, decided = ("less", "more") if predicted < 0 else ("more", "less")
         return (
             0.0,
-            f"{said} makes pressed places conduct {expected}; the response of this run is that they do {decided}",
+            f"{words} makes pressed places conduct {expected}; the response of this run is that they do {decided}",
         )
     return signed, ""
 

@@ -225,7 +225,7 @@ def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict
         if round(wanted.strain, 9) == highest:
             spans[(wanted.x_mm, wanted.y_mm)].append(change)
     mean = {place: float(np.mean(changes)) for place, changes in spans.items() if np.mean(changes) > 0}
-    found = {
+    repeated = {
         strain: [
             [value / mean[place] for value in values]
             for (_, *where), values in by_place.items()
@@ -233,7 +233,7 @@ def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict
         ]
         for strain, by_place in sorted(cells.items())
     }
-    return {strain: values for strain, values in found.items() if values}
+    return {strain: values for strain, values in repeated.items() if values}
 
 
 def repeatability(loads: Sequence[LoadObservation], main_mask: float) -> Estimate:

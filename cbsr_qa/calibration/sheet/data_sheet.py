@@ -278,7 +278,7 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
     NumericsError
         If no load gave a ρ₀.
     """
-    found: dict[float, dict[tuple[str, float, float], list[tuple[float, float]]]] = defaultdict(
+    by_strain: dict[float, dict[tuple[str, float, float], list[tuple[float, float]]]] = defaultdict(
         lambda: defaultdict(list)
     )
     why = "no location was pressed at a nominal strain by itself"
@@ -298,11 +298,11 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
             why = f"{load.record.load.label} was sensed elsewhere than a head there is imaged"
             continue
         place = (load.record.load.label, *load.place_mm)
-        found[round(load.record.load.strain, 9)][place].append((baseline.value, baseline.value / gain))
-    if not found:
+        by_strain[round(load.record.load.strain, 9)][place].append((baseline.value, baseline.value / gain))
+    if not by_strain:
         raise NumericsError(f"no location gave a baseline conductance: {why}")
-    strain = max(found, key=lambda level: (len(found[level]), level))
-    return tuple(_place(place, values) for place, values in found[strain].items()), strain
+    strain = max(by_strain, key=lambda level: (len(by_strain[level]), level))
+    return tuple(_place(place, values) for place, values in by_strain[strain].items()), strain
 
 
 def _image_of_head(run: RunObservation, load: LoadObservation) -> np.ndarray:
@@ -326,5 +326,5 @@ def scatter_of_presses(places: Sequence[PlaceResponse]) -> float | None:
 
 
 def _place(place: tuple[str, float, float], values: Sequence[tuple[float, float]]) -> PlaceResponse:
-    baseline = float(np.mean([one for one, _ in values]))
+    baseline = float(np.mean([baseline_value for baseline_value, _ in values]))
     return PlaceResponse(*place, baseline, tuple(response for _, response in values))

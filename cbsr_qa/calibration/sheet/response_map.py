@@ -207,9 +207,9 @@ def learn_response(
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
     known = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
     places, which = _places(places_mm)
-    told = np.column_stack([columns, log_response])
+    columns_and_values = np.column_stack([columns, log_response])
     data = {
-        float(scatter): _together(which, told, variance + scatter**2 + _ROUNDING, np.diag(known))
+        float(scatter): _together(which, columns_and_values, variance + scatter**2 + _ROUNDING, np.diag(known))
         for scatter in _SCATTERS
     }
     families = [
@@ -237,7 +237,7 @@ def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
     return places_mm[first[order]], rank[which.ravel()]
 
 
-def _together(which: NDArray[np.intp], told: Array, variance: Array, known: Array) -> _Data:
+def _together(which: NDArray[np.intp], columns: Array, variance: Array, known: Array) -> _Data:
     """Put loads of one place together: a weighted mean each, and what is left about it, centred before it is squared.
 
     A process seen several times at a place is one seen once there with the summed weight, but for the scatter of the
@@ -245,8 +245,8 @@ def _together(which: NDArray[np.intp], told: Array, variance: Array, known: Arra
     """
     weight = 1 / variance
     total = np.bincount(which, weight)
-    means = np.column_stack([np.bincount(which, weight * column) / total for column in told.T])
-    left = (told - means[which]) * np.sqrt(weight)[:, None]
+    means = np.column_stack([np.bincount(which, weight * column) / total for column in columns.T])
+    left = (columns - means[which]) * np.sqrt(weight)[:, None]
     root_weight = np.sqrt(total)
     return _Data(root_weight, means * root_weight[:, None], left.T @ left, float(np.log(variance).sum()), known)
 
@@ -258,18 +258,20 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
     into calls.
     """
     scatter = np.array(list(data))
-    root_weight = np.array([one.root_weight for one in data.values()])
+    root_weight = np.array([group.root_weight for group in data.values()])
     weighted = root_weight[:, :, None] * alike * root_weight[:, None, :]
-    scaled = np.array([one.scaled for one in data.values()])
+    scaled = np.array([group.scaled for group in data.values()])
     # No eigenvalue below one: places that all but coincide, and loads without noise, do no harm.
     root, solved = _solved(np.eye(len(alike)) + _DEVIATIONS[:, None, None, None] ** 2 * weighted, scaled)
-    products = np.swapaxes(solved, -1, -2) @ solved + np.array([one.within for one in data.values()])
+    products = np.swapaxes(solved, -1, -2) @ solved + np.array([group.within for group in data.values()])
     known = next(iter(data.values())).known
     mean_root = np.linalg.cholesky(products[..., :-1, :-1] + known)
     pull = np.linalg.solve(mean_root, products[..., :-1, -1:])
     mean = np.linalg.solve(np.swapaxes(mean_root, -1, -2), pull)[..., 0]
     misfit = products[..., -1, -1] - (pull**2).sum(axis=(-1, -2))
-    determinants = np.array([one.log_variance for one in data.values()]) / 2 + _log_root(root) + _log_root(mean_root)
+    determinants = (
+        np.array([group.log_variance for group in data.values()]) / 2 + _log_root(root) + _log_root(mean_root)
+    )
     # The grid is even in the logarithm of the deviation: its density there has the deviation as a factor.
     prior = np.log(_DEVIATIONS) - np.log1p((_DEVIATIONS / _USUAL_DEVIATION) ** 2)
     score = -misfit / 2 - determinants + prior[:, None] - scatter / _USUAL_SCATTER
@@ -294,8 +296,8 @@ def _solved(matrices: Array, right: Array) -> tuple[Array, Array]:
 
 def _log_root(roots: Array) -> Array:
     """Logarithms of determinants of triangular matrices (..., n, n)."""
-    found: Array = np.log(np.diagonal(roots, axis1=-2, axis2=-1)).sum(axis=-1)
-    return found
+    logs: Array = np.log(np.diagonal(roots, axis1=-2, axis2=-1)).sum(axis=-1)
+    return logs
 
 
 def _variances(member: _Member) -> Array:

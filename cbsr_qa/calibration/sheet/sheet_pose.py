@@ -45,15 +45,15 @@ class SheetPose:
         x, y = nominal_mm.T
         cos, sin = np.cos(angle), np.sin(angle)
         # Number by number, unlike a product of matrices: places that are equal stay so to the last bit.
-        found: Array = np.column_stack([cos * x - sin * y, sin * x + cos * y]) + np.array(self.shift_mm)
-        return found
+        places: Array = np.column_stack([cos * x - sin * y, sin * x + cos * y]) + np.array(self.shift_mm)
+        return places
 
 
 #: A sheet that lies where it should.
 AS_PLACED: Final = SheetPose()
 
 
-def sheet_pose_of(nominal_mm: Array, found: Matches, noise: Array) -> SheetPose:
+def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPose:
     """Tell how a sheet lies from where its loads are found.
 
     Rigid least squares, weighted by what noise does to each place; a scale is not looked for, since an uneven sheet
@@ -62,7 +62,7 @@ def sheet_pose_of(nominal_mm: Array, found: Matches, noise: Array) -> SheetPose:
     Parameters
     ----------
     nominal_mm : (n, 2) where the station pressed.
-    found : of the same loads.
+    matches : of the same loads.
     noise : (n,) variance of their rows.
 
     Returns
@@ -70,13 +70,13 @@ def sheet_pose_of(nominal_mm: Array, found: Matches, noise: Array) -> SheetPose:
     A pose that moves nothing where fewer than 3 different places are known to 1.5 mm, or where it differs from none
     by less than 4 standard errors of its own, taken from how well the places agree.
     """
-    variance = found.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
-    sure = np.isfinite(found.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
+    variance = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
+    sure = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
     if len(np.unique(nominal_mm[sure], axis=0)) < _FEWEST:
         return AS_PLACED
     # Beside noise, an uneven sheet moves every place a little: no load outweighs all others.
     weight = 1 / (variance[sure] + float(np.median(variance[sure])))
-    p, q = (places[sure] @ np.array([1, 1j]) for places in (nominal_mm, found.place_mm))
+    p, q = (places[sure] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
     weight = _without_strays(p, q, weight)
     return _fitted(p, q, weight)
 

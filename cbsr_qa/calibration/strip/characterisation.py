@@ -110,7 +110,7 @@ def characterise(
     loading, unloading, stress = work.kernels()
     kept = [level.strain for level in levels if not level.why]
     lowest = lowest_clear_strain(lines["local_against_strain"].line, kept)
-    found = Characterisation(
+    material = Characterisation(
         settings=settings,
         strip=work.facts(),
         cycles=work.cycles,
@@ -132,9 +132,9 @@ def characterise(
         reduced=(),
     )
     return replace(
-        found,
-        refused=why_refused(found, disagreement, why_no_modulus),
-        reduced=(*notes, *unread, *why_reduced(found, work.why_no_stress)),
+        material,
+        refused=why_refused(material, disagreement, why_no_modulus),
+        reduced=(*notes, *unread, *why_reduced(material, work.why_no_stress)),
     )
 
 
@@ -145,7 +145,7 @@ class _Work:
         self._readings = readings
         self._specimen = specimen
         self._settings = settings
-        self._steps = [step for one in readings for step in _steps(one, specimen.strip)]
+        self._steps = [step for cycle in readings for step in _steps(cycle, specimen.strip)]
         self._separated, self.residue = separate_with_residue(self._steps)
         self._stress_common, self._stress = self._stressed()
 
@@ -157,38 +157,38 @@ class _Work:
         end_s = self._settings.end_s
         return tuple(
             CycleChange(
-                load=one.load,
-                strain=one.strain,
-                cycle=one.cycle,
+                load=cycle.load,
+                strain=cycle.strain,
+                cycle=cycle.cycle,
                 apparent=float(apparent[k]),
                 apparent_stderr=float(errors[k]) * self._specimen.strip.share,
                 local=float(local[k]),
                 local_stderr=float(errors[k]),
-                from_before=(1 + _end(one.held_s, one.held, end_s)) / (1 + float(one.before.mean())) - 1,
-                from_rested=_end(one.held_s, one.held, end_s),
+                from_before=(1 + _end(cycle.held_s, cycle.held, end_s)) / (1 + float(cycle.before.mean())) - 1,
+                from_rested=_end(cycle.held_s, cycle.held, end_s),
                 stress_kPa=self._stress[k][0],
                 stress_stderr_kPa=self._stress[k][1],
             )
-            for k, one in enumerate(self._readings)
+            for k, cycle in enumerate(self._readings)
         )
 
     @property
     def why_no_stress(self) -> tuple[str, ...]:
         """Why cycles have no stress, each reason once."""
-        return tuple(dict.fromkeys(one.stress_why for one in self._readings if one.stress_why))
+        return tuple(dict.fromkeys(cycle.stress_why for cycle in self._readings if cycle.stress_why))
 
     def lines(self, levels: Sequence[StrainLevel]) -> dict[str, FittedLine]:
         """All four lines, through the cycles of strains that are not left out."""
         used = self._used(levels)
         cycles = [self.cycles[k] for k in used]
         plain = self._changes(self._separated)
-        moved = {name: [self._changes(one) for one in sets] for name, sets in self._moved().items()}
+        moved = {name: [self._changes(moved_to) for moved_to in sets] for name, sets in self._moved().items()}
         lines = {}
         for name, values, error in (
             ("local", 0, [c.local_stderr for c in cycles]),
             ("apparent", 1, [c.apparent_stderr for c in cycles]),
         ):
-            shifted = {of: [_taken(one[values], used) for one in sets] for of, sets in moved.items()}
+            shifted = {of: [_taken(moved_to[values], used) for moved_to in sets] for of, sets in moved.items()}
             if name == "local":
                 shifted["contacts of the pins"] = [_taken(self._changes(self._separated, other=True)[0], used)]
             for against in ("strain", "stress"):
@@ -203,7 +203,7 @@ class _Work:
         cycles = [self.cycles[k] for k in self._used(levels)]
         source = self._specimen.source
         changes = ([c.from_before for c in cycles], [c.from_rested for c in cycles])
-        before, rested = (fit_line(cycles, one, [0.0] * len(one), _strain, {}, source) for one in changes)
+        before, rested = (fit_line(cycles, values, [0.0] * len(values), _strain, {}, source) for values in changes)
         return before, rested
 
     def settlings(self) -> tuple[StrainSettling, ...]:
@@ -230,9 +230,9 @@ class _Work:
 
     def facts(self) -> StripFacts:
         """The strip."""
-        one, strip = self._specimen, self._specimen.strip
+        specimen, strip = self._specimen, self._specimen.strip
         share = strip.contact_squares / strip.squares
-        return StripFacts(one.resistance_ohm, one.relative_noise, strip.squares, share, strip.share)
+        return StripFacts(specimen.resistance_ohm, specimen.relative_noise, strip.squares, share, strip.share)
 
     def _used(self, levels: Sequence[StrainLevel]) -> list[int]:
         kept = {level.strain for level in levels if not level.why}
@@ -249,17 +249,17 @@ class _Work:
         before = self._before(separated.levels)
         after_pins, before_pins = strip.apparent(levels), strip.apparent(before)
         if other:
-            levels, before = (self._specimen.other_contacts.local(one) for one in (after_pins, before_pins))
+            levels, before = (self._specimen.other_contacts.local(changes) for changes in (after_pins, before_pins))
         return levels - before, _relative(after_pins, before_pins)
 
     def _moved(self) -> dict[str, list[SeparatedSteps]]:
         """The steps separated with what else time constants and residue may be."""
         common, local = self._separated.common, changes_of(self._separated, self._steps)
         steps = without_residue(self._steps, local, self.residue)
-        moved = {"time constants": [separated_with(steps, common, one) for one in shifted_constants(common)]}
+        moved = {"time constants": [separated_with(steps, common, shifted) for shifted in shifted_constants(common)]}
         if self.residue is not None:
-            fading = [without_residue(self._steps, local, one) for one in self.residue.moved()]
-            moved["slow residue"] = [separated_with(one, common, constants_of(common)) for one in fading]
+            fading = [without_residue(self._steps, local, shifted) for shifted in self.residue.moved()]
+            moved["slow residue"] = [separated_with(shifted, common, constants_of(common)) for shifted in fading]
         return moved
 
     def _directed(self, loading: bool) -> list[DirectedTrace]:
@@ -267,47 +267,47 @@ class _Work:
         before = self._before(self._separated.levels)
         changes = changes_of(self._separated, self._steps)
         traces = []
-        for k, one in enumerate(self._readings):
+        for k, cycle in enumerate(self._readings):
             step = 2 * k + (not loading)
             time_s, values = self._separated.traces[step]
-            ramp_s = one.press_ramp_s if loading else one.release_ramp_s
+            ramp_s = cycle.press_ramp_s if loading else cycle.release_ramp_s
             size = float(changes[k]) if loading else -float(changes[k])
             amplitudes = self._separated.amplitudes[step]
-            traces.append(DirectedTrace(one.strain, (time_s, values - before[k]), size, amplitudes, ramp_s))
-        return [one for one in traces if len(one.trace[0])]
+            traces.append(DirectedTrace(cycle.strain, (time_s, values - before[k]), size, amplitudes, ramp_s))
+        return [cycle for cycle in traces if len(cycle.trace[0])]
 
     def _stressed(self) -> tuple[CommonRelaxation | None, list[tuple[float | None, float | None]]]:
         """The common relaxation of stress, and every cycle's steady stress; no head feels what is not pressed."""
-        traces = [(one.stress_s, one.stress_kPa) for one in self._readings if len(one.stress_s)]
+        traces = [(cycle.stress_s, cycle.stress_kPa) for cycle in self._readings if len(cycle.stress_s)]
         if not traces:
             return None, [(None, None)] * len(self._readings)
         common = fit_common_relaxation(traces)
         constants_s = np.array(common.fit.time_constants_s)
-        fits = [fit_step((one.stress_s, one.stress_kPa), constants_s) for one in self._readings]
-        found: list[tuple[float | None, float | None]] = [
-            (float(level[0]), stderr) if len(one.stress_s) else (None, None)
-            for one, (level, stderr) in zip(self._readings, fits, strict=True)
+        fits = [fit_step((cycle.stress_s, cycle.stress_kPa), constants_s) for cycle in self._readings]
+        stresses: list[tuple[float | None, float | None]] = [
+            (float(level[0]), stderr) if len(cycle.stress_s) else (None, None)
+            for cycle, (level, stderr) in zip(self._readings, fits, strict=True)
         ]
-        return common, found
+        return common, stresses
 
     def _directed_stress(self) -> list[DirectedTrace]:
         if self._stress_common is None:
             return []
         constants_s = np.array(self._stress_common.fit.time_constants_s)
         traces = []
-        for one, (level, _) in zip(self._readings, self._stress, strict=True):
+        for cycle, (level, _) in zip(self._readings, self._stress, strict=True):
             if level is not None:
-                amplitudes = fit_step((one.stress_s, one.stress_kPa), constants_s)[0][1:]
-                trace = (one.stress_s, one.stress_kPa)
-                traces.append(DirectedTrace(one.strain, trace, level, amplitudes, one.press_ramp_s))
+                amplitudes = fit_step((cycle.stress_s, cycle.stress_kPa), constants_s)[0][1:]
+                trace = (cycle.stress_s, cycle.stress_kPa)
+                traces.append(DirectedTrace(cycle.strain, trace, level, amplitudes, cycle.press_ramp_s))
         return traces
 
 
-def _steps(one: CycleReadings, strip: StripModel) -> tuple[StepTrace, StepTrace]:
-    rested = strip.local(one.rested)
+def _steps(cycle: CycleReadings, strip: StripModel) -> tuple[StepTrace, StepTrace]:
+    rested = strip.local(cycle.rested)
     return (
-        StepTrace(one.hold_start_s, True, one.held_s, strip.local(one.held)),
-        StepTrace(one.rest_start_s, False, one.rested_s, rested, relaxation_start(rested)),
+        StepTrace(cycle.hold_start_s, True, cycle.held_s, strip.local(cycle.held)),
+        StepTrace(cycle.rest_start_s, False, cycle.rested_s, rested, relaxation_start(rested)),
     )
 
 

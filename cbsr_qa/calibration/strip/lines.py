@@ -91,10 +91,10 @@ def decided_response(levels: Sequence[StrainLevel], declared: Response) -> tuple
             f"strains disagree in sign: {100 * first.strain:g} % changes the conductance by {first.mean:+.2g},"
             f" {100 * other.strain:g} % by {other.mean:+.2g}"
         )
-    found = Response.INCREASE if rising else Response.DECREASE
-    if declared not in (Response.AUTO, found):
-        return found, f"the cycles say {found}, the sensor type says {declared}"
-    return found, ""
+    voted = Response.INCREASE if rising else Response.DECREASE
+    if declared not in (Response.AUTO, voted):
+        return voted, f"the cycles say {voted}, the sensor type says {declared}"
+    return voted, ""
 
 
 def fit_line(
@@ -123,22 +123,22 @@ def fit_line(
         return fit_quasi_static(strains, at, [values[k] for k in used], [errors[k] for k in used])
 
     try:
-        found = fit(changes)
-        shifts = {name: [_shift(found, fit(values)) for values in sets] for name, sets in moved.items()}
+        line = fit(changes)
+        shifts = {name: [_shift(line, fit(values)) for values in sets] for name, sets in moved.items()}
     except NumericsError as error:
         return FittedLine(None, why=f"{error.reason}; {error.remedy}".removesuffix("; "))
-    covariance = found.covariance + sum((np.outer(d, d) for sets in shifts.values() for d in sets), np.zeros((2, 2)))
-    parts = [("scatter of the cycles", float(np.sqrt(found.covariance[0, 0])))]
+    covariance = line.covariance + sum((np.outer(d, d) for sets in shifts.values() for d in sets), np.zeros((2, 2)))
+    parts = [("scatter of the cycles", float(np.sqrt(line.covariance[0, 0])))]
     parts += [(name, float(np.sqrt(sum(d[0] ** 2 for d in sets)))) for name, sets in shifts.items() if sets]
-    return FittedLine(_as_line(found, covariance, source), tuple(parts))
+    return FittedLine(_as_line(line, covariance, source), tuple(parts))
 
 
-def _shift(found: QuasiStaticFit, other: QuasiStaticFit) -> Array:
-    return np.array([other.slope - found.slope, other.intercept - found.intercept])
+def _shift(line: QuasiStaticFit, other: QuasiStaticFit) -> Array:
+    return np.array([other.slope - line.slope, other.intercept - line.intercept])
 
 
-def _as_line(found: QuasiStaticFit, covariance: Array, source: str) -> QuasiStatic:
-    return replace(found, covariance=covariance).as_parameters(source)
+def _as_line(line: QuasiStaticFit, covariance: Array, source: str) -> QuasiStatic:
+    return replace(line, covariance=covariance).as_parameters(source)
 
 
 def lowest_clear_strain(line: QuasiStatic | None, strains: Sequence[float]) -> float | None:
@@ -182,50 +182,56 @@ _MULTIPLE: Final = 1.5
 _MOST_RESIDUE: Final = 0.1
 
 
-def why_refused(found: Characterisation, disagreement: str, why_no_modulus: str) -> tuple[str, ...]:
+def why_refused(material: Characterisation, disagreement: str, why_no_modulus: str) -> tuple[str, ...]:
     """Every reason why this cannot stand for the material."""
-    said = [disagreement] if disagreement else []
-    for name, line in (("strain", found.local_against_strain), ("stress", found.local_against_stress)):
+    reasons = [disagreement] if disagreement else []
+    for name, line in (("strain", material.local_against_strain), ("stress", material.local_against_stress)):
         if line.line is None:
-            said.append(f"no line against {name}: {line.why}")
-    if found.local_against_strain.line is not None and found.lowest_strain is None:
-        said.append("α ε + β is not clear of zero at any strain")
-    if found.modulus_kPa is None:
-        said.append(f"no modulus: {why_no_modulus}")
-    for name, kernel in (("loading", found.loading), ("unloading", found.unloading), ("stress", found.stress)):
+            reasons.append(f"no line against {name}: {line.why}")
+    if material.local_against_strain.line is not None and material.lowest_strain is None:
+        reasons.append("α ε + β is not clear of zero at any strain")
+    if material.modulus_kPa is None:
+        reasons.append(f"no modulus: {why_no_modulus}")
+    for name, kernel in (
+        ("loading", material.loading),
+        ("unloading", material.unloading),
+        ("stress", material.stress),
+    ):
         if kernel is None:
-            why = next((s.fit.why for s in found.settlings if s.strain is None and name in s.words), "not recorded")
-            said.append(f"no relaxation of {name}: {why}")
-    if found.residue is not None and found.residue[0].value > _MOST_RESIDUE:
-        said.append(
-            f"{100 * found.residue[0].value:.2g} % of every release outlasts its rest: holds and rests are too short"
-            " for steady levels"
+            why = next(
+                (s.fit.why for s in material.settlings if s.strain is None and name in s.words), "not recorded"
+            )
+            reasons.append(f"no relaxation of {name}: {why}")
+    if material.residue is not None and material.residue[0].value > _MOST_RESIDUE:
+        reasons.append(
+            f"{100 * material.residue[0].value:.2g} % of every release outlasts its rest: holds and rests are too"
+            " short for steady levels"
         )
-    return tuple(dict.fromkeys(said))
+    return tuple(dict.fromkeys(reasons))
 
 
-def why_reduced(found: Characterisation, why_no_stress: Sequence[str]) -> tuple[str, ...]:
+def why_reduced(material: Characterisation, why_no_stress: Sequence[str]) -> tuple[str, ...]:
     """Everything that was left out, or narrows the range of use."""
-    said = [f"left out: {level.why}" for level in found.levels if level.why]
-    said += why_no_stress
-    said += _short(found)
-    kept = [level.strain for level in found.levels if not level.why]
-    if found.lowest_strain is not None and found.lowest_strain > min(kept):
-        said.append(
-            f"α ε + β is clear of zero from {100 * found.lowest_strain:g} % strain on: below, it says nothing"
+    reasons = [f"left out: {level.why}" for level in material.levels if level.why]
+    reasons += why_no_stress
+    reasons += _short(material)
+    kept = [level.strain for level in material.levels if not level.why]
+    if material.lowest_strain is not None and material.lowest_strain > min(kept):
+        reasons.append(
+            f"α ε + β is clear of zero from {100 * material.lowest_strain:g} % strain on: below, it says nothing"
         )
-    return tuple(said)
+    return tuple(reasons)
 
 
-def _short(found: Characterisation) -> Iterator[str]:
+def _short(material: Characterisation) -> Iterator[str]:
     """Holds and rests that end before levels are settled: these are then extrapolated by the fits."""
-    for one in found.settlings:
-        if one.strain is not None or one.settling.value_s is None or not len(one.time_s):
+    for each in material.settlings:
+        if each.strain is not None or each.settling.value_s is None or not len(each.time_s):
             continue
-        window_s, needed_s = float(one.time_s[-1]), _MULTIPLE * one.settling.value_s
-        if needed_s > window_s or one.settling.censored:
-            least = "at least " if one.settling.censored else ""
+        window_s, needed_s = float(each.time_s[-1]), _MULTIPLE * each.settling.value_s
+        if needed_s > window_s or each.settling.censored:
+            least = "at least " if each.settling.censored else ""
             yield (
-                f"{'holds' if one.loading else 'rests'} of {window_s:.3g} s are shorter than {_MULTIPLE:g} settling"
-                f" times of {one.signal} ({least}{one.settling.value_s:.3g} s): steady levels are extrapolated"
+                f"{'holds' if each.loading else 'rests'} of {window_s:.3g} s are shorter than {_MULTIPLE:g} settling"
+                f" times of {each.signal} ({least}{each.settling.value_s:.3g} s): steady levels are extrapolated"
             )

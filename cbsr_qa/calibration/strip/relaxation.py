@@ -55,8 +55,8 @@ def settlings(
     """Settle the cycles of each strain by one fit, then those of all strains."""
     if not traces:
         return ()
-    strains: list[float | None] = [*sorted({one.strain for one in traces}), None]
-    groups = [(strain, [one for one in traces if strain in (None, one.strain)]) for strain in strains]
+    strains: list[float | None] = [*sorted({trace.strain for trace in traces}), None]
+    groups = [(strain, [trace for trace in traces if strain in (None, trace.strain)]) for strain in strains]
     return tuple(_settling(signal, loading, strain, members, settings) for strain, members in groups)
 
 
@@ -67,14 +67,14 @@ def _settling(
     members: Sequence[DirectedTrace],
     settings: CharacterisationSettings,
 ) -> StrainSettling:
-    traces = [one.trace for one in members]
+    traces = [member.trace for member in members]
     fitted = fit_common_relaxation(traces)
     settling, stderr_s = common_settling_time(
         fitted,
         window_s=max(window_s(time_s) for time_s, _ in traces),
         tolerance=settings.settling_tolerance,
         band=settings.settling_band,
-        loaded_change=None if loading else -float(np.mean([one.step for one in members])),
+        loaded_change=None if loading else -float(np.mean([member.step for member in members])),
         start_s=0.0 if loading else min(float(time_s[0]) for time_s, _ in traces if len(time_s)),
     )
     time_s, values = mean_trace(traces)
@@ -87,7 +87,7 @@ def mean_trace(traces: Sequence[TimedValues]) -> TimedValues:
     """Mean of traces that were sampled alike, as far as the shortest reaches. NumericsError if one is not finite."""
     shortest = min((len(values) for _, values in traces), default=0)
     times = np.array([time_s[-shortest:] for time_s, _ in traces]) if shortest else np.zeros((1, 0))
-    values = np.array([one[-shortest:] for _, one in traces]) if shortest else np.zeros((1, 0))
+    values = np.array([values_of[-shortest:] for _, values_of in traces]) if shortest else np.zeros((1, 0))
     return times.mean(axis=0), finite_numbers(values, "values of traces").mean(axis=0)
 
 
@@ -110,20 +110,20 @@ def unit_kernel(common: CommonRelaxation | None, traces: Sequence[DirectedTrace]
     errors = " and ".join(f"{stderr:.2g} s" for stderr in common.fit.time_constant_stderr_s)
     source += f"; standard errors of the time constants {errors}"
     weights = [_weight(traces, k, tau) for k, tau in enumerate(constants_s)]
-    late_s = float(np.median([one.trace[0][0] for one in traces]))
+    late_s = float(np.median([trace.trace[0][0] for trace in traces]))
     if len(weights) == 2 and late_s > _LATE * constants_s[0]:
         source += f"; a faster part, over before the first reading at {late_s:.2g} s, is left out"
         weights[0] = 0.0
     if len(weights) == 1:
-        said = f"{source}; one exponential, the first has no weight"
-        return Relaxation((0.0, weights[0]), (constants_s[0] / 10, constants_s[0]), said)
+        source_words = f"{source}; one exponential, the first has no weight"
+        return Relaxation((0.0, weights[0]), (constants_s[0] / 10, constants_s[0]), source_words)
     return Relaxation((weights[0], weights[1]), (constants_s[0], constants_s[1]), source)
 
 
 def _weight(traces: Sequence[DirectedTrace], k: int, tau_s: float) -> float:
-    expected = np.array([one.step * _ramped(one.ramp_s / tau_s) for one in traces])
-    found = np.array([one.amplitudes[k] for one in traces])
-    return float(expected @ found / max(float(expected @ expected), 1e-300))
+    expected = np.array([trace.step * _ramped(trace.ramp_s / tau_s) for trace in traces])
+    amplitudes = np.array([trace.amplitudes[k] for trace in traces])
+    return float(expected @ amplitudes / max(float(expected @ expected), 1e-300))
 
 
 def _ramped(length: float) -> float:
@@ -162,28 +162,28 @@ def strip_relaxation(
     kernels = _kernel(loading, True), _kernel(unloading, False)
     if not any(kernels):
         return None
-    strains = [one.strain for one in loading or unloading]
+    strains = [trace.strain for trace in loading or unloading]
     return StripRelaxation(*kernels, len(loading or unloading), min(strains), max(strains), source)
 
 
 def _kernel(traces: Sequence[DirectedTrace], loading: bool) -> MeasuredKernel | None:
     if not traces:
         return None
-    start_s = 0.0 if loading else float(np.median([one.trace[0][0] for one in traces]))
-    found = learn_kernel(
-        [one.trace for one in traces],
-        ramp_s=[one.ramp_s for one in traces],
-        released=None if loading else [-one.step for one in traces],
+    start_s = 0.0 if loading else float(np.median([trace.trace[0][0] for trace in traces]))
+    kernel = learn_kernel(
+        [trace.trace for trace in traces],
+        ramp_s=[trace.ramp_s for trace in traces],
+        released=None if loading else [-trace.step for trace in traces],
         start_s=start_s,
     )
-    if found.why:
+    if kernel.why:
         return None
     return MeasuredKernel(
-        weights=tuple(found.weights.tolist()),
-        time_constants_s=tuple(found.time_constants_s.tolist()),
-        covariance=tuple(tuple(row) for row in found.covariance.tolist()),
-        start_s=max(start_s, float(np.median([one.trace[0][0] for one in traces]))),
-        window_s=max(float(one.trace[0][-1]) for one in traces),
+        weights=tuple(kernel.weights.tolist()),
+        time_constants_s=tuple(kernel.time_constants_s.tolist()),
+        covariance=tuple(tuple(row) for row in kernel.covariance.tolist()),
+        start_s=max(start_s, float(np.median([trace.trace[0][0] for trace in traces]))),
+        window_s=max(float(trace.trace[0][-1]) for trace in traces),
     )
 
 
@@ -246,10 +246,10 @@ class KernelCurve:
             left = held * np.exp(-hold_s / np.exp(log_held))
             return np.concatenate([own / (1 + left.sum()), left / (1 + left.sum()), log_own, log_held])
 
-        found, jacobian = released(values), _jacobian(released, values, np.sqrt(np.diag(covariance)))
+        weights_and_logs, jacobian = released(values), _jacobian(released, values, np.sqrt(np.diag(covariance)))
         return cls(
-            found[: count + more],
-            np.exp(found[count + more :]),
+            weights_and_logs[: count + more],
+            np.exp(weights_and_logs[count + more :]),
             jacobian @ covariance @ jacobian.T,
             unloading.start_s,
             unloading.window_s,
@@ -277,12 +277,12 @@ class KernelCurve:
         if not len(outside) or outside[-1] == _STEPS - 1:
             return None
         sign = np.sign(self._at(time_s[outside[-1] : outside[-1] + 1])[0])
-        found = float(
+        settled_s = float(
             brentq(lambda at: sign * self._at(np.array([at]))[0] - tolerance, *time_s[outside[-1] : outside[-1] + 2])
         )
-        slope = float((np.exp(-found / self.time_constants_s) * self.weights / self.time_constants_s).sum())
-        stderr = float(np.sqrt(self.relative(np.array([found]))[1][0]))
-        return (found, stderr / abs(slope)) if slope and stderr else None
+        slope = float((np.exp(-settled_s / self.time_constants_s) * self.weights / self.time_constants_s).sum())
+        stderr = float(np.sqrt(self.relative(np.array([settled_s]))[1][0]))
+        return (settled_s, stderr / abs(slope)) if slope and stderr else None
 
     def _at(self, time_s: Array) -> Array:
         values: Array = np.exp(-time_s[:, None] / self.time_constants_s) @ self.weights

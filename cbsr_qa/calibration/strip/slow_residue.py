@@ -64,7 +64,7 @@ def without_residue(steps: Sequence[StepTrace], changes: Array, residue: SlowRes
     if residue is None:
         return list(steps)
     left = _left(steps, changes, residue.decay_s)
-    return [replace(step, values=step.values - residue.share * one) for step, one in zip(steps, left, strict=True)]
+    return [replace(step, values=step.values - residue.share * rest) for step, rest in zip(steps, left, strict=True)]
 
 
 def separate_with_residue(steps: Sequence[StepTrace]) -> tuple[SeparatedSteps, SlowResidue | None]:
@@ -80,15 +80,15 @@ def separate_with_residue(steps: Sequence[StepTrace]) -> tuple[SeparatedSteps, S
     steps : presses and releases by turns, beginning with a press.
     """
     separated = as_read = separate_steps(steps)
-    found: SlowResidue | None = None
+    residue: SlowResidue | None = None
     for _ in range(_ROUNDS):
         changes = changes_of(separated, steps)
-        found = _residue(steps, as_read, changes)
-        if found is None:
+        residue = _residue(steps, as_read, changes)
+        if residue is None:
             return separate_steps(steps), None
-        separated = separate_steps(without_residue(steps, changes, found))
+        separated = separate_steps(without_residue(steps, changes, residue))
         as_read = separated_with(steps, separated.common, constants_of(separated.common))
-    return separated, found
+    return separated, residue
 
 
 def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Array) -> SlowResidue | None:
@@ -99,12 +99,12 @@ def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Arr
 
     def model(log_s: float) -> Array:
         left = _left(steps, changes, float(np.exp(log_s)))
-        units = [replace(step, values=one) for step, one in zip(steps, left, strict=True)]
+        units = [replace(step, values=unit) for step, unit in zip(steps, left, strict=True)]
         return separated_with(units, separated.common, constants_of(separated.common)).levels[1::2] / errors
 
     def lost(log_s: float) -> float:
-        one = model(log_s)
-        return float(target @ target - (one @ target) ** 2 / max(float(one @ one), 1e-300))
+        unit = model(log_s)
+        return float(target @ target - (unit @ target) ** 2 / max(float(unit @ unit), 1e-300))
 
     slowest_s = max((max(c, default=0.0) for c in constants_of(separated.common).values()), default=0.0)
     length_s = steps[-1].start_s - steps[0].start_s
@@ -119,12 +119,12 @@ def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Arr
 
 
 def _kept(log_s: float, model: Callable[[float], Array], target: Array, rest: float) -> SlowResidue | None:
-    one = model(log_s)
-    share = float(one @ target) / float(one @ one)
+    unit = model(log_s)
+    share = float(unit @ target) / float(unit @ unit)
     slope = share * (model(log_s + 0.05) - model(log_s - 0.05)) / 0.1
     spare = len(target) - 2
     gain = (float(target @ target) - rest) / 2 / (rest / spare)
-    jacobian = np.column_stack([one, slope])
+    jacobian = np.column_stack([unit, slope])
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(rest / spare, 1.0)
     clear = share > _CLEAR * float(np.sqrt(covariance[0, 0])) and fisher.sf(gain, 2, spare) <= _SIGNIFICANCE
     return SlowResidue(share, float(np.exp(log_s)), np.asarray(covariance, dtype=np.float64)) if clear else None

@@ -69,6 +69,6 @@ def refused(name: str, unit: str, error: NumericsError, *, qualifier: str = "") 
     return Measurement(name, None, unit, qualifier=qualifier, how=how)
 
 
-def counted(count: int, one: str, many: str = "") -> str:
+def counted(count: int, singular: str, many: str = "") -> str:
     """Write a count with its noun: ``1 press``, ``3 presses``."""
-    return f"{count} {one if count == 1 else many or f'{one}s'}"
+    return f"{count} {singular if count == 1 else many or f'{singular}s'}"

@@ -36,18 +36,18 @@ class ReciprocityError(WithOptions):
         together = f"rms over {errors.size} pairs of readings of the reference frame"
         names = [_name(int(first), run) for first in pairs[:, 0]]
         worst = int(errors.argmax())
-        found = [
+        measured = [
             Measurement("reciprocity_error", float(np.sqrt(np.mean(errors**2))), "1", how=together),
             Measurement("reciprocity_error", float(errors[worst]), "1", qualifier="worst", how=names[worst]),
         ]
         if self.options.every:
-            found += [
+            measured += [
                 Measurement(
                     "reciprocity_error", float(error), "1", qualifier=name, how="against its reciprocal reading"
                 )
                 for name, error in zip(names, errors, strict=True)
             ]
-        return tuple(found)
+        return tuple(measured)
 
 
 def _name(reading: int, run: RunObservation) -> str:

@@ -64,12 +64,12 @@ class Repeatability:
             return (refused("repeatability", "%", error),)
         highest = max(load.record.load.strain for load in loads)
         cells = repeated_changes(loads, run.main_mask)
-        found = [_one(overall, highest, sum(map(len, cells.values())))]
+        measured = [_one(overall, highest, sum(map(len, cells.values())))]
         if len(cells) > 1:
             for strain, members in cells.items():
                 qualifier = f"{100 * strain:g} % strain"
-                found.append(_one(pooled_deviation(members), highest, len(members), qualifier))
-        return tuple(found)
+                measured.append(_one(pooled_deviation(members), highest, len(members), qualifier))
+        return tuple(measured)
 
 
 def _one(scatter: Estimate, highest: float, cells: int, qualifier: str = "") -> Measurement:
@@ -106,11 +106,11 @@ class Nonlinearity:
             mean = mean_characteristic(curves)
             if mean.stress_kPa is None:
                 raise NumericsError(f"no stress to draw the change against: {why_no_force(loads)}")
-            found = [_of(mean, scatter, line) for line in range(len(_LINES))]
+            measured = [_of(mean, scatter, line) for line in range(len(_LINES))]
         except NumericsError as error:
             return (refused("nonlinearity", "%", error),)
         each = [c for c in curves if len(c.strain) >= FEWEST_POINTS and c.stress_kPa is not None and c.span > 0]
-        return (*found, *(_of(curve, scatter, 0) for curve in each))
+        return (*measured, *(_of(curve, scatter, 0) for curve in each))
 
 
 def _of(curve: Characteristic, scatter: float | None, line: int) -> Measurement:
@@ -163,11 +163,11 @@ class Creep(WithOptions):
 
     def _one(self, kind: str, loads: tuple[LoadObservation, ...], frames: int, how: str) -> Measurement:
         try:
-            found = self._estimate(kind, loads, frames)
+            estimate = self._estimate(kind, loads, frames)
         except NumericsError as error:
             return refused("creep", "%", error, qualifier=kind)
         words = how if kind else f"conductance, the stress's own change taken out, {how}"
-        return percent("creep", found, words, qualifier=kind)
+        return percent("creep", estimate, words, qualifier=kind)
 
     def _estimate(self, kind: str, loads: tuple[LoadObservation, ...], frames: int) -> Estimate:
         if kind:
@@ -188,12 +188,12 @@ class ZeroReturn:
         """Put the rests of the commonest length together."""
         try:
             loads, rest_s = held_alike(data_sheet_loads(run), _rest_s)
-            found = zero_return(loads, frames=run.settings.steady_frames)
+            estimate = zero_return(loads, frames=run.settings.steady_frames)
         except NumericsError as error:
             return (refused("zero_return", "%", error),)
         presses = counted(len(loads), "press", "presses")
         how = f"last frames of {rest_s:g} s of rest over the last ones of the hold; {presses}"
-        return (percent("zero_return", found, how),)
+        return (percent("zero_return", estimate, how),)
 
 
 def _rest_s(load: LoadObservation) -> float:
@@ -230,24 +230,24 @@ def _measured(run: RunObservation, *, relaxed: bool) -> list[Measurement]:
     last_s = run.settings.steady_frames * run.frame_period_s
     try:
         curves = [loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
-        found = [_one_hysteresis(curves, relaxed, qualifier)]
+        measured = [_one_hysteresis(curves, relaxed, qualifier)]
     except NumericsError as error:
         return [refused("hysteresis", "%", error, qualifier=qualifier)]
     if len(curves) > 1:
-        found += [_one_hysteresis([curve], relaxed, qualifier, curve.location) for curve in curves]
-    return found
+        measured += [_one_hysteresis([curve], relaxed, qualifier, curve.location) for curve in curves]
+    return measured
 
 
 def _one_hysteresis(curves: Sequence[LoopCurve], relaxed: bool, qualifier: str, location: str = "") -> Measurement:
-    found, first = hysteresis(curves), curves[0]
-    side = "above" if found.higher else "below"
+    widest, first = hysteresis(curves), curves[0]
+    side = "above" if widest.higher else "below"
     creep = "what had not relaxed fitted and taken out" if relaxed else "creep included"
     how = (
-        f"way down {side} way up at equal stress, most at {100 * found.strain:g} % strain, of the output at"
+        f"way down {side} way up at equal stress, most at {100 * widest.strain:g} % strain, of the output at"
         f" {100 * first.strain[first.peak]:g} %; {creep}, holds of {first.hold_s:.0f} s;"
         f" {counted(sum(curve.cycles for curve in curves), 'loop')}"
     )
-    return percent("hysteresis", found.estimate, how, qualifier=qualifier, location=location)
+    return percent("hysteresis", widest.estimate, how, qualifier=qualifier, location=location)
 
 
 _NAME = "preconditioning_change"

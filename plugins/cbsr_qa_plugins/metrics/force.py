@@ -73,19 +73,19 @@ class ForceError:
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without a force model nothing has a value, and ``how`` says why."""
-        found = run_force(run)
-        if found.learned is None:
-            return tuple(_without(name, qualifier, found.why) for name, qualifier in _everything())
+        force = run_force(run)
+        if force.learned is None:
+            return tuple(_without(name, qualifier, force.why) for name, qualifier in _everything())
         return (
-            *_errors(tests_of(run, found, HELD_OUT), "", "no load was held out: every phase calibrates"),
+            *_errors(tests_of(run, force, HELD_OUT), "", "no load was held out: every phase calibrates"),
             *_errors(
-                tests_of(run, found, TRIAL_LEFT_OUT),
+                tests_of(run, force, TRIAL_LEFT_OUT),
                 f", {TRIAL_LEFT_OUT}",
                 "no place of the calibration was pressed in two trials",
             ),
-            *_map(found, found.learned),
-            *_detectable(run, found, found.learned),
-            _gauge(run, found),
+            *_map(force, force.learned),
+            *_detectable(run, force, force.learned),
+            _gauge(run, force),
         )
 
 
@@ -115,9 +115,9 @@ def _errors(tests: tuple[ForceTest, ...], after: str, none: str) -> Iterator[Mea
         yield _of("force_error_sd", qualifier, errors.deviation, how, none=not tests)
         yield _of("force_error_bias", qualifier, errors.bias, how, none=not tests)
         for name, reach, nominal in _LEVELS if not after else ():
-            said = f"{how}; ± is what chance gives an honest interval of as many"
+            words = f"{how}; ± is what chance gives an honest interval of as many"
             share = partial(errors.coverage, reach, nominal)
-            yield _of(name, qualifier, share, said, 100.0, none=not tests)
+            yield _of(name, qualifier, share, words, 100.0, none=not tests)
     flat = global_errors(tests)
     how = (
         f"{_counted(flat)}; one response for the whole sheet, the mean of the calibration's loads" if tests else none
@@ -133,10 +133,10 @@ def _counted(errors: ForceErrors) -> str:
     return f"{len(errors.tests)} loads of {', '.join(phases) or 'no phase'}{missed}{over}"
 
 
-def _map(found: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
-    radius_mm = calibrated_radius_mm(found)
+def _map(force: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
+    radius_mm = calibrated_radius_mm(force)
     quality = map_quality(learned, radius_mm)
-    used = [load for load, why in zip(found.used, learned.refused, strict=True) if not why]
+    used = [load for load, why in zip(force.used, learned.refused, strict=True) if not why]
     places = len(np.unique(places_mm(used), axis=0))
     how = f"within {radius_mm:.1f} mm of the centre, from {len(used)} loads at {places} places"
     # As of one value a place; of one place nothing is known.
@@ -148,24 +148,24 @@ def _map(found: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
     yield Measurement("response_uncertainty", 100 * quality.rms_error, "%", how=f"root mean square {how}; {where}")
 
 
-def _detectable(run: RunObservation, found: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
+def _detectable(run: RunObservation, force: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
     name = "minimum_detectable_force"
-    quality = map_quality(learned, calibrated_radius_mm(found))
+    quality = map_quality(learned, calibrated_radius_mm(force))
     try:
         forces = detectable_forces(learned, run.record.indenter, np.vstack([[0.0, 0.0], quality.places_mm]))
     except CbsrError as error:
         yield from (_without(name, qualifier, error.reason) for qualifier in (CENTRE, WORST))
         return
-    for qualifier, least in ((CENTRE, forces[0]), (WORST, max(forces, key=lambda one: one.force_N))):
+    for qualifier, least in ((CENTRE, forces[0]), (WORST, max(forces, key=lambda limit: limit.force_N))):
         x_mm, y_mm = least.place_mm
         how = f"one frame at ({x_mm:.0f}, {y_mm:.0f}) mm, at {learned.model.threshold:.2g} times its noise"
         how = f"{how}: found in half of all frames, noise in one of 10 000".replace("-", "−")
         yield Measurement(name, least.force_N, "N", least.stderr_N or None, qualifier=qualifier, how=how)
 
 
-def _gauge(run: RunObservation, found: RunForce) -> Measurement:
+def _gauge(run: RunObservation, force: RunForce) -> Measurement:
     try:
-        value, share = gauge_factor(run, found)
+        value, share = gauge_factor(run, force)
     except CbsrError as error:
         return _without("gauge_factor", SHEET, error.reason)
     how = (
@@ -229,10 +229,10 @@ class CalibrationCheck(WithOptions):
         try:
             given = self.options.calibration
             path = Path(given) if given else _latest(run.record.identity.sensor.serial)
-            found = verify_calibration(run, Calibration(read_contained(path)))
+            verification = verify_calibration(run, Calibration(read_contained(path)))
         except CbsrError as error:
             return tuple(Measurement(name, None, unit, how=error.reason) for name, unit in self.measures.items())
-        return _measurements(found, f"against {path.name}")
+        return _measurements(verification, f"against {path.name}")
 
 
 def _latest(serial: str) -> Path:

@@ -31,11 +31,11 @@ class GreitFiguresOfMerit:
         """Measure; an image without a positive element has no figures."""
         expected = _expected(load, run)
         image = Image(load.image.mesh, load.response.sign * load.image.values)
-        found = greit_figures(image, load.pressed, contrast=expected if expected > 0 else None)
+        figures = greit_figures(image, load.pressed, contrast=expected if expected > 0 else None)
         return tuple(
-            at_load(load, name, value, unit, how=_how(name, found, expected))
+            at_load(load, name, value, unit, how=_how(name, figures, expected))
             for (name, unit), value in zip(
-                self.measures.items(), (None,) * len(_NAMES) if found is None else astuple(found), strict=True
+                self.measures.items(), (None,) * len(_NAMES) if figures is None else astuple(figures), strict=True
             )
         )
 
@@ -46,12 +46,12 @@ def _expected(load: LoadObservation, run: RunObservation) -> float:
     return abs(known.slope.value * load.record.load.strain + known.intercept.value)
 
 
-def _how(name: str, found: GreitFigures | None, expected: float) -> str:
-    if found is None:
+def _how(name: str, figures: GreitFigures | None, expected: float) -> str:
+    if figures is None:
         return "not detected: no element of the image has the sign of the response"
     if name == "amplitude_response":
         return f"against {100 * expected:.3g} % over the head's area" if expected > 0 else "no change is expected"
-    if name == "ringing" and found.ringing is None:
+    if name == "ringing" and figures.ringing is None:
         return "the image's quarter amplitude set has nothing at its centre"
     return "of the set above a quarter of the maximum"
 
@@ -109,23 +109,23 @@ class TwoTouchResolution:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure both ways."""
         mask = min(run.main_mask, _HIGHEST)
-        found = (
+        ways = (
             ("", f"contours at {100 * mask:g} %", mask),
             ("watershed", "valleys 5 % deep under the 25 % mask", None),
         )
         return tuple(
             _measurement(two_touch_resolution(run.reconstruction, run.record.indenter, mask=fraction), qualifier, how)
-            for qualifier, how, fraction in found
+            for qualifier, how, fraction in ways
         )
 
 
-def _measurement(found: TwoTouch, qualifier: str, how: str) -> Measurement:
-    name, words = "two_touch_resolution", f"{how}; steps of {found.step_mm:g} mm up to {found.tried_mm:g} mm"
-    if found.separation_mm is None:
+def _measurement(touch: TwoTouch, qualifier: str, how: str) -> Measurement:
+    name, words = "two_touch_resolution", f"{how}; steps of {touch.step_mm:g} mm up to {touch.tried_mm:g} mm"
+    if touch.separation_mm is None:
         return Measurement(
-            name, found.tried_mm, "mm", qualifier=qualifier, how=f"{words}: never two", bound=Bound.LOWER
+            name, touch.tried_mm, "mm", qualifier=qualifier, how=f"{words}: never two", bound=Bound.LOWER
         )
-    return Measurement(name, found.separation_mm, "mm", qualifier=qualifier, how=words)
+    return Measurement(name, touch.separation_mm, "mm", qualifier=qualifier, how=words)
 
 
 _HOW = "centre of mass, less what all places share"
@@ -150,15 +150,15 @@ class RegistrationOfPlaces:
         seen = [(load, place) for load in loads if (place := _seen(load, run))]
         nominal = np.array([load.place_mm for load, _ in seen]).reshape(-1, 2)
         try:
-            found = register(nominal, np.array([place for _, place in seen]).reshape(-1, 2))
+            registration = register(nominal, np.array([place for _, place in seen]).reshape(-1, 2))
         except NumericsError as error:
             why = f"not registered: {error.reason}"
             names = _WHOLE if loads else self.measures  # what nothing is left of is still a number that is lacking
             none = tuple(Measurement(name, None, unit, how=why) for name, unit in names.items())
             return (*none, *(_left(load, None, why) for load in loads))
-        errors = {id(load): float(error) for (load, _), error in zip(seen, found.errors_mm, strict=True)}
+        errors = {id(load): float(error) for (load, _), error in zip(seen, registration.errors_mm, strict=True)}
         each = (_left(load, errors.get(id(load)), _HOW if id(load) in errors else "not detected") for load in loads)
-        return (*_whole(found, len(seen)), *each)
+        return (*_whole(registration, len(seen)), *each)
 
 
 def _seen(load: LoadObservation, run: RunObservation) -> tuple[float, float] | None:
@@ -169,13 +169,13 @@ def _seen(load: LoadObservation, run: RunObservation) -> tuple[float, float] | N
     return float(x_mm), float(y_mm)
 
 
-def _whole(found: Registration, count: int) -> tuple[Measurement, ...]:
-    x_mm, y_mm = found.shift_mm
+def _whole(registration: Registration, count: int) -> tuple[Measurement, ...]:
+    x_mm, y_mm = registration.shift_mm
     how = f"of {count} presses; the origin is seen at ({x_mm:.2f}, {y_mm:.2f}) mm"
     values = (
-        (float(np.hypot(x_mm, y_mm)), found.shift_stderr_mm),
-        (found.rotation_deg, found.rotation_stderr_deg),
-        (found.scale, found.scale_stderr),
+        (float(np.hypot(x_mm, y_mm)), registration.shift_stderr_mm),
+        (registration.rotation_deg, registration.rotation_stderr_deg),
+        (registration.scale, registration.scale_stderr),
     )
     return tuple(
         Measurement(name, value, unit, uncertainty=stderr, how=how)
@@ -200,23 +200,23 @@ class SizeResponseMetric:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; where no target fits the sheet there is no value."""
         try:
-            found = size_response_of(run)
+            sizes = size_response_of(run)
         except NumericsError as error:
             return (Measurement("size_response", None, "1", how=error.reason),)
         measured = []
-        for one in found:
+        for size in sizes:
             measured.append(
-                Measurement("size_response", one.slope, "1", qualifier=one.place, how=_how_size_response(one, run))
+                Measurement("size_response", size.slope, "1", qualifier=size.place, how=_how_size_response(size, run))
             )
-            for diameter, area in zip(one.diameters_mm, one.areas_mm2, strict=True):
-                qualifier = f"{one.place}, target of {diameter:.3g} mm"
+            for diameter, area in zip(size.diameters_mm, size.areas_mm2, strict=True):
+                qualifier = f"{size.place}, target of {diameter:.3g} mm"
                 why = "" if area is not None else "not detected: the target leaves no region"
                 measured.append(Measurement("region_area", area, "mm²", qualifier=qualifier, how=why))
         return tuple(measured)
 
 
-def _how_size_response(found: SizeResponse, run: RunObservation) -> str:
-    if found.slope is None:
+def _how_size_response(size: SizeResponse, run: RunObservation) -> str:
+    if size.slope is None:
         return "not detected: targets leave no region"
-    flat = "flat: targets of every size leave nearly the same region; " if found.flat else ""
+    flat = "flat: targets of every size leave nearly the same region; " if size.flat else ""
     return f"{flat}mask {100 * run.main_mask:g} %, linearised model without noise"

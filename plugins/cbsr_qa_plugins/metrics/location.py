@@ -124,13 +124,13 @@ class LoadEstimates:
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; loads held together with others are not estimated."""
         chosen = run.settings.reference
-        own = any(load is one for one in run.loads)  # else it is a load's alternate, against the other reference
+        own = any(load is mine for mine in run.loads)  # else it is a load's alternate, against the other reference
         other = "load" if chosen == "run" else "run"
-        found = estimated_loads(run, chosen if own else other)[(load.phase, load.record.index)]
-        placed = found.indenter or found.size
+        estimate = estimated_loads(run, chosen if own else other)[(load.phase, load.record.index)]
+        placed = estimate.indenter or estimate.size
         if placed is None:
-            return tuple(at_load(load, name, None, unit, how=found.why) for name, unit in self.measures.items())
-        return (_place_error(load, placed), *_strength(load, found, placed), _seen(load, placed))
+            return tuple(at_load(load, name, None, unit, how=estimate.why) for name, unit in self.measures.items())
+        return (_place_error(load, placed), *_strength(load, estimate, placed), _seen(load, placed))
 
 
 def _place_error(load: LoadObservation, placed: LoadEstimate) -> Measurement:
@@ -145,8 +145,8 @@ def _place_error(load: LoadObservation, placed: LoadEstimate) -> Measurement:
     return at_load(load, name, error, unit, uncertainty=placed.place_stderr_mm, how=how)
 
 
-def _strength(load: LoadObservation, found: EstimatedLoad, placed: LoadEstimate) -> tuple[Measurement, ...]:
-    size = found.size or placed
+def _strength(load: LoadObservation, estimate: EstimatedLoad, placed: LoadEstimate) -> tuple[Measurement, ...]:
+    size = estimate.size or placed
     no_contrast = placed.why or "the head is not round: only area × contrast is estimated"
     return (
         _estimated(load, "estimated_contrast", "1", placed.contrast, "indenter's radius given", no_contrast),
@@ -159,11 +159,11 @@ def _strength(load: LoadObservation, found: EstimatedLoad, placed: LoadEstimate)
 
 
 def _estimated(
-    load: LoadObservation, name: str, unit: str, found: Estimated | None, how: str, why: str
+    load: LoadObservation, name: str, unit: str, estimate: Estimated | None, how: str, why: str
 ) -> Measurement:
-    if found is None:
+    if estimate is None:
         return at_load(load, name, None, unit, how=why)
-    return at_load(load, name, found.value, unit, uncertainty=found.stderr, how=how)
+    return at_load(load, name, estimate.value, unit, uncertainty=estimate.stderr, how=how)
 
 
 def _seen(load: LoadObservation, placed: LoadEstimate) -> Measurement:

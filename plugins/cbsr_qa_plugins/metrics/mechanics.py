@@ -73,13 +73,13 @@ class ApparentModulus:
             why_not = NumericsError(f"nothing to divide by the strain: {why_no_force(data_sheet_loads(run))}")
             return (refused(_NAME, _UNIT, why_not),)
         ratios = {place: _ratio(points) for place, points in places.items()}
-        slopes = {place: found for place, points in places.items() if (found := _slope(points)) is not None}
+        slopes = {place: mean for place, points in places.items() if (mean := _slope(points)) is not None}
         each = [
-            _one(found, counted(len(places[place]), "press", "presses"), "", place) for place, found in ratios.items()
+            _one(mean, counted(len(places[place]), "press", "presses"), "", place) for place, mean in ratios.items()
         ]
         each += [
-            _one(found, counted(len(places[place]), "press", "presses"), _SLOPE, place)
-            for place, found in slopes.items()
+            _one(mean, counted(len(places[place]), "press", "presses"), _SLOPE, place)
+            for place, mean in slopes.items()
         ]
         whole = _one(_mean(ratios), _spread(ratios), "")
         if not slopes:
@@ -108,7 +108,7 @@ def _slope(points: Sequence[tuple[float, float]]) -> Estimate | None:
 
 
 def _mean(places: dict[str, Estimate]) -> Estimate:
-    return _mean_of(np.array([found.value for found in places.values()]))
+    return _mean_of(np.array([estimate.value for estimate in places.values()]))
 
 
 def _mean_of(values: np.ndarray) -> Estimate:
@@ -118,19 +118,19 @@ def _mean_of(values: np.ndarray) -> Estimate:
 
 
 def _spread(places: dict[str, Estimate]) -> str:
-    values = [found.value for found in places.values()]
+    values = [estimate.value for estimate in places.values()]
     if len(values) < 2:
         return "one location"
     return f"{len(values)} locations, standard deviation between them {np.std(values, ddof=1):.3g} kPa"
 
 
-def _one(found: Estimate, how: str, qualifier: str, location: str = "") -> Measurement:
+def _one(estimate: Estimate, how: str, qualifier: str, location: str = "") -> Measurement:
     words = "slope of relaxed stress against strain" if qualifier else "relaxed stress over nominal strain"
     return Measurement(
         _NAME,
-        found.value,
+        estimate.value,
         _UNIT,
-        uncertainty=found.stderr,
+        uncertainty=estimate.stderr,
         location=location,
         qualifier=qualifier,
         how=f"{words}; {how}",

@@ -108,16 +108,16 @@ def _one_exponential(members: list[RelaxationObservation]) -> bool:
 
 
 def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Measurement:
-    told = [member for member in members if len(member[1].trace.values) >= _FEWEST]
-    starts = [0 if seen.loading else relaxation_start(seen.trace.values) for _, seen in told]
-    traces = [(s.trace.time_s[start:], s.trace.values[start:]) for (_, s), start in zip(told, starts, strict=True)]
+    traced = [member for member in members if len(member[1].trace.values) >= _FEWEST]
+    starts = [0 if seen.loading else relaxation_start(seen.trace.values) for _, seen in traced]
+    traces = [(s.trace.time_s[start:], s.trace.values[start:]) for (_, s), start in zip(traced, starts, strict=True)]
     common = fit_common_relaxation(traces)
     settling, stderr_s = common_settling_time(
         common,
-        window_s=max((window_s(seen.trace.time_s) for _, seen in told), default=1.0),
+        window_s=max((window_s(seen.trace.time_s) for _, seen in traced), default=1.0),
         tolerance=run.settings.settling_tolerance,
         band=run.settings.settling_band,
-        loaded_change=_loaded_change(told),
+        loaded_change=_loaded_change(traced),
         start_s=_earliest_s(traces, starts),
     )
     how = f"{_in_words(common.fit)}; {common.traces} traces fitted together"
@@ -142,7 +142,12 @@ def _loaded_change(members: list[_Member]) -> float | None:
     """Mean change at the end of the holds of unloadings; None for loadings."""
     if not members or members[0][1].loading:
         return None
-    held = [seen for load, one in members for seen in load.relaxations if seen.loading and seen.signal == one.signal]
+    held = [
+        seen
+        for load, pressed in members
+        for seen in load.relaxations
+        if seen.loading and seen.signal == pressed.signal
+    ]
     ends = [float(np.median(seen.trace.values[-4:])) for seen in held if len(seen.trace.values)]
     return sum(ends) / len(ends) if ends else 0.0
 
@@ -211,30 +216,32 @@ _WORDS = {
 }
 
 
-def said_of_shape(one: DirectedAgreement) -> str:
+def said_of_shape(pair: DirectedAgreement) -> str:
     """Whether the curves are equivalent, and where they differ most; or why they were not compared."""
-    found = one.found
-    if found.why:
-        return _not_compared(one)
-    said = f"{_WORDS[found.shape]} {SHAPE_MARGIN:g} of the change: at most {found.shape_reach:.2g} apart"
-    return f"{said}, most at {found.at_s:.3g} s; {plural(one.loads, 'load')}"
+    agreement = pair.found
+    if agreement.why:
+        return _not_compared(pair)
+    words = f"{_WORDS[agreement.shape]} {SHAPE_MARGIN:g} of the change: at most {agreement.shape_reach:.2g} apart"
+    return f"{words}, most at {agreement.at_s:.3g} s; {plural(pair.loads, 'load')}"
 
 
-def said_of_time(one: DirectedAgreement) -> str:
+def said_of_time(pair: DirectedAgreement) -> str:
     """Whether the settling times are equivalent; or why they were not compared."""
-    found = one.found
-    if found.why:
-        return _not_compared(one)
-    if found.time_ratio is None:
+    agreement = pair.found
+    if agreement.why:
+        return _not_compared(pair)
+    if agreement.time_ratio is None:
         return "one of them has no settling time within its window"
-    return f"{_WORDS[found.time]} {TIME_MARGIN:.0%} of the settling time; {plural(one.loads, 'load')}"
+    return f"{_WORDS[agreement.time]} {TIME_MARGIN:.0%} of the settling time; {plural(pair.loads, 'load')}"
 
 
-def _not_compared(one: DirectedAgreement) -> str:
+def _not_compared(pair: DirectedAgreement) -> str:
     about = (
-        f" (the first is of the {one.first})" if "the first" in one.found.why or "the second" in one.found.why else ""
+        f" (the first is of the {pair.first})"
+        if "the first" in pair.found.why or "the second" in pair.found.why
+        else ""
     )
-    return f"not compared: {one.found.why}{about}"
+    return f"not compared: {pair.found.why}{about}"
 
 
 class BlobAndImageRelaxation:
@@ -252,16 +259,16 @@ class BlobAndImageRelaxation:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Compare loadings and unloadings."""
         taken = []
-        for one in image_against_blobs(run):
-            found, qualifier = one.found, f"image against conductance, {one.direction}"
-            shape, time = said_of_shape(one), said_of_time(one)
+        for pair in image_against_blobs(run):
+            agreement, qualifier = pair.found, f"image against conductance, {pair.direction}"
+            shape, time = said_of_shape(pair), said_of_time(pair)
             taken += [
                 Measurement(
-                    "relaxation_shape_difference", found.shape_difference, "1", found.shape_stderr,
+                    "relaxation_shape_difference", agreement.shape_difference, "1", agreement.shape_stderr,
                     qualifier=qualifier, how=shape,
                 ),
                 Measurement(
-                    "relaxation_time_ratio", found.time_ratio, "1", found.time_ratio_stderr,
+                    "relaxation_time_ratio", agreement.time_ratio, "1", agreement.time_ratio_stderr,
                     qualifier=qualifier, how=time,
                 ),
             ]  # fmt: skip
@@ -290,16 +297,16 @@ class SheetAndStripRelaxation:
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Compare loadings and unloadings."""
-        return tuple(taken for one in sheet_against_strip(run) for taken in _measured(one))
+        return tuple(taken for pair in sheet_against_strip(run) for taken in _measured(pair))
 
 
-def _measured(one: DirectedAgreement) -> Iterator[Measurement]:
-    found = one.found
-    shape, time = said_of_shape(one), said_of_time(one)
+def _measured(pair: DirectedAgreement) -> Iterator[Measurement]:
+    agreement = pair.found
+    shape, time = said_of_shape(pair), said_of_time(pair)
     for name, value, stderr, how in (
-        ("strip_relaxation_difference", found.shape_difference, found.shape_stderr, shape),
-        ("strip_relaxation_difference_bound", found.shape_reach, None, shape),
-        ("strip_relaxation_time_ratio", found.time_ratio, found.time_ratio_stderr, time),
-        ("strip_relaxation_time_bound", found.time_reach, None, time),
+        ("strip_relaxation_difference", agreement.shape_difference, agreement.shape_stderr, shape),
+        ("strip_relaxation_difference_bound", agreement.shape_reach, None, shape),
+        ("strip_relaxation_time_ratio", agreement.time_ratio, agreement.time_ratio_stderr, time),
+        ("strip_relaxation_time_bound", agreement.time_reach, None, time),
     ):
-        yield Measurement(name, value, "1", stderr, qualifier=one.direction, how=how)
+        yield Measurement(name, value, "1", stderr, qualifier=pair.direction, how=how)
