@@ -1,5 +1,10 @@
-from .evaluate import Conclusion as Conclusion, calibrated as calibrated, conclude as conclude
-from .measure import ask as ask, judge as judge
+from .evaluate import (
+    Conclusion as Conclusion,
+    ask as ask,
+    calibrated as calibrated,
+    conclude as conclude,
+    judge as judge,
+)
 from .recording_files import (
     FORMAT as FORMAT,
     SIGNATURE as SIGNATURE,

@@ -1,20 +1,31 @@
-"""Evaluation of a stored run: observations, judged measurements, verdict, calibration."""
+"""Evaluation of a stored run: observations, judged measurements, verdict, calibration.
 
-from dataclasses import dataclass
+What a metric answers is looked at where it is asked: nothing else can be stored, judged and shown.
+"""
 
-from cbsr_qa.analysis.measure import judge, measure_run
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import islice
+from numbers import Integral, Real
+from typing import Any, Final
+
 from cbsr_qa.analysis.run import observe_run, run_force
 from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.calibration import issue_calibration
-from cbsr_qa.domain import CalibrationError, CbsrError, NumericsError
+from cbsr_qa.domain import CalibrationError, CbsrError, NumericsError, PluginError, with_type
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.results import (
+    SEVERITY,
+    Bound,
     Calibration,
     Characterisation,
     CharacterisationSettings,
     EndReason,
     Limit,
+    LoadObservation,
     Measurement,
     Outcome,
     RunObservation,
@@ -22,8 +33,17 @@ from cbsr_qa.domain.results import (
     decide,
 )
 from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.plugin import Kind, Plugins, failure, made
+from cbsr_qa.plugin import Kind, LoadMetric, Plugins, RunMetric, failure, made
 from cbsr_qa.system import Stages
+
+#: More measurements of one question are refused: a generator may have no end.
+MOST_ANSWERS: Final = 10_000
+#: Longest text of a measurement [characters].
+LONGEST_TEXT: Final = 2_000
+#: Control characters, which databases and pages do not take, and halves of characters.
+_UNWRITABLE: Final = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
+#: Largest whole number that every database takes.
+_LARGEST: Final = 2**31 - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,3 +175,180 @@ def _overlap_threshold(recipe: Recipe) -> float:
 
 def _measured(conclusion: Conclusion, name: str) -> float | None:
     return next((m.value for m in conclusion.measurements if m.name == name and m.value is not None), None)
+
+
+def answered(answer: Iterable[Measurement]) -> list[Measurement]:
+    """Validate a metric's answer as plain measurements.
+
+    Numpy's numbers, and whole ones, become floats; fields that were set after construction are looked at too.
+
+    Raises
+    ------
+    PluginError
+        Naming measurement, field, what was found and what is allowed. What the metric's own code raises passes.
+    """
+    if isinstance(answer, Measurement) or not isinstance(answer, Iterable):
+        raise PluginError(f"it returned {with_type(answer)}; it must return a tuple of Measurement")
+    taken = list(islice(answer, MOST_ANSWERS + 1))
+    if len(taken) > MOST_ANSWERS:
+        raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
+    return [_checked(number, measurement) for number, measurement in enumerate(taken, start=1)]
+
+
+def _checked(number: int, measurement: object) -> Measurement:
+    if type(measurement) is not Measurement:
+        raise PluginError(f"measurement {number} is {with_type(measurement)}; it must be a Measurement")
+    plain: dict[str, Any] = {}
+    for name in (field.name for field in fields(Measurement)):
+        value = getattr(measurement, name, None)
+        check, allowed = _FIELDS[name]
+        plain[name] = check(value)
+        if plain[name] is _WRONG:
+            raise PluginError(f"measurement {number}: {name} is {with_type(value)}; it must be {allowed}")
+    return replace(measurement, **plain)
+
+
+#: What a check returns for a value that is not allowed.
+_WRONG: Final = object()
+
+
+def _number(value: object) -> object:
+    # Not bool: a metric that answers True has compared something, and says no quantity.
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return _WRONG
+    try:
+        number = float(value)
+        exact = number == value
+    except (OverflowError, ValueError, TypeError):
+        return _WRONG
+    return number if exact and math.isfinite(number) else _WRONG
+
+
+def _whole(value: object) -> object:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, Integral) or not 0 <= int(value) <= _LARGEST:
+        return _WRONG
+    return int(value)
+
+
+def _text(value: object) -> object:
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT or _UNWRITABLE.search(value):
+        return _WRONG
+    return str.__str__(value)  # plain also where it is numpy's or an enumeration's
+
+
+def _named(value: object) -> object:
+    return _text(value) if value else _WRONG
+
+
+def _bound(value: object) -> object:
+    return value if isinstance(value, Bound) else _WRONG
+
+
+def _unset(value: object) -> Callable[[object], object]:
+    return lambda field_value: value if field_value is value else _WRONG
+
+
+_TEXT: Final = (_text, f"text of at most {LONGEST_TEXT} characters without control characters")
+_NAMED: Final = (_named, f"text of 1 to {LONGEST_TEXT} characters without control characters")
+_NUMBER: Final = (_number, "a finite real number that a float holds exactly, or None")
+_WHOLE: Final = (_whole, f"a whole number from 0 to {_LARGEST}, or None")
+
+#: Field → what makes it plain, and what is allowed in words.
+_FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {
+    **dict.fromkeys(("name", "unit"), _NAMED),
+    **dict.fromkeys(("phase", "location", "qualifier", "how"), _TEXT),
+    **dict.fromkeys(("value", "uncertainty", "strain"), _NUMBER),
+    **dict.fromkeys(("trial", "load"), _WHOLE),
+    "bound": (_bound, "a Bound"),
+    "limit": (_unset(None), "None: the recipe's limits judge"),
+    "outcome": (_unset(Outcome.NOT_JUDGED), "NOT_JUDGED: the recipe's limits judge"),
+}
+
+
+def measure_run(
+    observation: RunObservation, metrics: Mapping[str, LoadMetric | RunMetric]
+) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
+    """Call every metric.
+
+    Parameters
+    ----------
+    metrics : plugin name → object, in the recipe's order.
+
+    Returns
+    -------
+    The measurements in that order, and a warning for every metric that failed: one that raises, or answers with what
+    is no measurement, takes nothing else down, and a limit on it then finds nothing measured.
+    """
+    taken: list[Measurement] = []
+    warnings: list[str] = []
+    for name, metric in metrics.items():
+        try:
+            taken += ask(metric, observation)
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            warnings.append(f"metric {name} failed and measured nothing: {failure(error)}")
+    return tuple(taken), tuple(warnings)
+
+
+def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
+    """Judge measurements by limits; if several limits match one measurement, the strictest outcome counts.
+
+    Returns
+    -------
+    Every measurement, judged where a limit fits, and one without value for each limit that found nothing to judge,
+    or only in another unit: a limit in µm says nothing about millimetres, and the run is kept all the same.
+    """
+    judged = list(measurements)
+    for limit in limits:
+        fitting = [number for number, measurement in enumerate(judged) if _fits(limit, measurement)]
+        same_unit = [number for number in fitting if judged[number].unit == limit.unit]
+        for number in same_unit:
+            judged[number] = _stricter(judged[number], judged[number].judged(limit))
+        if not fitting:
+            judged.append(_unmeasured(limit, "no metric of this recipe measures it: enable one, or remove the limit"))
+        elif not same_unit:
+            unit = judged[fitting[0]].unit
+            judged.append(_unmeasured(limit, f"the limit is in {limit.unit}, the measurement in {unit}"))
+    return tuple(judged)
+
+
+def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
+    """Call one metric for every load and the whole run; errors as of :func:`answered` and the metric's own."""
+    taken: list[Measurement] = []
+    if isinstance(metric, LoadMetric):
+        for load in observation.loads:
+            taken += answered(metric.measure_load(load, observation))
+            if load.alternate is not None:
+                taken += _other_reference(metric, load.alternate, observation)
+    if isinstance(metric, RunMetric):
+        taken += answered(metric.measure_run(observation))
+    return taken
+
+
+def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
+    """Measure a load against the reference that the recipe did not choose; reported, never judged."""
+    other = "before the press" if run.settings.reference == "run" else "unloaded run"
+    return [
+        replace(m, qualifier=f"{m.qualifier}, reference {other}".removeprefix(", "))
+        for m in answered(metric.measure_load(load, run))
+    ]
+
+
+def _fits(limit: Limit, measurement: Measurement) -> bool:
+    return (
+        limit.measurement == measurement.name
+        and limit.phase in ("", measurement.phase)
+        and limit.qualifier == measurement.qualifier
+    )
+
+
+def _stricter(before: Measurement, after: Measurement) -> Measurement:
+    return before if SEVERITY.index(before.outcome) < SEVERITY.index(after.outcome) else after
+
+
+def _unmeasured(limit: Limit, why: str) -> Measurement:
+    nothing = Measurement(limit.measurement, None, limit.unit, phase=limit.phase, qualifier=limit.qualifier, how=why)
+    return nothing.judged(limit)

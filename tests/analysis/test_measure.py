@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given, strategies as st
 
-from cbsr_qa.analysis.measure import judge, measure_run
+from cbsr_qa.analysis.evaluate import judge, measure_run
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, decide, explained
 

@@ -5,7 +5,7 @@ a row and a weight for every reading, since every reading belongs to one row. Le
 how templates grow with the head: the firmware is for the head that calibrated.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -52,14 +52,14 @@ class Loss:
 
     Parameters
     ----------
-    places : how many were tried; ``lost`` of them have no coarse nodes about them.
-    rms, worst : over the others, the place known.
+    places : how many were tried; ``places_lost`` of them have no coarse nodes about them.
+    relative_force_error_rms, relative_force_error_worst : over the others, the place known.
     """
 
     places: int
-    lost: int
-    rms: float
-    worst: float
+    places_lost: int
+    relative_force_error_rms: float
+    relative_force_error_worst: float
 
 
 def firmware_document(calibration: Calibration, *, stride: int | None = None) -> dict[str, Any]:
@@ -96,12 +96,7 @@ def firmware_document(calibration: Calibration, *, stride: int | None = None) ->
         "formula": FORMULA,
         "flags": {flag.name: flag.value for flag in Flag},
         "lattice_stride": chosen,
-        "loss": {
-            "places": loss.places,
-            "places_lost": loss.lost,
-            "relative_force_error_rms": loss.rms,
-            "relative_force_error_worst": loss.worst,
-        },
+        "loss": asdict(loss),
         "datasets": everything,
     }
 
@@ -161,7 +156,7 @@ def _chosen(calibration: Calibration, stride: int | None) -> tuple[int, ForceMod
         if not (thin.node >= 0).any():
             continue
         loss = lost_by(calibration, thin)
-        if stride is not None or (loss.lost == 0 and loss.worst <= _WORST):
+        if stride is not None or (loss.places_lost == 0 and loss.relative_force_error_worst <= _WORST):
             return each, thin, loss
     if stride is not None:
         raise CalibrationError(f"a stride of {stride} leaves no place on the sheet")

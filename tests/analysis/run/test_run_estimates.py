@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_runs import HEAD, simulated_run
 
-from cbsr_qa.analysis.measure import measure_run
+from cbsr_qa.analysis.evaluate import measure_run
 from cbsr_qa.analysis.run.estimates import estimated_loads, model_scale, reading_variance
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.config import load_recipe
