@@ -85,7 +85,7 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
     """
     if record.end is not EndReason.FINISHED:
         why = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
-        return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), ())
+        return _not_measured(why)
     if recipe.characterisation is not None:
         return _characterised(record, recipe.characterisation, recipe.limits, stages)
     reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
@@ -94,13 +94,16 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
         with stages.stage("imaging"):
             observation = observe_run(record, reconstruction, recipe.analysis)
     except BaseException as error:  # noqa: BLE001 - a stranger's reconstruction may raise anything, and the run is stored
-        why = f"the frames cannot be imaged: {failure(error)}"
         remedy = error.remedy if isinstance(error, CbsrError) else ""
-        return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (remedy,) if remedy else ())
+        return _not_measured(f"the frames cannot be imaged: {failure(error)}", remedy)
     with stages.stage("metrics"):
         measured, failed = measure_run(observation, metrics)
         judged = judge(measured, recipe.limits)
     return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed))
+
+
+def _not_measured(why: str, remedy: str = "") -> Conclusion:
+    return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (remedy,) if remedy else ())
 
 
 def _characterised(
@@ -111,8 +114,7 @@ def _characterised(
         with stages.stage("characterising the material"):
             material = characterise_run(record, settings)
     except NumericsError as error:
-        why = f"the material cannot be characterised: {error.reason}"
-        return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (error.remedy,) if error.remedy else ())
+        return _not_measured(f"the material cannot be characterised: {error.reason}", error.remedy)
     judged = judge(measure_characterisation(material), limits)
     return Conclusion(None, judged, decide(judged), (*material.refused, *material.reduced), material)
 
@@ -240,20 +242,15 @@ def _text(value: object) -> object:
     return str.__str__(value)  # plain also where it is numpy's or an enumeration's
 
 
-def _named(value: object) -> object:
-    return _text(value) if value else _WRONG
-
-
-def _bound(value: object) -> object:
-    return value if isinstance(value, Bound) else _WRONG
-
-
 def _unset(value: object) -> Callable[[object], object]:
     return lambda field_value: value if field_value is value else _WRONG
 
 
 _TEXT: Final = (_text, f"text of at most {LONGEST_TEXT} characters without control characters")
-_NAMED: Final = (_named, f"text of 1 to {LONGEST_TEXT} characters without control characters")
+_NAMED: Final = (
+    lambda value: _text(value) if value else _WRONG,
+    f"text of 1 to {LONGEST_TEXT} characters without control characters",
+)
 _NUMBER: Final = (_number, "a finite real number that a float holds exactly, or None")
 _WHOLE: Final = (_whole, f"a whole number from 0 to {_LARGEST}, or None")
 
@@ -263,7 +260,7 @@ _FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {
     **dict.fromkeys(("phase", "location", "qualifier", "how"), _TEXT),
     **dict.fromkeys(("value", "uncertainty", "strain"), _NUMBER),
     **dict.fromkeys(("trial", "load"), _WHOLE),
-    "bound": (_bound, "a Bound"),
+    "bound": (lambda value: value if isinstance(value, Bound) else _WRONG, "a Bound"),
     "limit": (_unset(None), "None: the recipe's limits judge"),
     "outcome": (_unset(Outcome.NOT_JUDGED), "NOT_JUDGED: the recipe's limits judge"),
 }

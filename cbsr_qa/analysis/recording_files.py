@@ -273,14 +273,17 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
     # Absent where nobody noted it, as in files of earlier versions; NaN for single presses without it.
     cleared = numbers(group, "clear_s", shape=shape).tolist() if "clear_s" in group else [np.nan] * len(labels)
     _check_finite(group, "clear_s", np.nan_to_num(np.array(cleared), posinf=np.inf, neginf=-np.inf), "s", labels)
+    rows: list[dict[str, Any]] = [
+        dict(zip(columns, row, strict=True)) for row in np.column_stack(list(columns.values())).tolist()
+    ]
     return tuple(
         LoadRecord(
             int(index[k]),
-            Load(label, *(float(columns[name][k]) for name in ("x_mm", "y_mm", "strain")), int(trial[k])),
-            *(float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:]),
+            Load(label, row.pop("x_mm"), row.pop("y_mm"), row.pop("strain"), int(trial[k])),
+            **row,
             clear_s=None if np.isnan(cleared[k]) else cleared[k],
         )
-        for k, label in enumerate(labels)
+        for k, (label, row) in enumerate(zip(labels, rows, strict=True))
     )
 
 

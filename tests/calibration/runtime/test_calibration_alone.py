@@ -346,7 +346,7 @@ def test_a_finer_lattice_loses_less_and_the_same_lattice_only_its_bits():
     rms = [loss.relative_force_error_rms for loss in losses]
     assert rms[0] > 4 * rms[1] > 4 * rms[2]
     assert losses[2].relative_force_error_worst < 1e-3
-    assert losses[2].lost == 0
+    assert losses[2].places_lost == 0
 
 
 def test_what_firmware_cannot_be_made_of_is_refused():
