@@ -40,64 +40,78 @@ def test_a_truncated_file_is_refused(issued, share):
         read_calibration(issued)
 
 
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("baseline_conductance/value", [0.32, np.nan]),
-        ("identity/serial", "S-002"),
-        ("validity/force", [0.0, 99.0]),
-        ("sensor_type/electrodes/counterclockwise", True),
-        ("settling/accepted", [9, 0]),
-    ],
-)
-def test_an_edited_value_is_refused(issued, path, value):
+def _set(path, value):
+    return lambda file: file[path].__setitem__(..., value)
+
+
+def _attribute(name, value):
+    return lambda file: file.attrs.__setitem__(name, value)
+
+
+def _added(path, units="1", **given):
+    """A dataset, in place of the one that may be there."""
+
+    def change(file):
+        file.pop(path, None)
+        file.create_dataset(path, **given).attrs["units"] = units
+
+    return change
+
+
+def _many_names(file):
+    inner = file.create_group("b0")
+    for depth in range(1, 4):
+        outer = file.create_group(f"b{depth}")
+        for number in range(60):
+            outer[f"x{number}"] = inner
+        inner = outer
+
+
+_CHANGED = "changed after it was issued"
+_TEXTS = {"dtype": h5py.string_dtype(), "chunks": True}
+_UNSOUND = {
+    "value": (_set("baseline_conductance/value", [0.32, np.nan]), _CHANGED),
+    "text": (_set("identity/serial", "S-002"), _CHANGED),
+    "range": (_set("validity/force", [0.0, 99.0]), _CHANGED),
+    "flag": (_set("sensor_type/electrodes/counterclockwise", True), _CHANGED),
+    "count": (_set("settling/accepted", [9, 0]), _CHANGED),
+    "units": (lambda file: file["validity/force"].attrs.__setitem__("units", "kN"), _CHANGED),
+    "one more": (_added("extra", data=1.0), _CHANGED),
+    "one less": (lambda file: file.__delitem__("image/mask"), _CHANGED),
+    "no digest": (lambda file: file.attrs.__delitem__("digest"), "states no SHA-256"),
+    "a digest to print": (_attribute("digest", "\x1b[31mred"), "states no SHA-256"),
+    "later version": (
+        _attribute("schema_version", np.int64(99)),
+        f"version 99; this program knows versions up to {SCHEMA_VERSION}",
+    ),
+    "version 0": (_attribute("schema_version", np.int64(0)), "version"),
+    "half a version": (_attribute("schema_version", np.float64(1.0)), "version"),
+    "version in words": (_attribute("schema_version", "1"), "version"),
+    "format of numbers": (_attribute("format", np.array([1, 2])), "not a calibration"),
+    "two formats": (
+        _attribute("format", np.array(["cbsr-qa calibration"] * 2, dtype=object)),
+        "not a calibration",
+    ),
+    "format of a number": (_attribute("format", 3.0), "not a calibration"),
+    "names within names": (_many_names, "more than 10000 names"),
+    "table of texts": (_added("assumed", "text", shape=(1, 2), **_TEXTS), "assumed holds texts of the shape"),
+    "millions of texts": (_added("assumed", "text", shape=(2**26,), **_TEXTS), "assumed holds texts of the shape"),
+    "control characters": (_added("force/\x1b[2J", data=np.complex128(1)), "is a name that no file"),
+    "circle": (lambda file: file.__setitem__("image/again", file["image"]), "is a link"),
+    "terabytes": (_added("huge", shape=(10**12,), dtype="f8", chunks=(1000,)), "too large"),
+    "half precision": (_added("odd", data=np.zeros(2, dtype="f2")), "odd is of the type float16"),
+}
+
+
+@pytest.mark.parametrize("what", _UNSOUND)
+def test_an_unsound_file_is_refused(issued, what):
+    change, said = _UNSOUND[what]
     with edited(issued) as file:
-        file[path][...] = value
-    with pytest.raises(CalibrationError, match="changed after it was issued"):
-        read_calibration(issued)
-
-
-def test_changed_units_are_refused(issued):
-    with edited(issued) as file:
-        file["validity/force"].attrs["units"] = "kN"
-    with pytest.raises(CalibrationError, match="changed after it was issued"):
-        verify_calibration_file(issued)
-
-
-def test_an_added_or_removed_dataset_is_refused(issued):
-    with edited(issued) as file:
-        file.create_dataset("extra", data=1.0).attrs["units"] = "1"
-    with pytest.raises(CalibrationError, match="changed after it was issued"):
-        verify_calibration_file(issued)
-    with edited(issued) as file:
-        del file["extra"]
-    verify_calibration_file(issued)
-    with edited(issued) as file:
-        del file["image/mask"]
-    with pytest.raises(CalibrationError, match="changed after it was issued"):
-        verify_calibration_file(issued)
-
-
-def test_a_missing_digest_is_refused(issued):
-    with edited(issued) as file:
-        del file.attrs["digest"]
-    with pytest.raises(CalibrationError, match="states no SHA-256"):
-        verify_calibration_file(issued)
-
-
-def test_a_future_version_is_refused_by_name(issued):
-    with edited(issued) as file:
-        file.attrs["schema_version"] = np.int64(99)
-    with pytest.raises(CalibrationError, match=f"version 99; this program knows versions up to {SCHEMA_VERSION}"):
-        read_calibration(issued)
-
-
-@pytest.mark.parametrize("version", [np.int64(0), np.float64(1.0), "1"])
-def test_a_version_that_never_was_is_refused(issued, version):
-    with edited(issued) as file:
-        file.attrs["schema_version"] = version
-    with pytest.raises(CalibrationError, match="version"):
-        read_calibration(issued)
+        change(file)
+    for read in (read_calibration, verify_calibration_file):
+        with pytest.raises(CalibrationError, match=said) as caught:
+            read(issued)
+        assert "\x1b" not in caught.value.reason
 
 
 def test_another_hdf5_file_and_no_hdf5_file_are_refused(tmp_path):
@@ -119,52 +133,6 @@ def test_another_hdf5_file_and_no_hdf5_file_are_refused(tmp_path):
         read_calibration(tmp_path)
 
 
-@pytest.mark.parametrize("stated", [np.array([1, 2]), np.array(["cbsr-qa calibration"] * 2, dtype=object), 3.0])
-def test_a_format_that_is_no_word_is_not_a_calibrations(issued, stated):
-    with edited(issued) as file:
-        file.attrs["format"] = stated
-    with pytest.raises(CalibrationError, match="not a calibration"):
-        read_calibration(issued)
-
-
-def test_what_is_stated_instead_of_a_digest_is_not_printed(issued):
-    with edited(issued) as file:
-        file.attrs["digest"] = "\x1b[31mred"
-    with pytest.raises(CalibrationError, match="states no SHA-256"):
-        read_calibration(issued)
-
-
-def test_names_within_names_come_to_an_end(issued):
-    with edited(issued) as file:
-        inner = file.create_group("b0")
-        for depth in range(1, 4):
-            outer = file.create_group(f"b{depth}")
-            for number in range(60):
-                outer[f"x{number}"] = inner
-            inner = outer
-    with pytest.raises(CalibrationError, match="more than 10000 names"):
-        read_calibration(issued)
-
-
-@pytest.mark.parametrize("shape", [(1, 2), (2**26,)])
-def test_texts_are_lists_and_not_millions(issued, shape):
-    with edited(issued) as file:
-        del file["assumed"]
-        texts = file.create_dataset("assumed", shape, dtype=h5py.string_dtype(), chunks=True)
-        texts.attrs["units"] = "text"
-    with pytest.raises(CalibrationError, match="assumed holds texts of the shape"):
-        read_calibration(issued)
-
-
-def test_control_characters_in_a_name_do_not_reach_the_terminal(issued):
-    with edited(issued) as file:
-        file["force/\x1b[2J"] = np.complex128(1)
-        file["force/\x1b[2J"].attrs["units"] = "1"
-    with pytest.raises(CalibrationError) as caught:
-        read_calibration(issued)
-    assert "\x1b" not in caught.value.reason
-
-
 def test_a_name_no_file_can_have_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match="cannot be read: File name too long"):
         read_calibration(tmp_path / ("x" * 300))
@@ -177,18 +145,10 @@ def _forge(path: Path) -> None:
         file.attrs["digest"] = digest
 
 
-def test_content_that_contradicts_itself_is_refused_even_with_a_fitting_digest(issued):
-    with edited(issued) as file:
-        del file["baseline_conductance/x"]
-        file.create_dataset("baseline_conductance/x", data=np.zeros(3)).attrs["units"] = "mm"
-    _forge(issued)
-    with pytest.raises(CalibrationError, match="contradicts itself"):
-        read_calibration(issued)
-
-
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
+        ("baseline_conductance/x", np.zeros(3), "contradicts itself"),
         ("image/mask", None, "image/mask is missing"),
         ("image/mask", "0.85", "image/mask does not hold float64 numbers"),
         ("identity/serial", 3.0, "identity/serial is not a text"),
@@ -219,25 +179,6 @@ def test_links_out_of_the_file_are_not_followed(issued, tmp_path):
         del file["image/mask"]
         file["image/mask"] = h5py.ExternalLink(str(secret), "/x")
     with pytest.raises(CalibrationError, match="image/mask is a link"):
-        read_calibration(issued)
-
-
-def test_circular_groups_end(issued):
-    with edited(issued) as file:
-        file["image/again"] = file["image"]
-    with pytest.raises(CalibrationError, match="is a link"):
-        read_calibration(issued)
-
-
-def test_a_dataset_of_another_type_or_of_absurd_size_is_refused(issued):
-    with edited(issued) as file:
-        file.create_dataset("huge", shape=(10**12,), dtype="f8", chunks=(1000,)).attrs["units"] = "1"
-    with pytest.raises(CalibrationError, match="too large"):
-        read_calibration(issued)
-    with edited(issued) as file:
-        del file["huge"]
-        file.create_dataset("odd", data=np.zeros(2, dtype="f2")).attrs["units"] = "1"
-    with pytest.raises(CalibrationError, match="odd is of the type float16"):
         read_calibration(issued)
 
 

@@ -1,7 +1,6 @@
 """The force model in a calibration: its way through the file, and refusal of what cannot be worked with."""
 
 import dataclasses
-import hashlib
 from dataclasses import replace
 
 import h5py
@@ -10,6 +9,7 @@ import pytest
 from calibration_samples import (
     edited,
     old_calibration,
+    plain_digest,
     sample_calibration,
     sample_force,
     sparse_calibration,
@@ -36,24 +36,6 @@ def test_the_sample_says_something_in_every_field():
     assert not [name for name, default in defaults.items() if getattr(model, name) == default]
 
 
-def _digest_as_documented(path):
-    with h5py.File(path) as file:
-        names = []
-        file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
-        digest = hashlib.sha256(f"cbsr-qa calibration\t{file.attrs['schema_version']}\n".encode())
-        for name in sorted(names):
-            dataset = file[name]
-            if h5py.check_string_dtype(dataset.dtype):
-                kind, texts = "text", np.atleast_1d(dataset[()])
-                data = b"".join(b"%d\n%s" % (len(text), text) for text in texts)
-            else:
-                kind, data = dataset.dtype.str[1:], np.ascontiguousarray(dataset[()]).tobytes()
-            shape = "x".join(str(length) for length in dataset.shape)
-            digest.update(f"{name}\t{dataset.attrs['units']}\t{kind}\t{shape}\n".encode())
-            digest.update(data)
-    return digest.hexdigest()
-
-
 def _forged(path, changes):
     """Change datasets of a file as somebody would who knows how, its digest included."""
     with edited(path) as file:
@@ -67,7 +49,7 @@ def _forged(path, changes):
                 file.create_dataset(name, data=value if text else np.asarray(value, dtype=kind)).attrs["units"] = (
                     units
                 )
-    stated = _digest_as_documented(path)
+    stated = plain_digest(path)
     with edited(path) as file:
         file.attrs["digest"] = stated
 
