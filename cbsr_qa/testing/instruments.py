@@ -31,17 +31,19 @@ _SLACK: Final = 0.15
 _TICK_S: Final = 1e-3
 
 
-def check_instrument(instrument: Instrument) -> tuple[Checked, ...]:
-    """Check what any instrument promises: who it is, and a safe state from any thread, more than once."""
-    said = instrument.identity()
-    demand(instrument, isinstance(said, InstrumentIdentity), f"says it is {said!r}, which is no InstrumentIdentity")
-    demand(instrument, bool(said.model.strip()), "says of itself no model, under which a record could name it")
-    demand(instrument, instrument.identity() == said, "says something else each time it is asked who it is")
+def check_instrument(instrument: Instrument, role: type) -> list[Checked]:
+    """Check what any instrument promises: its role's methods, who it is, a safe state from any thread, twice."""
+    demand(instrument, isinstance(instrument, role), f"is no {role.__name__}: it lacks a method or property")
+    identity = instrument.identity()
+    known = isinstance(identity, InstrumentIdentity)
+    demand(instrument, known, f"says it is {identity!r}, which is no InstrumentIdentity")
+    demand(instrument, bool(identity.model.strip()), "says of itself no model, under which a record could name it")
+    demand(instrument, instrument.identity() == identity, "says something else each time it is asked who it is")
     took_s = max(safe_state_s(instrument) for _ in range(2))
-    return (
-        Checked("identity", f"{said.driver}: {said.model}"),
+    return [
+        Checked("identity", f"{identity.driver}: {identity.model}"),
         Checked("safe state", f"reached twice, from another thread, within {took_s:.2g} s"),
-    )
+    ]
 
 
 def check_frame_source(source: FrameSource, clock: Clock, sensor_type: SensorType) -> tuple[Checked, ...]:
@@ -57,8 +59,7 @@ def check_frame_source(source: FrameSource, clock: Clock, sensor_type: SensorTyp
     AssertionError
         Naming the driver, what it did and what is promised.
     """
-    demand(source, isinstance(source, FrameSource), "is no FrameSource: it lacks a method or property")
-    done = [*check_instrument(source)]
+    done = check_instrument(source, FrameSource)
     period_s = source.frame_period_s
     demand(source, math.isfinite(period_s) and period_s > 0, f"says that a frame takes {period_s!r} s")
     blocks = [_frames(source, clock, count, sensor_type) for count in (1, 2, 1)]
@@ -94,8 +95,7 @@ def check_sampler(
     AssertionError
         Naming the driver, what it did and what is promised.
     """
-    demand(sampler, isinstance(sampler, Sampler), "is no Sampler: it lacks a method or property")
-    done = [*check_instrument(sampler)]
+    done = check_instrument(sampler, Sampler)
     channel, unit = sampler.channel, sampler.unit
     demand(sampler, bool(channel and unit), f"samples channel {channel!r} in {unit!r}: both must say something")
     start_s = clock.now()
@@ -140,8 +140,7 @@ def check_applicator(
     AssertionError
         Naming the driver, what it did and what is promised.
     """
-    demand(head, isinstance(head, ForceApplicator), "is no ForceApplicator: it lacks a method or property")
-    done = [*check_instrument(head)]
+    done = check_instrument(head, ForceApplicator)
     seen = _Seen(head, depth_now_mm, motion)
     head.home()
     seen.up("homing")

@@ -30,8 +30,7 @@ def check_source_meter(meter: SourceMeter, clock: Clock, *, current_A: float = 1
     AssertionError
         Naming the driver, what it did and what is promised.
     """
-    demand(meter, isinstance(meter, SourceMeter), "is no SourceMeter: it lacks a method or property")
-    done = [*check_instrument(meter)]
+    done = check_instrument(meter, SourceMeter)
     for what, value in (("reading takes", meter.reading_period_s), ("compliance is", meter.compliance_V)):
         demand(meter, math.isfinite(value) and value > 0, f"says that its {what} {value!r}")
     volts = []
@@ -61,8 +60,7 @@ def check_multiplexer(multiplexer: Multiplexer, pattern: DrivePattern) -> tuple[
     AssertionError
         Naming the driver, what it did and what is promised.
     """
-    demand(multiplexer, isinstance(multiplexer, Multiplexer), "is no Multiplexer: it lacks a method")
-    done = [*check_instrument(multiplexer)]
+    done = check_instrument(multiplexer, Multiplexer)
     order, (drives, measures) = multiplexer.order(), pattern.shape
     wanted = {(drive, measure) for drive in range(drives) for measure in range(measures)}
     demand(

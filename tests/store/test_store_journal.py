@@ -1,6 +1,7 @@
 """What the journal was told is what comes back, whatever happens in between."""
 
 import hashlib
+import json
 import signal
 import sqlite3
 import subprocess
@@ -212,12 +213,15 @@ def test_a_loop_comes_back_as_it_was_pressed_and_is_no_ordinary_press(repository
     assert held == [(0.2, 131.0, 140.0), (0.3, 141.0, 150.0), (0.1, 152.5, 191.0)]
 
 
-def test_a_loop_that_was_cut_off_is_pressed_again_as_a_whole_and_stored_on_the_runs_clock(repository):
+def test_a_loop_that_was_cut_off_is_pressed_again_as_a_whole_and_stored_on_the_runs_clock(repository, path):
     run = repository.new_id()
     begun = [StepStarted(0, 2, Press(load("L1")), 160.0, 100.0), StepStarted(0, 4, StrainStep(0.3), 170.0, 90.0)]
     journalled(repository, [*short_run(run)[:11], *begun, FramesTaken(0, frames(172.0, seed=7, own_times=True))])
     (incomplete,) = repository.incomplete_runs()
     assert incomplete.next == "press L1 at (15, -15) mm to 20 %, trial 1"
+    with sqlite3.connect(path) as other:
+        steps = [json.loads(step) for (step,) in other.execute("SELECT step FROM steps")]
+    assert {"step": "Ease", "strain": 0.3} in steps  # as in databases of before, whatever the class is called
     assert repository.finished_loads(run) == {(0, 0)}
     again = [
         RunStarted(identity(run)),

@@ -14,6 +14,7 @@ from test_replayed_recording import recording, told
 
 from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.readings import SampleBlock
+from cbsr_qa.plugin import ForceApplicator
 from cbsr_qa.system import VirtualClock
 from cbsr_qa.testing.bench import Script, ScriptedApplicator, ScriptedFrames, ScriptedLoadCell
 from cbsr_qa.testing.instruments import (
@@ -123,7 +124,7 @@ def test_instruments_worked_by_hand():
     head = open_manual_head(by_hand("head", clock, person))
     cell = open_manual_cell(by_hand("cell", clock, person, unit="N", capacity=50))
     cell.link({"force_applicator": head})
-    check_instrument(head)
+    check_instrument(head, ForceApplicator)
     check_sampler(cell, clock, wait=head.home)
 
 

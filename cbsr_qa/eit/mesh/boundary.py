@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.geometry import ClosedCurve
 from cbsr_qa.domain.sensor import CircleArcs
+from cbsr_qa.eit.mesh.triangulate import Points
 
-Points = Array
 Lengths = Array
 Size = Callable[[Points], Lengths]
 #: (least edge length, distances from where it is) → edge lengths
@@ -39,31 +39,19 @@ def growth(size: float, radius: float) -> float:
     return min(_STEEPEST, size / (_REACH * radius))
 
 
-def graded(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
-    """Edge lengths that grow from ``finest`` to ``size`` with a distance."""
-    lengths = plain_lengths(size, radius)
-    return lambda points: lengths(finest, distance(points))
-
-
 def plain_lengths(size: float, radius: float) -> Grade:
     """Edge lengths by their least and the distance from there."""
     slope = growth(size, radius)
     return lambda finest, away: np.minimum(size, finest + slope * np.maximum(away, 0))
 
 
-def graded_smoothly(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
-    """Edge lengths for second-order elements that equalise the error of a singularity at ``distance`` 0.
-
-    Where a field goes as r log r an element of second order errs by (h/r)⁴ r² in energy, and there are r dr/h² of
-    them: both together are least for h ∝ r^(2/3). The power was then measured on discs with arcs. Readings converge
-    with the fourth order of ``size``, whatever the contact impedance.
-    """
-    lengths = smooth_lengths(size, radius)
-    return lambda points: lengths(finest, distance(points))
-
-
 def smooth_lengths(size: float, radius: float, power: float = _SMOOTH_POWER) -> Grade:
     """Edge lengths for elements of second order by their least and the distance from there.
+
+    They equalise the error of a singularity at the distance 0. Where a field goes as r log r an element of second
+    order errs by (h/r)⁴ r² in energy, and there are r dr/h² of them: both together are least for h ∝ r^(2/3). The
+    power was then measured on discs with arcs. Readings converge with the fourth order of ``size``, whatever the
+    contact impedance.
 
     Parameters
     ----------
@@ -102,6 +90,11 @@ def finest_of_arc(size: float, radius: float, length: float) -> float:
     """Edge length at an arc's ends, small enough that it takes its least number of edges."""
     slope = growth(size, radius)
     return min(size * FINEST, slope * length / 2 / float(np.expm1(slope * EDGES_PER_ARC / 2)))
+
+
+def ring_edges(count: int) -> Indices:
+    """Edges of a closed line of n nodes."""
+    return np.column_stack([np.arange(count), (np.arange(count) + 1) % count]).astype(np.int64)
 
 
 def spread(density: Lengths, places: Lengths, *, at_least: int) -> Lengths:
@@ -288,7 +281,7 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths,
         points.append(curve.at(chosen))
         owners += [owner] * len(chosen)
         pieces += [piece] * len(chosen)
-    edges = np.column_stack([np.arange(len(owners)), (np.arange(len(owners)) + 1) % len(owners)]).astype(np.int64)
+    edges = ring_edges(len(owners))
     of_strip, of_piece = np.array(owners), np.array(pieces)
     arcs = [
         CircleArcs(edges[of_piece == piece], _centre(curve, piece), float(1 / abs(curve.curvature[piece])))

@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from cbsr_qa.domain import Array, Indices, NumericsError, array_of, real_numbers
+from cbsr_qa.domain import Indices, NumericsError, array_of, real_numbers
 from cbsr_qa.domain.sensor import FARTHEST_MM, Mesh
-
-Points = Array
+from cbsr_qa.eit.mesh.triangulate import Points, twice_area
 
 _SAME: Final = 1e-9  # of the mesh's size: nodes closer together are one
 _SMALLEST_MM: Final = 1e-9  # extent of a mesh
@@ -122,12 +121,6 @@ def check_shape(points: Points, corners: Indices) -> None:
             f"element {turned[0]} (one of {turned.size} such) is turned: its corners go clockwise",
             remedy="list them counterclockwise, or say mend=True",
         )
-
-
-def twice_area(points: Points, corners: Indices) -> Array:
-    """Twice the signed area of each element, (e,)."""
-    a, b, c = (points[corners[:, k]] for k in range(3))
-    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
 def boundary_edges(mesh: Mesh) -> Indices:

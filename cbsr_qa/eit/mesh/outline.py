@@ -22,7 +22,6 @@ from cbsr_qa.eit.mesh.boundary import (
     SMOOTHING,
     Edge,
     Lengths,
-    Points,
     SizeField,
     Source,
     edge_nodes,
@@ -33,11 +32,12 @@ from cbsr_qa.eit.mesh.boundary import (
     growth,
     narrow_places,
     plain_lengths,
+    ring_edges,
     short_edges,
     singular_corners,
     smooth_lengths,
 )
-from cbsr_qa.eit.mesh.triangulate import Outline, fill
+from cbsr_qa.eit.mesh.triangulate import Outline, Points, fill
 
 _ROUNDS: Final = 12  # of dividing edges that the triangles would cut
 _EDGES_ROUND_CLOSE_PIN: Final = 200  # at most: a pin as close to something as that has no room
@@ -217,12 +217,12 @@ def _filled(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Po
     outline = Outline(points, hole.astype(np.int64), sizes, clearance, curve.contains)
     nodes, elements = fill(outline, start, smoothing=SMOOTHING)
     first = len(edge.points) + np.cumsum([0, *map(len, rims)])
-    rings = [begin + _ring(len(rim)) for begin, rim in zip(first[:-1], rims, strict=True)]
+    rings = [begin + ring_edges(len(rim)) for begin, rim in zip(first[:-1], rims, strict=True)]
     circles = [
         CircleArcs(ring, (x, y), pins.radius) for ring, (x, y) in zip(rings, pins.centres.tolist(), strict=True)
     ]
     mesh = Mesh(nodes, elements, (*edge.strips, *rings), (*edge.arcs, *circles))
-    _check_edge(mesh, [_ring(len(edge.points)), *rings], sizes.size)
+    _check_edge(mesh, [ring_edges(len(edge.points)), *rings], sizes.size)
     return mesh
 
 
@@ -254,7 +254,7 @@ def _cut_edges(rings: list[Points]) -> Mask:
     triangles = Delaunay(points).simplices
     joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     begins = np.cumsum([0, *(len(ring) for ring in rings)])
-    edges = np.vstack([begin + _ring(len(ring)) for begin, ring in zip(begins[:-1], rings, strict=True)])
+    edges = np.vstack([begin + ring_edges(len(ring)) for begin, ring in zip(begins[:-1], rings, strict=True)])
     return ~np.isin(np.sort(edges, axis=1) @ [len(points), 1], joined @ [len(points), 1])
 
 
@@ -297,8 +297,3 @@ def _lattice(curve: ClosedCurve, size: float) -> Points:
     row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     x = low[0] + size * (column + 0.5 * (row % 2))
     return np.column_stack([x.ravel(), (low[1] + step[1] * row).ravel()])
-
-
-def _ring(count: int) -> Indices:
-    """Edges of a closed line of n nodes."""
-    return np.column_stack([np.arange(count), (np.arange(count) + 1) % count]).astype(np.int64)

@@ -1,6 +1,5 @@
 """Meshes of a round sheet: graded at the electrodes for voltages, nearly uniform for images."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -26,15 +25,14 @@ from cbsr_qa.eit.mesh.boundary import (
     edges_round_pin_smoothly,
     finest_of_arc,
     finest_smoothly,
-    graded,
-    graded_smoothly,
+    plain_lengths,
+    ring_edges,
+    smooth_lengths,
     spread,
 )
 from cbsr_qa.eit.mesh.files import without_holes
 from cbsr_qa.eit.mesh.outline import outline_image_mesh, outline_sheet_mesh
-from cbsr_qa.eit.mesh.triangulate import Outline, fill
-
-Points = Array
+from cbsr_qa.eit.mesh.triangulate import Outline, Points, fill
 
 _COARSEST = 0.25  # largest edge length, of the radius
 
@@ -71,11 +69,11 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
 def _round_mesh(layout: ElectrodeLayout, radius_mm: float, size_mm: float, order: int) -> Mesh:
     """Mesh a disc, or return the mesh made before: a second sensor of a type has the first one's."""
     ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
-    boundary = ring(layout, radius_mm, size_mm, order)
-    nodes, elements = fill(boundary.outline, np.zeros((0, 2)), smoothing=SMOOTHING)
-    for shared in (nodes, elements, *boundary.electrode_edges, *(arcs.edges for arcs in boundary.arcs)):
+    outline, electrode_edges, arcs = ring(layout, radius_mm, size_mm, order)
+    nodes, elements = fill(outline, np.zeros((0, 2)), smoothing=SMOOTHING)
+    for shared in (nodes, elements, *electrode_edges, *(arc.edges for arc in arcs)):
         shared.flags.writeable = False
-    return Mesh(nodes, elements, boundary.electrode_edges, boundary.arcs)
+    return Mesh(nodes, elements, electrode_edges, arcs)
 
 
 def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
@@ -109,11 +107,8 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     return Mesh(nodes, elements)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Boundary:
-    outline: Outline
-    electrode_edges: tuple[Indices, ...]
-    arcs: tuple[CircleArcs, ...]
+#: Outline, edges of each electrode, and edges that stand for arcs.
+_Boundary = tuple[Outline, tuple[Indices, ...], tuple[CircleArcs, ...]]
 
 
 def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
@@ -128,31 +123,42 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
         return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
 
     if order == 1:
-        finest = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap)
-        sizes = graded(size, finest, radius, from_pin)
+        finest, grade = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap), plain_lengths(size, radius)
     else:
         finest = min(2 * np.pi * pin / edges_round_pin_smoothly(size, radius), gap)
-        sizes = graded_smoothly(size, finest, radius, from_pin)
+        grade = smooth_lengths(size, radius)
+
+    def sizes(points: Points) -> Array:
+        return grade(finest, from_pin(points))
+
     rim_count = int(np.ceil(2 * np.pi * pin / finest - 1e-9))
     edge = _rotated(_spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius)
     rim = pin * _unit(2 * np.pi * np.arange(rim_count) / rim_count)
     rims = [centre + _turn(rim, angle) for centre, angle in zip(centres, layout.angles_rad(), strict=True)]
     hole = np.concatenate([np.full(len(edge), -1), np.repeat(np.arange(layout.count), rim_count)])
-    edges = tuple(len(edge) + k * rim_count + _ring(rim_count) for k in range(layout.count))
+    edges = tuple(len(edge) + k * rim_count + ring_edges(rim_count) for k in range(layout.count))
     arcs = [CircleArcs(e, (x, y), pin) for e, (x, y) in zip(edges, centres.tolist(), strict=True)]
     outline = Outline(np.vstack([edge, *rims]), hole.astype(np.int64), sizes, clearance)
-    return _Boundary(outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius), *arcs))
+    return outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius), *arcs)
 
 
 def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
     half = layout.width_mm / radius / 2
     ends = layout.angles_rad()[:, None] + np.array([-half, half])
     tree = cKDTree(radius * _unit(ends.ravel()))
-    fewest, finest_at, grade = (
-        (EDGES_PER_ARC, finest_of_arc, graded) if order == 1 else (FEWEST_SMOOTHLY, finest_smoothly, graded_smoothly)
-    )
-    finest = finest_at(size, radius, layout.width_mm)
-    sizes = grade(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))
+    if order == 1:
+        fewest, finest, grade = (
+            EDGES_PER_ARC,
+            finest_of_arc(size, radius, layout.width_mm),
+            plain_lengths(size, radius),
+        )
+    else:
+        fewest, finest = FEWEST_SMOOTHLY, finest_smoothly(size, radius, layout.width_mm)
+        grade = smooth_lengths(size, radius)
+
+    def sizes(points: Points) -> Array:
+        return grade(finest, np.asarray(tree.query(points)[0], dtype=np.float64))
+
     start = float(ends[0, 0])
     arc = _spread_arc(radius, start, 2 * half, sizes, at_least=fewest)
     space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
@@ -166,12 +172,7 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
         sizes,
         lambda points: radius - np.hypot(points[:, 0], points[:, 1]),
     )
-    return _Boundary(outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius),))
-
-
-def _ring(count: int) -> Indices:
-    """Edges of a closed line of n nodes."""
-    return np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
+    return outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius),)
 
 
 def _round(edge: Points) -> Indices:

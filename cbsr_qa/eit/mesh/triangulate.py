@@ -15,7 +15,6 @@ from scipy.spatial import Delaunay, cKDTree
 from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 
 Points = Array
-Elements = Indices
 
 _TOO_LARGE = 1.25  # a circumradius above this many times an equilateral triangle's asks for a point
 _SPACING = 0.86  # points inserted together keep this distance, in wanted sizes
@@ -39,13 +38,13 @@ class Outline:
     """
 
     points: Points
-    hole: Elements
+    hole: Indices
     size: Callable[[Points], Array]
     clearance: Callable[[Points], Array]
     inside: Callable[[Points], Mask] | None = None
 
 
-def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, Elements]:
+def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, Indices]:
     """Triangulate an outline.
 
     Parameters
@@ -75,7 +74,7 @@ def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, El
     return best[0], best[1]
 
 
-def triangulate(outline: Outline, points: Points) -> Elements:
+def triangulate(outline: Outline, points: Points) -> Indices:
     """Delaunay triangles of the points, counterclockwise, without those that fill a hole or have no area.
 
     Nor are there those outside a concave edge: they join three of its nodes.
@@ -86,11 +85,11 @@ def triangulate(outline: Outline, points: Points) -> Elements:
     own = hole[elements]
     in_hole = (own[:, 0] >= 0) & (own[:, 0] == own[:, 1]) & (own[:, 1] == own[:, 2])
     elements = elements[~in_hole]
-    twice_area = _twice_area(points, elements)
-    turned = twice_area < 0
+    twice = twice_area(points, elements)
+    turned = twice < 0
     elements[turned] = elements[turned][:, ::-1]
     longest = _edge_lengths(points, elements).max(axis=1)
-    solid: Elements = elements[np.abs(twice_area) > 1e-9 * longest**2]
+    solid: Indices = elements[np.abs(twice) > 1e-9 * longest**2]
     if outline.inside is not None:
         edge = np.flatnonzero(((solid < len(outline.hole)) & (hole[solid] < 0)).all(axis=1))
         outside = ~outline.inside(points[solid[edge]].mean(axis=1))
@@ -98,7 +97,7 @@ def triangulate(outline: Outline, points: Points) -> Elements:
     return solid
 
 
-def smallest_angle_deg(points: Points, elements: Elements) -> Array:
+def smallest_angle_deg(points: Points, elements: Indices) -> Array:
     """Smallest angle of each triangle, (e,) [°]."""
     lengths = np.sort(_edge_lengths(points, elements), axis=1)
     short, middle, long = lengths.T
@@ -144,7 +143,7 @@ def _spread(points: Points, distance: Array) -> Indices:
     return np.flatnonzero(~dropped)
 
 
-def _smoothed(outline: Outline, points: Points, elements: Elements) -> Points:
+def _smoothed(outline: Outline, points: Points, elements: Indices) -> Points:
     """Push the ends of short edges apart, in proportion to the missing length (Persson & Strang 2004)."""
     edges = np.sort(np.vstack([elements[:, [0, 1]], elements[:, [1, 2]], elements[:, [2, 0]]]), axis=1)
     edges = np.unique(edges[:, 0] * len(points) + edges[:, 1])
@@ -165,18 +164,19 @@ def _smoothed(outline: Outline, points: Points, elements: Elements) -> Points:
     return moved
 
 
-def _twice_area(points: Points, elements: Elements) -> Array:
+def twice_area(points: Points, elements: Indices) -> Array:
+    """Twice the signed area of each element, (e,)."""
     a, b, c = (points[elements[:, k]] for k in range(3))
     return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
 
 
-def _edge_lengths(points: Points, elements: Elements) -> Array:
+def _edge_lengths(points: Points, elements: Indices) -> Array:
     corners = points[elements]
     sides = corners - np.roll(corners, -1, axis=1)
     return np.hypot(sides[..., 0], sides[..., 1])
 
 
-def _circumcircles(points: Points, elements: Elements) -> tuple[Points, Array]:
+def _circumcircles(points: Points, elements: Indices) -> tuple[Points, Array]:
     a, b, c = (points[elements[:, k]] for k in range(3))
     u, v = b - a, c - a
     twice = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
