@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.studies.frontier import Setting, Tried, the_bench, tried_alone, tried_on_paper
+from cbsr_qa.studies.frontier import Setting, Tried, tried_alone, tried_on_paper
 
 Array = NDArray[np.float64]
 
@@ -29,9 +29,8 @@ _ALLOWED = 1.2
 
 def both_ways(seed: int) -> tuple[Tried, Tried]:
     """Calibrate one sensor by the recommended recipe, and by the paper's campaign."""
-    bench = the_bench()
-    (short,) = tried_alone(bench, seed, ["recommended"], RECOMMENDED)
-    return short, tried_on_paper(bench, seed, quick=True)[0]
+    (short,) = tried_alone(seed, ["recommended"], RECOMMENDED)
+    return short, tried_on_paper(seed, quick=True)[0]
 
 
 def summary(what: str, short: Array, paper: Array) -> Iterator[str]:

@@ -27,6 +27,7 @@ def results() -> dict[str, type]:
     from cbsr_qa.app.station_check import CheckedStation
     from cbsr_qa.studies.charts import Charts
     from cbsr_qa.studies.compare import Comparison
+    from cbsr_qa.studies.frontier import Frontier
     from cbsr_qa.studies.gauge import GaugeStudy
     from cbsr_qa.studies.hard_cases import Stability
     from cbsr_qa.studies.limits import ProposedLimits
@@ -46,6 +47,7 @@ def results() -> dict[str, type]:
         "db upgrade": Upgrade,
         "dry run": PlannedRun,
         "export": Exported,
+        "frontier": Frontier,
         "gauge": GaugeStudy,
         "limits": ProposedLimits,
         "plugins list": ListedPlugins,

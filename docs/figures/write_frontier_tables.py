@@ -9,12 +9,12 @@ run it with OMP_NUM_THREADS=1 on a machine that does nothing else.
 import json
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.report.draw import drawn
-from cbsr_qa.studies.frontier import Accuracy, Clock, Point, station_canvas, table_of, worth_the_station
+from cbsr_qa.studies.frontier import Accuracy, Clock, Point, station_svg, stored, table_of, worth_the_station
 from cbsr_qa.studies.frontier.computer import computer_tasks, measured, worth_their_time
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
@@ -47,30 +47,26 @@ _SAID_ELSEWHERE: Final = frozenset({"noise_figure", "exponent"})
 
 def written(page: str, points: Sequence[Point]) -> str:
     """The page with its tables replaced."""
-    computer = [point for point in points if point.clock is Clock.COMPUTER]
-    station = [point for point in points if point.clock is Clock.STATION]
-    flags = dict(zip(map(id, computer), worth_their_time(computer), strict=True))
-    flags |= dict(zip(map(id, station), worth_the_station(station), strict=True))
 
     def table(found: re.Match[str]) -> str:
         own = [point for point in points if point.series == found[2]]
-        chosen = [point for point in own if _shown(point, flags[id(point)])]
+        chosen = [point for point in own if _shown(point)]
         if not chosen:
             return found[0]
         if chosen[0].clock is Clock.STATION:
-            return f"{found[1]}\n{_rows(*table_of([(point, flags[id(point)]) for point in chosen]))}\n\n{found[3]}"
-        return f"{found[1]}\n{_table(chosen, lambda point: flags[id(point)])}\n\n{found[3]}"
+            return f"{found[1]}\n{_rows(*table_of(chosen))}\n\n{found[3]}"
+        return f"{found[1]}\n{_table(chosen)}\n\n{found[3]}"
 
     return _TABLE.sub(table, page)
 
 
-def _shown(point: Point, worth: bool) -> bool:
+def _shown(point: Point) -> bool:
     if "smoothing_over_own" not in point.knobs:
         return True
-    return worth or point.knobs["smoothing_over_own"] == 1.0 or point.knobs["method"] == _SHOWN_WHOLE
+    return bool(point.pareto) or point.knobs["smoothing_over_own"] == 1.0 or point.knobs["method"] == _SHOWN_WHOLE
 
 
-def _table(points: Sequence[Point], worth: Callable[[Point], bool]) -> str:
+def _table(points: Sequence[Point]) -> str:
     columns = {"": [""] * len(points)}
     for name in points[0].knobs:
         if name not in _SAID_ELSEWHERE:
@@ -81,9 +77,9 @@ def _table(points: Sequence[Point], worth: Callable[[Point], bool]) -> str:
     columns["set-up"] = [_seconds(point.costs.get("setup_s")) for point in points]
     columns["memory"] = [_megabytes(point.costs.get("memory_bytes")) for point in points]
     columns["time"] = [_seconds(point.compute_s) for point in points]
-    told = {name: cells for name, cells in columns.items() if len(set(cells)) > 1}
-    told["•"] = ["•" if worth(point) else "" for point in points]
-    return _rows(list(told), list(zip(*told.values(), strict=True)))
+    shown = {name: cells for name, cells in columns.items() if len(set(cells)) > 1}
+    shown["•"] = ["•" if point.pareto else "" for point in points]
+    return _rows(list(shown), list(zip(*shown.values(), strict=True)))
 
 
 def _rows(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -131,21 +127,19 @@ def main(arguments: Sequence[str]) -> None:
     """Take points from a file, or measure them, and write the page."""
     if arguments:
         documents = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))["points"]
-        points = [Point.from_document(one) for one in documents]
+        points = [stored(Point, document) for document in documents]
     else:
         points = list(measured(computer_tasks(), _tell))
+    points = [
+        replace(point, pareto=on)
+        for clock, worth in ((Clock.COMPUTER, worth_their_time), (Clock.STATION, worth_the_station))
+        for own in ([point for point in points if point.clock is clock],)
+        for point, on in zip(own, worth(own), strict=True)
+    ]
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), points), encoding="utf-8")
-    station = [point for point in points if point.clock is Clock.STATION]
-    if station:
+    if any(point.clock is Clock.STATION for point in points):
         FIGURE.parent.mkdir(exist_ok=True)
-        draw(station, FIGURE)
-
-
-def draw(points: Sequence[Point], path: Path) -> None:
-    """Draw the station's frontier."""
-    members = list(zip(points, worth_the_station(points), strict=True))
-    found = drawn(lambda: station_canvas(members, None), caption="", alternative="")
-    path.write_text(found.svg + "\n", encoding="utf-8")
+        FIGURE.write_text(station_svg(points, None) + "\n", encoding="utf-8")
 
 
 def _tell(done: int, of: int, what: str) -> None:

@@ -8,7 +8,7 @@ from pages import TOP, marked_tables
 
 from cbsr_qa.eit.inverse import reading_noise
 from cbsr_qa.stats import count_needed, one_sided_factor, worst_of
-from cbsr_qa.studies.frontier import EVEN, PAPER, Setting, station_seconds, the_bench
+from cbsr_qa.studies.frontier import EVEN, PAPER, Setting, station_seconds
 from cbsr_qa.studies.frontier.computer import forward as computer_forward
 from cbsr_qa.studies.hard_cases import examine_cases
 
@@ -58,7 +58,7 @@ def test_the_errors_of_coarse_voltages(monkeypatch, order, size):
 )
 def test_the_minutes_of_the_station(table, key, setting):
     (row,) = (row for row in marked_tables(COSTS)[table] if key.items() <= row.items())
-    assert row["time"] == f"{station_seconds(setting.recipe(the_bench().base, 'documented')) / 60:.1f} min"
+    assert row["time"] == f"{station_seconds(setting.recipe('documented')) / 60:.1f} min"
 
 
 def test_what_the_shipped_strip_shows_of_its_material(monkeypatch):

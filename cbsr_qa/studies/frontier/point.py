@@ -1,15 +1,23 @@
 """A point of the frontier: a setting, how accurate it is against known truth, and what it costs in time."""
 
+import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Any, Final, Literal, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
 
 from cbsr_qa.domain import NumericsError, StoreError
 
-#: What a knob is set to: a name, a number, or whether something is on.
-Knob = str | float | int
+#: What a knob is set to: a name, whether something is on, or a number.
+Knob = str | bool | int | float
+
+T = TypeVar("T")
+
+#: Fields that stored pieces do not have.
+_LATER: Final = {"pareto": None}
 
 
 class Clock(StrEnum):
@@ -21,42 +29,33 @@ class Clock(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """One figure of a setting against known truth.
+    """One value of a setting against known truth.
 
     Parameters
     ----------
-    value : of the figure, in ``unit``; a mean over seeds where there are several.
-    stderr : standard error of that mean; None where the figure is exact, or one seed says nothing about it.
-    unit : ``"1"`` for relative figures.
-    more_is_better : whether larger values are more accurate (an overlap) instead of less (an error).
+    value : in ``unit``; a mean over seeds where there are several.
+    stderr : standard error of that mean; None where the value is exact, or one seed says nothing about it.
+    unit : ``"1"`` for relative values.
+    better : whether more is more accurate (an overlap) or less (an error).
     """
 
     value: float
     stderr: float | None
     unit: str
-    more_is_better: bool = False
+    better: Literal["more", "less"] = "less"
 
     def __post_init__(self) -> None:
-        known = () if self.stderr is None else (self.stderr,)
-        if not all(math.isfinite(one) for one in (self.value, *known)) or min(known, default=0.0) < 0:
+        stderr = self.stderr or 0.0
+        if not (math.isfinite(self.value) and math.isfinite(stderr)) or stderr < 0:
             raise NumericsError(
                 f"an accuracy of {self.value} ± {self.stderr} {self.unit} is not a finite number with an error of it",
-                remedy="leave a figure that could not be determined out, and say so in the point's note",
+                remedy="leave out a value that could not be determined, and say so in the point's note",
             )
 
     @property
     def shortfall(self) -> float:
         """The value with its sign such that less is better."""
-        return -self.value if self.more_is_better else self.value
-
-    def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it."""
-        return {
-            "value": self.value,
-            "stderr": self.stderr,
-            "unit": self.unit,
-            "better": "more" if self.more_is_better else "less",
-        }
+        return -self.value if self.better == "more" else self.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,13 +67,14 @@ class Point:
     clock : whose time the series is about.
     series : sweep it belongs to, e.g. ``"forward-model"``; points are compared within one.
     knobs : what was set.
-    accuracy : figures against known truth by name; one that could not be determined is absent.
+    accuracy : values against known truth by name; one that could not be determined is absent.
     compute_s : time of the computer [s]: of one frame or one solution for imaging and forward models; None where it
         was not measured.
     station_s : time a sensor occupies the rig [s]; None for settings of the computer alone.
-    seeds : how many repetitions with other random numbers the figures are means of; 1 where nothing is random.
+    seeds : number of repetitions with other random numbers that values are means of; 1 where nothing is random.
     note : what an engineer should know of it; may be empty.
     costs : what it costs besides, by name with the unit in it (``setup_s``, ``memory_bytes``, ``unknowns``).
+    pareto : whether it is worth its time: no other setting dominates it; None before points are compared.
     """
 
     clock: Clock
@@ -86,6 +86,7 @@ class Point:
     seeds: int
     note: str = ""
     costs: Mapping[str, float] = field(default_factory=dict)
+    pareto: bool | None = None
 
     def __post_init__(self) -> None:
         numbers = {"compute_s": self.compute_s, "station_s": self.station_s, **self.costs}
@@ -94,43 +95,6 @@ class Point:
         if wrong or self.seeds < 1:
             what = f"{wrong[0]} of {numbers[wrong[0]]}" if wrong else f"{self.seeds} seeds"
             raise NumericsError(f"a point of series {self.series!r} has {what}", remedy="give finite numbers")
-
-    def document(self, *, pareto: bool | None = None) -> dict[str, Any]:
-        """Return what ``--json`` prints for it.
-
-        Parameters
-        ----------
-        pareto : whether no other setting dominates this one; left out where nobody has compared yet.
-        """
-        said: dict[str, Any] = {
-            "clock": self.clock.value,
-            "series": self.series,
-            "knobs": dict(self.knobs),
-            "accuracy": {name: figure.document() for name, figure in self.accuracy.items()},
-            "compute_s": self.compute_s,
-            "station_s": self.station_s,
-            "seeds": self.seeds,
-            "note": self.note,
-            "costs": dict(self.costs),
-        }
-        return said if pareto is None else {**said, "pareto": pareto}
-
-    @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> "Point":
-        """Return the point of a document, whether or not anybody compared it.
-
-        Raises
-        ------
-        StoreError
-            If something is missing in it or of another type.
-        """
-        try:
-            return _point(document)
-        except (KeyError, TypeError, ValueError, AttributeError, NumericsError) as error:
-            raise StoreError(
-                f"a stored point of the frontier cannot be read ({type(error).__name__}: {error})",
-                remedy="remove the file of stored points; what it held is measured again",
-            ) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,46 +114,28 @@ class Task:
     run: Callable[[], Point]
 
 
-def _point(document: Mapping[str, Any]) -> Point:
-    return Point(
-        Clock(document["clock"]),
-        _text(document["series"]),
-        {_text(name): _knob(value) for name, value in document["knobs"].items()},
-        {_text(name): _accuracy(figure) for name, figure in document["accuracy"].items()},
-        _number_or_none(document["compute_s"]),
-        _number_or_none(document["station_s"]),
-        _whole(document["seeds"]),
-        _text(document["note"]),
-        {_text(name): _number(value) for name, value in document["costs"].items()},
+def stored(kind: type[T], document: Mapping[str, Any]) -> T:
+    """Return a finished piece of a sweep from its document, field by field of the right type.
+
+    Raises
+    ------
+    StoreError
+        If something is missing in it, unknown, of another type, or no finite number.
+    """
+    try:
+        adapter = TypeAdapter(kind)
+        piece = adapter.validate_json(json.dumps(document), strict=True)
+        whole = adapter.dump_python(piece, mode="json")
+        differing = [key for key in {**whole, **document} if whole.get(key) != document.get(key, _LATER.get(key))]
+        if not differing:
+            return piece
+        why = f"{differing[0]}: incomplete or unknown"
+    except ValidationError as error:
+        (first, *_) = error.errors()
+        why = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    except NumericsError as error:
+        why = error.reason
+    raise StoreError(
+        f"a stored {kind.__name__} of the frontier cannot be read ({why})",
+        remedy="begin again with --fresh: what was kept is measured again",
     )
-
-
-def _accuracy(figure: Mapping[str, Any]) -> Accuracy:
-    better = {"more": True, "less": False}[figure["better"]]
-    return Accuracy(_number(figure["value"]), _number_or_none(figure["stderr"]), _text(figure["unit"]), better)
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"{value!r} is not text")
-    return value
-
-
-def _number(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{value!r} is not a number")
-    return value
-
-
-def _whole(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise TypeError(f"{value!r} is not a whole number")
-    return value
-
-
-def _number_or_none(value: object) -> float | None:
-    return None if value is None else _number(value)
-
-
-def _knob(value: object) -> Knob:
-    return value if isinstance(value, str | bool) else _number(value)

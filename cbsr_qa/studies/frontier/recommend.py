@@ -1,54 +1,13 @@
-"""The setting to take: the cheapest that is accurate enough, or the most accurate there is time for.
-
-Which settings are worth their time: those that no other setting dominates.
-"""
+"""Which settings are worth their time, and the one to take."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Final
 
 from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.studies.frontier.point import Accuracy, Point
 from cbsr_qa.studies.frontier.setting import Setting
-
-P = TypeVar("P")
-
-
-def undominated(
-    points: Sequence[P], cost: Callable[[P], float | None], error: Callable[[P], Sequence[float]]
-) -> tuple[bool, ...]:
-    """Tell of every point whether no other dominates it, numbers taken as exact.
-
-    A point is dominated by another that costs no more and has no larger error, one of the two strictly. Equal points
-    do not dominate each other.
-
-    Parameters
-    ----------
-    points : n of them.
-    cost : of a point, finite.
-    error : of a point: one number or several, as many for each point, less is better.
-
-    Returns
-    -------
-    n truth values; at least one is true where n > 0.
-
-    Raises
-    ------
-    NumericsError
-        If a point has no cost, a number is not finite, or points have different numbers of errors.
-    """
-    costs, errors = _costs(points, cost), [tuple(error(point)) for point in points]
-    if len({len(one) for one in errors}) > 1 or not all(math.isfinite(value) for one in errors for value in one):
-        raise NumericsError(
-            "settings can be compared only where each has the same errors, as finite numbers",
-            remedy="compare the settings of one series, without those that have no figure",
-        )
-
-    def dominates(one: int, other: int) -> bool:
-        return _exactly((costs[one], *errors[one]), (costs[other], *errors[other]))
-
-    return tuple(not any(dominates(one, other) for one in range(len(points))) for other in range(len(points)))
 
 
 def undominated_within_errors(
@@ -67,9 +26,7 @@ def undominated_within_errors(
     Kept means not dominated itself: without that a row of settings, each as good as the next within its error, would
     be dropped up to the cheapest, though the last is far better than the first. No circle of settings can dominate
     each other, since each step is cheaper, or as cheap and better; which are kept is therefore determined by the
-    points alone, at least one is, and to leave a dominated setting out changes nothing. A point that this rule keeps
-    and :func:`undominated` does not may exist, and the other way round: the exact rule drops no setting for being
-    only as good as a cheaper one within its errors.
+    points alone, at least one is, and to leave a dominated setting out changes nothing.
 
     Parameters
     ----------
@@ -97,16 +54,16 @@ def joint_stderr(one: Accuracy, other: Accuracy) -> float:
     return math.hypot(one.stderr or 0.0, other.stderr or 0.0)
 
 
-def _costs(points: Sequence[P], cost: Callable[[P], float | None]) -> list[float]:
-    found = []
+def _costs(points: Sequence[Point], cost: Callable[[Point], float | None]) -> list[float]:
+    costs = []
     for number, point in enumerate(points):
         price = cost(point)
         if price is None or not math.isfinite(price):
             raise NumericsError(
                 f"setting {number} of {len(points)} costs {price}", remedy="compare only settings whose cost is known"
             )
-        found.append(price)
-    return found
+        costs.append(price)
+    return costs
 
 
 def _chosen(point: Point, names: Sequence[str] | None) -> dict[str, Accuracy]:
@@ -128,12 +85,7 @@ def _dominates(cost: float, stated: Mapping[str, Accuracy], others: float, other
         )
     shared = sorted(other)
     mine, theirs = ((a, *(of[name].shortfall for name in shared)) for a, of in ((cost, stated), (others, other)))
-    return _exactly(mine, theirs)
-
-
-def _exactly(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    """Whether no number of one is larger and some number is smaller."""
-    return all(a <= b for a, b in zip(one, other, strict=True)) and one != other
+    return all(a <= b for a, b in zip(mine, theirs, strict=True)) and mine != theirs
 
 
 #: Without a wish: at most so long, and at most so much worse than the paper's campaign.
@@ -187,8 +139,8 @@ def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Poin
     ]
     if wish.force_error_N is None:
         return _most_accurate(usable, wish.budget_s or USUAL_BUDGET_S, None if wish.budget_s else paper)
-    within = [one for one in usable if wish.budget_s is None or _seconds(one) <= wish.budget_s]
-    enough = [one for one in within if _surely_N(one) <= wish.force_error_N]
+    within = [way for way in usable if wish.budget_s is None or _seconds(way) <= wish.budget_s]
+    enough = [way for way in within if _surely_N(way) <= wish.force_error_N]
     if not enough:
         raise _none(usable, wish)
     best = min(enough, key=_seconds)
@@ -198,7 +150,7 @@ def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Poin
 
 
 def _most_accurate(usable: Sequence[tuple[Setting, Point]], budget_s: float, paper: Point | None) -> Recommended:
-    within = [one for one in usable if _seconds(one) <= budget_s]
+    within = [way for way in usable if _seconds(way) <= budget_s]
     if not within:
         raise _none(usable, Wish(budget_s=budget_s))
     best = min(within, key=_surely_N)
@@ -216,29 +168,29 @@ def _none(usable: Sequence[tuple[Setting, Point]], wish: Wish) -> RefusedError:
     if not usable:
         return RefusedError("no setting that was tried has a force error", remedy="run the sweep without --quick")
     time = f"at most {wish.budget_s / 60:g} min" if wish.budget_s is not None else ""
-    asked = f"takes {time}"
+    wanted = f"takes {time}"
     if wish.force_error_N is not None:
         force = f"has a force error, with its standard error, of at most {wish.force_error_N:g} N"
-        asked = f"{force} in {time}" if time else force
+        wanted = f"{force} in {time}" if time else force
     best, quickest = min(usable, key=_surely_N), min(usable, key=_seconds)
     return RefusedError(
-        f"none of the {len(usable)} settings that were tried {asked}",
-        remedy=f"the most accurate has {_said(best)}, the quickest {_said(quickest)}",
+        f"none of the {len(usable)} settings that were tried {wanted}",
+        remedy=f"the most accurate has {_described(best)}, the quickest {_described(quickest)}",
     )
 
 
-def _said(one: tuple[Setting, Point]) -> str:
-    force = one[1].accuracy[_FORCE]
+def _described(way: tuple[Setting, Point]) -> str:
+    force = way[1].accuracy[_FORCE]
     spread = "" if force.stderr is None else f" ± {force.stderr:.3f}"
-    return f"{force.value:.3f}{spread} N in {_seconds(one) / 60:.0f} min"
+    return f"{force.value:.3f}{spread} N in {_seconds(way) / 60:.0f} min"
 
 
-def _seconds(one: tuple[Setting, Point]) -> float:
-    assert one[1].station_s is not None
-    return one[1].station_s
+def _seconds(way: tuple[Setting, Point]) -> float:
+    assert way[1].station_s is not None
+    return way[1].station_s
 
 
-def _surely_N(one: tuple[Setting, Point]) -> float:
+def _surely_N(way: tuple[Setting, Point]) -> float:
     """Force error with its standard error added: what luck may have made small counts less."""
-    force = one[1].accuracy[_FORCE]
+    force = way[1].accuracy[_FORCE]
     return force.value + (force.stderr or 0.0)

@@ -7,9 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from cbsr_qa.config import DocumentKind, open_document
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.studies.frontier.point import Knob
 
+#: Shipped recipe whose imaging, metrics and limits the settings take over.
+BASE: Final = "campaign"
 #: Names of the phases of every recipe of the frontier.
 START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loads", "held-out loads"
 #: Ways to choose places, see :class:`Setting`.
@@ -81,15 +84,9 @@ class Setting:
         """Return where it presses."""
         return NINE_LOCATIONS_MM if self.places == len(NINE_LOCATIONS_MM) else sunflower_mm(self.places)
 
-    def recipe(self, base: Mapping[str, Any], name: str) -> dict[str, Any]:
-        """Return a recipe document.
-
-        Parameters
-        ----------
-        base : the shipped recipe ``campaign``: its imaging, metrics and limits are taken over.
-        name : of the recipe.
-        """
-        recipe = copy.deepcopy(dict(base))
+    def recipe(self, name: str = "frontier") -> dict[str, Any]:
+        """Return a recipe document, with imaging, metrics and limits of the shipped recipe ``campaign``."""
+        recipe = copy.deepcopy(dict(open_document(DocumentKind.RECIPE, BASE).data))
         recipe["recipe"] = {"name": name, "calibrate_phases": [GRID]}
         recipe["phases"] = self._phases()
         recipe["limits"] = [limit for limit in recipe["limits"] if self._measures(limit)]

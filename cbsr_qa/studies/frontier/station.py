@@ -8,15 +8,15 @@ itself.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from cbsr_qa.analysis.run import farthest_first
-from cbsr_qa.domain import CbsrError
-from cbsr_qa.domain.plan import AnalysisSettings, SheetDesign
+from cbsr_qa.domain import CbsrError, finite_numbers
 from cbsr_qa.domain.results import RunObservation
 from cbsr_qa.domain.run import LoadRecord, RunRecord
+from cbsr_qa.studies.frontier.sensors import analysis_of, observed, simulated_sensor
 from cbsr_qa.studies.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, SUNFLOWER, Setting, held_out_phase
 from cbsr_qa.studies.frontier.trial import errors_of, grid_places, least_sure_first, only
 
@@ -31,41 +31,6 @@ PAPER: Final = Setting(9, (5.0, 10.0, 15.0, 20.0, 25.0, 30.0), 3)
 #: Thirty places at one strain, held as long; fewer where it is to be quick.
 EVEN: Final = Setting(30)
 QUICK_EVEN: Final = Setting(16)
-
-
-class SimulatedRun(Protocol):
-    """A simulated sensor that went through a recipe."""
-
-    @property
-    def record(self) -> RunRecord:
-        """The run."""
-        ...
-
-    @property
-    def design(self) -> SheetDesign:
-        """The truth about its sheet."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Bench:
-    """What the application brings: the simulated station. All can be pickled.
-
-    Parameters
-    ----------
-    simulate : puts a sensor of a seed through a recipe with frames of some length, of all frames of its holds or only
-        the last ones.
-    observe : looks at a run with some settings.
-    seconds : of the station that a recipe takes.
-    analysis : settings of a recipe document.
-    base : recipe whose imaging, metrics and limits every setting takes over.
-    """
-
-    simulate: Callable[[Mapping[str, Any], int, float, bool], SimulatedRun]
-    observe: Callable[[RunRecord, AnalysisSettings], RunObservation]
-    seconds: Callable[[Mapping[str, Any], float], float]
-    analysis: Callable[[Mapping[str, Any]], AnalysisSettings]
-    base: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +49,9 @@ class Tried:
     seed: int
     errors: Mapping[str, float]
     why: str = ""
+
+    def __post_init__(self) -> None:
+        finite_numbers(list(self.errors.values()), "errors")
 
 
 def subsets_of_paper(*, quick: bool) -> list[tuple[str, Setting]]:
@@ -131,38 +99,37 @@ def simulated_alone(*, quick: bool) -> list[tuple[str, Setting]]:
     return [rests[0]] if quick else [*rests, *places, *hold, *averaging]
 
 
-def tried_on_paper(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
+def tried_on_paper(seed: int, *, quick: bool) -> list[Tried]:
     """Simulate the paper's campaign on one sensor, and try it and its parts."""
-    run = _Simulated(bench, PAPER, seed, whole_holds=False)
+    run = _Simulated(PAPER, seed, whole_holds=False)
     return [
         run.tried(series, setting, run.strains_and_trials(setting))
         for series, setting in subsets_of_paper(quick=quick)
     ]
 
 
-def tried_on_even(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
+def tried_on_even(seed: int, *, quick: bool) -> list[Tried]:
     """Simulate thirty places (16 where it is quick) on one sensor, and try them and shorter holds."""
-    run = _Simulated(bench, QUICK_EVEN if quick else EVEN, seed)
-    found = [run.tried(series, setting) for series, setting in subsets_of_even(quick=quick)]
-    chosen = [] if quick else choices_of_even()
-    return found + [run.tried(series, setting) for series, setting in chosen]
+    run = _Simulated(QUICK_EVEN if quick else EVEN, seed)
+    settings = subsets_of_even(quick=quick) + ([] if quick else choices_of_even())
+    return [run.tried(series, setting) for series, setting in settings]
 
 
-def tried_alone(bench: Bench, seed: int, series: Sequence[str], setting: Setting) -> list[Tried]:
+def tried_alone(seed: int, series: Sequence[str], setting: Setting) -> list[Tried]:
     """Simulate one way on one sensor, and say so in every series it belongs to."""
-    tried = _Simulated(bench, setting, seed).tried(series[0], setting)
+    tried = _Simulated(setting, seed).tried(series[0], setting)
     return [replace(tried, series=name) for name in series]
 
 
 class _Simulated:
     """One sensor that went through a setting's recipe and, besides, thirty random loads held for a minute."""
 
-    def __init__(self, bench: Bench, setting: Setting, seed: int, *, whole_holds: bool = True) -> None:
-        self._bench, self._setting, self._seed = bench, setting, seed
-        recipe = setting.recipe(bench.base, "frontier")
+    def __init__(self, setting: Setting, seed: int, *, whole_holds: bool = True) -> None:
+        self._seed = seed
+        recipe = setting.recipe()
         recipe["phases"].append(held_out_phase(TEST_LOADS))
-        self._sensor = bench.simulate(recipe, seed, setting.frame_period_s, whole_holds)
-        run = bench.observe(self._sensor.record, bench.analysis(recipe))
+        self._sensor = simulated_sensor(recipe, seed, setting.frame_period_s, whole_holds)
+        run = observed(self._sensor.record, analysis_of(recipe))
         own = only(run, lambda load: load.phase != HELD_OUT)
         self._seen = {(setting.hold_s, setting.steady_frames): own}
         self._held_out = only(run, lambda load: load.phase == HELD_OUT)
@@ -170,7 +137,7 @@ class _Simulated:
     def strains_and_trials(self, setting: Setting) -> Callable[[LoadRecord], bool]:
         """Which loads of the grid are those of a setting with fewer strains or trials."""
         strains = [percent / 100 for percent in setting.strains_percent]
-        return lambda one: one.load.trial < setting.trials and bool(np.isclose(one.load.strain, strains).any())
+        return lambda load: load.load.trial < setting.trials and bool(np.isclose(load.load.strain, strains).any())
 
     def _chosen(self, setting: Setting) -> Callable[[LoadRecord], bool]:
         """Which loads of the grid a setting with fewer places would have pressed."""
@@ -179,9 +146,9 @@ class _Simulated:
             numbers = set(least_sure_first(run, setting.places))
         else:
             numbers = set(farthest_first(grid_places(run), setting.places))
-        return lambda one: one.index in numbers
+        return lambda load: load.index in numbers
 
-    def tried(self, series: str, setting: Setting, wanted: Callable[[LoadRecord], bool] = lambda one: True) -> Tried:
+    def tried(self, series: str, setting: Setting, wanted: Callable[[LoadRecord], bool] = lambda load: True) -> Tried:
         """Try a setting that is this one, or a part of it."""
         try:
             chosen = wanted if setting.choice == SUNFLOWER else self._chosen(setting)
@@ -194,9 +161,9 @@ class _Simulated:
     def _observed(self, setting: Setting) -> RunObservation:
         """The loads of the run as a setting would have held and averaged them."""
         key = (setting.hold_s, setting.steady_frames)
-        analysis = self._bench.analysis(setting.recipe(self._bench.base, "frontier"))
+        analysis = analysis_of(setting.recipe())
         if key not in self._seen:
-            run = self._bench.observe(shortened(self._sensor.record, setting.hold_s), analysis)
+            run = observed(shortened(self._sensor.record, setting.hold_s), analysis)
             self._seen[key] = only(run, lambda load: load.phase != HELD_OUT)
         return replace(self._seen[key], settings=analysis)
 
@@ -204,7 +171,7 @@ class _Simulated:
 def shortened(record: RunRecord, hold_s: float) -> RunRecord:
     """Return a run whose grid was held for a shorter time: as it was up to then, and left out afterwards."""
 
-    def one(load: LoadRecord) -> LoadRecord:
+    def shortened_load(load: LoadRecord) -> LoadRecord:
         early_s = load.release_start_s - (load.hold_start_s + hold_s)
         if early_s <= 0:
             return load
@@ -216,35 +183,28 @@ def shortened(record: RunRecord, hold_s: float) -> RunRecord:
         )
 
     phases = tuple(
-        replace(phase, loads=tuple(map(one, phase.loads))) if phase.name == GRID else phase for phase in record.phases
+        replace(phase, loads=tuple(map(shortened_load, phase.loads))) if phase.name == GRID else phase
+        for phase in record.phases
     )
     return replace(record, phases=phases)
 
 
-def station_work(bench: Bench, *, quick: bool) -> Iterator[tuple[str, str, Callable[[], list[Tried]]]]:
+def station_work(*, quick: bool) -> Iterator[tuple[str, str, Callable[[], list[Tried]]]]:
     """Yield what is to be simulated: a key that says so, the same in words, and what does it; longest first."""
     seeds: Sequence[int] = QUICK_SEEDS if quick else SEEDS
     mode = "quick" if quick else "full"
     for seed in seeds:
         if not quick:
-            yield (
-                f"paper/{mode}/{seed}",
-                f"the paper's campaign, sensor {seed}",
-                partial(tried_on_paper, bench, seed, quick=quick),
-            )
-        yield (
-            f"even/{mode}/{seed}",
-            f"places held for a minute, sensor {seed}",
-            partial(tried_on_even, bench, seed, quick=quick),
-        )
+            paper = partial(tried_on_paper, seed, quick=quick)
+            yield f"paper/{mode}/{seed}", f"the paper's campaign, sensor {seed}", paper
+        even = partial(tried_on_even, seed, quick=quick)
+        yield f"even/{mode}/{seed}", f"places held for a minute, sensor {seed}", even
     alone: dict[Setting, list[str]] = {}
     for series, setting in simulated_alone(quick=quick):
         alone.setdefault(setting, []).append(series)
     for setting, names in alone.items():
         what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
         for seed in seeds:
-            yield (
-                f"alone/{'+'.join(names)}/{what}/{seed}",
-                f"{names[0]}: {setting.places} places, sensor {seed}",
-                partial(tried_alone, bench, seed, tuple(names), setting),
-            )
+            run = partial(tried_alone, seed, tuple(names), setting)
+            key = f"alone/{'+'.join(names)}/{what}/{seed}"
+            yield key, f"{names[0]}: {setting.places} places, sensor {seed}", run

@@ -7,8 +7,8 @@ import pytest
 from cbsr_qa.cli import guarded
 from cbsr_qa.config import load_recipe
 from cbsr_qa.studies.frontier import study as app
-from cbsr_qa.studies.frontier.page import alike_in, notes_of
 from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point, Task
+from cbsr_qa.studies.frontier.report import alike_in, notes_of
 from cbsr_qa.studies.frontier.setting import FARTHEST, Setting
 from cbsr_qa.studies.frontier.station import PAPER, Tried
 
@@ -34,7 +34,7 @@ def sweeps(monkeypatch, tmp_path):
     """Replace both sweeps by one piece each; return how often they were worked out."""
     worked = []
 
-    def station(bench, *, quick):
+    def station(*, quick):
         yield "all", "all of it", lambda: worked.append("station") or trials()
 
     def computer(*, quick=False):
@@ -54,7 +54,7 @@ def refused(capsys, *arguments):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--clock", "x"), ["--clock is 'x'", "station, computer or both"]),
+        (("--clock", "x"), ["--clock is 'x'", "give one of station, computer, both"]),
         (("--budget", "20"), ["--budget is '20'", "with its unit", "20min"]),
         (("--budget", "-20min"), ["--budget is '-20min'"]),
         (("--budget", "0 h"), ["--budget is '0 h'", "above 0"]),
@@ -107,7 +107,7 @@ def test_what_is_finished_is_not_done_again_unless_asked(sweeps, capsys):
     assert sweeps == ["station", "computer"]
     assert guarded(["frontier", "--clock", "station", "--fresh"]) == 0
     assert sweeps == ["station", "computer", "station"]
-    assert "recommended: 12 places at 25 % strain, 1 time, held 15 s" in capsys.readouterr().out
+    assert "12 places at 25 % strain, 1 time, held 15 s" in capsys.readouterr().out
 
 
 def test_a_wish_that_nothing_meets_is_no_recommendation(sweeps, capsys, tmp_path):
@@ -172,7 +172,7 @@ def test_one_table_alone_has_nothing_else_to_be_told_from(sweeps, capsys):
     assert guarded(["frontier", "--clock", "station"]) == 0
     shown = capsys.readouterr().out
     assert "hold [s]" in shown  # which differs
-    assert "in all:" not in shown  # there is no other table
+    assert "Alike in all" not in shown  # there is no other table
 
 
 def test_knobs_that_one_row_hides_are_those_that_other_tables_set_otherwise():

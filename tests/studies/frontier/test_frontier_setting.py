@@ -60,14 +60,14 @@ def planned(document):
 
 
 def dry(setting):
-    document = tomllib.loads(toml_document(setting.recipe(BASE, "tried")))
+    document = tomllib.loads(toml_document(setting.recipe("tried")))
     return dry_run(planned(document), setting.frame_period_s)
 
 
 @drawn(40)
 @given(ways)
 def test_every_setting_is_a_recipe_that_the_station_takes(setting):
-    recipe = setting.recipe(BASE, "tried")
+    recipe = setting.recipe("tried")
     walked = dry(setting)
     too_long = "the run takes"  # as it may: 40 places, six strains, three trials, two minutes each
     assert [broken for broken in walked.violations if not broken.startswith(too_long)] == []
@@ -83,11 +83,11 @@ def test_every_setting_is_a_recipe_that_the_station_takes(setting):
 @given(ways)
 def test_limits_are_of_phases_that_are_there_and_the_base_is_left_alone(setting):
     before = toml_document(BASE)
-    recipe = setting.recipe(BASE, "tried")
+    recipe = setting.recipe("tried")
     recipe["limits"].clear()
     recipe["analysis"]["overlap_bands"].clear()
     assert toml_document(BASE) == before
-    recipe = setting.recipe(BASE, "tried")
+    recipe = setting.recipe("tried")
     phases = {phase["name"] for phase in recipe["phases"]}
     assert {limit["phase"] for limit in recipe["limits"] if "phase" in limit} <= phases
     assert recipe["recipe"]["calibrate_phases"] == [GRID]
@@ -103,7 +103,7 @@ def test_more_presses_take_longer_and_shorter_rests_less():
 
 def test_what_needs_more_presses_is_not_judged():
     def measured(setting):
-        return {(limit["measurement"], limit.get("qualifier")) for limit in setting.recipe(BASE, "x")["limits"]}
+        return {(limit["measurement"], limit.get("qualifier")) for limit in setting.recipe("x")["limits"]}
 
     everything = Setting(9, (10.0, 20.0, 30.0), trials=2, checks=30, rest_s=60.0)
     assert measured(everything) == {(limit["measurement"], limit.get("qualifier")) for limit in BASE["limits"]}
@@ -144,7 +144,7 @@ def test_the_places_of_the_shipped_campaign_are_the_sunflower_of_thirty():
 
 
 def test_held_out_loads_are_drawn_by_themselves():
-    document = Setting(4).recipe(BASE, "tried")
+    document = Setting(4).recipe("tried")
     document["phases"].append(held_out_phase(7))
     walked = dry_run(planned(document), 2.5)
     assert walked.violations == ()

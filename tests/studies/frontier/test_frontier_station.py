@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.studies.frontier import station
-from cbsr_qa.studies.frontier.runs import simulated_sensor, station_seconds, the_bench
+from cbsr_qa.studies.frontier.sensors import simulated_sensor, station_seconds
 from cbsr_qa.studies.frontier.setting import CHECK, GRID, Setting
 from cbsr_qa.studies.frontier.station import shortened, tried_alone
 from cbsr_qa.studies.frontier.trial import UNITS, true_settling_s
@@ -19,7 +19,7 @@ SEED = 5
 def test_short_holds_are_worth_something_only_where_they_are_predicted(monkeypatch):
     monkeypatch.setattr(station, "TEST_LOADS", 6)
     ((averaged,), (predicted,)) = (
-        tried_alone(the_bench(), SEED, ("tried",), replace(SHORT, predicted=predicted)) for predicted in (False, True)
+        tried_alone(SEED, ("tried",), replace(SHORT, predicted=predicted)) for predicted in (False, True)
     )
     for one in (averaged, predicted):
         assert (one.series, one.seed, one.why) == ("tried", SEED, "")
@@ -33,7 +33,7 @@ def test_short_holds_are_worth_something_only_where_they_are_predicted(monkeypat
 
 @pytest.fixture(scope="module")
 def few():
-    recipe = replace(SHORT, places=3, hold_s=30.0, checks=1).recipe(the_bench().base, "few")
+    recipe = replace(SHORT, places=3, hold_s=30.0, checks=1).recipe("few")
     return recipe, simulated_sensor(recipe, SEED)
 
 

@@ -5,7 +5,7 @@ Simulated noisy readings of the base scene at the nine places: what images are j
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,8 +116,12 @@ def _steady(world: SimulatedWorld, pressed: PressedLoad) -> Array:
 
 _MASK: Final = 0.85  # the recipes' main mask
 _ROUNDING: Final = 1e-9  # values below are no signal, however quiet the unloaded frames
-#: Figures of merit: unit, and whether more is better.
-_FIGURES: Final = {"E_CoM": ("mm", False), "A_OL": ("%", True), "SD": ("mm²", False)}
+#: Figures of merit: unit, and what is better.
+_FIGURES: Final[dict[str, tuple[str, Literal["more", "less"]]]] = {
+    "E_CoM": ("mm", "less"),
+    "A_OL": ("%", "more"),
+    "SD": ("mm²", "less"),
+}
 
 
 def figures_of_merit(prepared: PreparedReconstruction, readings: SimulatedReadings) -> dict[str, Accuracy]:
@@ -131,11 +135,11 @@ def figures_of_merit(prepared: PreparedReconstruction, readings: SimulatedReadin
     By name, with the standard error of the mean over sensors; ``missed`` always, the others where a load was seen.
     """
     seen = np.array([_sensor(prepared, readings, number) for number in range(len(readings.loaded))])
-    figures = {"missed": _mean(np.isnan(seen[:, :, 0]).mean(axis=1), "1", more_is_better=False)}
+    figures = {"missed": _mean(np.isnan(seen[:, :, 0]).mean(axis=1), "1")}
     known = seen[~np.isnan(seen[:, :, 0]).all(axis=1)]
-    for column, (name, (unit, more)) in enumerate(_FIGURES.items()):
+    for column, (name, (unit, better)) in enumerate(_FIGURES.items()):
         if len(known):
-            figures[name] = _mean(np.nanmean(known[:, :, column], axis=1), unit, more_is_better=more)
+            figures[name] = _mean(np.nanmean(known[:, :, column], axis=1), unit, better)
     return figures
 
 
@@ -167,8 +171,8 @@ def _load(image: Array, mesh: Mesh, head: Footprint, floor: float) -> Array:
     return np.array([found.error_mm, found.overlap_percent, found.deviation_mm2])
 
 
-def _mean(values: Array, unit: str, *, more_is_better: bool) -> Accuracy:
+def _mean(values: Array, unit: str, better: Literal["more", "less"] = "less") -> Accuracy:
     """Mean over sensors with its standard error, which a single sensor does not tell."""
     count = len(values)
     stderr = float(values.std(ddof=1) / np.sqrt(count)) if count > 1 else None
-    return Accuracy(float(values.mean()), stderr, unit, more_is_better)
+    return Accuracy(float(values.mean()), stderr, unit, better)

@@ -1,6 +1,5 @@
 """The computer's clock: errors against truth fall as they should, whatever the time was."""
 
-import json
 import pickle
 import re
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice, linear
 from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.report import json_document
 from cbsr_qa.studies.frontier.computer import (
     forward as computer_forward,
     imaging as computer_imaging,
@@ -34,7 +34,7 @@ from cbsr_qa.studies.frontier.computer.imaging import (
 )
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
 from cbsr_qa.studies.frontier.computer.sweeps import computer_tasks, measured, worth_their_time
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point, stored
 from cbsr_qa.studies.frontier.station import choices_of_even, simulated_alone, subsets_of_even, subsets_of_paper
 from cbsr_qa.testing import assert_expected_order
 
@@ -129,7 +129,7 @@ def test_figures_of_a_known_image_are_the_known_ones(fine_problem, shift_mm, err
     assert figures["E_CoM"].value == pytest.approx(error, abs=0.02)
     assert figures["A_OL"].value == pytest.approx(overlap, abs=2)  # a polygon inside a circle
     assert figures["SD"].value == pytest.approx(deviation, abs=0.05)
-    assert figures["A_OL"].more_is_better
+    assert figures["A_OL"].better == "more"
     assert figures["missed"].value == 0
     assert all(figure.stderr == pytest.approx(0, abs=1e-12) for figure in figures.values())
 
@@ -284,7 +284,7 @@ def test_a_task_is_the_same_point_in_another_process_and_out_of_a_file():
     here, there = task.run(), pickle.loads(pickle.dumps(task)).run()
     assert there.accuracy == here.accuracy
     assert there.knobs == here.knobs
-    assert Point.from_document(json.loads(json.dumps(here.document(pareto=True)))) == here
+    assert stored(Point, json_document(here)) == here
 
 
 def test_progress_is_told_before_each_task_and_at_the_end():

@@ -1,17 +1,11 @@
-"""Settings tried on several simulated sensors, as points of the frontier.
-
-Simulated sensors the frontier's settings are tried on, and what a setting costs the station.
-"""
+"""Simulated sensors that the frontier's settings are tried on, and what a setting costs the station."""
 
 import copy
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Any, Final
-
-import numpy as np
 
 from cbsr_qa.analysis.run import observe_run
 from cbsr_qa.config import (
@@ -24,18 +18,14 @@ from cbsr_qa.config import (
     merge,
     open_document,
 )
-from cbsr_qa.domain import NumericsError, StoreError
+from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import AcquireFrames, AnalysisSettings, Hold, Press, Role, SheetDesign, Step
 from cbsr_qa.domain.results import EndReason, RunObservation
 from cbsr_qa.domain.run import RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Kind, Reconstruction, Sequence as LoadSequence, SequenceContext, discover, made
 from cbsr_qa.station import MemoryJournal, dry_run, execute, open_station, plan_of, station_clock
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
-from cbsr_qa.studies.frontier.recommend import undominated_within_errors
-from cbsr_qa.studies.frontier.setting import GRID, HELD_OUT, Setting
-from cbsr_qa.studies.frontier.station import Bench, Tried
-from cbsr_qa.studies.frontier.trial import UNITS
+from cbsr_qa.studies.frontier.setting import BASE, GRID, HELD_OUT
 
 #: What is uneven or slow about a simulated sensor, beside the scene ``base``: its response by 20 % over 20 mm, and a
 #: residue of 3 % that fades in five minutes.
@@ -44,8 +34,6 @@ SHEET: Final = (
     {"name": "residue", "share": 0.03, "decay_s": 300.0},
 )
 MATERIAL: Final = "cbsr-8wt"
-#: Shipped recipe whose imaging, metrics and limits the settings take over.
-BASE: Final = "campaign"
 _FRAMES_BEFORE: Final = 4
 
 
@@ -124,9 +112,9 @@ def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
 
 @lru_cache(maxsize=1)
 def _reconstruction() -> Reconstruction:
-    recipe = load_recipe(BASE).value
-    found: Reconstruction = made(discover(), Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
-    return found
+    choice = load_recipe(BASE).value.reconstruction
+    method: Reconstruction = made(discover(), Kind.RECONSTRUCTION, choice, "[reconstruction]")
+    return method
 
 
 class _Sparse:
@@ -168,109 +156,6 @@ def _configuration(recipe: Mapping[str, Any], seed: int, frame_period_s: float) 
     )
 
 
-def the_bench() -> Bench:
-    """Return the simulated station for the sweeps."""
-    base = open_document(DocumentKind.RECIPE, BASE).data
-    return Bench(simulated_sensor, observed, station_seconds, analysis_of, base)
-
-
 def analysis_of(recipe: Mapping[str, Any]) -> AnalysisSettings:
     """Return the settings of a recipe document."""
     return load_recipe(dict(recipe)).value.analysis
-
-
-#: What settings are compared by.
-DECIDES: Final = ("force_error",)
-
-
-def document_of(tried: Tried) -> dict[str, Any]:
-    """Return a trial as plain numbers and text."""
-    return {
-        "series": tried.series,
-        "setting": asdict(tried.setting),
-        "seed": tried.seed,
-        "errors": dict(tried.errors),
-        "why": tried.why,
-    }
-
-
-def tried_of(document: Mapping[str, Any]) -> Tried:
-    """Return the trial of a document.
-
-    Raises
-    ------
-    StoreError
-        If something is missing in it, of another type, or no finite number.
-    """
-    try:
-        setting = dict(document["setting"])
-        setting["strains_percent"] = tuple(float(percent) for percent in setting["strains_percent"])
-        errors = {str(name): float(value) for name, value in document["errors"].items()}
-        series, why = str(document["series"]), str(document["why"])
-        if not all(map(math.isfinite, errors.values())):
-            raise ValueError("an error is no finite number")
-        return Tried(series, Setting(**setting), int(document["seed"]), errors, why)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise StoreError(
-            f"a stored trial of the frontier cannot be read ({type(error).__name__}: {error})",
-            remedy="begin again with --fresh; what was kept is simulated again",
-        ) from error
-
-
-def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
-    """Put the trials of each setting together.
-
-    Figures are root mean squares over the sensors; their standard error is that of the mean square, to first order.
-
-    Parameters
-    ----------
-    seconds : of the station that a setting takes.
-    """
-    groups: dict[tuple[str, Setting], list[Tried]] = {}
-    for tried in trials:
-        groups.setdefault((tried.series, tried.setting), []).append(tried)
-    return [
-        (setting, _point(series, setting, group, seconds(setting))) for (series, setting), group in groups.items()
-    ]
-
-
-def worth_the_station(points: Sequence[Point]) -> tuple[bool, ...]:
-    """Tell of every point whether no other of any series is as good for less of the station's time.
-
-    Settings that some sensors refused are not worth anything.
-    """
-    members = [at for at, point in enumerate(points) if all(name in point.accuracy for name in DECIDES)]
-    kept = undominated_within_errors([points[at] for at in members], lambda point: point.station_s, DECIDES)
-    flags = [False] * len(points)
-    for at, on in zip(members, kept, strict=True):
-        flags[at] = on
-    return tuple(flags)
-
-
-def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: float) -> Point:
-    refused = [tried for tried in group if tried.why]
-    note = f"refused on {len(refused)} of {len(group)} sensors: {refused[0].why}" if refused else ""
-    names = [name for name in UNITS if not refused and any(name in tried.errors for tried in group)]
-    missing = {name: sum(name not in tried.errors for tried in group) for name in names}
-    told = [name for name in names if missing[name] == 0]
-    left_out = [
-        f"{name.replace('_', ' ')} not told on {missing[name]} of {len(group)}" for name in names if missing[name]
-    ]
-    return Point(
-        Clock.STATION,
-        series,
-        setting.knobs,
-        {name: _accuracy([tried.errors[name] for tried in group], UNITS[name]) for name in told},
-        None,
-        station_s,
-        len(group),
-        "; ".join(filter(None, [note, *left_out])),
-    )
-
-
-def _accuracy(errors: Sequence[float], unit: str) -> Accuracy:
-    squares = np.square(errors)
-    value = math.sqrt(float(squares.mean()))
-    if len(squares) < 2 or value == 0:
-        return Accuracy(value, None, unit)
-    return Accuracy(value, float(squares.std(ddof=1)) / math.sqrt(len(squares)) / (2 * value), unit)

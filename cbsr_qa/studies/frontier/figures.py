@@ -1,0 +1,84 @@
+"""The station's plot of the frontier: force error against station time."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.report.draw import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, svg_of
+from cbsr_qa.studies.frontier.point import Clock, Point
+from cbsr_qa.studies.frontier.recommend import Recommended
+from cbsr_qa.studies.frontier.station import PAPER
+
+_HEIGHT_IN: Final = 3.6
+_COLOURS: Final = (*CYCLE, INK)  # one a series
+
+
+def station_svg(points: Sequence[Point], chosen: Recommended | None) -> str:
+    """Draw force error against minutes of the station."""
+    return svg_of(lambda: _canvas(points, chosen))
+
+
+def _canvas(points: Sequence[Point], chosen: Recommended | None) -> Canvas:
+    figure = canvas(_HEIGHT_IN)
+    axes = figure.add_axes((0.09, 0.13, 0.66, 0.83))
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    light_grid(axes, "both")
+    members = [point for point in points if point.clock is Clock.STATION]
+    names = list(dict.fromkeys(point.series for point in members))
+    for point in members:
+        if "force_error" in point.accuracy:
+            _place(axes, point, _COLOURS[names.index(point.series) % len(_COLOURS)])
+    if chosen is not None:
+        at = (chosen.point.station_s or 0) / 60, chosen.point.accuracy["force_error"].value
+        axes.plot(*at, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
+    _plain(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
+    _plain(axes.yaxis, (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 2, 3, 5))
+    axes.set_xlabel("station time a sensor [min]")
+    axes.set_ylabel("force error [N]")
+    for number, name in enumerate(names):
+        colour = _COLOURS[number % len(_COLOURS)]
+        axes.text(1.03, 0.97 - 0.06 * number, name, color=colour, transform=axes.transAxes, va="top")
+    return figure
+
+
+def _place(axes: Axes, point: Point, colour: str) -> None:
+    minutes, force = (point.station_s or 0) / 60, point.accuracy["force_error"]
+    low = min(force.stderr or 0.0, 0.9 * force.value)
+    axes.errorbar(minutes, force.value, yerr=[[low], [force.stderr or 0.0]], color=FAINT, linewidth=0.8)
+    marker = "s" if point.knobs.get("transients") == "predicted" else "o"
+    face = colour if point.pareto else "none"
+    axes.plot(minutes, force.value, marker, color=colour, markersize=4, markerfacecolor=face, linestyle="none")
+    if point.knobs == PAPER.knobs:
+        axes.text(minutes, force.value * 1.12, "paper's campaign ", color=QUIET, fontsize=7, ha="right", va="bottom")
+
+
+def _plain(axis: Axis, ticks: Sequence[float]) -> None:
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def write_png(points: Sequence[Point], chosen: Recommended | None, path: Path) -> None:
+    """Write the station's plot as a picture.
+
+    Raises
+    ------
+    RefusedError
+        If there is nothing to draw, or the file cannot be written.
+    """
+    if not any("force_error" in point.accuracy for point in points):
+        raise RefusedError("there is no force error to draw", remedy="sweep the station's clock")
+    try:
+        with drawing(), mpl.rc_context({"svg.fonttype": "path"}):
+            _canvas(points, chosen).savefig(path, dpi=200, metadata={"Software": None})
+    except OSError as error:
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error

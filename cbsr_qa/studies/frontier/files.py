@@ -1,0 +1,125 @@
+"""Files that ``cbsr-qa frontier`` is asked for: refused before a sweep of minutes, not after it."""
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cbsr_qa
+from cbsr_qa.config import toml_document
+from cbsr_qa.domain import RefusedError, check_encodable
+from cbsr_qa.studies.frontier.point import Clock
+from cbsr_qa.studies.frontier.recommend import Recommended
+from cbsr_qa.system import written_whole
+
+#: First words of every recipe that is written here; what begins otherwise is somebody's own.
+WRITTEN_BY: Final = "Written by cbsr-qa frontier"
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """Where to write; None for what is not wanted.
+
+    Parameters
+    ----------
+    recipe : the recommended setting, TOML.
+    output, png : page, and picture of the station's frontier.
+    """
+
+    recipe: Path | None = None
+    output: Path | None = None
+    png: Path | None = None
+
+    def check(self, clocks: Sequence[Clock]) -> None:
+        """Make sure that all can be written, and that nothing of somebody else's is written over.
+
+        Raises
+        ------
+        RefusedError
+            If a name is no file's of its kind, a folder cannot be written to, two are the same, or there will be
+            nothing to write because the station's clock is not swept.
+        """
+        if self.png is not None:
+            check_png(self.png)
+        if self.recipe is not None:
+            check_recipe(self.recipe)
+        wanted = dict(self._wanted())
+        for option, path in wanted.items():
+            _check_place(option, path)
+        if len({path.absolute() for path in wanted.values()}) < len(wanted):
+            raise RefusedError(f"{', '.join(wanted)} name the same file", remedy="give each a name of its own")
+        for option in ("--recipe", "--png"):
+            if option in wanted and Clock.STATION not in clocks:
+                what = "recipe to write" if option == "--recipe" else "force error to draw"
+                raise RefusedError(f"{option}: there is no {what}", remedy="sweep the station's clock")
+
+    def _wanted(self) -> Iterator[tuple[str, Path]]:
+        for option, path in (("--recipe", self.recipe), ("--output", self.output), ("--png", self.png)):
+            if path is not None:
+                yield option, path
+
+
+def check_png(path: Path) -> None:
+    """Refuse a name that is not one of a PNG picture."""
+    if path.suffix.lower() != ".png":
+        raise RefusedError(f"{path} is no name of a PNG picture", remedy="let it end in .png")
+
+
+def check_recipe(path: Path) -> None:
+    """Refuse a name that ``run --recipe`` would not take for a file's, and a file that was not written here."""
+    if path.suffix != ".toml":
+        raise RefusedError(f"{path} is no name of a recipe file", remedy="let it end in .toml")
+    try:
+        first = path.read_bytes()[:100]
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
+    if not first.startswith(f"# {WRITTEN_BY}".encode()):
+        raise RefusedError(
+            f"{path} exists already, and cbsr-qa frontier did not write it",
+            remedy="name another file, or remove it first",
+        )
+
+
+def _check_place(option: str, path: Path) -> None:
+    """A file can be made there: its folder, or the nearest one above that is there, can be written to."""
+    try:
+        if path.is_dir():
+            raise RefusedError(f"{option}: {path} is a folder", remedy="name a file in it")
+        above = next(folder for folder in path.absolute().parents if folder.exists())
+    except OSError as error:
+        raise RefusedError(f"{option}: {path} cannot be written: {error.strerror or error}") from error
+    if not above.is_dir():
+        raise RefusedError(f"{option}: {path} cannot be written: {above} is no folder", remedy="name another file")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise RefusedError(f"{option}: {path} cannot be written: folder {above} cannot be written to")
+
+
+def write_recipe(recommended: Recommended, path: Path) -> None:
+    """Write a recommended setting as a recipe that ``cbsr-qa run`` takes.
+
+    Raises
+    ------
+    RefusedError
+        If the file cannot be written, or one is there that was not written so.
+    """
+    check_recipe(path)
+    name = path.stem[:64] or "frontier"
+    check_encodable("the recipe's name", name)
+    force, point = recommended.point.accuracy["force_error"], recommended.point
+    stderr = "" if force.stderr is None else f" ± {force.stderr:.3f}"
+    minutes = (point.station_s or 0) / 60
+    comments = (
+        f"{WRITTEN_BY} {cbsr_qa.__version__}: {recommended.why}.",
+        f"Simulated: force error {force.value:.3f}{stderr} N over {point.seeds} sensors, {minutes:.0f} min.",
+        "A setting is as good as the simulation it was found in: check it on sensors of your own.",
+    )
+    text = toml_document(recommended.setting.recipe(name), comments)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(path) as file:
+            file.write(text.encode())
+    except OSError as error:
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error

@@ -1,0 +1,207 @@
+"""What a person reads of the frontier: the setting to take, the station's plot, and one table a series."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
+from cbsr_qa.report import plural, text_table, unit_column
+from cbsr_qa.studies.frontier.point import Accuracy, Clock, Knob, Point
+from cbsr_qa.studies.frontier.setting import Setting
+from cbsr_qa.studies.frontier.study import Frontier
+
+_NONE: Final = "–"
+_READING: Final = (
+    "Every point is a way to do the same thing: to calibrate a sensor, or to compute an image. Further down is more "
+    "accurate, further left is quicker. A filled point is worth its time: nothing that was tried is as accurate for "
+    "less. A hollow one is not: some filled point costs less and is as good, as far as anybody can tell.",
+    "Station time is what a sensor occupies the rig: rests, travel and finding the surface are in it. Accuracy is "
+    "against known truth, which only a simulation has: sensors whose response varies by 20 % over the sheet, with "
+    "noise, relaxation, and a residue of earlier presses. Force errors are root mean squares over random loads of 5 "
+    "to 30 % strain (0.9 to 5.3 N), held for a minute after a minute's rest, that the calibration has not seen; bars "
+    "are one standard error over the simulated sensors. Ways to calibrate are compared by force and map together.",
+    "Transients averaged: the last frames of a hold count as they are. Predicted: a short hold is brought to where a "
+    "long one ends, with the sensor's own relaxation from three long holds.",
+)
+_OF_COMPUTER: Final = (
+    "Of the computer, time is that of one core for a new conductance, an image, or a frame. Voltages are held "
+    "against exact ones (multipoles, Fourier series): their error unloaded and with an inclusion in the sheet, and "
+    "that of the change that a load makes, which is what images are made of.",
+    "Images are of simulated sensors pressed at nine known places. E_CoM is how far the middle of the region that is "
+    "found lies from the head's, A_OL how much of the two areas overlaps (100 % were the head's own outline), SD the "
+    "area by which their shapes differ; missed is the share of loads that leave no region. Smoothing over own is the "
+    "method's regularisation parameter over the one it chooses itself.",
+)
+_NAMES: Final[Mapping[str, str]] = {
+    "force_error": "force error, place known",
+    "force_error_found": "force error, place found",
+    "map_error": "map",
+    "gauge_factor_error": "gauge factor",
+    "settling_error": "settling time",
+    "voltage_error_inclusion": "voltage error, inclusion",
+    "load_signal_error": "error of a load's signal",
+    "image_error": "error of the image",
+    "E_CoM": "E_CoM",
+    "A_OL": "A_OL",
+}
+#: Units that names of knobs end in.
+_UNITS: Final = ("s", "mm")
+
+# Sentences, in the order they are read.
+_SETTING: Final = (
+    "{places} places at {strains} % strain, {trials}, held {hold_s:g} s, rested {rest_s:g} s, holds {transients}"
+)
+_TRANSIENTS: Final = {True: "predicted to where long ones end", False: "taken as they are"}
+_PLOT: Final = (
+    "Force error on loads the calibration has not seen, against what it takes of the station. Filled: worth its "
+    "time. Squares: transients predicted. Ring: recommended, the most accurate of those that were allowed; a quicker "
+    "one may be as good as far as anybody can tell."
+)
+_PLOT_ALTERNATIVE: Final = "Force errors against station time; the tables below have the numbers."
+_SERIES: Final = "{repetitions}. •: nothing that was tried is as accurate for less time."
+_ALIKE: Final = "Alike in all of this table: {knobs}."
+
+
+def frontier_outcome(frontier: Frontier) -> CommandOutcome[Frontier]:
+    """Lay a frontier out."""
+    series = dict.fromkeys((point.clock, point.series) for point in frontier.points)
+    sections = (
+        Section("How to read this page", tuple(_how_to_read(frontier)), page_only=True),
+        *(Section(f"{clock.capitalize()}: {name}", tuple(_series(frontier, clock, name))) for clock, name in series),
+    )
+    return CommandOutcome(frontier, _page(frontier), sections)
+
+
+def _page(frontier: Frontier) -> Page:
+    chosen, points = frontier.chosen, frontier.points
+    banner = Banner("plain", _NONE, "No setting recommended", frontier.recommended.why)
+    facts = []
+    if chosen is not None:
+        force, minutes = _shown(chosen.point.accuracy["force_error"]), (chosen.point.station_s or 0) / 60
+        banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", chosen.why)
+        facts = [("Recommended", _setting(chosen.setting))]
+    counts = {clock: sum(point.clock is clock for point in points) for clock in Clock}
+    facts += [
+        ("Settings of the station", str(counts[Clock.STATION])),
+        ("Settings of the computer", str(counts[Clock.COMPUTER])),
+        ("Worth their time", str(sum(bool(point.pareto) for point in points))),
+        ("Sweep", "quick: few settings, one sensor" if frontier.quick else "whole"),
+    ]
+    simulated = ("sensors, station and readings",) if counts[Clock.STATION] else ()
+    return Page("Frontier", "What accuracy costs in time", banner, tuple(facts), simulated, ())
+
+
+def _setting(setting: Setting) -> str:
+    return _SETTING.format(
+        places=setting.places,
+        strains=", ".join(f"{percent:g}" for percent in setting.strains_percent),
+        trials=plural(setting.trials, "time"),
+        hold_s=setting.hold_s,
+        rest_s=setting.rest_s,
+        transients=_TRANSIENTS[setting.predicted],
+    )
+
+
+def _how_to_read(frontier: Frontier) -> Iterator[Block]:
+    clocks = {point.clock for point in frontier.points}
+    yield from map(Paragraph, _READING if Clock.STATION in clocks else _READING[:1])
+    yield from map(Paragraph, _OF_COMPUTER if Clock.COMPUTER in clocks else ())
+    if any("force_error" in point.accuracy for point in frontier.points):
+
+        def draw() -> str:
+            from cbsr_qa.studies.frontier.figures import station_svg  # loads matplotlib
+
+            return station_svg(frontier.points, frontier.chosen)
+
+        yield Figure(_PLOT, _PLOT_ALTERNATIVE, draw)
+
+
+def _series(frontier: Frontier, clock: Clock, series: str) -> Iterator[Block]:
+    points = [point for point in frontier.points if point.clock is clock and point.series == series]
+    columns, rows = table_of(points)
+    texts = {knob for knob in points[0].knobs if any(isinstance(point.knobs.get(knob), str) for point in points)}
+    first = sum(knob in texts for knob in _shown_knobs(points)[:1])  # names are set to the left
+    caption = _SERIES.format(repetitions=plural(points[0].seeds, "repetition").capitalize())
+    yield text_table(caption, columns, rows, range(first, len(columns) - 1))
+    if alike := alike_in(points, frontier.points):
+        yield Paragraph(_ALIKE.format(knobs=alike), "note")
+    yield from (Paragraph(f"{note}.", "note") for note in notes_of(points))
+
+
+def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Columns and rows of one series: knobs that differ, values, cost, and whether it is worth it."""
+    knobs = _shown_knobs(points)
+    values = list(dict.fromkeys(name for point in points for name in point.accuracy))
+    rows = [
+        (
+            *(_knob(point.knobs.get(name)) for name in knobs),
+            *(_shown(point.accuracy[name]) if name in point.accuracy else _NONE for name in values),
+            _cost(point),
+            "•" if point.pareto else "",
+        )
+        for point in points
+    ]
+    names = [_NAMES.get(name, name.replace("_", " ")) for name in values]
+    return [*(unit_column(*_named(name)) for name in knobs), *names, "time", "worth it"], rows
+
+
+def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
+    """Knobs that a series' table does not show, because they are alike in it, and that other series set otherwise."""
+    shown = _shown_knobs(members)
+    others = {
+        name: value
+        for name, value in members[0].knobs.items()
+        if name not in shown
+        and any(p.clock is members[0].clock and p.knobs.get(name, value) != value for p in points)
+    }
+    return _knobs(others)
+
+
+def notes_of(members: Sequence[Point]) -> list[str]:
+    """Notes on rows of one table, each with the knobs that name its row; once where it is that of all."""
+    notes = {point.note for point in members}
+    if len(notes) == 1:
+        return [note for note in notes if note]
+    shown = _shown_knobs(members)
+    return [
+        f"{_knobs({name: point.knobs.get(name) for name in shown})}: {point.note}" for point in members if point.note
+    ]
+
+
+def _shown_knobs(points: Sequence[Point]) -> list[str]:
+    """Knobs that differ between points; the first one where none does."""
+    knobs = [name for name in points[0].knobs if len({point.knobs.get(name) for point in points}) > 1]
+    return knobs or list(points[0].knobs)[:1]
+
+
+def _knobs(knobs: Mapping[str, Knob | None]) -> str:
+    named = ((*_named(name), _knob(value)) for name, value in knobs.items())
+    return ", ".join(f"{name} {value} {unit}".rstrip() for name, unit, value in named)
+
+
+def _named(knob: str) -> tuple[str, str]:
+    """Name of a knob in words, and its unit; empty where it has none."""
+    name, _, last = knob.rpartition("_")
+    words, unit = (name, last) if name and last in _UNITS else (knob, "")
+    return words.replace("_", " "), unit
+
+
+def _knob(value: object) -> str:
+    if value is None:  # of another method's knob
+        return _NONE
+    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+
+
+def _shown(accuracy: Accuracy) -> str:
+    scale, unit = (
+        (100, " %") if accuracy.unit == "1" and accuracy.value >= 1e-3 else (1, f" {accuracy.unit}".rstrip(" 1"))
+    )
+    stderr = "" if accuracy.stderr is None else f" ± {scale * accuracy.stderr:.2g}"
+    return f"{scale * accuracy.value:.3g}{stderr}{unit}"
+
+
+def _cost(point: Point) -> str:
+    if point.station_s is not None:
+        return f"{point.station_s / 60:.1f} min"
+    seconds = point.compute_s or 0.0
+    scale, unit = (1e6, "µs") if seconds < 1e-3 else (1e3, "ms") if seconds < 1 else (1, "s")
+    return f"{scale * seconds:.3g} {unit}"
