@@ -84,37 +84,20 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
         raise CalibrationError(f"a head of {head.words()} fits nowhere on the sheet: no force can be calibrated")
     node = np.where(inside, np.cumsum(inside) - 1, -1).reshape(lattice.rows, lattice.columns)
     places = everywhere[inside]
-    fields = _joined(_templates(readings, part) for part in _everywhere(model, head))
+    templates, log_size, size_slope, slopes = _joined(_templates(readings, p) for p in _everywhere(model, head))
     fits = clear_mm[inside] >= head.radius_mm
-    return TemplateBank(
-        lattice,
-        node.astype(np.int64),
-        places,
-        fields.templates,
-        fields.log_size,
-        fields.size_slope,
-        fields.slopes,
-        fits,
-    )
+    return TemplateBank(lattice, node.astype(np.int64), places, templates, log_size, size_slope, slopes, fits)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Templates:
-    """Fields of a head at n places; parameters as of :class:`TemplateBank`."""
-
-    templates: Array
-    log_size: Array
-    size_slope: Array
-    slopes: Array
-
-
-def templates_at(model: RoundLoadModel, readings: MergedReadings, places_mm: Array, head: Indenter) -> Templates:
-    """Fields of a head at any places (n, 2) on the sheet."""
+def templates_at(
+    model: RoundLoadModel, readings: MergedReadings, places_mm: Array, head: Indenter
+) -> tuple[Array, ...]:
+    """Return templates, sizes, and slopes with the size and with the place of a head at any places (n, 2)."""
     return _joined(_templates(readings, part) for part in _pressed(model, places_mm, head))
 
 
-def _joined(parts: Iterable[tuple[Array, Array, Array, Array]]) -> Templates:
-    return Templates(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+def _joined(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
+    return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
 
 @lru_cache(maxsize=1)

@@ -118,15 +118,16 @@ class TestBank:
     def test_slopes_are_those_of_the_templates(self):
         here = setting()
         place, step = np.array([[21.0, -13.0]]), 0.01
-        at = templates_at(here.model, here.readings, place, HEAD)
+        *_, slopes = templates_at(here.model, here.readings, place, HEAD)
         for axis, products in ((0, (0, 2)), (1, (1, 4))):
             move = np.zeros((1, 2))
             move[0, axis] = step
             ahead, behind = (templates_at(here.model, here.readings, place + s * move, HEAD) for s in (1, -1))
-            growth = (ahead.log_size - behind.log_size) / (2 * step)
-            turn = ((ahead.templates - behind.templates) / (2 * step))[0]
-            assert at.slopes[0, products[0]] == pytest.approx(growth[0], rel=1e-4)
-            assert at.slopes[0, products[1]] == pytest.approx(turn @ turn, rel=1e-3)
+            turn, growth = (
+                (after - before)[0] / (2 * step) for after, before in zip(ahead[:2], behind[:2], strict=True)
+            )
+            assert slopes[0, products[0]] == pytest.approx(growth, rel=1e-4)
+            assert slopes[0, products[1]] == pytest.approx(turn @ turn, rel=1e-3)
 
     def test_a_head_larger_than_the_sheet_is_refused(self):
         here = setting()
