@@ -30,10 +30,10 @@ PARTS = (
 _HEAD = """# Performance
 
 This page compares the speed and accuracy of the program with its goals and with other software. `make bench` writes
-it. Both sides of a comparison run in turn on one machine and one thread, and the fastest repeat of each counts (of 20
-or more if one takes less than a tenth of a second). So ratios carry over to other machines, but times do not. Accuracy
-is measured against a truth that the method does not know. Unless the table names another, "peer" is pyEIT 1.2.4, run
-on the same machine.
+it. Both sides of a comparison run in turn on one machine and one thread, and the fastest repeat of each counts (of
+20 or more if one takes less than a tenth of a second). So ratios carry over to other machines, but times do not.
+Accuracy is measured against a truth that the method does not know. Unless the table names another, "peer" is pyEIT
+1.2.4, run on the same machine.
 """
 _COLUMNS = "| what | to reach | here | peer | |\n| --- | --- | --- | --- | --- |\n"
 
