@@ -1,8 +1,6 @@
-"""What the command line prints: one JSON document on stdout, or words; messages always go to stderr.
+"""The terminal: one JSON document or words on stdout; messages, progress and questions on stderr.
 
-Asks whoever sits at the terminal.
-
-Progress of work that is counted, only on stderr: on a terminal a bar, elsewhere one line a stage.
+Progress of counted work is a bar on a terminal, elsewhere one line a stage.
 """
 
 import json

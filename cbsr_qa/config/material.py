@@ -1,8 +1,6 @@
-"""Material files as they are written: what :mod:`cbsr_qa.config.material` reads, with every source.
+"""Material files, read and written: every parameter with its source, or said to be chosen by us.
 
-``[material.strip_relaxation]``: how a strip of the material relaxed, with errors.
-
-Material files: every parameter with its source, or said to be chosen by us.
+A material that was measured on a strip has ``[material.strip_relaxation]``: how the strip relaxed, with errors.
 """
 
 import json

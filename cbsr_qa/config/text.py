@@ -1,7 +1,4 @@
-"""Documents as TOML text: what configuration files are written with.
-
-On which line of a TOML file a key stands: cheap, for error messages only.
-"""
+"""Text of TOML files: written, and located (on which line a key stands) for error messages only."""
 
 import json
 import re

@@ -1,7 +1,4 @@
-"""Execution of single steps on the bench.
-
-Times of the press under way, until its rest is over and it becomes a record.
-"""
+"""Execution of single steps on the bench, with the times of the press under way until it becomes a record."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager

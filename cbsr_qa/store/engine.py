@@ -5,15 +5,29 @@ What a database says when something is wrong, turned into one clear message with
 
 import shlex
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
-from sqlalchemy import URL, Connection, Engine, RootTransaction, create_engine, event, make_url
+from sqlalchemy import (
+    URL,
+    ColumnElement,
+    Connection,
+    Engine,
+    RootTransaction,
+    Table,
+    create_engine,
+    event,
+    make_url,
+    select,
+    true,
+    type_coerce,
+)
 from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError, StatementError
+from sqlalchemy.types import NullType
 
 from cbsr_qa.domain import CbsrError, StoreError
 
@@ -189,9 +203,46 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
 
 @contextmanager
 def reading(engine: Engine) -> Iterator[Connection]:
-    """One read transaction; database errors become StoreError."""
+    """One read transaction; database errors become StoreError, and so does what comes of a cell of another type."""
     with translated(engine.url), engine.begin() as connection:
-        yield connection
+        try:
+            yield connection
+        except (TypeError, ValueError, AttributeError) as error:
+            from cbsr_qa.store.tables import Base
+
+            foreign = foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
+            raise foreign or error from error
+
+
+def foreign_cell(
+    connection: Connection, rows: Iterable[tuple[Table, ColumnElement[bool]]], what: str = "the database is damaged"
+) -> StoreError | None:
+    """Return the error for the first cell that its column cannot hold; None if there is none.
+
+    SQLite keeps bytes in a column of text, and text in one of numbers, dates or JSON.
+
+    Parameters
+    ----------
+    rows : tables, and which of their rows are looked at.
+    what : begins the message.
+    """
+    for table, wanted in rows:
+        kinds = [(one, one.type.dialect_impl(connection.dialect)) for one in table.columns]
+        converters = [(one, kind.result_processor(connection.dialect, None)) for one, kind in kinds]
+        raw = select(*(type_coerce(one, NullType()).label(one.name) for one in table.columns))
+        for row in connection.execute(raw.where(wanted)).mappings():
+            for column, convert in converters:
+                try:
+                    if convert is not None:
+                        convert(row[column.name])
+                except (TypeError, ValueError, AttributeError):
+                    key = ", ".join(f"{one.name} {row[one.name]}" for one in table.primary_key)
+                    return StoreError(
+                        f"{what}: {table.name}.{column.name} ({key}) holds {repr(row[column.name])[:60]},"
+                        " which is not a value of that column",
+                        remedy="restore the database from a copy; the row is left unchanged",
+                    )
+    return None
 
 
 @contextmanager
@@ -241,6 +292,34 @@ def use_write_ahead_log(engine: Engine) -> None:
             connection.cursor().execute("PRAGMA journal_mode = WAL")
         finally:
             connection.close()
+
+
+#: Up to this size indexes are compared with their tables too, which takes twice as long (2 s a GB, in the cache) [B].
+_COMPARED: Final = 2_000_000_000
+
+
+def look_afresh(engine: Engine) -> None:
+    """Close connections: the log is merged into the file, and the next read is from disk.
+
+    A connection keeps the pages it wrote, and goes on with them whatever becomes of the log on the disk.
+    """
+    if sqlite_file(engine.url) is not None:
+        engine.dispose()
+
+
+def file_problem(engine: Engine) -> str:
+    """Name a damaged SQLite file and its first problem; empty if it is intact, and for other databases."""
+    file = sqlite_file(engine.url)
+    if file is None:
+        return ""
+    check = "integrity_check(1)" if file.stat().st_size <= _COMPARED else "quick_check(1)"
+    try:
+        with reading(engine) as connection:
+            answer = str(connection.exec_driver_sql(f"PRAGMA {check}").scalar())
+    except StoreError as error:
+        return error.reason
+    problem = " ".join(answer.removeprefix("*** in database main ***").split())
+    return "" if answer == "ok" else f"{shown(engine.url)} is damaged ({problem})"
 
 
 def _set_up_sqlite(connection: Any, record: object, *, synchronous: str) -> None:

@@ -30,6 +30,7 @@ from cbsr_qa.store.chain import (
     check_figures,
     facts,
     figures_query,
+    unreadable,
     words,
 )
 from cbsr_qa.store.engine import reading, stored
@@ -40,7 +41,6 @@ from cbsr_qa.store.types import made_at
 Conditions: TypeAlias = list[ColumnElement[bool]]
 
 _BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
-_TEXTS: Final = ("serial", "batch", "station", "recipe", "operator")
 #: State of a value by its outcome and what it says of its quantity.
 _STATES: Final = {
     (str(outcome), str(bound)): int(
@@ -54,7 +54,6 @@ _STATES: Final = {
 _T = TypeVar("_T")
 #: Raised by a cell that holds a value of another type than its column.
 _UNREADABLE: Final = (AttributeError, KeyError, TypeError, ValueError, OperationalError)
-_REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
 def run_lines(engine: Engine, selection: RunSelection) -> tuple[RunLine, ...]:
@@ -90,10 +89,7 @@ def _read(engine: Engine, selection: RunSelection, read: Callable[[Connection, C
             run = _first_unreadable(connection, chosen, read)
             if run is None:  # it is the database that failed, not a run
                 raise
-            said = str(error.orig if isinstance(error, OperationalError) else error).partition("\n")[0]
-            raise StoreError(
-                f"run {run}: a cell of it holds a value of another type than was stored: {said}", remedy=_REMEDY
-            ) from error
+            raise unreadable(connection, run, error) from error
 
 
 def _first_unreadable(
@@ -186,9 +182,6 @@ def _run(
     *,
     of_check: bool,
 ) -> RunLine:
-    for name in _TEXTS:
-        if not isinstance(cell := getattr(row, name), str):
-            raise TypeError(f"runs.{name} is {type(cell).__name__}")
     software = () if analysis is None else tuple((name, version) for name, version in analysis.software)
     simulated = tuple(row.simulated)
     return RunLine(

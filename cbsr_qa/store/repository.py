@@ -39,7 +39,7 @@ from cbsr_qa.store import (
     stations as chart_references,
     stations as station_checks,
 )
-from cbsr_qa.store.engine import address, parsed_url, shown
+from cbsr_qa.store.engine import address, look_afresh, parsed_url, shown
 from cbsr_qa.store.results import (
     CalibrationSummary,
     PrepareForce,
@@ -53,8 +53,7 @@ from cbsr_qa.store.runs import (
     Journal,
     RunSummary,
     latest_id,
-    outcomes as damage,
-    outcomes as sensor_history,
+    outcomes,
     runs,
     sessions as incomplete,
 )
@@ -153,7 +152,7 @@ class Repository:
 
     def seeds_of(self, serial: str) -> tuple[int | None, ...]:
         """Return the seeds of all runs of a sensor, oldest first; None where a configuration states none."""
-        return sensor_history.seeds_of(self._engine, serial)
+        return outcomes.seeds_of(self._engine, serial)
 
     def writer_of(self, run: str) -> str:
         """Return who writes a run at this moment; empty where nobody does."""
@@ -173,7 +172,7 @@ class Repository:
 
     def whole_run(self, run: str) -> RunRecord:
         """Load a run afresh, the whole database file checked. StoreError where something is damaged."""
-        return damage.whole_run(self._engine, run)
+        return runs.whole_run(self._engine, run)
 
     def check_resumable(self, run: str) -> None:
         """Check all that is stored of a run, and that it can be added to. StoreError where not."""
@@ -201,7 +200,7 @@ class Repository:
 
     def sensor_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
         """Return the runs of a sensor that began before a run (empty: all), as seen from a run of this recipe."""
-        return SensorHistory(sensor, recipe, sensor_history.earlier_runs(self._engine, sensor.serial, before))
+        return SensorHistory(sensor, recipe, outcomes.earlier_runs(self._engine, sensor.serial, before))
 
     def resolve(self, run_or_serial: str) -> str:
         """Return the run meant: itself, or the latest of a sensor. StoreError if it is neither."""
@@ -231,13 +230,13 @@ class Repository:
         StoreError
             If the run is not what was stored, or what was stored of the analysis cannot be read back.
         """
-        damage.look_afresh(self._engine)
+        look_afresh(self._engine)
         analysis = self.new_id()
         versions = result.record.identity.software if software is None else software
         analyses.save_result(
             self._engine, result, analysis=analysis, analysed_at=self._wall(), software=tuple(versions)
         )
-        damage.look_afresh(self._engine)
+        look_afresh(self._engine)
         self.analyses(result.record.identity.run)
         return analysis
 

@@ -1,8 +1,10 @@
-"""Column types that behave alike on SQLite and PostgreSQL, and reject NaN and foreign number types.
+"""What a cell of the database holds: numbers, texts, instants, identifiers, and arrays as bytes.
 
-Time-ordered identifiers (UUID version 7, RFC 9562): stations merge without collision, rows sort by age.
+Column types behave alike on SQLite and PostgreSQL. They refuse NaN and foreign number types on the way in, and on the
+way out what SQLite keeps in a column of another type.
 
-Arrays as bytes: little-endian, C order, with a digest over what they are as well as what they hold.
+Identifiers are time-ordered (UUID version 7, RFC 9562): databases of stations merge without collision, and rows sort
+by age. Arrays are little-endian and in C order.
 """
 
 import hashlib
@@ -11,12 +13,12 @@ import secrets
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from threading import Lock
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 from uuid import UUID
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import DateTime, Dialect, Double, Integer, Text
+from sqlalchemy import DateTime, Dialect, Double, Integer, String, Text
 from sqlalchemy.types import TypeDecorator
 
 _COUNTER_BITS = 12
@@ -121,14 +123,29 @@ def digest(header: str, parts: Iterable[bytes]) -> str:
     return total.hexdigest()
 
 
+_Value = TypeVar("_Value")
 _NO_TEXT: Final = re.compile("[\0\ud800-\udfff]")
 
 
-class FiniteDouble(TypeDecorator[float]):
+class _Typed(TypeDecorator[_Value]):
+    """A column whose cells are of one type on every database; TypeError for a cell of another one."""
+
+    _kinds: type | tuple[type, ...]
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> _Value | None:
+        """Check on the way out: SQLite keeps bytes in a column of text, and text in one of numbers."""
+        foreign = value is not None and not isinstance(value, self._kinds)
+        if foreign:
+            raise TypeError(f"a cell holds {type(value).__name__}")
+        return value  # type: ignore[no-any-return]
+
+
+class FiniteDouble(_Typed[float]):
     """A double that is a number: numpy scalars become plain floats, NaN and infinity are refused."""
 
     impl = Double
     cache_ok = True
+    _kinds = (float, int)
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> float | None:
         """Check and convert on the way in."""
@@ -140,22 +157,32 @@ class FiniteDouble(TypeDecorator[float]):
         return number
 
 
-class Whole(TypeDecorator[int]):
+class Whole(_Typed[int]):
     """An integer; numpy's own kinds would reach SQLite as bytes."""
 
     impl = Integer
     cache_ok = True
+    _kinds = int
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> int | None:
         """Convert on the way in."""
         return None if value is None else int(value)
 
 
-class PlainText(TypeDecorator[str]):
+class Word(_Typed[str]):
+    """A short text of ours, by its greatest length: an identifier, a digest, a member of an enumeration."""
+
+    impl = String
+    cache_ok = True
+    _kinds = str
+
+
+class PlainText(_Typed[str]):
     """Text of any length. PostgreSQL takes no NUL and no database halves of characters: U+FFFD stands for each."""
 
     impl = Text
     cache_ok = True
+    _kinds = str
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:
         """Replace on the way in."""

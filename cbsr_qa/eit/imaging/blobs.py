@@ -1,10 +1,7 @@
-"""Blobs: connected regions of the elements above a mask's threshold.
+"""Blobs: connected regions of the elements above a mask's threshold, from the noise floor to the components.
 
-Percentage masks.
-
-The noise floor of a run's images, and its subtraction before masking.
-
-Connected components of small graphs, several times faster than through a sparse matrix.
+A run's noise floor is subtracted from its images, a percentage of the maximum masks them, and connected elements make
+a blob. Components of small graphs are found several times faster than through a sparse matrix.
 """
 
 from collections.abc import Sequence

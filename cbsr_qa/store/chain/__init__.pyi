@@ -1,4 +1,4 @@
-from .check import IDENTITY as IDENTITY, RESULTS as RESULTS, check_run as check_run
+from .check import IDENTITY as IDENTITY, RESULTS as RESULTS, check_run as check_run, unreadable as unreadable
 from .fleet import (
     AT_ONCE as AT_ONCE,
     Figures as Figures,

@@ -21,7 +21,8 @@ from cbsr_qa.store.chain.run_documents import (
     stored_figures,
     tables,
 )
-from cbsr_qa.store.tables import AnalysisRow, CalibrationRow, LinkRow, PhaseRow, RunRow
+from cbsr_qa.store.engine import foreign_cell
+from cbsr_qa.store.tables import AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
 
 #: What is read of a run to say what came of it, and to say what it was.
 RESULTS: Final = frozenset(
@@ -52,8 +53,16 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
     """
     try:
         return _checked(connection, run, kinds)
-    except (TypeError, AttributeError) as error:  # SQLite keeps bytes in a column of text, and text in one of numbers
-        raise _broken(run, f"a cell of it holds a value of another type than was stored: {error}") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise unreadable(connection, run, error) from error
+
+
+def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:
+    """Return the error for a run that cannot be read: the cell that is not of its column's type, else the cause."""
+    rows = [(table, _of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
+    return foreign_cell(connection, rows, f"run {run}") or _broken(
+        run, f"it cannot be read: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    )
 
 
 def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainState:
@@ -111,19 +120,16 @@ def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: Signing
 def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked: dict[tuple[str, str], str]) -> None:
     """Raise StoreError if rows were changed, added or removed."""
     figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
-    try:
-        of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
-        for stored, links in ((_documents(connection, run, kinds), linked), (of_figures, figures)):
-            for kind, document, content in stored:
-                said = links.pop((kind, document), None)
-                if said is None:
-                    raise _broken(run, f"{shown(kind, document)} was added: no link covers it")
-                if said != content:
-                    raise _broken(run, f"{shown(kind, document)} was changed: it does not match its digest")
-            for kind, document in links:
-                raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
-    except (KeyError, TypeError, ValueError) as error:  # a value that its column cannot hold
-        raise StoreError(f"run {run} cannot be read: {type(error).__name__}: {error}", remedy=_REMEDY) from error
+    of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
+    for stored, links in ((_documents(connection, run, kinds), linked), (of_figures, figures)):
+        for kind, document, content in stored:
+            expected = links.pop((kind, document), None)
+            if expected is None:
+                raise _broken(run, f"{shown(kind, document)} was added: no link covers it")
+            if expected != content:
+                raise _broken(run, f"{shown(kind, document)} was changed: it does not match its digest")
+        for kind, document in links:
+            raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
 
 
 def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
@@ -135,11 +141,7 @@ def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iter
             for one in covered(table)
         )
         query = select(*columns).where(_of_run(table, run))
-        try:
-            found = list(documents(table, connection.execute(query).mappings()))
-        except (KeyError, TypeError, ValueError) as error:  # a value that its column cannot hold
-            raise _broken(run, f"{table.name} cannot be read: {type(error).__name__}: {error}") from error
-        for key, content in found:
+        for key, content in documents(table, connection.execute(query).mappings()):
             yield table.name, key, content
     if PHASE_END in kinds:
         ended = select(PhaseRow.phase, PhaseRow.ended_s).where(PhaseRow.run == run, PhaseRow.ended_s.is_not(None))

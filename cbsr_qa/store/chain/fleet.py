@@ -7,7 +7,7 @@ from itertools import repeat
 from typing import Any, Final
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Executable, Select, select
+from sqlalchemy import ColumnElement, Connection, Double, Executable, Select, Text, select, type_coerce
 from sqlalchemy.orm import aliased
 
 from cbsr_qa.store.chain.check import check_run
@@ -54,9 +54,10 @@ class Figures:
 
 
 def figures_query() -> Select[*tuple[Any, ...]]:
-    """Query analysis, value, joined words, lower and upper limit of measurements."""
+    """Query analysis, value, joined words, lower and upper limit of measurements, types of cells not checked."""
     m = MeasurementRow
-    return select(m.analysis, m.value, words(), m.lower_limit, m.upper_limit)
+    numbers = [type_coerce(column, Double) for column in (m.value, m.lower_limit, m.upper_limit)]
+    return select(type_coerce(m.analysis, Text), numbers[0], type_coerce(words(), Text), *numbers[1:])
 
 
 def check_figures(

@@ -26,7 +26,6 @@ from sqlalchemy import (
     LargeBinary,
     Row,
     RowMapping,
-    String,
     Table,
     select,
 )
@@ -55,7 +54,7 @@ from cbsr_qa.store.tables import (
     VerdictOverrideRow,
     WarningRow,
 )
-from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole
+from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole, Word
 
 _JSON: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
@@ -111,7 +110,7 @@ _CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
     (Instant, lambda value: value.astimezone(UTC).isoformat()),
     (Boolean, lambda value: bool(value) if value in (0, 1) else _foreign(value)),
     (JSON, lambda value: value),
-    (String, str),
+    (Word, str),
 )
 
 

@@ -1,4 +1,4 @@
-"""Quick look-ups: outcome of a run, earlier runs of a sensor, and whether a SQLite file is intact."""
+"""What came of runs, without their frames: the latest outcome of one, the earlier runs of a sensor, their seeds."""
 
 import json
 from datetime import UTC, datetime
@@ -8,11 +8,10 @@ from sqlalchemy import Connection, Engine, and_, exists, func, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason, Outcome
-from cbsr_qa.domain.run import EarlierRun, RunRecord
+from cbsr_qa.domain.run import EarlierRun
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store.chain import check_run
-from cbsr_qa.store.engine import address, open_engine, parsed_url, reading, shown, sqlite_file, stored
-from cbsr_qa.store.runs.runs import load_run
+from cbsr_qa.store.chain import check_run, unreadable
+from cbsr_qa.store.engine import open_engine, parsed_url, reading, shown, sqlite_file, stored
 from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, StationCheckRow, VerdictOverrideRow
 from cbsr_qa.store.types import made_at
 
@@ -60,8 +59,8 @@ def _checked(connection: Connection, serial: str, run: str, recipe: str, of_chec
     try:
         chained = check_run(connection, run, _READ).chained
         return _earlier(_row(connection, run), of_check=of_check, chained=chained)
-    except (StoreError, ValueError, TypeError, AttributeError) as error:  # a cell may hold another type of value
-        changed = error.reason if isinstance(error, StoreError) else f"run {run}: {error}"
+    except (StoreError, ValueError, TypeError, AttributeError) as error:
+        changed = (error if isinstance(error, StoreError) else unreadable(connection, run, error)).reason
         began = made_at(run) or datetime.fromtimestamp(0, UTC)
         sensor = SensorIdentity(serial, "", "")
         return EarlierRun(run, began, sensor, recipe, EndReason.RUNNING, None, "", of_check=of_check, changed=changed)
@@ -118,61 +117,3 @@ def _earlier(row: Any, *, of_check: bool, chained: bool) -> EarlierRun:
         of_check=of_check,
         chained=chained,
     )
-
-
-#: Up to this size indexes are compared with their tables too, which takes twice as long (2 s a GB, in the cache) [B].
-_COMPARED: Final = 2_000_000_000
-
-
-def look_afresh(engine: Engine) -> None:
-    """Close connections: the log is merged into the file, and the next read is from disk.
-
-    A connection keeps the pages it wrote, and goes on with them whatever becomes of the log on the disk.
-    """
-    if sqlite_file(engine.url) is not None:
-        engine.dispose()
-
-
-def whole_run(engine: Engine, run: str) -> RunRecord:
-    """Load a run afresh, as :func:`cbsr_qa.store.runs.runs.load_run`, the whole file checked (SQLite).
-
-    Raises
-    ------
-    StoreError
-        If something is damaged; it says whether the run can be saved.
-    """
-    look_afresh(engine)
-    problem = _problem(engine)
-    try:
-        record = load_run(engine, run)
-    except StoreError as error:
-        if not problem:
-            raise
-        of_file = error.reason.startswith(shown(engine.url))  # says again what the check of the file said
-        of_run = "" if of_file else f": {error.reason}"
-        raise StoreError(
-            f"{problem}, including this run{of_run}",
-            remedy="restore the database from a copy; data measured after that copy is lost",
-        ) from error
-    if problem:
-        file = address(engine.url)
-        raise StoreError(
-            f"{problem}; every row and frame of this run was checked and is intact",
-            remedy=f"restore the database from a copy, or recover the file: sqlite3 {file} .recover | sqlite3 NEW",
-        )
-    return record
-
-
-def _problem(engine: Engine) -> str:
-    """Name the damaged file and its first problem; empty if intact, and for other databases."""
-    file = sqlite_file(engine.url)
-    if file is None:
-        return ""
-    check = "integrity_check(1)" if file.stat().st_size <= _COMPARED else "quick_check(1)"
-    try:
-        with reading(engine) as connection:
-            said = str(connection.exec_driver_sql(f"PRAGMA {check}").scalar())
-    except StoreError as error:
-        return error.reason
-    found = " ".join(said.removeprefix("*** in database main ***").split())
-    return "" if said == "ok" else f"{shown(engine.url)} is damaged ({found})"

@@ -14,8 +14,8 @@ from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord, RunSession
-from cbsr_qa.store.chain import IDENTITY, check_run, key_to_continue
-from cbsr_qa.store.engine import reading, stored
+from cbsr_qa.store.chain import IDENTITY, check_run, key_to_continue, unreadable
+from cbsr_qa.store.engine import address, file_problem, look_afresh, reading, shown, stored
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.runs.codec import (
     decoded_indenter,
@@ -93,10 +93,40 @@ def load_run(engine: Engine, run: str) -> RunRecord:
                 set_aside=set_aside,
                 chain=chain,
             )
+        except StoreError:
+            raise
         except (KeyError, TypeError, ValueError, RefusedError) as error:
-            if isinstance(error, StoreError):
-                raise
-            raise StoreError(f"run {run} cannot be read: {type(error).__name__}: {error}") from error
+            raise unreadable(connection, run, error) from error
+
+
+def whole_run(engine: Engine, run: str) -> RunRecord:
+    """Load a run afresh as :func:`load_run`, with the whole file checked (SQLite).
+
+    Raises
+    ------
+    StoreError
+        If something is damaged; it says whether the run can be saved.
+    """
+    look_afresh(engine)
+    problem = file_problem(engine)
+    try:
+        record = load_run(engine, run)
+    except StoreError as error:
+        if not problem:
+            raise
+        of_file = error.reason.startswith(shown(engine.url))  # says again what the check of the file said
+        of_run = "" if of_file else f": {error.reason}"
+        raise StoreError(
+            f"{problem}, including this run{of_run}",
+            remedy="restore the database from a copy; data measured after that copy is lost",
+        ) from error
+    if problem:
+        file = address(engine.url)
+        raise StoreError(
+            f"{problem}; every row and frame of this run was checked and is intact",
+            remedy=f"restore the database from a copy, or recover the file: sqlite3 {file} .recover | sqlite3 NEW",
+        )
+    return record
 
 
 def identity(engine: Engine, run: str) -> RunIdentity:

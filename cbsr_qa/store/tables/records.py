@@ -10,10 +10,11 @@ Tables of station checks: what was looked at, and the frames of the reference ri
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ForeignKey, Index, String
+from sqlalchemy import ForeignKey, Index
 from sqlalchemy.orm import Mapped, mapped_column
 
 from cbsr_qa.store.tables.runs import Base, Identifier
+from cbsr_qa.store.types import Word
 
 
 class ConfigurationChangeRow(Base):
@@ -23,11 +24,11 @@ class ConfigurationChangeRow(Base):
     __table_args__ = (Index(None, "kind", "name"),)
 
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
-    kind: Mapped[str] = mapped_column(String(16), primary_key=True)  #: a FileKind
+    kind: Mapped[str] = mapped_column(Word(16), primary_key=True)  #: a FileKind
     name: Mapped[str]
     earlier_run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))  #: the latest with the old content
-    old_sha256: Mapped[str] = mapped_column(String(64))
-    new_sha256: Mapped[str] = mapped_column(String(64))
+    old_sha256: Mapped[str] = mapped_column(Word(64))
+    new_sha256: Mapped[str] = mapped_column(Word(64))
     differences: Mapped[list[Any]]  #: [[key, before, after], …] as JSON text; null where the key was not there
     operator: Mapped[str]
     noted_at: Mapped[datetime]
@@ -43,7 +44,7 @@ class VerdictOverrideRow(Base):
     override_id: Mapped[str] = mapped_column(Identifier, primary_key=True)
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
     analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"))
-    outcome: Mapped[str] = mapped_column(String(16))
+    outcome: Mapped[str] = mapped_column(Word(16))
     operator: Mapped[str]
     why: Mapped[str]
     noted_at: Mapped[datetime]
@@ -59,12 +60,12 @@ class ChartReferenceRow(Base):
     station: Mapped[str]
     recipe: Mapped[str]
     golden: Mapped[str]  #: serial number of a golden sensor; empty for production runs
-    name: Mapped[str] = mapped_column(String(64))
+    name: Mapped[str] = mapped_column(Word(64))
     phase: Mapped[str]
     qualifier: Mapped[str]
     location: Mapped[str]
     unit: Mapped[str]
-    kind: Mapped[str] = mapped_column(String(16))  #: a ChartKind
+    kind: Mapped[str] = mapped_column(Word(16))  #: a ChartKind
     settings: Mapped[
         dict[str, Any]
     ]  #: subgroup, rules, weight, width, slack, threshold; retired of a row that ends a chart
@@ -89,10 +90,10 @@ class StationCheckRow(Base):
     operator: Mapped[str]
     checked_at: Mapped[datetime]
     sensor_type: Mapped[str]
-    configuration_digest: Mapped[str] = mapped_column(String(64))
+    configuration_digest: Mapped[str] = mapped_column(Word(64))
     software: Mapped[list[Any]]  #: [[distribution, version], …]
     instruments: Mapped[list[Any]]  #: those that answered, as in the table of instruments
-    outcome: Mapped[str] = mapped_column(String(16))  #: a CheckOutcome: the worst of its lines
+    outcome: Mapped[str] = mapped_column(Word(16))  #: a CheckOutcome: the worst of its lines
     golden_run: Mapped[str | None] = mapped_column(Identifier, ForeignKey("runs.run"))
 
 
@@ -105,7 +106,7 @@ class StationCheckLineRow(Base):
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     subject: Mapped[str]
     name: Mapped[str]
-    outcome: Mapped[str] = mapped_column(String(16))
+    outcome: Mapped[str] = mapped_column(Word(16))
     value: Mapped[float | None]
     unit: Mapped[str]
     allowed: Mapped[str]
@@ -123,7 +124,7 @@ class StationCheckFramesRow(Base):
     frames: Mapped[int]
     drives: Mapped[int]
     measures: Mapped[int]
-    unit: Mapped[str] = mapped_column(String(16))
+    unit: Mapped[str] = mapped_column(Word(16))
     current_a: Mapped[float | None]
     first_s: Mapped[float]
     last_s: Mapped[float]
@@ -131,7 +132,7 @@ class StationCheckFramesRow(Base):
     voltages: Mapped[bytes]  #: float64 (frames, drives, measures)
     flags: Mapped[bytes]  #: uint8 (frames, drives, measures)
     reading_time_s: Mapped[bytes | None]  #: float64 (frames, drives, measures)
-    sha256: Mapped[str] = mapped_column(String(64))
+    sha256: Mapped[str] = mapped_column(Word(64))
 
 
 class LinkRow(Base):
@@ -142,8 +143,8 @@ class LinkRow(Base):
 
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    kind: Mapped[str] = mapped_column(String(32))  #: the table its rows are in, see run_documents.py
-    document: Mapped[str] = mapped_column(String(64))  #: which of its rows: their common key
-    content_sha256: Mapped[str] = mapped_column(String(64))  #: of these rows
-    sha256: Mapped[str] = mapped_column(String(64))  #: of the link before, kind, document and content
-    mac: Mapped[str | None] = mapped_column(String(64))  #: HMAC-SHA256 of ``sha256``; None where no key was set
+    kind: Mapped[str] = mapped_column(Word(32))  #: the table its rows are in, see run_documents.py
+    document: Mapped[str] = mapped_column(Word(64))  #: which of its rows: their common key
+    content_sha256: Mapped[str] = mapped_column(Word(64))  #: of these rows
+    sha256: Mapped[str] = mapped_column(Word(64))  #: of the link before, kind, document and content
+    mac: Mapped[str | None] = mapped_column(Word(64))  #: HMAC-SHA256 of ``sha256``; None where no key was set

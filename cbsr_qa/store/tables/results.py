@@ -7,10 +7,11 @@ Judging a run again adds an analysis beside the earlier ones. The one cell that 
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ForeignKey, Index, String
+from sqlalchemy import ForeignKey, Index
 from sqlalchemy.orm import Mapped, mapped_column
 
 from cbsr_qa.store.tables.runs import Base, Identifier
+from cbsr_qa.store.types import Word
 
 
 class AnalysisRow(Base):
@@ -23,10 +24,10 @@ class AnalysisRow(Base):
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
     analysed_at: Mapped[datetime]
     software: Mapped[list[Any]]  #: [[distribution, version], …]
-    outcome: Mapped[str] = mapped_column(String(16))
+    outcome: Mapped[str] = mapped_column(Word(16))
     reason: Mapped[str]
     calibration_why: Mapped[str]  #: why there is no calibration; empty where there is one
-    noise_weighting: Mapped[str] = mapped_column(String(16))  #: as in the recipe; empty where nothing was imaged
+    noise_weighting: Mapped[str] = mapped_column(Word(16))  #: as in the recipe; empty where nothing was imaged
     weight_ratio: Mapped[float | None]  #: largest over smallest weight of a reading
     compute_s: Mapped[list[Any]]  #: [[stage, seconds], …]
 
@@ -49,7 +50,7 @@ class MeasurementRow(Base):
 
     analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"), primary_key=True)
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    name: Mapped[str] = mapped_column(String(64))
+    name: Mapped[str] = mapped_column(Word(64))
     value: Mapped[float | None]
     unit: Mapped[str]
     uncertainty: Mapped[float | None]
@@ -58,10 +59,10 @@ class MeasurementRow(Base):
     trial: Mapped[int | None]
     qualifier: Mapped[str]
     how: Mapped[str]
-    bound: Mapped[str] = mapped_column(String(16))  #: "exact"; "lower" where the quantity is at least the value
+    bound: Mapped[str] = mapped_column(Word(16))  #: "exact"; "lower" where the quantity is at least the value
     load_index: Mapped[int | None]  #: within the phase, as in loads: tells apart one label at several strains
     strain: Mapped[float | None]  #: of that load
-    outcome: Mapped[str] = mapped_column(String(16))
+    outcome: Mapped[str] = mapped_column(Word(16))
     limited: Mapped[bool]  #: whether there was a limit; the next columns are empty where not
     lower_limit: Mapped[float | None]
     upper_limit: Mapped[float | None]
@@ -79,16 +80,16 @@ class CalibrationRow(Base):
     calibration: Mapped[str] = mapped_column(Identifier, primary_key=True)
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
     analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"))
-    serial: Mapped[str] = mapped_column(String(64), ForeignKey("sensors.serial"))
+    serial: Mapped[str] = mapped_column(Word(64), ForeignKey("sensors.serial"))
     issued_at: Mapped[datetime]
     superseded_by: Mapped[str | None] = mapped_column(Identifier, ForeignKey("calibrations.calibration"))
-    content_sha256: Mapped[str] = mapped_column(String(64))  #: of the issued file's content, as the file states it
-    record_sha256: Mapped[str] = mapped_column(String(64))  #: the same without what is prepared again: the matrix
+    content_sha256: Mapped[str] = mapped_column(Word(64))  #: of the issued file's content, as the file states it
+    record_sha256: Mapped[str] = mapped_column(Word(64))  #: the same without what is prepared again: the matrix
     file: Mapped[bytes | None]  #: HDF5, as it was issued
-    file_sha256: Mapped[str | None] = mapped_column(String(64))  #: of these bytes
+    file_sha256: Mapped[str | None] = mapped_column(Word(64))  #: of these bytes
     # Up to schema 0011 there was no file: it was put together from the columns that follow, the rows of the tables
     # below, and the run. All of them are empty of later calibrations, but for baselines.
-    response: Mapped[str | None] = mapped_column(String(16))
+    response: Mapped[str | None] = mapped_column(Word(16))
     current_a: Mapped[float | None]
     scale: Mapped[float | None]
     noise_floor: Mapped[float | None]
@@ -104,7 +105,7 @@ class CalibrationRow(Base):
     measures: Mapped[int | None]
     reference: Mapped[bytes | None]  #: float64 little-endian (drives, measures) [V]
     used: Mapped[bytes | None]  #: uint8 (drives, measures), readings that are imaged
-    reference_sha256: Mapped[str | None] = mapped_column(String(64))
+    reference_sha256: Mapped[str | None] = mapped_column(Word(64))
     no_force: Mapped[str | None]  #: why there is no force model; empty where there is one, or nobody said
     overlap_threshold: Mapped[float | None]
     size_ratio_low: Mapped[float | None]
@@ -139,7 +140,7 @@ class ForceRow(Base):
     nodes: Mapped[int]  #: of the lattice, where a head may be
     log_response: Mapped[bytes]  #: float64 little-endian (nodes): the map
     log_response_stderr: Mapped[bytes]  #: float64 little-endian (nodes)
-    force_sha256: Mapped[str] = mapped_column(String(64))  #: of these three
+    force_sha256: Mapped[str] = mapped_column(Word(64))  #: of these three
     scatter: Mapped[float]
     stress_low_kpa: Mapped[float]
     stress_high_kpa: Mapped[float]
@@ -200,7 +201,7 @@ class RelaxationRow(Base):
     signal: Mapped[str]
     unit: Mapped[str]  #: of level, amplitudes and band
     loading: Mapped[bool]
-    status: Mapped[str] = mapped_column(String(32))  #: a FitStatus
+    status: Mapped[str] = mapped_column(Word(32))  #: a FitStatus
     level: Mapped[float]  #: a₀
     level_stderr: Mapped[float]
     amplitude_1: Mapped[float | None]  #: of the shorter time constant
@@ -223,7 +224,7 @@ class FitParameterRow(Base):
     __tablename__ = "calibration_parameters"
 
     calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
-    name: Mapped[str] = mapped_column(String(64), primary_key=True)  #: e.g. "against_stress.slope"
+    name: Mapped[str] = mapped_column(Word(64), primary_key=True)  #: e.g. "against_stress.slope"
     value: Mapped[float]
     stderr: Mapped[float | None]
     unit: Mapped[str]

@@ -6,10 +6,10 @@ Rows are added and never changed, but for one cell: a phase gets its end time, o
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import JSON, ForeignKey, ForeignKeyConstraint, Index, LargeBinary, MetaData, String
+from sqlalchemy import JSON, ForeignKey, ForeignKeyConstraint, Index, LargeBinary, MetaData
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole
+from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole, Word
 
 #: Constraints are named alike on every database, so that a migration can name them.
 NAMING = {
@@ -19,7 +19,7 @@ NAMING = {
     "pk": "pk_%(table_name)s",
 }
 
-Identifier = String(36)  #: a time-ordered UUID as text
+Identifier = Word(36)  #: a time-ordered UUID as text
 
 
 class Base(DeclarativeBase):
@@ -42,7 +42,7 @@ class SensorRow(Base):
 
     __tablename__ = "sensors"
 
-    serial: Mapped[str] = mapped_column(String(64), primary_key=True)
+    serial: Mapped[str] = mapped_column(Word(64), primary_key=True)
     batch: Mapped[str]
     sensor_type: Mapped[str]
     first_seen: Mapped[datetime]
@@ -55,7 +55,7 @@ class RunRow(Base):
     __table_args__ = (Index(None, "serial", "run"), Index(None, "station", "run"), Index(None, "batch"))
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
-    serial: Mapped[str] = mapped_column(String(64), ForeignKey("sensors.serial"))
+    serial: Mapped[str] = mapped_column(Word(64), ForeignKey("sensors.serial"))
     batch: Mapped[str]
     sensor_type: Mapped[str]
     station: Mapped[str]
@@ -63,11 +63,11 @@ class RunRow(Base):
     operator: Mapped[str]
     started_at: Mapped[datetime]
     configuration: Mapped[str]  #: canonical JSON
-    configuration_digest: Mapped[str] = mapped_column(String(64))
+    configuration_digest: Mapped[str] = mapped_column(Word(64))
     software: Mapped[list[Any]]  #: [[distribution, version], …]
     simulated: Mapped[list[Any]]  #: in words
     setting: Mapped[dict[str, Any]]  #: sensor type, material and indenter in domain terms, see runs/codec.py
-    chain: Mapped[str | None] = mapped_column(String(64))  #: what links it (chain/links.py); None: from before chains
+    chain: Mapped[str | None] = mapped_column(Word(64))  #: what links it (chain/links.py); None: from before chains
 
 
 class RunStateRow(Base):
@@ -112,7 +112,7 @@ class PhaseRow(Base):
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     name: Mapped[str]
     sequence: Mapped[str]
-    role: Mapped[str] = mapped_column(String(16))  #: a Role: what the sequence says it is for
+    role: Mapped[str] = mapped_column(Word(16))  #: a Role: what the sequence says it is for
     started_s: Mapped[float]
     ended_s: Mapped[float | None]
 
@@ -149,7 +149,7 @@ class FrameBlockRow(Base):
     frames: Mapped[int]
     drives: Mapped[int]
     measures: Mapped[int]
-    unit: Mapped[str] = mapped_column(String(16))
+    unit: Mapped[str] = mapped_column(Word(16))
     current_a: Mapped[float | None]
     first_s: Mapped[float]
     last_s: Mapped[float]
@@ -157,7 +157,7 @@ class FrameBlockRow(Base):
     voltages: Mapped[bytes]  #: float64 (frames, drives, measures)
     flags: Mapped[bytes]  #: uint8 (frames, drives, measures)
     reading_time_s: Mapped[bytes | None]  #: float64 (frames, drives, measures)
-    sha256: Mapped[str] = mapped_column(String(64))
+    sha256: Mapped[str] = mapped_column(Word(64))
 
 
 class SampleBlockRow(Base):
@@ -170,11 +170,11 @@ class SampleBlockRow(Base):
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     block: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     channel: Mapped[str]
-    unit: Mapped[str] = mapped_column(String(16))
+    unit: Mapped[str] = mapped_column(Word(16))
     samples: Mapped[int]
     time_s: Mapped[bytes]  #: float64 (samples,)
     sample_values: Mapped[bytes]  #: float64 (samples,)
-    sha256: Mapped[str] = mapped_column(String(64))
+    sha256: Mapped[str] = mapped_column(Word(64))
 
 
 class LoadRow(Base):

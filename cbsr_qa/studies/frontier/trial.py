@@ -1,9 +1,8 @@
-"""Which place to press next: where the map learned so far is least sure, or farthest from all that were pressed.
+"""One trial of the frontier: a simulated sensor calibrated from some loads, and how far off its calibration is.
 
-What is asked: does it pay to look at the loads before the next one is chosen? Both ways choose among the places of a
-run that pressed them all.
-
-One simulated sensor calibrated one way: how far its map, gauge factor, settling time and forces are off.
+Compared are map, gauge factor, settling time and forces. The loads are chosen in advance or one after the other. Next
+is the place where the map learned so far is least sure, or farthest from all that were pressed. Both ways choose
+among the places of a run that pressed them all, to find whether it pays to look at the loads before choosing.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,18 +1,6 @@
-"""Electrodes that are not quite where they should be.
+"""Effects of the head: its edge and pressure, where it gets to, and how the sheet lies under it.
 
-What a head is for effects that make it of smaller and larger outlines of the same shape.
-
-A head whose edge is not sharp.
-
-A head that does not press evenly.
-
-An applicator that does not get quite where it is told.
-
-Play in the applicator's drives.
-
-A sheet that does not lie where the station takes it to be.
-
-How the sheet lies on the station: not quite level, not quite at its nominal height.
+Electrodes that are not quite where they should be are here too: what counts is where they are from the head.
 """
 
 import math

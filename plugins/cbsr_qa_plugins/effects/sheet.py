@@ -1,22 +1,6 @@
-"""The room warms and cools.
+"""Effects of the sheet: unevenness by place, its answer to strain, and change with time and temperature.
 
-Smooth random factors by place: what is uneven about a sheet.
-
-Uneven conductance of the sheet.
-
-Uneven response of the sheet.
-
-Uneven thickness of the sheet.
-
-Quasi-static piezoresistivity: the sheet's conductance follows the strain under the head.
-
-Relaxation of the conductance after each press and each release.
-
-What a load leaves behind.
-
-The conductance jumps the wrong way when the head lifts.
-
-The way back is not the way there.
+Unevenness is a smooth random factor by place, of conductance, response or thickness.
 """
 
 import math
