@@ -8,7 +8,7 @@ from .apply import (
 )
 from .calibration_file import (
     Converted as Converted,
-    VerifiedFile as VerifiedFile,
+    SoundFile as SoundFile,
     export_calibration as export_calibration,
     read_any as read_any,
     verify_file as verify_file,

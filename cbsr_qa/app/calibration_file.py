@@ -119,7 +119,7 @@ def _write_json(path: Path, document: dict[str, Any]) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class VerifiedFile:
+class SoundFile:
     """A file that is whole, unchanged and of a known version.
 
     Parameters
@@ -137,7 +137,7 @@ class VerifiedFile:
     bytes_checked: bool
 
 
-def verify_file(path: Path) -> CommandOutcome[VerifiedFile]:
+def verify_file(path: Path) -> CommandOutcome[SoundFile]:
     """Check digest and schema of a calibration file.
 
     Raises
@@ -146,7 +146,7 @@ def verify_file(path: Path) -> CommandOutcome[VerifiedFile]:
         If the file is not sound, saying what is wrong with it.
     """
     checked = read_untrusted(path, lambda: verify_calibration_file(path), refusal=CalibrationError)
-    verified = filled(VerifiedFile, checked, file=path, sound=True)
+    verified = filled(SoundFile, checked, file=path, sound=True)
     content = f"{verified.datasets} datasets, schema {verified.schema_version}"
     warnings = () if verified.bytes_checked else (_UNCHECKED,)
     return answer(verified, f"{path} is sound", content, (("SHA-256", verified.digest),), warnings=warnings)

@@ -15,9 +15,10 @@ def analyse(
         str | None, typer.Option("--format", help="Format of the files; by default each file is recognised.")
     ] = None,
     sensor_type: Annotated[
-        str | None, typer.Option(help="What was measured; without it lengths are in units of the radius.")
+        str | None,
+        typer.Option(help="Sensor type recorded; without it, lengths are in units of the radius."),
     ] = None,
-    dataset: Annotated[str | None, typer.Option(help="One of several data sets in a file.")] = None,
+    dataset: Annotated[str | None, typer.Option(help="Name of the data set, in a file of several.")] = None,
     reference: Annotated[
         str | None, typer.Option(help="Recording of the unloaded or empty domain, FILE[:NAME].")
     ] = None,
@@ -25,14 +26,14 @@ def analyse(
         bool | None,
         typer.Option(
             "--memory-correction/--no-memory-correction",
-            help="Take the share of the previous reading out of each; by default where it is clearly there.",
+            help="Subtract what a reading carries over from the one before; by default if it clearly does.",
         ),
     ] = None,
     reconstruction: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="What images the events, see `cbsr-qa plugins list --kind reconstruction`; by default"
+            help="Method that images the events (`cbsr-qa plugins list --kind reconstruction`); by default"
             " gauss-newton-noser. Events are found without it.",
         ),
     ] = None,

@@ -16,7 +16,7 @@ _File = Annotated[Path, typer.Argument(help="The calibration file (HDF5).")]
 
 @app.command("show")
 def show(file: _File, as_json: AsJson = False) -> None:
-    """Print what a calibration says: identity, range of use, baseline conductance, what was assumed."""
+    """Print the contents of a calibration: identity, range of use, baseline conductance, what was assumed."""
     from cbsr_qa.app import show_calibration
 
     show_outcome(show_calibration(file), as_json=as_json)
@@ -24,7 +24,7 @@ def show(file: _File, as_json: AsJson = False) -> None:
 
 @app.command("verify")
 def verify(file: _File, as_json: AsJson = False) -> None:
-    """Check that a calibration file is whole, unchanged and of a version this program knows."""
+    """Check that a calibration file is complete, unchanged and of a known version."""
     from cbsr_qa.app import verify_file
 
     show_outcome(verify_file(file), as_json=as_json)
@@ -35,11 +35,11 @@ def export(
     file: Annotated[Path, typer.Argument(help="The calibration file, .h5 or .json.")],
     output: Annotated[Path, typer.Option(help="File to write, .json or .h5; must not exist yet.")],
     firmware: Annotated[
-        bool, typer.Option("--firmware", help="Small JSON for a microcontroller; it says what it loses.")
+        bool, typer.Option("--firmware", help="Small JSON for a microcontroller; it states what it loses.")
     ] = False,
     stride: Annotated[
         int | None,
-        typer.Option(min=1, help="Nodes of the lattice to one of the firmware's; by default as many as lose little."),
+        typer.Option(min=1, help="Keep every Nth node of the lattice; by default as few as lose little."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

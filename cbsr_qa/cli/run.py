@@ -19,25 +19,24 @@ def run(
     recipe: Annotated[str, typer.Option(help="Recipe file, or the name of a shipped one.")] = "",
     serial: Annotated[str, typer.Option(help="Serial number of the sensor.")] = "",
     batch: Annotated[str, typer.Option(help="Material batch of the sensor.")] = "",
-    operator: Annotated[str, typer.Option(help="Who stands at the station.")] = "",
-    why: Annotated[
-        str, typer.Option(metavar="TEXT", help="Why recipe or station file are not as in the runs before, if so.")
-    ] = "",
-    sensor_type: Annotated[str | None, typer.Option(help="Instead of the station's own.")] = None,
-    material: Annotated[str | None, typer.Option(help="Instead of the station's own.")] = None,
+    operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
+    why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for a changed recipe or station file.")] = "",
+    sensor_type: Annotated[str | None, typer.Option(help="Sensor type, instead of the station's.")] = None,
+    material: Annotated[str | None, typer.Option(help="Material, instead of the station's.")] = None,
     seed: Annotated[
-        int | None, typer.Option(help="Of random loads and of anything simulated; by default from serial and try.")
+        int | None,
+        typer.Option(help="Seed of random loads and simulations; by default from serial number and try."),
     ] = None,
     database: Database = None,
     resume: Annotated[
-        str | None, typer.Option(metavar="RUN", help="Go on with a run that was interrupted, as it was begun.")
+        str | None, typer.Option(metavar="RUN", help="Continue an interrupted run, as it was begun.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would happen; nothing moves.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would happen; nothing moves.")] = False,
     as_json: AsJson = False,
 ) -> int:
-    """Test one sensor: verdict, stored run, report and, where it passed, its calibration file.
+    """Test one sensor: verdict, stored run, report and, if it passed, its calibration file.
 
-    Needs --station, --recipe and --serial; or --resume alone, with no more than --operator, --database and --json.
+    Takes --station, --recipe and --serial, or --resume alone (with --operator, --database and --json at most).
     """
     _check_given(context, resuming=resume is not None)
     from cbsr_qa.app.run import RunRequest, plan_outcome, plan_run, resume_run, run_outcome, run_sensor

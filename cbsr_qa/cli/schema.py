@@ -19,8 +19,8 @@ def results() -> dict[str, type]:
         Exported,
         Overridden,
         ShownCalibration,
+        SoundFile,
         Upgrade,
-        VerifiedFile,
     )
     from cbsr_qa.app.analyse import Analysed
     from cbsr_qa.app.run import PlannedRun, Rendered, RunOutcome
@@ -39,7 +39,7 @@ def results() -> dict[str, type]:
         "calibration apply": AppliedCalibration,
         "calibration export": Converted,
         "calibration show": ShownCalibration,
-        "calibration verify": VerifiedFile,
+        "calibration verify": SoundFile,
         "charts": Charts,
         "compare": Comparison,
         "db changes": Changes,

@@ -21,17 +21,18 @@ def check(
     golden: Annotated[
         str | None, typer.Option(metavar="SERIAL", help="Golden sensor to run and compare with its history.")
     ] = None,
-    operator: Annotated[str, typer.Option(help="Who stands at the station.")] = "",
+    operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
     ring_ohm: Annotated[
-        float | None, typer.Option(help="Resistors of the reference ring; by default the station file's.")
+        float | None,
+        typer.Option(help="Each resistor of the reference ring [ohm]; by default the station file's."),
     ] = None,
-    ring: Annotated[bool, typer.Option(help="Measure the reference ring, where its resistors are known.")] = True,
+    ring: Annotated[bool, typer.Option(help="Measure the reference ring, if its resistors are known.")] = True,
     ring_connected: Annotated[
-        bool, typer.Option("--ring-connected", help="The ring is in place of the sensor already; do not ask.")
+        bool, typer.Option("--ring-connected", help="The ring is connected already; do not ask.")
     ] = False,
-    sensor_type: Annotated[str | None, typer.Option(help="Instead of the station's own.")] = None,
-    material: Annotated[str | None, typer.Option(help="Instead of the station's own.")] = None,
-    seed: Annotated[int, typer.Option(help="Of anything simulated.", min=0, max=2**31 - 1)] = 0,
+    sensor_type: Annotated[str | None, typer.Option(help="Sensor type, instead of the station's.")] = None,
+    material: Annotated[str | None, typer.Option(help="Material, instead of the station's.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of anything simulated.", min=0, max=2**31 - 1)] = 0,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:

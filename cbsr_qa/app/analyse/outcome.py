@@ -10,6 +10,7 @@ from pydantic import Field, InstanceOf
 
 from cbsr_qa.domain import CbsrError, RowProblem
 from cbsr_qa.domain.readings import (
+    ChannelReport,
     EventImaging,
     ImagedPlace,
     LoadEvent,
@@ -88,22 +89,6 @@ class ReadRecording:
     def failed(cls, format_: str | None, problems: Sequence[RowProblem]) -> Self:
         """Return what is known of a file that was given up; ``format_`` is None where no format knows it."""
         return cls(format_, rows_rejected=sum(problem.rejected for problem in problems), problems=tuple(problems))
-
-
-@dataclass(frozen=True, slots=True)
-class Channels:
-    """State of the channels; see :class:`~cbsr_qa.domain.readings.ChannelReport`."""
-
-    saturated: tuple[tuple[int, int], ...]
-    stuck: tuple[tuple[int, int], ...]
-    not_connected: bool
-    used: int
-    snr_db: float | None
-    reciprocity_error: float | None
-    reading_memory: float | None
-    reciprocity_error_corrected: float | None
-    memory_corrected: bool
-    suspect_electrodes: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +239,7 @@ class Analysed:
 
     file: Path
     recording: ReadRecording
-    channels: Channels | dict[str, None]
+    channels: ChannelReport | dict[str, None]
     events: tuple[Event, ...] = ()
     warnings: tuple[str, ...] = ()
     reconstruction: EventReconstruction | None = None
@@ -275,7 +260,6 @@ class Analysed:
             result,
             file=file,
             recording=ReadRecording.of(result.recording, result.frame_rate_hz),
-            channels=filled(Channels, result.channels),
             reconstruction=None if result.imaging is None else EventReconstruction.of(result.imaging),
             events=tuple(map(Event.of, result.events)),
             noise=Noise.of(result.noise, result.recording),

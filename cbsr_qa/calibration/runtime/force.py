@@ -44,7 +44,7 @@ class Flag(IntFlag):
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Forces:
     """One load's force in each of n frames.
 
@@ -66,6 +66,13 @@ class Forces:
     place_stderr_mm: Array
     detectability: Array
     flags: NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        seen = self.force_N[np.isfinite(self.force_N) & (self.flags & Flag.NOT_DETECTED == 0)]
+        force = f", {seen.min():.3g} to {seen.max():.3g} N" if len(seen) else ""
+        counts = {flag.name: int(np.count_nonzero(self.flags & flag)) for flag in Flag}
+        flagged = "".join(f", {name} in {count}" for name, count in counts.items() if count)
+        return f"<Forces in {len(seen)} of {len(self.force_N)} frames{force}{flagged}>"
 
     def interval_N(self, coverage: float = 0.95) -> tuple[Array, Array]:
         """Lowest and highest force (n,) of a central interval, normal about the estimate.

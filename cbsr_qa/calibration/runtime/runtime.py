@@ -81,6 +81,12 @@ class Calibration:
         self.sign = float(np.sign(issued.against_stress.slope.value))
         self.least_force_N = self._least_force_N()
 
+    def __repr__(self) -> str:
+        validity, head = self.issued.validity, self.issued.indenter.words()
+        force = "" if validity.force_N is None else ", {:.3g} to {:.3g} N".format(*validity.force_N)
+        where = f"within {validity.radius_mm:.3g} mm of the centre"
+        return f"<Calibration of sensor {self.issued.sensor.serial}{force} {where}, head: {head}>"
+
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a calibration file.

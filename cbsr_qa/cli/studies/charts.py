@@ -21,18 +21,18 @@ def charts(
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
     golden: Annotated[str, typer.Option(metavar="SERIAL", help="Chart this golden sensor, not production.")] = "",
     metric: Annotated[list[str] | None, typer.Option(help="What to chart; may be repeated.")] = None,
-    by_location: Annotated[bool, typer.Option("--by-location", help="A new reference a location.")] = False,
+    by_location: Annotated[bool, typer.Option("--by-location", help="A new reference for each location.")] = False,
     chart: Annotated[
         str | None, typer.Option(help="i-mr (default), xbar-r, ewma or cusum (of a new reference).")
     ] = None,
-    subgroup: Annotated[int | None, typer.Option(help="Runs a point, with a new xbar-r (default 5).")] = None,
+    subgroup: Annotated[int | None, typer.Option(help="Runs per point, with a new xbar-r (default 5).")] = None,
     rules: Annotated[
         str | None, typer.Option(help="Numbers of Nelson's tests, with a new i-mr or xbar-r (default 1,2).")
     ] = None,
     reference_from: Annotated[
         datetime | None, typer.Option(formats=_DAY, help="First day of a new reference period (UTC).")
     ] = None,
-    reference_runs: Annotated[int | None, typer.Option(help="Store a new reference of so many runs.")] = None,
+    reference_runs: Annotated[int | None, typer.Option(help="Store a new reference of this many runs.")] = None,
     reference_until: Annotated[
         datetime | None, typer.Option(formats=_DAY, help="Store a new reference up to the end of this day (UTC).")
     ] = None,
@@ -40,13 +40,13 @@ def charts(
         str | None, typer.Option(metavar="CHART", help="Retire charts of this kind (i-mr, xbar-r, ewma or cusum).")
     ] = None,
     operator: Annotated[str, typer.Option(help="Who sets the new reference, or retires charts.")] = "",
-    why: Annotated[str, typer.Option(help="Why.")] = "",
+    why: Annotated[str, typer.Option(help="The reason.")] = "",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show a new reference without storing it.")] = False,
     output: PageOutput = None,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Chart a station's metrics over its runs, against a reference period in which it was known to be well.
+    """Chart a station's metrics over its runs, against a reference period in which it was known to be in order.
 
     Exit code 1 if a chart signals.
     """

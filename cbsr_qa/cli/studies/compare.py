@@ -9,7 +9,7 @@ from cbsr_qa.cli.output import check_page, show
 
 
 def compare(
-    by: Annotated[str, typer.Option(help="What tells groups apart: batch, material, station, software or period.")],
+    by: Annotated[str, typer.Option(help="Groups to compare: batch, material, station, software or period.")],
     groups: Annotated[
         str | None, typer.Option(metavar="A,B", help="Groups to compare, the reference first; by default all.")
     ] = None,

@@ -15,7 +15,7 @@ _BESIDE_STUDY: Final = {"study", "output", "database", "as_json"}
 def gauge(
     context: typer.Context,
     study: Annotated[
-        Path | None, typer.Argument(metavar="STUDY.toml", help="File that says what is studied, instead of options.")
+        Path | None, typer.Argument(metavar="STUDY.toml", help="File that describes the study, instead of options.")
     ] = None,
     serials: Annotated[str | None, typer.Option(metavar="S1,S2,…", help="Sensors of the study.")] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
@@ -24,19 +24,19 @@ def gauge(
         list[str] | None, typer.Option(help="What to study; may be repeated. By default what the recipe limits.")
     ] = None,
     by_location: Annotated[
-        bool, typer.Option("--by-location", help="One study a location, not of their mean.")
+        bool, typer.Option("--by-location", help="One study per location, not of their mean.")
     ] = False,
     appraiser: Annotated[str, typer.Option(help="Who measures: station or operator.")] = "station",
     since: Since = None,
     until: Until = None,
     largest_balanced: Annotated[
-        bool, typer.Option("--largest-balanced", help="Of an incomplete crossing, take the largest whole part.")
+        bool, typer.Option("--largest-balanced", help="Of an incomplete crossing, take the largest complete part.")
     ] = False,
     reference: Annotated[
         list[str] | None,
         typer.Option(
             metavar="SERIAL.METRIC=VALUE±U UNIT",
-            help="What a golden sensor truly is, or a TOML file; may be repeated.",
+            help="True value of a golden sensor, or a TOML file; may be repeated.",
         ),
     ] = None,
     confidence: Annotated[float, typer.Option(help="Of intervals, in per cent, above 50 and below 100.")] = 95.0,

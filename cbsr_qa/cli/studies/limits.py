@@ -29,15 +29,15 @@ def propose(
         list[str] | None, typer.Option(help="What to limit; may be repeated. By default what the recipe limits now.")
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Limit everything that was measured.")] = False,
-    coverage: Annotated[float, typer.Option(help="Per cent of good sensors that each limit holds.")] = 99.0,
-    confidence: Annotated[float, typer.Option(help="How sure that is to be, in per cent.")] = 95.0,
+    coverage: Annotated[float, typer.Option(help="Percentage of good sensors that each limit accepts.")] = 99.0,
+    confidence: Annotated[float, typer.Option(help="Confidence in that, in per cent.")] = 95.0,
     guard_factor: Annotated[float, typer.Option(help="Guard band over expanded uncertainty.")] = 1.0,
     distribution: Annotated[
         str, typer.Option(help="Of single values: normal, log-normal, any, or auto (the widest not refuted).")
     ] = "auto",
-    include_failed: Annotated[bool, typer.Option("--include-failed", help="Take runs in that failed.")] = False,
+    include_failed: Annotated[bool, typer.Option("--include-failed", help="Include runs that failed.")] = False,
     allow_mixed: Annotated[
-        bool, typer.Option("--allow-mixed", help="Take runs of mixed recipes or software.")
+        bool, typer.Option("--allow-mixed", help="Allow runs of several recipes or software versions.")
     ] = False,
     name: Annotated[str | None, typer.Option("--limits-version", help="Name of this version of limits.")] = None,
     output: Annotated[Path | None, typer.Option(help="TOML file to write; must not exist yet.")] = None,

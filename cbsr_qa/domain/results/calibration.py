@@ -5,7 +5,7 @@ A field that is added here is written, read, digested, exported, stored and show
 What turns a sensor's readings into newtons: fields of its head by place, and how strongly each place answers.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -220,7 +220,7 @@ class OverlapBand:
     upper: Annotated[float, Kept(units="%")]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Calibration:
     """One sensor's own calibration, as issued.
 
@@ -284,7 +284,12 @@ class Calibration:
     no_force: Annotated[str, FROM_ABOVE] = ""  # a text of the group ``force``, which encoding and decoding see to
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
-    file: Annotated[bytes, NOT_KEPT] = field(default=b"", repr=False)
+    file: Annotated[bytes, NOT_KEPT] = b""
+
+    def __repr__(self) -> str:
+        force = f"no force model: {self.no_force}" if self.force is None else "with force model"
+        digest = f", SHA-256 {self.digest[:12]}…" if self.digest else ""
+        return f"<Calibration of sensor {self.sensor.serial}, issued at {self.issued_at}, {force}{digest}>"
 
 
 @dataclass(frozen=True, slots=True)
