@@ -73,11 +73,11 @@ def run_page(result: RunResult) -> Page:
 
 def _issued(result: RunResult) -> tuple[str, str]:
     """What a run issued: a calibration, or a material file where a material was characterised."""
-    found = result.characterisation
-    if found is None:
+    characterised = result.characterisation
+    if characterised is None:
         return "Calibration", "issued" if result.calibration else f"none: {result.calibration_why}"
     passed = result.verdict.outcome in (Outcome.PASS, Outcome.MARGINAL)
-    why = next(iter(found.refused), "" if passed else "the run did not pass")
+    why = next(iter(characterised.refused), "" if passed else "the run did not pass")
     return "Material file", f"none: {why}" if why else "issued"
 
 
@@ -91,7 +91,7 @@ def _tries(result: RunResult) -> tuple[tuple[str, str], ...]:
 
 def recording_page(result: RecordingResult) -> Page:
     """Say what a recording's report begins with."""
-    recording, found = result.recording, len(result.events)
+    recording, count = result.recording, len(result.events)
     rate = result.frame_rate_hz
     facts = (
         ("File", recording.path.name),
@@ -105,8 +105,8 @@ def recording_page(result: RecordingResult) -> Page:
         ("Force", "recorded" if any(s.channel == "force" for s in recording.samples) else "not recorded"),
         *_imaging(result),
     )
-    headline = f"{plural(found, 'event')} found" if found else "no event"
-    banner = Banner("plain", "●" if found else "○", headline, _found(result))
+    headline = f"{plural(count, 'event')} found" if count else "no event"
+    banner = Banner("plain", "●" if count else "○", headline, _found(result))
     return Page("Recording report", recording.path.name, banner, facts, recording.simulated, (), result.warnings)
 
 
@@ -136,8 +136,8 @@ def _overridden(result: RunResult) -> tuple[str, ...]:
     """Say that somebody decided against the verdict; the whole history stands under Traceability."""
     if not result.overrides:
         return ()
-    said = f"The verdict was {result.overrides[-1].words}"
-    return (f"{said}. What was measured and found is unchanged, and an override issues no calibration.",)
+    decided = f"The verdict was {result.overrides[-1].words}"
+    return (f"{decided}. What was measured and found is unchanged, and an override issues no calibration.",)
 
 
 def _found(result: RecordingResult) -> str:

@@ -65,8 +65,8 @@ class Measured:
 
     def values(self, name: str, loads: Sequence[LoadObservation], qualifier: str = "") -> list[float]:
         """Return the values of one measurement over some loads; those without one are left out."""
-        found = (self.of_load(name, load, qualifier) for load in loads)
-        return [m.value for m in found if m is not None and m.value is not None]
+        measurements = (self.of_load(name, load, qualifier) for load in loads)
+        return [m.value for m in measurements if m is not None and m.value is not None]
 
 
 def mask_qualifier(run: RunObservation, fraction: float) -> str:
@@ -83,10 +83,10 @@ def mean_deviation(values: Sequence[float]) -> tuple[float, float | None] | None
 
 def spread_text(values: Sequence[float], unit: str = "") -> str:
     """Write mean ± standard deviation of some values; a dash where there are none, no ± for a single one."""
-    found = mean_deviation(values)
-    if found is None:
+    spread = mean_deviation(values)
+    if spread is None:
         return "–"
-    return with_uncertainty(*found) if found[1] else plain(found[0], unit)
+    return with_uncertainty(*spread) if spread[1] else plain(spread[0], unit)
 
 
 def alike(reason: str) -> str:
@@ -179,21 +179,21 @@ def location_verdicts(run: RunObservation, judged: Sequence[Measurement]) -> tup
         if m.load is not None and (place := at.get((m.phase, m.load))) is not None:
             groups.setdefault((m.phase, place.label, place.x_mm, place.y_mm), []).append(m)
     order = {phase.name: number for number, phase in enumerate(run.record.phases)}
-    found = []
+    verdicts = []
     for (phase, label, x_mm, y_mm), members in groups.items():
         outcome = worst(m.outcome for m in members)
         deciding = min((m for m in members if m.outcome is outcome), key=relative_margin)
-        found.append(LocationVerdict(phase, label, x_mm, y_mm, outcome, deciding, len(members)))
-    return tuple(sorted(found, key=lambda one: order.get(one.phase, 0)))
+        verdicts.append(LocationVerdict(phase, label, x_mm, y_mm, outcome, deciding, len(members)))
+    return tuple(sorted(verdicts, key=lambda verdict: order.get(verdict.phase, 0)))
 
 
 def verdicts_in_words(verdicts: Sequence[LocationVerdict]) -> str:
     """Say which locations did not pass, and what decided; the worst first."""
-    kept = [one for one in verdicts if one.outcome is not Outcome.PASS]
+    kept = [verdict for verdict in verdicts if verdict.outcome is not Outcome.PASS]
     if not kept:
         return f"By location: all {len(verdicts)} pass." if len(verdicts) > 1 else "By location: the only one passes."
-    kept.sort(key=lambda one: (SEVERITY.index(one.outcome), relative_margin(one.deciding)))
-    named = "; ".join(_named(one) for one in kept[:_MOST_NAMED])
+    kept.sort(key=lambda verdict: (SEVERITY.index(verdict.outcome), relative_margin(verdict.deciding)))
+    named = "; ".join(_named(verdict) for verdict in kept[:_MOST_NAMED])
     more = len(kept) - _MOST_NAMED
     named += f"; and {more} more" if more > 0 else ""
     passed = len(verdicts) - len(kept)
@@ -201,11 +201,11 @@ def verdicts_in_words(verdicts: Sequence[LocationVerdict]) -> str:
     return f"By location, {plural(len(kept), 'does', 'do')} not simply pass: {named}.{rest}"
 
 
-def _named(one: LocationVerdict) -> str:
-    m = one.deciding
+def _named(verdict: LocationVerdict) -> str:
+    m = verdict.deciding
     assert m.limit is not None
     name = m.name.replace("_", " ").replace("snr", "SNR")
     if m.value is None:
-        return f"{one.label} ({one.phase}) {one.outcome}, {name}: {m.how}"
+        return f"{verdict.label} ({verdict.phase}) {verdict.outcome}, {name}: {m.how}"
     value, limit = value_cell(m, unit=True).text, limit_text(m.limit)
-    return f"{one.label} ({one.phase}) {one.outcome}, {name} {value} (limit {limit})"
+    return f"{verdict.label} ({verdict.phase}) {verdict.outcome}, {name} {value} (limit {limit})"

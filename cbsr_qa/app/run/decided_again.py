@@ -25,17 +25,17 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
     StoreError
         If a stored limit, an outcome or the verdict does not follow; it names the measurement.
     """
-    said, found = stored.verdict, stored.measurements
-    if record.end is not EndReason.FINISHED or not found:
-        if said.outcome not in (Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
+    verdict, measurements = stored.verdict, stored.measurements
+    if record.end is not EndReason.FINISHED or not measurements:
+        if verdict.outcome not in (Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
             why = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
-            raise _refused(stored, f"the verdict states {said.outcome}; the run {why}")
+            raise _refused(stored, f"the verdict states {verdict.outcome}; the run {why}")
         return
     _check_measurements(stored, limits if record.chain.chained else None)
-    now = decide(found)
+    now = decide(measurements)
     same_words = dict(stored.software).get("cbsr-qa") == version("cbsr-qa")
-    if now.outcome is not said.outcome or (same_words and now.reason != said.reason):
-        raise _refused(stored, f"the verdict states {_verdict(said)}; its measurements say {_verdict(now)}")
+    if now.outcome is not verdict.outcome or (same_words and now.reason != verdict.reason):
+        raise _refused(stored, f"the verdict states {_verdict(verdict)}; its measurements say {_verdict(now)}")
 
 
 def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) -> None:
@@ -45,7 +45,8 @@ def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) 
         again = judge(own, [replace(limit, version="") for limit in limits])
     else:
         again = tuple(
-            one if m.limit is None else one.judged(m.limit) for one, m in zip(own, stored.measurements, strict=True)
+            measurement if m.limit is None else measurement.judged(m.limit)
+            for measurement, m in zip(own, stored.measurements, strict=True)
         )
     for number, (was, now) in enumerate(zip(stored.measurements, again, strict=False)):
         if (was.limit, was.outcome) != (now.limit, now.outcome):

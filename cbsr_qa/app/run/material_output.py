@@ -15,11 +15,11 @@ _LONGEST_NAME: Final = 64  # of a material
 
 def why_no_material(result: RunResult) -> str:
     """Say why a run issues no material file; empty where it does."""
-    found = result.characterisation
-    if found is None:
+    characterised = result.characterisation
+    if characterised is None:
         return "nothing was characterised"
-    if found.refused:
-        return found.refused[0]
+    if characterised.refused:
+        return characterised.refused[0]
     if result.verdict.outcome not in (Outcome.PASS, Outcome.MARGINAL):
         return f"the run did not pass: {result.verdict.reason}"
     return ""
@@ -57,44 +57,44 @@ def material_of(result: RunResult) -> Material:
     NumericsError
         If the characterisation was refused.
     """
-    found, identity = result.characterisation, result.record.identity
-    if found is None or found.refused:
+    characterised, identity = result.characterisation, result.record.identity
+    if characterised is None or characterised.refused:
         raise NumericsError(f"run {identity.run} characterised no material: {why_no_material(result)}")
-    strain, stress = found.local_against_strain.line, found.local_against_stress.line
-    kernels = found.loading, found.unloading, found.stress
+    strain, stress = characterised.local_against_strain.line, characterised.local_against_stress.line
+    kernels = characterised.loading, characterised.unloading, characterised.stress
     assert strain is not None
     assert stress is not None
-    assert found.modulus_kPa is not None
+    assert characterised.modulus_kPa is not None
     loading, unloading, relaxation = (kernel for kernel in kernels if kernel is not None)
     noise = result.record.material.relative_noise
     carried = f"taken over from {result.record.material.name}, a strip of two pins does not tell it; {noise.source}"
     return Material(
         name=(identity.sensor.batch or identity.sensor.serial)[:_LONGEST_NAME],
-        interelectrode_resistance_ohm=_resistance(found),
-        modulus_kPa=found.modulus_kPa,
+        interelectrode_resistance_ohm=_resistance(characterised),
+        modulus_kPa=characterised.modulus_kPa,
         against_stress=stress,
         against_strain=strain,
         stress_relaxation=relaxation,
         loading_relaxation=loading,
         unloading_relaxation=unloading,
         relative_noise=Parameter(noise.value, noise.stderr, carried[:1000]),
-        strip_relaxation=found.relaxation,
+        strip_relaxation=characterised.relaxation,
     )
 
 
-def _resistance(found: Characterisation) -> Parameter:
-    resistance, squares = found.strip.resistance_ohm, found.strip.squares
-    said = (
+def _resistance(characterised: Characterisation) -> Parameter:
+    resistance, squares = characterised.strip.resistance_ohm, characterised.strip.squares
+    source = (
         f"{resistance.source}; between the strip's two pins, {squares:.4g} squares of"
         f" {resistance.value / squares:.5g} ohm: neighbours on another sensor type have another"
     )
-    return replace(resistance, source=said)
+    return replace(resistance, source=source)
 
 
-def _range(found: Characterisation) -> str:
+def _range(characterised: Characterisation) -> str:
     """Say for what strains and stresses the lines hold."""
-    kept = [level for level in found.levels if not level.why]
-    least = max(min(level.strain for level in kept), found.lowest_strain or 0.0)
+    kept = [level for level in characterised.levels if not level.why]
+    least = max(min(level.strain for level in kept), characterised.lowest_strain or 0.0)
     highest = max(kept, key=lambda level: level.strain)
     stress = "" if highest.stress_kPa is None else f", up to {highest.stress_kPa:.3g} kPa"
     return f"Characterised from {100 * least:g} to {100 * highest.strain:g} % strain{stress}."
@@ -102,21 +102,21 @@ def _range(found: Characterisation) -> str:
 
 def _comments(result: RunResult) -> list[str]:
     """What a reader of the file must know."""
-    found, identity = result.characterisation, result.record.identity
-    assert found is not None
+    characterised, identity = result.characterisation, result.record.identity
+    assert characterised is not None
     lines = [
         f"Characterised in run {identity.run} at station {identity.station}, {identity.started_at.date()}: strip"
         f" {identity.sensor.serial}, batch {identity.sensor.batch or 'not stated'}.",
         "against_strain and against_stress are local: relative conductance changes under the head, by the forward",
-        f"model of the strip with contacts of {found.settings.contact_length_mm:g} ±"
-        f" {found.settings.contact_length_stderr_mm:g} mm (assumed: two pins do not tell them).",
+        f"model of the strip with contacts of {characterised.settings.contact_length_mm:g} ±"
+        f" {characterised.settings.contact_length_stderr_mm:g} mm (assumed: two pins do not tell them).",
     ]
-    if found.against_strain.line is not None:
-        slope = found.against_strain.line.slope
+    if characterised.against_strain.line is not None:
+        slope = characterised.against_strain.line.slope
         lines.append(
             f"Between the pins, as the paper has it, the gauge factor is {slope.value:.4g} ± {slope.stderr or 0:.2g}."
         )
-    lines.append(f"{_range(found)} Standard errors are statistical, with that of the contacts.")
+    lines.append(f"{_range(characterised)} Standard errors are statistical, with that of the contacts.")
     lines += [f"Simulated: {what}." for what in identity.simulated]
-    lines += [f"Reduced: {' '.join(what.split())}." for what in found.reduced]
+    lines += [f"Reduced: {' '.join(what.split())}." for what in characterised.reduced]
     return lines

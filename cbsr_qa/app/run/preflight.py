@@ -85,9 +85,9 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
     steps = [step for phase in meant for step in phase.steps(plan.context)]
     places = {(step.load.x_mm, step.load.y_mm) for step in steps if isinstance(step, Press)}
     if len(places) != 1:
-        found = f"press cycles at {len(places)} places" if places else "no phase of press cycles"
+        pressed = f"press cycles at {len(places)} places" if places else "no phase of press cycles"
         raise ConfigError(
-            f"recipe {recipe.name!r} has [characterisation] and {found}; a strip is pressed at one place",
+            f"recipe {recipe.name!r} has [characterisation] and {pressed}; a strip is pressed at one place",
             remedy='give it one phase with sequence = "characterisation"',
         )
 
@@ -102,9 +102,11 @@ def refuse_overdue(station: Station, today: date) -> None:
     """
     if station.overdue != "refuse":
         return
-    late = [one for one in station.instruments if past_due(one.calibration_due, today)]
+    late = [instrument for instrument in station.instruments if past_due(instrument.calibration_due, today)]
     if late:
-        named = ", ".join(f"{one.role} ({one.driver}) was due on {one.calibration_due}" for one in late)
+        named = ", ".join(
+            f"{instrument.role} ({instrument.driver}) was due on {instrument.calibration_due}" for instrument in late
+        )
         raise RefusedError(
             f'station {station.name!r} has overdue = "refuse", and the calibration of {named}',
             remedy="have it calibrated and give the new calibration_due in the station file",
@@ -119,9 +121,9 @@ def past_due(calibration_due: str | None, today: date) -> bool:
 def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str, ...]:
     """Say which instruments are past their calibration date."""
     return tuple(
-        f"the calibration of {one.role} ({one.model}) was due on {one.calibration_due}"
-        for one in instruments
-        if past_due(one.calibration_due, today)
+        f"the calibration of {instrument.role} ({instrument.model}) was due on {instrument.calibration_due}"
+        for instrument in instruments
+        if past_due(instrument.calibration_due, today)
     )
 
 

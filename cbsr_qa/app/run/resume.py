@@ -125,20 +125,22 @@ def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
     return [f"the run was begun with other software than it went on with: {', '.join(differing)}"]
 
 
-def changed_instruments(stored: RunIdentity, found: tuple[InstrumentIdentity, ...]) -> list[str]:
+def changed_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:
     """Say which instruments are not those a run was begun with."""
-    before = {one.role: one for one in stored.instruments}
+    before = {instrument.role: instrument for instrument in stored.instruments}
     words = []
-    for one in found:
-        first = before.get(one.role)
-        if first is None or _who(first) != _who(one):
+    for instrument in instruments:
+        first = before.get(instrument.role)
+        if first is None or _who(first) != _who(instrument):
             was = "none" if first is None else _who(first)
-            words.append(f"{one.role} is another instrument than the run was begun with: {was} → {_who(one)}")
+            words.append(
+                f"{instrument.role} is another instrument than the run was begun with: {was} → {_who(instrument)}"
+            )
     return words
 
 
-def _who(one: InstrumentIdentity) -> str:
-    return " ".join(filter(None, [one.model, one.serial, one.firmware]))
+def _who(instrument: InstrumentIdentity) -> str:
+    return " ".join(filter(None, [instrument.model, instrument.serial, instrument.firmware]))
 
 
 def next_step(store: Repository, run: str, plugins: Plugins) -> tuple[str, str]:

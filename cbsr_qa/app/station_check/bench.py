@@ -101,8 +101,8 @@ def look_at_bench(
 
 def simulates_frames(station: Station) -> bool:
     """Whether the frames of a station are of a simulated world, in which a ring can be put in the sheet's place."""
-    sources = [one for one in station.instruments if FRAME_SOURCE in one.provides]
-    return station.emulated_scene is not None or any("scene" in one.options for one in sources)
+    sources = [spec for spec in station.instruments if FRAME_SOURCE in spec.provides]
+    return station.emulated_scene is not None or any("scene" in spec.options for spec in sources)
 
 
 def with_ring(configuration: Configuration, resistances_ohm: tuple[float, ...]) -> Configuration:
@@ -146,43 +146,43 @@ class _Look:
         """Open one instrument and ask it who it is and how it is."""
         self._tell(f"asking {spec.role}")
         try:
-            one = Mounted(spec, opened(spec))
+            mounted = Mounted(spec, opened(spec))
         except Exception as error:  # noqa: BLE001 - a stranger's driver may raise anything; it is one line
             if isinstance(error, RefusedError):
                 self.found.refused.append(error)
             self._add(_failed(spec.role, "identity", error))
             self._missing += 1
         else:
-            self._mounted.append(one)
-            if not isinstance(one.instrument, Linked):
-                self._ask(one)
+            self._mounted.append(mounted)
+            if not isinstance(mounted.instrument, Linked):
+                self._ask(mounted)
         due = _due(spec, self.configuration.station, today)
         if due is not None:
             self._add(due)
 
-    def _ask(self, one: Mounted, *, emulated: bool = False) -> None:
+    def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
         """Ask an instrument who it is, and to test itself; ``emulated`` as of :func:`identity_of`."""
-        role = one.spec.role
+        role = mounted.spec.role
         try:
-            said = identity_of(one, emulated=emulated)
+            identity = identity_of(mounted, emulated=emulated)
         except Exception as error:  # noqa: BLE001 - as above
             self._add(_failed(role, "identity", error))
             self._missing += 1
             return
-        self.found.instruments.append(said)
-        self._add(CheckResult("identity", CheckOutcome.OK, said=_who(said), subject=role))
-        self._self_test(one)
+        self.found.instruments.append(identity)
+        self._add(CheckResult("identity", CheckOutcome.OK, said=_who(identity), subject=role))
+        self._self_test(mounted)
 
-    def _self_test(self, one: Mounted) -> None:
-        if not isinstance(one.instrument, SelfTesting):
-            why = f"driver {one.spec.driver} has none"
-            self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=why, subject=one.spec.role))
+    def _self_test(self, mounted: Mounted) -> None:
+        if not isinstance(mounted.instrument, SelfTesting):
+            why = f"driver {mounted.spec.driver} has none"
+            self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=why, subject=mounted.spec.role))
             return
         try:
-            for line in one.instrument.self_test():
-                self._add(replace(line, subject=one.spec.role))
+            for line in mounted.instrument.self_test():
+                self._add(replace(line, subject=mounted.spec.role))
         except Exception as error:  # noqa: BLE001 - as above
-            self._add(_failed(one.spec.role, "self-test", error))
+            self._add(_failed(mounted.spec.role, "self-test", error))
 
     def has_ring(self, resistances_ohm: tuple[float, ...], confirm: Confirm) -> bool:
         """Ask for the ring, before instruments that look at their contacts are put together."""
@@ -190,17 +190,17 @@ class _Look:
 
     def put_together(self, after: tuple[Action, ...]) -> None:
         """Make a bench of the instruments, if all of them are there, and ask those that needed the others for it."""
-        linked = [one for one in self._mounted if isinstance(one.instrument, Linked)]
+        linked = [mounted for mounted in self._mounted if isinstance(mounted.instrument, Linked)]
         if self._missing:
-            for one in linked:
-                why, role = "it works through others, of which one is missing", one.spec.role
+            for mounted in linked:
+                why, role = "it works through others, of which one is missing", mounted.spec.role
                 self._add(CheckResult("identity", CheckOutcome.NOT_DONE, said=why, subject=role))
             return
         try:
             bench = Bench(self._mounted, after=after)
-            emulates = any(one.spec.emulated for one in self._mounted)
-            for one in linked:
-                self._ask(one, emulated=emulates and "address" not in one.spec.options)
+            emulates = any(mounted.spec.emulated for mounted in self._mounted)
+            for mounted in linked:
+                self._ask(mounted, emulated=emulates and "address" not in mounted.spec.options)
             if not self._missing:
                 check_clock(self.configuration, self.found.instruments)
                 self._bench = bench
@@ -213,12 +213,12 @@ class _Look:
             return
         stale_s, begun_s = self.configuration.station.safety.stale_s, self._clock.now()
         self._clock.sleep(stale_s)
-        for one in self._mounted:
-            if isinstance(one.instrument, Sampler):
+        for mounted in self._mounted:
+            if isinstance(mounted.instrument, Sampler):
                 try:
-                    self._add(_sampled(one.spec, one.instrument, begun_s, stale_s))
+                    self._add(_sampled(mounted.spec, mounted.instrument, begun_s, stale_s))
                 except Exception as error:  # noqa: BLE001 - as above
-                    self._add(_failed(one.spec.role, f"samples of {one.instrument.channel}", error))
+                    self._add(_failed(mounted.spec.role, f"samples of {mounted.instrument.channel}", error))
 
     def measure_ring(self, ring: ReferenceRing | None, resistances_ohm: tuple[float, ...], connected: bool) -> None:
         """Take frames of the ring and judge them; a line says why, where none are taken."""
@@ -247,15 +247,15 @@ class _Look:
         if self._bench is not None:
             unsafe, unclosed = self._bench.safe_state(), self._bench.close()
         else:
-            unsafe = stop_all([(one.name, one.instrument.safe_state) for one in self._mounted])
-            unclosed = stop_all([*((one.name, one.instrument.close) for one in self._mounted), *after])
+            unsafe = stop_all([(mounted.name, mounted.instrument.safe_state) for mounted in self._mounted])
+            unclosed = stop_all([*((mounted.name, mounted.instrument.close) for mounted in self._mounted), *after])
         for name, who in (("safe state", unsafe), ("closing", unclosed)):
             for words in who:
                 remedy = "switch the source off and lift the head by hand, then look at this instrument"
                 self._add(CheckResult(name, CheckOutcome.FAILED, said=words, remedy=remedy, subject=_WHOLE))
         if self._mounted and not unsafe:
-            said = "source off, head up: every instrument says so"
-            self._add(CheckResult("safe state", CheckOutcome.OK, said=said, subject=_WHOLE))
+            finding = "source off, head up: every instrument says so"
+            self._add(CheckResult("safe state", CheckOutcome.OK, said=finding, subject=_WHOLE))
 
     def _add(self, line: CheckResult) -> None:
         self.found.lines.append(line)
@@ -267,9 +267,9 @@ def _failed(subject: str, name: str, error: Exception) -> CheckResult:
         raise error
     if isinstance(error, CbsrError):
         return CheckResult(name, CheckOutcome.FAILED, said=error.reason, remedy=error.remedy, subject=subject)
-    said = f"{type(error).__name__}: {error}"
+    finding = f"{type(error).__name__}: {error}"
     return CheckResult(
-        name, CheckOutcome.FAILED, said=said, remedy="report it to the driver's author", subject=subject
+        name, CheckOutcome.FAILED, said=finding, remedy="report it to the driver's author", subject=subject
     )
 
 
@@ -277,14 +277,14 @@ def _no_ring(why: str, remedy: str) -> CheckResult:
     return CheckResult("readings", CheckOutcome.NOT_DONE, said=why, remedy=remedy, subject=RING)
 
 
-def _who(said: InstrumentIdentity) -> str:
-    parts = [said.model, f"serial {said.serial}" if said.serial else "", f"firmware {said.firmware}"]
-    known = [part for part in parts[: 3 if said.firmware else 2] if part]
-    return ", ".join([*known, *(f"{what} {value}".strip() for what, value in said.notes), *_simulated(said)])
+def _who(identity: InstrumentIdentity) -> str:
+    parts = [identity.model, f"serial {identity.serial}" if identity.serial else "", f"firmware {identity.firmware}"]
+    known = [part for part in parts[: 3 if identity.firmware else 2] if part]
+    return ", ".join([*known, *(f"{what} {value}".strip() for what, value in identity.notes), *_simulated(identity)])
 
 
-def _simulated(said: InstrumentIdentity) -> list[str]:
-    return ["simulated"] if said.simulated else []
+def _simulated(identity: InstrumentIdentity) -> list[str]:
+    return ["simulated"] if identity.simulated else []
 
 
 def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | None:
@@ -315,18 +315,18 @@ def _sampled(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: fl
         why = "it says where the head is while that moves, and nothing moved"
         return CheckResult(name, CheckOutcome.NOT_DONE, said=why, subject=spec.role)
     finite = bool(len(block)) and bool(np.isfinite(block.values).all())
-    said = f"no sample in {stale_s:g} s"
+    finding = f"no sample in {stale_s:g} s"
     if len(block):
         mean, deviation = float(block.values.mean()), float(block.values.std())
         shown = unit_shown(block.unit)
-        said = f"mean {number(mean)} {shown}, standard deviation {number(deviation, 2)} {shown}"
+        finding = f"mean {number(mean)} {shown}, standard deviation {number(deviation, 2)} {shown}"
     return CheckResult(
         name,
         CheckOutcome.OK if finite else CheckOutcome.FAILED,
         value=len(block) / stale_s,
         unit="1/s",
         allowed=f"at least one in {stale_s:g} s",
-        said=said if finite or not len(block) else "a sample is not a finite number",
+        said=finding if finite or not len(block) else "a sample is not a finite number",
         remedy="" if finite else "check its cable and supply",
         subject=spec.role,
     )

@@ -113,7 +113,7 @@ def check_station(
             # Contacts are looked at while the instruments are put together: something must be connected by then.
             placed(_place_words(request.golden))
         with stoppable():
-            found = look_at_bench(
+            findings = look_at_bench(
                 configuration,
                 plugins,
                 station_clock(configuration),
@@ -123,13 +123,13 @@ def check_station(
                 ask=ask,
                 tell=tell,
             )
-        _refuse_untried(found, configuration)
+        _refuse_untried(findings, configuration)
         run = None
-        if request.golden is not None and _may_press(request.golden, found, placed):
-            run = _golden(request, request.golden, found, store, ask, tell)
-        check = _check(store.new_id(), request, configuration, software_versions(plugins), found, run)
-        store.save_station_check(check, found.ring)
-    outcome = check_outcome(check, found.ring, configuration.sensor_type.pattern, ring)
+        if request.golden is not None and _may_press(request.golden, findings, placed):
+            run = _golden(request, request.golden, findings, store, ask, tell)
+        check = _check(store.new_id(), request, configuration, software_versions(plugins), findings, run)
+        store.save_station_check(check, findings.ring)
+    outcome = check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring)
     return _written(outcome, reports_folder() / report_name("station", check.station, check.check))
 
 
@@ -146,7 +146,7 @@ def _check(
     request: CheckRequest,
     configuration: Configuration,
     software: tuple[tuple[str, str], ...],
-    found: BenchFindings,
+    findings: BenchFindings,
     golden_run: str | None,
 ) -> StationCheck:
     return StationCheck(
@@ -157,8 +157,8 @@ def _check(
         sensor_type=configuration.sensor_type.name,
         configuration_digest=configuration.digest,
         software=software,
-        instruments=tuple(found.instruments),
-        results=tuple(found.lines),
+        instruments=tuple(findings.instruments),
+        results=tuple(findings.lines),
         golden_run=golden_run,
     )
 
@@ -198,10 +198,10 @@ def _confirmed(ask: Callable[[str], str], words: str) -> bool:
     return not ask(f"{words}. Press Enter when it is done, or type s to skip it.").strip()
 
 
-def _refuse_untried(found: BenchFindings, configuration: Configuration) -> None:
+def _refuse_untried(findings: BenchFindings, configuration: Configuration) -> None:
     """Raise what is wrong with the station file where not a single instrument could be tried."""
-    if not found.instruments and len(found.refused) == len(configuration.station.instruments):
-        raise found.refused[0]
+    if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
+        raise findings.refused[0]
 
 
 def _subject(serial: str) -> str:
@@ -212,22 +212,22 @@ def _place_words(serial: str) -> str:
     return f"Put golden sensor {serial} on the station"
 
 
-def _may_press(serial: str, found: BenchFindings, confirm: Confirm) -> bool:
+def _may_press(serial: str, findings: BenchFindings, confirm: Confirm) -> bool:
     """Whether the golden sensor may be run; a line says why not."""
     why = ""
-    if any(one.outcome is CheckOutcome.FAILED and one.name in _NEEDED for one in found.lines):
+    if any(line.outcome is CheckOutcome.FAILED and line.name in _NEEDED for line in findings.lines):
         why = "the bench is not whole"
     elif confirm is not None and not confirm(_place_words(serial)):
         why = "the operator did not put it on the station"
     if why:
-        found.lines.append(CheckResult("run", CheckOutcome.NOT_DONE, said=why, subject=_subject(serial)))
+        findings.lines.append(CheckResult("run", CheckOutcome.NOT_DONE, said=why, subject=_subject(serial)))
     return not why
 
 
 def _golden(
     request: CheckRequest,
     serial: str,
-    found: BenchFindings,
+    findings: BenchFindings,
     store: Repository,
     ask: Callable[[str], str] | None,
     tell: Callable[[str], None],
@@ -236,7 +236,7 @@ def _golden(
     subject = _subject(serial)
 
     def line(outcome: CheckOutcome, said: str, remedy: str = "") -> None:
-        found.lines.append(CheckResult("run", outcome, said=said, remedy=remedy, subject=subject))
+        findings.lines.append(CheckResult("run", outcome, said=said, remedy=remedy, subject=subject))
 
     wanted = RunRequest(
         station=request.station,
@@ -259,7 +259,7 @@ def _golden(
     line(CheckOutcome.OK, f"run {outcome.run}, {record.station_s / 60:.1f} min of station time")
     history = golden_history(store, outcome.run)
     station = record.identity.station
-    found.lines += compare_golden(outcome.result.measurements, history, station=station, subject=subject)
+    findings.lines += compare_golden(outcome.result.measurements, history, station=station, subject=subject)
     return outcome.run
 
 

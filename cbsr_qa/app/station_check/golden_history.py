@@ -84,7 +84,7 @@ def golden_history(store: Repository, run: str) -> GoldenHistory:
         If it is not stored.
     """
     identity, digest = store.identity(run), measuring_digest(store.configuration(run))
-    found, unlike = [], 0
+    runs, unlike = [], 0
     for other in reversed(store.find_runs(identity.sensor.serial)):
         if other.recipe != identity.recipe or other.end is not EndReason.FINISHED or other.run >= run:
             continue
@@ -92,19 +92,19 @@ def golden_history(store: Repository, run: str) -> GoldenHistory:
         if not analyses or measuring_digest(store.configuration(other.run)) != digest:
             unlike += 1
             continue
-        found.append(GoldenRun(other.run, other.station, figures_of(analyses[0].measurements)))
-    return GoldenHistory(tuple(found), unlike)
+        runs.append(GoldenRun(other.run, other.station, figures_of(analyses[0].measurements)))
+    return GoldenHistory(tuple(runs), unlike)
 
 
 def figures_of(measurements: Sequence[Measurement]) -> dict[str, Figure]:
     """Return the figures of a run that can be compared; what was not measured, or only bounded, is not there."""
-    found = {}
+    figures = {}
     for name, qualifier in FIGURES:
         of = [m for m in measurements if (m.name, m.qualifier) == (name, qualifier)]
         values = [m.value for m in of if m.value is not None and m.bound is Bound.EXACT]
         if values and len(values) == len(of):
-            found[name] = Figure(float(np.mean(values)), len(values), of[0].unit)
-    return found
+            figures[name] = Figure(float(np.mean(values)), len(values), of[0].unit)
+    return figures
 
 
 def compare_golden(
@@ -144,11 +144,11 @@ def compare_golden(
 
 def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
     """Line of a figure that could not be measured: a failure where earlier runs had it."""
-    said, lost = "it could not be measured in this run", len(had) >= FEWEST_VALUES
+    why, lost = "it could not be measured in this run", len(had) >= FEWEST_VALUES
     return CheckResult(
         _shown(name),
         CheckOutcome.FAILED if lost else CheckOutcome.NOT_DONE,
-        said=f"{said}; {_runs(len(had))} had it" if lost else said,
+        said=f"{why}; {_runs(len(had))} had it" if lost else why,
         remedy="the report of this run says why" if lost else "",
         subject=subject,
     )
@@ -162,15 +162,15 @@ def _values(name: str, figure: Figure, runs: Sequence[GoldenRun]) -> list[float]
 
 def _rests_on(here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike: int, subject: str) -> CheckResult:
     enough = max(len(here), len(elsewhere)) >= FEWEST_VALUES
-    said = f"{_runs(len(here))} at this station, {len(elsewhere)} at others"
-    said += f" ({_stations(elsewhere)})" if elsewhere else ""
-    said += f"; {_runs(unlike)} with another recipe, sensor type or head left out" if unlike else ""
+    counts = f"{_runs(len(here))} at this station, {len(elsewhere)} at others"
+    counts += f" ({_stations(elsewhere)})" if elsewhere else ""
+    counts += f"; {_runs(unlike)} with another recipe, sensor type or head left out" if unlike else ""
     return CheckResult(
         "history",
         CheckOutcome.OK if enough else CheckOutcome.NOT_DONE,
         value=float(len(here) + len(elsewhere)),
         unit="1",
-        said=said,
+        said=counts,
         remedy="" if enough else f"no verdict on its figures before {FEWEST_VALUES} earlier runs; this one counts",
         subject=subject,
     )
@@ -183,13 +183,13 @@ def _line(
     if not compared:
         why = f"fewer than {FEWEST_VALUES} earlier runs to hold it against"
         return CheckResult(shown, CheckOutcome.NOT_DONE, value=value, unit=figure.unit, said=why, subject=subject)
-    outcomes, said, allowed = [CheckOutcome.OK], [], []
+    outcomes, means, allowed = [CheckOutcome.OK], [], []
     for where, values in compared.items():
         fails = predicted(values, confidence=1 - (1 - FAILS_BEYOND) / comparisons)
         warns = predicted(values, confidence=1 - (1 - WARNS_BEYOND) / comparisons)
         outside = CheckOutcome.FAILED if not fails.holds(value) else CheckOutcome.WARNING
         outcomes += [] if warns.holds(value) else [outside]
-        said.append(f"{where} {with_uncertainty(fails.mean, fails.deviation)} in {_runs(fails.count)}")
+        means.append(f"{where} {with_uncertainty(fails.mean, fails.deviation)} in {_runs(fails.count)}")
         reach = f"{_like(fails.low, fails)} to {_like(fails.high, fails)} {unit_shown(figure.unit)}".rstrip()
         allowed.append(f"{reach} ({where})")
     outcome = CheckOutcome.FAILED if CheckOutcome.FAILED in outcomes else outcomes[-1]
@@ -199,7 +199,7 @@ def _line(
         value=value,
         unit=figure.unit,
         allowed="; ".join(allowed),
-        said="; ".join(said),
+        said="; ".join(means),
         remedy="" if outcome is CheckOutcome.OK else _CHANGED,
         subject=subject,
     )

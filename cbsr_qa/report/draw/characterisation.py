@@ -38,7 +38,7 @@ _STRAINS: Final = LinearSegmentedColormap.from_list("cbsr_strain", ["#9ecae1", "
 Change = Callable[[CycleChange], float]
 
 
-def lines_figure(found: Characterisation, *, caption: str, alternative: str) -> Figure:
+def lines_figure(characterised: Characterisation, *, caption: str, alternative: str) -> Figure:
     """Draw changes between the pins and under the head against stress and strain, with line and band."""
 
     def build() -> Canvas:
@@ -46,8 +46,8 @@ def lines_figure(found: Characterisation, *, caption: str, alternative: str) -> 
         grid = figure.add_gridspec(2, 2, left=0.09, right=0.985, bottom=0.095, top=0.945, hspace=0.5, wspace=0.24)
         left: list[Axes] = []
         rows = (
-            ("between the pins", _apparent, found.against_stress, found.against_strain),
-            ("under the head", _local, found.local_against_stress, found.local_against_strain),
+            ("between the pins", _apparent, characterised.against_stress, characterised.against_strain),
+            ("under the head", _local, characterised.local_against_stress, characterised.local_against_strain),
         )
         for row, (where, change, against_stress, against_strain) in enumerate(rows):
             for column, (line, place, label) in enumerate(
@@ -55,7 +55,7 @@ def lines_figure(found: Characterisation, *, caption: str, alternative: str) -> 
             ):
                 axes = figure.add_subplot(grid[row, column])
                 light_grid(axes)
-                _draw_line(axes, found, line, place, change, scale=100.0 if column else 1.0)
+                _draw_line(axes, characterised, line, place, change, scale=100.0 if column else 1.0)
                 axes.set_title(f"{where}, against {'strain' if column else 'stress'}", fontweight="normal")
                 axes.set_xlabel(label)
                 if column == 0:
@@ -85,7 +85,7 @@ def _stress(cycle: CycleChange) -> float | None:
 
 def _draw_line(
     axes: Axes,
-    found: Characterisation,
+    characterised: Characterisation,
     line: FittedLine,
     place: Callable[[CycleChange], float | None],
     change: Change,
@@ -94,8 +94,8 @@ def _draw_line(
 ) -> None:
     """Cycles as faint dots, means with deviations, strains left out open; the line only where it was fitted."""
     highest = 0.0
-    for level in found.levels:
-        members = [(place(c), change(c)) for c in found.cycles if c.strain == level.strain]
+    for level in characterised.levels:
+        members = [(place(c), change(c)) for c in characterised.cycles if c.strain == level.strain]
         points = np.array([(x * scale, 100 * y) for x, y in members if x is not None]).reshape(-1, 2)
         if len(points):
             _draw_level(axes, level, points)
@@ -136,14 +136,14 @@ def _draw_level(axes: Axes, level: StrainLevel, points: NDArray[np.float64]) -> 
         axes.annotate(words, (x, y), (5, -2), textcoords="offset points", va="top", fontsize=7, color=VERMILION)
 
 
-def relaxations_figure(found: Characterisation, *, caption: str, alternative: str) -> Figure:
+def relaxations_figure(characterised: Characterisation, *, caption: str, alternative: str) -> Figure:
     """Draw the mean trace of every strain after press and release with its fit, over its steady change."""
     panels = [
         (title, members)
         for title, members in (
-            ("conductance after the press", _of(found, "conductance", True)),
-            ("conductance after the release", _of(found, "conductance", False)),
-            ("stress after the press", _of(found, "stress", True)),
+            ("conductance after the press", _of(characterised, "conductance", True)),
+            ("conductance after the release", _of(characterised, "conductance", False)),
+            ("stress after the press", _of(characterised, "stress", True)),
         )
         if members
     ]
@@ -157,7 +157,7 @@ def relaxations_figure(found: Characterisation, *, caption: str, alternative: st
             light_grid(axes)
             axes.set_title(title, fontweight="normal")
             axes.set_xlabel("time since the end of the ramp [s]")
-            ends = [_draw_relaxation(axes, found, one, len(members)) for one in members]
+            ends = [_draw_relaxation(axes, characterised, settling, len(members)) for settling in members]
             axes.set_xlim(left=0)
             if column == 0:
                 axes.set_ylabel("Δρ/ρ₀ [%]")
@@ -170,22 +170,25 @@ def relaxations_figure(found: Characterisation, *, caption: str, alternative: st
     return drawn(build, caption=caption, alternative=alternative)
 
 
-def _of(found: Characterisation, signal: str, loading: bool) -> list[StrainSettling]:
+def _of(characterised: Characterisation, signal: str, loading: bool) -> list[StrainSettling]:
     return [
-        one
-        for one in found.settlings
-        if one.signal == signal and one.loading is loading and one.strain is not None and len(one.values)
+        settling
+        for settling in characterised.settlings
+        if settling.signal == signal
+        and settling.loading is loading
+        and settling.strain is not None
+        and len(settling.values)
     ]
 
 
-def _draw_relaxation(axes: Axes, found: Characterisation, one: StrainSettling, count: int) -> float:
+def _draw_relaxation(axes: Axes, characterised: Characterisation, settling: StrainSettling, count: int) -> float:
     """One strain's mean trace and fit; returns where it ends."""
-    scale = 100.0 if one.signal == "conductance" else 1.0
-    strains = sorted({level.strain for level in found.levels})
-    colour = _STRAINS(strains.index(one.strain or 0.0) / max(count - 1, 1))
+    scale = 100.0 if settling.signal == "conductance" else 1.0
+    strains = sorted({level.strain for level in characterised.levels})
+    colour = _STRAINS(strains.index(settling.strain or 0.0) / max(count - 1, 1))
     axes.plot(
-        one.time_s,
-        scale * one.values,
+        settling.time_s,
+        scale * settling.values,
         linestyle="none",
         marker="o",
         markersize=1.5,
@@ -193,25 +196,25 @@ def _draw_relaxation(axes: Axes, found: Characterisation, one: StrainSettling, c
         alpha=0.55,
         zorder=2,
     )
-    if one.fit.status not in (FitStatus.REJECTED, FitStatus.DRIFTING):
-        fine = np.linspace(0.0, float(one.time_s[-1]), 120)
-        axes.plot(fine, scale * relaxation_value(one.fit, fine), color=colour, linewidth=1.0, zorder=3)
-        settled = one.settling.value_s
-        if settled is not None and not one.settling.censored:
-            at = scale * relaxation_value(one.fit, np.array([settled]))
+    if settling.fit.status not in (FitStatus.REJECTED, FitStatus.DRIFTING):
+        fine = np.linspace(0.0, float(settling.time_s[-1]), 120)
+        axes.plot(fine, scale * relaxation_value(settling.fit, fine), color=colour, linewidth=1.0, zorder=3)
+        settled = settling.settling.value_s
+        if settled is not None and not settling.settling.censored:
+            at = scale * relaxation_value(settling.fit, np.array([settled]))
             axes.plot([settled], at, marker="|", markersize=7, markeredgewidth=1.2, color=VERMILION, zorder=4)
-    return scale * float(one.values[-max(len(one.values) // 8, 1) :].mean())
+    return scale * float(settling.values[-max(len(settling.values) // 8, 1) :].mean())
 
 
 def _name_strains(axes: Axes, members: Sequence[StrainSettling], ends: Sequence[float]) -> None:
     low, high = axes.get_ylim()
     places = spread_labels(list(ends), 0.075 * (high - low))
-    for one, place in zip(members, places, strict=True):
+    for settling, place in zip(members, places, strict=True):
         x = axes.get_xlim()[1]
-        axes.text(1.01 * x, place, f"{100 * (one.strain or 0):g} %", va="center", fontsize=7, color=QUIET)
+        axes.text(1.01 * x, place, f"{100 * (settling.strain or 0):g} %", va="center", fontsize=7, color=QUIET)
 
 
-def settling_by_strain_figure(found: Characterisation, *, caption: str, alternative: str) -> Figure:
+def settling_by_strain_figure(characterised: Characterisation, *, caption: str, alternative: str) -> Figure:
     """Draw settling times against strain, for loading and unloading (paper: Fig D.19)."""
 
     def build() -> Canvas:
@@ -223,7 +226,7 @@ def settling_by_strain_figure(found: Characterisation, *, caption: str, alternat
             axes.set_title(f"{signal} settles", fontweight="normal")
             axes.set_xlabel("strain [%]")
             for loading in (True, False):
-                _draw_settling(axes, found, signal, loading)
+                _draw_settling(axes, characterised, signal, loading)
             axes.set_ylim(bottom=0)
             if column == 0:
                 axes.set_ylabel("settling time [s]")
@@ -232,15 +235,15 @@ def settling_by_strain_figure(found: Characterisation, *, caption: str, alternat
     return drawn(build, caption=caption, alternative=alternative)
 
 
-def _draw_settling(axes: Axes, found: Characterisation, signal: str, loading: bool) -> None:
+def _draw_settling(axes: Axes, characterised: Characterisation, signal: str, loading: bool) -> None:
     colour, shift = (BLUE, -0.15) if loading else (VERMILION, 0.15)
-    members = [one for one in _of(found, signal, loading) if one.settling.value_s is not None]
-    for one in members:
-        late = one.settling.censored
+    members = [settling for settling in _of(characterised, signal, loading) if settling.settling.value_s is not None]
+    for settling in members:
+        late = settling.settling.censored
         axes.errorbar(
-            100 * (one.strain or 0) + shift,
-            one.settling.value_s or 0.0,
-            yerr=one.stderr_s or 0.0,
+            100 * (settling.strain or 0) + shift,
+            settling.settling.value_s or 0.0,
+            yerr=settling.stderr_s or 0.0,
             marker="^" if late else "o",
             markersize=4,
             color=colour,
@@ -249,7 +252,9 @@ def _draw_settling(axes: Axes, found: Characterisation, signal: str, loading: bo
             capsize=2,
             zorder=3,
         )
-    common = next((o for o in found.settlings if (o.signal, o.loading, o.strain) == (signal, loading, None)), None)
+    common = next(
+        (o for o in characterised.settlings if (o.signal, o.loading, o.strain) == (signal, loading, None)), None
+    )
     if not members or common is None or common.settling.value_s is None:
         return
     value, error = common.settling.value_s, common.stderr_s or 0.0

@@ -51,7 +51,7 @@ def verdict_figure(
     """
 
     def build() -> Canvas:
-        phases = list(dict.fromkeys(one.phase for one in verdicts))
+        phases = list(dict.fromkeys(verdict.phase for verdict in verdicts))
         rows = ceil(len(phases) / _ACROSS)
         height_in = rows * _ROW_IN
         figure = canvas(height_in)
@@ -64,7 +64,7 @@ def verdict_figure(
             axes = figure.add_axes(
                 (left_in / WIDTH_IN, bottom_in / height_in, _SIDE_IN / WIDTH_IN, _SIDE_IN / height_in)
             )
-            _draw_phase(axes, phase, [one for one in verdicts if one.phase == phase], sensor)
+            _draw_phase(axes, phase, [verdict for verdict in verdicts if verdict.phase == phase], sensor)
         return figure
 
     return drawn(build, caption=caption, alternative=alternative)
@@ -72,7 +72,7 @@ def verdict_figure(
 
 def outcome_counts(verdicts: Sequence[LocationVerdict]) -> str:
     """Count outcomes in words, the best first: ``7 pass, 1 marginal, 1 fail``."""
-    counts = [(outcome, sum(one.outcome is outcome for one in verdicts)) for outcome in reversed(SEVERITY)]
+    counts = [(outcome, sum(verdict.outcome is outcome for verdict in verdicts)) for outcome in reversed(SEVERITY)]
     return ", ".join(f"{count} {outcome.value}" for outcome, count in counts if count)
 
 
@@ -83,13 +83,13 @@ def _draw_phase(axes: Axes, phase: str, verdicts: Sequence[LocationVerdict], sen
     radius_mm = _disc_mm(verdicts, sensor)
     named = len(verdicts) <= _MOST_NAMES
     # The worst last, so that none hides below a neighbour that passed.
-    for one in sorted(verdicts, key=lambda v: -SEVERITY.index(v.outcome)):
-        axes.add_patch(Circle((one.x_mm, one.y_mm), radius_mm, zorder=4, **_LOOK[one.outcome]))
-        sign = SIGNS[one.outcome]
-        text = f"{sign}\n{one.label}" if named else sign
-        colour = "white" if one.outcome is Outcome.FAIL else INK
-        axes.text(one.x_mm, one.y_mm, text, ha="center", va="center", fontsize=5.5, linespacing=0.95,
-                  color=colour, fontweight="bold" if one.outcome is not Outcome.PASS else "normal",
+    for verdict in sorted(verdicts, key=lambda v: -SEVERITY.index(v.outcome)):
+        axes.add_patch(Circle((verdict.x_mm, verdict.y_mm), radius_mm, zorder=4, **_LOOK[verdict.outcome]))
+        sign = SIGNS[verdict.outcome]
+        text = f"{sign}\n{verdict.label}" if named else sign
+        colour = "white" if verdict.outcome is Outcome.FAIL else INK
+        axes.text(verdict.x_mm, verdict.y_mm, text, ha="center", va="center", fontsize=5.5, linespacing=0.95,
+                  color=colour, fontweight="bold" if verdict.outcome is not Outcome.PASS else "normal",
                   zorder=6)  # fmt: skip
     fit_sheet(axes, sensor.outline)
     axes.set_title(phase, loc="center", pad=2, fontweight="normal")
@@ -98,7 +98,7 @@ def _draw_phase(axes: Axes, phase: str, verdicts: Sequence[LocationVerdict], sen
 
 def _disc_mm(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> float:
     """Radius that lets neighbours stand clear of each other, and a sign fit in."""
-    at = np.array([(one.x_mm, one.y_mm) for one in verdicts])
+    at = np.array([(verdict.x_mm, verdict.y_mm) for verdict in verdicts])
     apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
     nearest = float(np.min(apart, where=apart > 1e-9, initial=0.34 * sensor.radius_mm))
     return float(np.clip(0.48 * nearest, 0.06 * sensor.radius_mm, 0.16 * sensor.radius_mm))

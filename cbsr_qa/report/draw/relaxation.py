@@ -57,10 +57,10 @@ def agreement_figure(compared: Sequence[DirectedAgreement], *, caption: str, alt
             height_ratios=(1.2, 1.0),
         )
         labelled: list[Axes] = []
-        for column, one in enumerate(compared):
+        for column, agreement in enumerate(compared):
             above, below = (figure.add_subplot(grid[row, column]) for row in range(2))
-            _draw(above, below, one)
-            if column == 0 and one.found.curves is not None:
+            _draw(above, below, agreement)
+            if column == 0 and agreement.found.curves is not None:
                 above.set_ylabel("over the change")
                 below.set_ylabel("difference")
                 labelled += [above, below]
@@ -70,30 +70,30 @@ def agreement_figure(compared: Sequence[DirectedAgreement], *, caption: str, alt
     return drawn(build, caption=caption, alternative=alternative)
 
 
-def _draw(above: Axes, below: Axes, one: DirectedAgreement) -> None:
-    curves, after = one.found.curves, "press" if one.loading else "release"
+def _draw(above: Axes, below: Axes, agreement: DirectedAgreement) -> None:
+    curves, after = agreement.found.curves, "press" if agreement.loading else "release"
     above.set_title(f"after the {after}", fontweight="normal")
     if curves is None:
         above.text(0.5, 0.5, "not compared", transform=above.transAxes, ha="center", color=QUIET)
         above.set_axis_off()
         below.set_axis_off()
         return
-    _draw_curves(above, curves, one)
-    _draw_difference(below, curves, str(one.found.shape))
+    _draw_curves(above, curves, agreement)
+    _draw_difference(below, curves, str(agreement.found.shape))
 
 
-def _draw_curves(axes: Axes, curves: ComparedCurves, one: DirectedAgreement) -> None:
+def _draw_curves(axes: Axes, curves: ComparedCurves, agreement: DirectedAgreement) -> None:
     light_grid(axes)
     for values, stderr, colour, words in (
-        (curves.first, curves.first_stderr, VERMILION, one.first),
-        (curves.second, curves.second_stderr, BLUE, one.second),
+        (curves.first, curves.first_stderr, VERMILION, agreement.first),
+        (curves.second, curves.second_stderr, BLUE, agreement.second),
     ):
         band = _NINETY * stderr
         axes.fill_between(curves.time_s, values - band, values + band, color=colour, alpha=0.15, linewidth=0)
         axes.plot(curves.time_s, values, color=colour, linewidth=1.1, label=words)
     axes.set_xlim(0, float(curves.time_s[-1]))
     axes.tick_params(labelbottom=False)
-    axes.legend(frameon=False, fontsize=7, loc="lower right" if one.loading else "upper right")
+    axes.legend(frameon=False, fontsize=7, loc="lower right" if agreement.loading else "upper right")
 
 
 def _draw_difference(axes: Axes, curves: ComparedCurves, words: str) -> None:
@@ -241,8 +241,8 @@ def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
     axes.plot(time_s, values, linestyle="none", marker="o", markersize=2, color=BLUE, markeredgewidth=0, zorder=3)
     fit, settling = relaxation.fit, relaxation.settling
     if fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING):
-        told = f"fit rejected: R² {fit.r_squared:.2f}" if fit.status is FitStatus.REJECTED else fit.status.value
-        axes.text(0.98, 0.95, told, transform=axes.transAxes, ha="right", va="top")
+        ending = f"fit rejected: R² {fit.r_squared:.2f}" if fit.status is FitStatus.REJECTED else fit.status.value
+        axes.text(0.98, 0.95, ending, transform=axes.transAxes, ha="right", va="top")
         return
     fine = np.linspace(0.0, float(relaxation.trace.time_s[-1]), 160)
     axes.plot(fine, relaxation_value(fit, fine), color=INK, linewidth=1.1, zorder=4)
@@ -267,16 +267,18 @@ def _draw_time(axes: Axes, settled_s: float, end_s: float, *, late: bool) -> Non
 def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loading: bool, words: str) -> None:
     colour, shift = (BLUE, -0.13) if loading else (VERMILION, 0.13)
     face = colour if loading else "white"
-    found = [(index, load.one(signal, loading)) for index, load in enumerate(loads)]
+    relaxations = [(index, load.one(signal, loading)) for index, load in enumerate(loads)]
     times = [
-        (i + shift, r.settling.value_s, r.settling.censored) for i, r in found if r and r.settling.value_s is not None
+        (i + shift, r.settling.value_s, r.settling.censored)
+        for i, r in relaxations
+        if r and r.settling.value_s is not None
     ]
     for censored, symbol in ((False, "o"), (True, "^")):
         points = [(x, value) for x, value, is_censored in times if is_censored == censored]
         if points:
             x, y = zip(*points, strict=True)
             axes.scatter(x, y, s=17, marker=symbol, facecolors=face, edgecolors=colour, linewidths=0.9, zorder=3)
-    if not times or 2 * len(times) < sum(r is not None for _, r in found):
+    if not times or 2 * len(times) < sum(r is not None for _, r in relaxations):
         return
     mean_s, _ = restricted_mean([value for _, value, _ in times], [censored for _, _, censored in times])
     axes.axhline(mean_s, color=colour, linewidth=0.8, linestyle="solid" if loading else (0, (4, 2)))
@@ -288,8 +290,8 @@ def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loadin
 
 
 def _latest(loads: Sequence[SettledLoad], signal: str) -> float:
-    found = [r.settling.value_s for load in loads for r in load.relaxations if r.signal == signal]
-    return max((value for value in found if value), default=1.0)
+    times = [r.settling.value_s for load in loads for r in load.relaxations if r.signal == signal]
+    return max((value for value in times if value), default=1.0)
 
 
 def _name_columns(axes: Axes, loads: Sequence[SettledLoad], *, last: bool) -> None:

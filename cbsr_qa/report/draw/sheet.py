@@ -36,10 +36,10 @@ def rings(region: Region) -> list[NDArray[np.float64]]:
     following: dict[Point, list[Point]] = defaultdict(list)
     for start, end in zip(map(tuple, starts.tolist()), map(tuple, ends.tolist()), strict=True):
         following[start].append(end)
-    found = []
+    rings = []
     while following:
-        found.append(np.array(_ring(following)))
-    return found
+        rings.append(np.array(_ring(following)))
+    return rings
 
 
 def _ring(following: dict[Point, list[Point]]) -> list[Point]:
@@ -84,13 +84,13 @@ class Raster:
         columns, rows = (int(np.ceil(side / step - 1e-9)) for side in (high_x - low_x, high_y - low_y))
         x, y = np.meshgrid(low_x + step * (np.arange(columns) + 0.5), low_y + step * (np.arange(rows) + 0.5))
         triangles = Triangulation(mesh.nodes_mm[:, 0], mesh.nodes_mm[:, 1], mesh.elements)
-        found = np.asarray(triangles.get_trifinder()(x, y), dtype=np.int64)
+        elements = np.asarray(triangles.get_trifinder()(x, y), dtype=np.int64)
         # Round edges are polygons in a mesh: pixels of the thin rim between them take the nearest element.
-        rim = found < 0
+        rim = elements < 0
         rim[rim] = sheet.clearance_mm(np.column_stack([x[rim], y[rim]])) >= 0
         if rim.any():
-            found[rim] = KDTree(mesh.centroids_mm).query(np.column_stack([x[rim], y[rim]]))[1]
-        self.elements = found
+            elements[rim] = KDTree(mesh.centroids_mm).query(np.column_stack([x[rim], y[rim]]))[1]
+        self.elements = elements
         self.extent = (low_x, low_x + step * columns, low_y, low_y + step * rows)
 
     def picture(self, values: NDArray[np.float64]) -> np.ma.MaskedArray[tuple[int, int], np.dtype[np.float64]]:
