@@ -35,65 +35,75 @@ class MaterialCharacterisation:
         """Return the section; None where the recipe characterises no material."""
         if not isinstance(result, RunResult) or result.characterisation is None:
             return None
-        found = result.characterisation
-        blocks: list[Block] = [Paragraph(_in_words(found))]
-        blocks += [Paragraph(f"No material file may be issued: {why}.", "warning") for why in found.refused]
+        material = result.characterisation
+        blocks: list[Block] = [Paragraph(_in_words(material))]
+        blocks += [Paragraph(f"No material file may be issued: {why}.", "warning") for why in material.refused]
         blocks += [
             lines_figure(
-                found,
+                material,
                 caption="Steady change of conductance of every cycle (dots), mean and standard deviation by strain,"
                 " line and its 95 % band. Open: left out of the line. Above: between the pins, as the paper has it"
                 " (its Fig 5). Below: under the head alone; its band has what is assumed of the pins' contacts.",
-                alternative=_in_words(found),
+                alternative=_in_words(material),
             ),
-            _parameters(found),
-            _strains(found.levels),
+            _parameters(material),
+            _strains(material.levels),
             *_cycles(result.record),
             relaxations_figure(
-                found,
+                material,
                 caption="Mean trace of every strain (dots) and its fit (line), from the level before the press and"
                 " without what earlier presses left. Red tick: settled.",
                 alternative="Relaxation after press and release at every strain, with fits.",
             ),
             settling_by_strain_figure(
-                found,
+                material,
                 caption="Settling time by strain with its standard error: after the press (filled) and after the"
                 " release (open). Line and band: one fit to all strains. Triangle: a lower bound.",
-                alternative=_settled_in_words(found.settlings),
+                alternative=_settled_in_words(material.settlings),
             ),
-            _settlings(found),
-            _kernels(found),
-            Paragraph(_assumed(found), "note"),
+            _settlings(material),
+            _kernels(material),
+            Paragraph(_assumed(material), "note"),
         ]
         return Section("Characterisation of the material", tuple(blocks))
 
 
-def _in_words(found: Characterisation) -> str:
-    apparent, local = found.against_strain.line, found.local_against_strain.line
-    used = sum(level.cycles for level in found.levels if not level.why)
-    said = [f"{plural(used, 'cycle')} at {plural(sum(not level.why for level in found.levels), 'strain')} were used."]
+def _in_words(material: Characterisation) -> str:
+    apparent, local = material.against_strain.line, material.local_against_strain.line
+    used = sum(level.cycles for level in material.levels if not level.why)
+    sentences = [
+        f"{plural(used, 'cycle')} at {plural(sum(not level.why for level in material.levels), 'strain')} were used."
+    ]
     if apparent is not None and local is not None:
-        said.append(
+        sentences.append(
             f"The gauge factor is {_text(apparent.slope)} between the pins and {_text(local.slope)} under the head."
         )
-    if found.modulus_kPa is not None:
-        said.append(f"The relaxed modulus is {quantity(found.modulus_kPa.value, 'kPa', found.modulus_kPa.stderr)}.")
-    left_out = [level.why for level in found.levels if level.why]
-    return " ".join([*said, *(f"Left out: {why}." for why in left_out)])
+    if material.modulus_kPa is not None:
+        sentences.append(
+            f"The relaxed modulus is {quantity(material.modulus_kPa.value, 'kPa', material.modulus_kPa.stderr)}."
+        )
+    left_out = [level.why for level in material.levels if level.why]
+    return " ".join([*sentences, *(f"Left out: {why}." for why in left_out)])
 
 
 def _text(parameter: Parameter | None) -> str:
     return "–" if parameter is None else with_uncertainty(parameter.value, parameter.stderr)
 
 
-def _parameters(found: Characterisation) -> Table:
+def _parameters(material: Characterisation) -> Table:
     rows = [
-        ["α against strain (gauge factor)", *_both(found.against_strain, found.local_against_strain, "slope")],
-        ["β against strain", *_both(found.against_strain, found.local_against_strain, "intercept")],
-        ["α against stress [1/kPa]", *_both(found.against_stress, found.local_against_stress, "slope")],
-        ["β against stress", *_both(found.against_stress, found.local_against_stress, "intercept")],
+        [
+            "α against strain (gauge factor)",
+            *_both(material.against_strain, material.local_against_strain, "slope"),
+        ],
+        ["β against strain", *_both(material.against_strain, material.local_against_strain, "intercept")],
+        [
+            "α against stress [1/kPa]",
+            *_both(material.against_stress, material.local_against_stress, "slope"),
+        ],
+        ["β against stress", *_both(material.against_stress, material.local_against_stress, "intercept")],
     ]
-    before, rested = (_slope(line) for line in found.end_of_hold)
+    before, rested = (_slope(line) for line in material.end_of_hold)
     rows.append(["gauge factor as read at the end of holds, from before the press", before, "–"])
     rows.append(["the same, from the rested strip", rested, "–"])
     caption = "Δρ/ρ₀ = α x + β (paper Eqs 1 and 2), one standard error."
@@ -135,13 +145,15 @@ def _cycles(record: RunRecord) -> list[Figure]:
     if phase is None or phase.frames is None or not phase.frames.current_A:
         return []
     strains = sorted({load.load.strain for load in phase.loads})
-    strain = min(strains, key=lambda one: abs(one - _SHOWN_STRAIN))
+    strain = min(strains, key=lambda strain: abs(strain - _SHOWN_STRAIN))
     loads = [load for load in phase.loads if load.load.strain == strain]
     start_s, end_s = loads[0].press_start_s - 5.0, loads[-1].rest_end_s
     traces = [*_resistance(phase, start_s, end_s), *_force(phase, record.indenter.area_mm2, start_s, end_s)]
-    said = f"{plural(len(loads), 'cycle')} of {100 * strain:g} % strain, as they were read."
+    caption = f"{plural(len(loads), 'cycle')} of {100 * strain:g} % strain, as they were read."
     return [
-        timeline_figure(traces, [], caption=said, alternative=said, time_label="time since their first press [s]")
+        timeline_figure(
+            traces, [], caption=caption, alternative=caption, time_label="time since their first press [s]"
+        )
     ]
 
 
@@ -160,46 +172,48 @@ def _force(phase: PhaseRecord, area_mm2: float, start_s: float, end_s: float) ->
     return [Trace("stress", "kPa", taken.time_s - start_s - 5.0, 1e3 * taken.values / area_mm2)]
 
 
-def _settlings(found: Characterisation) -> Table:
-    strains = [level.strain for level in found.levels]
+def _settlings(material: Characterisation) -> Table:
+    strains = [level.strain for level in material.levels]
     columns = ("Strain [%]", "Conductance, press [s]", "Conductance, release [s]", "Stress, press [s]")
     groups = (("conductance", True), ("conductance", False), ("stress", True))
     rows = [
         [
             "all" if strain is None else f"{100 * strain:g}",
-            *(_time(found, signal, way, strain) for signal, way in groups),
+            *(_time(material, signal, way, strain) for signal, way in groups),
         ]
         for strain in (*strains, None)
     ]
     caption = (
-        f"Settling to ± {100 * found.settings.settling_tolerance:g} %, of one fit to the cycles of a strain;"
+        f"Settling to ± {100 * material.settings.settling_tolerance:g} %, of one fit to the cycles of a strain;"
         " ≥: a lower bound."
     )
     return text_table(caption, columns, rows, (0, 1, 2, 3))
 
 
-def _time(found: Characterisation, signal: str, loading: bool, strain: float | None) -> str:
-    one = next((o for o in found.settlings if (o.signal, o.loading, o.strain) == (signal, loading, strain)), None)
-    if one is None or one.settling.value_s is None:
+def _time(material: Characterisation, signal: str, loading: bool, strain: float | None) -> str:
+    wanted = (signal, loading, strain)
+    found = next((o for o in material.settlings if (o.signal, o.loading, o.strain) == wanted), None)
+    if found is None or found.settling.value_s is None:
         return "–"
-    return f"{'≥ ' if one.settling.censored else ''}{with_uncertainty(one.settling.value_s, one.stderr_s)}"
+    return f"{'≥ ' if found.settling.censored else ''}{with_uncertainty(found.settling.value_s, found.stderr_s)}"
 
 
 def _settled_in_words(settlings: Sequence[StrainSettling]) -> str:
-    common = [one for one in settlings if one.strain is None and one.settling.value_s is not None]
-    said = [
-        f"{one.words} {'at least ' if one.settling.censored else ''}{one.settling.value_s:.3g} s" for one in common
+    common = [settling for settling in settlings if settling.strain is None and settling.settling.value_s is not None]
+    settled = [
+        f"{settling.words} {'at least ' if settling.settling.censored else ''}{settling.settling.value_s:.3g} s"
+        for settling in common
     ]
-    return f"All strains together: {'; '.join(said)}." if said else "No settling time could be told."
+    return f"All strains together: {'; '.join(settled)}." if settled else "No settling time could be told."
 
 
-def _kernels(found: Characterisation) -> Table:
+def _kernels(material: Characterisation) -> Table:
     rows = [
         [name, *_kernel(kernel)]
         for name, kernel in (
-            ("conductance after a press", found.loading),
-            ("conductance after a release", found.unloading),
-            ("stress", found.stress),
+            ("conductance after a press", material.loading),
+            ("conductance after a release", material.unloading),
+            ("stress", material.stress),
         )
     ]
     columns = ("Answer to a unit step", "w₁", "τ₁ [s]", "w₂", "τ₂ [s]")
@@ -213,16 +227,16 @@ def _kernel(kernel: Relaxation | None) -> list[str]:
     return [text for weight, tau in pairs for text in (number(weight), number(tau))]
 
 
-def _assumed(found: Characterisation) -> str:
-    strip, settings = found.strip, found.settings
-    parts = dict(found.local_against_strain.parts)
+def _assumed(material: Characterisation) -> str:
+    strip, settings = material.strip, material.settings
+    parts = dict(material.local_against_strain.parts)
     contacts = parts.get("contacts of the pins")
-    said = (
+    words = (
         f"A small change under the head shows between the pins as {100 * strip.head_share:.3g} % of itself: the rest"
         " of the strip and the pins' contacts lie in series. That share is the forward model's. Of the contacts two"
         f" pins tell nothing: {settings.contact_length_mm:g} ± {settings.contact_length_stderr_mm:g} mm times the"
         f" sheet resistance is assumed, {100 * strip.contact_share:.2g} % of the resistance between the pins."
     )
     if contacts is not None:
-        said += f" Of the standard error of the gauge factor under the head, {contacts:.2g} come from there."
-    return f"{said} Errors of the load cell, of the strain and of the strip's dimensions are not in any of them."
+        words += f" Of the standard error of the gauge factor under the head, {contacts:.2g} come from there."
+    return f"{words} Errors of the load cell, of the strain and of the strip's dimensions are not in any of them."

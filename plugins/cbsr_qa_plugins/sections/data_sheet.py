@@ -75,10 +75,10 @@ class BaselineConductanceMap:
 
 def _in_words(places: tuple[BaselineConductance, ...]) -> str:
     values = [place.value for place in places if place.value is not None]
-    found = mean_deviation(values)
-    if found is None:
+    summary = mean_deviation(values)
+    if summary is None:
         return "No load says anything about the baseline conductance."
-    mean, deviation = found
+    mean, deviation = summary
     spread = "" if not deviation or not mean else f", a spread of {100 * deviation / abs(mean):.2g} % over the sheet"
     missing = "" if len(values) == len(places) else f"; {len(places) - len(values)} without a value"
     return f"Mean {number(mean)} over {len(values)} of {len(places)} locations{spread}{missing}."
@@ -155,9 +155,9 @@ class DataSheet:
 def _table(whole: dict[tuple[str, str], Measurement]) -> Table:
     rows: list[list[str | Cell]] = []
     for name, qualifier, title in _ROWS:
-        found = whole.get((name, qualifier))
-        if found is not None:
-            rows.append([title, _value_data_sheet(found), found.how])
+        measurement = whole.get((name, qualifier))
+        if measurement is not None:
+            rows.append([title, _value_data_sheet(measurement), measurement.how])
     if ("hysteresis", "") not in whole:
         rows.append(["Hysteresis", "not determined", _NO_LOOP])
     caption = (
@@ -167,20 +167,20 @@ def _table(whole: dict[tuple[str, str], Measurement]) -> Table:
     return text_table(caption, ("Figure", "Value", "How"), rows, (1,))
 
 
-def _value_data_sheet(found: Measurement) -> Cell:
-    if found.value is None:
+def _value_data_sheet(measurement: Measurement) -> Cell:
+    if measurement.value is None:
         return Cell("not determined")
-    if found.name == "preconditioning_cycles":
-        return Cell(f"{found.value:.0f}")
-    return value_cell(found, unit=True)
+    if measurement.name == "preconditioning_cycles":
+        return Cell(f"{measurement.value:.0f}")
+    return value_cell(measurement, unit=True)
 
 
 def _by_strain(measurements: Sequence[Measurement]) -> list[Block]:
-    found = [m for m in measurements if m.name == "repeatability" and m.qualifier.endswith("strain")]
-    if not found:
+    repeatabilities = [m for m in measurements if m.name == "repeatability" and m.qualifier.endswith("strain")]
+    if not repeatabilities:
         return []
-    cells: list[str | Cell] = [value_cell(m) for m in found]
-    columns = ("Strain", *(m.qualifier.removesuffix(" strain") for m in found))
+    cells: list[str | Cell] = [value_cell(m) for m in repeatabilities]
+    columns = ("Strain", *(m.qualifier.removesuffix(" strain") for m in repeatabilities))
     caption = "Repeatability by strain, % of the span."
     return [text_table(caption, columns, [["Repeatability [%]", *cells]], tuple(range(1, len(columns))))]
 
@@ -217,14 +217,14 @@ def _characteristic(run: RunObservation) -> list[Block]:
 
 def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> list[Block]:
     """Figure of the loops; nothing where hysteresis was not measured, or could not be."""
-    found = whole.get(("hysteresis", ""))
-    if found is None or found.value is None:
+    hysteresis = whole.get(("hysteresis", ""))
+    if hysteresis is None or hysteresis.value is None:
         return []
     last_s = run.settings.steady_frames * run.frame_period_s
     curves, read = (_curves(run, last_s, relaxed=way) for way in (True, False))
     if not curves:
         return []
-    error = "" if found.uncertainty is None else f" ± {number(found.uncertainty, 2)}"
+    error = "" if hysteresis.uncertainty is None else f" ± {number(hysteresis.uncertainty, 2)}"
     return [
         loop_figure(
             curves,
@@ -234,7 +234,7 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> li
             " the way up at the same stress, with one standard error; grey crosses: the same as read at the end of"
             " each hold, in which creep passes for hysteresis.",
             alternative=f"Loops at {plural(len(curves), 'location')}; the branches differ by at most"
-            f" {number(found.value, 2)}{error} % of the span.",
+            f" {number(hysteresis.value, 2)}{error} % of the span.",
         )
     ]
 
@@ -251,15 +251,15 @@ def _drawable(curve: Characteristic) -> bool:
 
 
 def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> list[Block]:
-    maps = [found for found in (_response_map(run), _modulus_map(run, measurements)) if found is not None]
+    maps = [field for field in (_response_map(run), _modulus_map(run, measurements)) if field is not None]
     return [_maps_figure(maps, run)] if maps else []
 
 
 def _maps_figure(maps: Sequence[PlaceMap], run: RunObservation) -> Figure:
     words = "; ".join(
-        f"{one.title} {number(min(p.value for p in one.places))} to {number(max(p.value for p in one.places))}"
-        f" {one.unit}"
-        for one in maps
+        f"{shown.title} {number(min(p.value for p in shown.places))} to {number(max(p.value for p in shown.places))}"
+        f" {shown.unit}"
+        for shown in maps
     )
     return place_maps_figure(
         maps,

@@ -52,30 +52,30 @@ class Force:
             return None
         if not any(m.name == "force_error_sd" for m in result.measurements):
             return None
-        found = run_force(run)
-        if found.learned is None:
-            return Section(_TITLE, (Paragraph(f"No force can be told with this sensor: {found.why}.", "warning"),))
-        tests = tests_of(run, found, HELD_OUT)
-        blocks: list[Block] = [Paragraph(_learned_words(run, found, found.learned))]
-        blocks += [Paragraph(_sheet_pose_words(found.sheet_pose), "note")] if found.sheet_pose.moved else []
-        blocks += _predicted(run, found.learned)
+        force = run_force(run)
+        if force.learned is None:
+            return Section(_TITLE, (Paragraph(f"No force can be told with this sensor: {force.why}.", "warning"),))
+        tests = tests_of(run, force, HELD_OUT)
+        blocks: list[Block] = [Paragraph(_learned_words(run, force, force.learned))]
+        blocks += [Paragraph(_sheet_pose_words(force.sheet_pose), "note")] if force.sheet_pose.moved else []
+        blocks += _predicted(run, force.learned)
         blocks += [Paragraph(words) for words in _tested_words(tests)]
-        blocks += [_map(run, found, found.learned), Paragraph(_map_words(run, found, found.learned))]
-        blocks += [*_scatter(found, tests), *_results(result)]
-        blocks += [_ratios(run, found, found.learned), Paragraph(_assumed_words(found.learned), "note")]
-        blocks += [Paragraph(words, "warning") for words in _reduced(run, found, found.learned, tests)]
-        blocks += _refused(found, found.learned)
+        blocks += [_map(run, force, force.learned), Paragraph(_map_words(run, force, force.learned))]
+        blocks += [*_scatter(force, tests), *_results(result)]
+        blocks += [_ratios(run, force, force.learned), Paragraph(_assumed_words(force.learned), "note")]
+        blocks += [Paragraph(words, "warning") for words in _reduced(run, force, force.learned, tests)]
+        blocks += _refused(force, force.learned)
         return Section(_TITLE, tuple(blocks))
 
 
-def _learned_words(run: RunObservation, found: RunForce, learned: LearnedForce) -> str:
-    used = [load for load, why in zip(found.used, learned.refused, strict=True) if not why]
+def _learned_words(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:
+    used = [load for load, why in zip(force.used, learned.refused, strict=True) if not why]
     phases = " and ".join(dict.fromkeys(load.phase for load in used))
     low, high = (stress * run.record.indenter.area_mm2 / 1e3 for stress in learned.model.stress_kPa)
     return (
         f"The force of a head follows from the readings, a map of how strongly each place answers, and a line from"
-        f" stress to change. Map and line were learned from {len(used)} of {plural(len(found.used), 'load')}"
-        f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(found):.0f} mm from the"
+        f" stress to change. Map and line were learned from {len(used)} of {plural(len(force.used), 'load')}"
+        f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(force):.0f} mm from the"
         " centre."
     )
 
@@ -124,13 +124,13 @@ def _tested_words(tests: Sequence[ForceTest]) -> list[str]:
 
 
 def _error(errors: ForceErrors) -> str:
-    found = errors.deviation()
-    return f"{with_uncertainty(found.value, found.stderr)} N"
+    deviation = errors.deviation()
+    return f"{with_uncertainty(deviation.value, deviation.stderr)} N"
 
 
 def _bias(errors: ForceErrors) -> str:
-    found = errors.bias()
-    return f"{with_uncertainty(found.value, found.stderr)} N"
+    bias = errors.bias()
+    return f"{with_uncertainty(bias.value, bias.stderr)} N"
 
 
 def _covered(errors: ForceErrors) -> str:
@@ -144,14 +144,14 @@ def _covered(errors: ForceErrors) -> str:
     return f"{words}, give or take {number(slack, 1)} for the first by chance alone."
 
 
-def _map(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
+def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
     low_x, high_x, low_y, high_y = run.record.sensor_type.outline.extent_mm
     x, y = np.linspace(low_x, high_x, _ACROSS), np.linspace(low_y, high_y, _ACROSS)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     mean, variance = learned.response.predict(grid)
     shape = (_ACROSS, _ACROSS)
     used = np.array([not why for why in learned.refused])
-    places = places_mm(found.used)
+    places = places_mm(force.used)
     return force_map_figure(
         [
             SheetField(
@@ -162,17 +162,17 @@ def _map(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
         run.record.sensor_type,
         used_mm=places[used],
         refused_mm=places[~used],
-        radius_mm=calibrated_radius_mm(found),
+        radius_mm=calibrated_radius_mm(force),
         caption="How strongly each place answers, over what a sheet of the nominal material would (left; brown less,"
         " blue more), and the standard error of that (right). White dots: loads the map was learned from; red"
         " crosses: loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map"
         " goes back to its mean, and its error says so.",
-        alternative=_map_words(run, found, learned),
+        alternative=_map_words(run, force, learned),
     )
 
 
-def _map_words(run: RunObservation, found: RunForce, learned: LearnedForce) -> str:
-    quality = map_quality(learned, calibrated_radius_mm(found))
+def _map_words(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:
+    quality = map_quality(learned, calibrated_radius_mm(force))
     low, high = float(quality.response.min()), float(quality.response.max())
     x_mm, y_mm = quality.least_sure_mm
     where = f"({x_mm:.0f}, {y_mm:.0f}) mm".replace("-", "−")
@@ -185,8 +185,8 @@ def _map_words(run: RunObservation, found: RunForce, learned: LearnedForce) -> s
     )
 
 
-def _scatter(found: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
-    shown = [test for test in found.tests if test.how == HELD_OUT] or list(found.tests)
+def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
+    shown = [test for test in force.tests if test.how == HELD_OUT] or list(force.tests)
     if not shown:
         return []
     sampled = {id(test) for test in (tests or shown)}
@@ -214,7 +214,7 @@ def _scatter(found: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
 
 def _panel(title: str, tests: Sequence[ForceTest], sampled: set[int], *, known: bool) -> ForcePanel:
     errors = errors_of(tests, known=known)
-    told = {id(test) for test in errors.tests}
+    estimated = {id(test) for test in errors.tests}
     measured = _measured(errors.tests)
     return ForcePanel(
         title,
@@ -222,7 +222,7 @@ def _panel(title: str, tests: Sequence[ForceTest], sampled: set[int], *, known: 
         measured + errors.error_N,
         errors.stderr_N,
         np.array([id(test) in sampled for test in errors.tests], dtype=bool),
-        _measured([test for test in tests if id(test) not in told]),
+        _measured([test for test in tests if id(test) not in estimated]),
     )
 
 
@@ -236,9 +236,9 @@ def _results(result: RunResult) -> list[Block]:
     names = ("force_error_sd", "force_error_bias", "force_coverage_68", "force_coverage_95")
     rows: list[list[str | Cell]] = []
     for qualifier, title in _KINDS:
-        found = [measured.get((name, qualifier)) for name in names]
-        if any(m is not None and m.value is not None for m in found):
-            cells = [value_cell(m) if m is not None and m.value is not None else Cell("–") for m in found]
+        row = [measured.get((name, qualifier)) for name in names]
+        if any(m is not None and m.value is not None for m in row):
+            cells = [value_cell(m) if m is not None and m.value is not None else Cell("–") for m in row]
             rows.append([title, *cells])
     for after in ("", f", {TRIAL_LEFT_OUT}"):
         flat = measured.get(("force_error_global_sd", f"place known{after}"))
@@ -254,13 +254,13 @@ def _results(result: RunResult) -> list[Block]:
     return [text_table(caption, columns, rows, (1, 2, 3, 4))]
 
 
-def _ratios(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
+def _ratios(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
     used = np.isfinite(learned.ratio)
-    loads = [load for load, yes in zip(found.used, used, strict=True) if yes]
+    loads = [load for load, yes in zip(force.used, used, strict=True) if yes]
     area = run.record.indenter.area_mm2 / 1e3
-    force = np.array([load.force_N or 0.0 for load in loads])
+    newtons = np.array([load.force_N or 0.0 for load in loads])
     mapped = np.exp(interpolated(learned.model, learned.model.log_response, places_mm(loads)))
-    forces = np.linspace(0.97 * force.min(), 1.03 * force.max(), 40)
+    forces = np.linspace(0.97 * newtons.min(), 1.03 * newtons.max(), 40)
     stress, given = forces / area, run.record.material.against_stress
     nominal = given.slope.value * stress + given.intercept.value
     alpha, beta = learned.line.slope, learned.line.intercept
@@ -269,7 +269,7 @@ def _ratios(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figu
     ratio = learned.ratio[used]
     return ratio_figure(
         RatioPoints(
-            force,
+            newtons,
             ratio,
             ratio / mapped,
             learned.ratio_stderr[used] / mapped,
@@ -307,10 +307,10 @@ def _assumed_words(learned: LearnedForce) -> str:
     )
 
 
-def _reduced(run: RunObservation, found: RunForce, learned: LearnedForce, tests: Sequence[ForceTest]) -> list[str]:
+def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests: Sequence[ForceTest]) -> list[str]:
     """What makes less of the numbers than they look."""
     words = []
-    radius_mm = calibrated_radius_mm(found)
+    radius_mm = calibrated_radius_mm(force)
     outside = sum(float(np.hypot(t.load.record.load.x_mm, t.load.record.load.y_mm)) > radius_mm for t in tests)
     if outside:
         words.append(
@@ -326,9 +326,9 @@ def _reduced(run: RunObservation, found: RunForce, learned: LearnedForce, tests:
             f" {plural(len(tests), 'held-out load')} press less or more. Places pressed at other strains in a"
             " calibrating phase would tell."
         )
-    predicted = learned.predicted or (False,) * len(found.used)
+    predicted = learned.predicted or (False,) * len(force.used)
     unsettled = sum(
-        load.settled is False and not of_later for load, of_later in zip(found.used, predicted, strict=True)
+        load.settled is False and not of_later for load, of_later in zip(force.used, predicted, strict=True)
     )
     if unsettled:
         words.append(
@@ -338,8 +338,8 @@ def _reduced(run: RunObservation, found: RunForce, learned: LearnedForce, tests:
     return words
 
 
-def _refused(found: RunForce, learned: LearnedForce) -> list[Block]:
-    refused = [(load, why) for load, why in zip(found.used, learned.refused, strict=True) if why]
+def _refused(force: RunForce, learned: LearnedForce) -> list[Block]:
+    refused = [(load, why) for load, why in zip(force.used, learned.refused, strict=True) if why]
     if not refused:
         return []
     rows = []

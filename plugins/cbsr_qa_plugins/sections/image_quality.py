@@ -93,26 +93,29 @@ class SizeResponses:
         run = observed(result)
         if run is None or not isinstance(result, RunResult):
             return None
-        found = _measured(result.measurements)
-        if not found:
+        responses = _measured(result.measurements)
+        if not responses:
             return None
-        words = in_words(found)
-        blocks: list[Block] = [Paragraph(words, "note" if any(one.flat for one in found) else "plain")]
-        seen = [one for one in found if one.slope is not None]
+        words = in_words(responses)
+        blocks: list[Block] = [Paragraph(words, "note" if any(response.flat for response in responses) else "plain")]
+        seen = [response for response in responses if response.slope is not None]
         if seen:
             caption = (
                 f"Diameter of a circle with the region's area (mask {100 * run.main_mask:g} %) against the diameter"
                 " of what presses, without noise. On the dashed line regions are as large as their loads; a level"
                 " line is a method that answers every load with the same region."
             )
-            series, head_mm = [_series(one) for one in seen], run.record.indenter.diameter_mm
+            series, head_mm = [_series(response) for response in seen], run.record.indenter.diameter_mm
             blocks.append(size_figure(series, head_mm, caption=caption, alternative=words))
-        return Section("Size response", (*blocks, _table_size_response(found)))
+        return Section("Size response", (*blocks, _table_size_response(responses)))
 
 
-def _table_size_response(found: Sequence[SizeResponse]) -> Table:
-    columns = ("Place", *(f"{diameter:.3g} mm" for diameter in found[0].diameters_mm), "Slope")
-    rows = [[one.place, *(_number(area, 3) for area in one.areas_mm2), _number(one.slope, 2)] for one in found]
+def _table_size_response(responses: Sequence[SizeResponse]) -> Table:
+    columns = ("Place", *(f"{diameter:.3g} mm" for diameter in responses[0].diameters_mm), "Slope")
+    rows = [
+        [response.place, *(_number(area, 3) for area in response.areas_mm2), _number(response.slope, 2)]
+        for response in responses
+    ]
     caption = (
         "Area of the region [mm²] that round targets of these diameters leave. Slope: of its logarithm over the"
         f" target's area's; 1 is in proportion, below {FLAT:g} is called flat."
@@ -120,26 +123,26 @@ def _table_size_response(found: Sequence[SizeResponse]) -> Table:
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
 
 
-def in_words(found: Sequence[SizeResponse]) -> str:
+def in_words(responses: Sequence[SizeResponse]) -> str:
     """Say what an overlap is worth."""
-    seen = [one for one in found if one.slope is not None]
+    seen = [response for response in responses if response.slope is not None]
     if not seen:
         return "Targets of no size leave a region in the images of this reconstruction."
-    flattest = min(seen, key=lambda one: one.slope or 0.0)
+    flattest = min(seen, key=lambda response: response.slope or 0.0)
     first, last = flattest.diameters_mm[0], flattest.diameters_mm[-1]
     areas = [area for area in flattest.areas_mm2 if area is not None]
-    asked, got = (last / first) ** 2, areas[-1] / areas[0]
-    said = (
-        f"From {first:.3g} to {last:.3g} mm a load grows {number(asked, 2)} times in area; its region"
+    expected, got = (last / first) ** 2, areas[-1] / areas[0]
+    words = (
+        f"From {first:.3g} to {last:.3g} mm a load grows {number(expected, 2)} times in area; its region"
         f" ({flattest.place}) grows {number(got, 2)} times."
     )
-    if any(one.flat for one in seen):
+    if any(response.flat for response in seen):
         return (
-            f"{said} The response is flat: this reconstruction answers loads of every size with nearly the same"
+            f"{words} The response is flat: this reconstruction answers loads of every size with nearly the same"
             " region. An overlap near 100 % says that the region fits this head, not that its size was measured, and"
             " the area of a region says nothing about an unknown load. The load estimate measures sizes."
         )
-    return f"{said} Regions follow the size of what presses."
+    return f"{words} Regions follow the size of what presses."
 
 
 def _measured(measurements: Sequence[Measurement]) -> list[SizeResponse]:
@@ -155,10 +158,10 @@ def _measured(measurements: Sequence[Measurement]) -> list[SizeResponse]:
     ]
 
 
-def _series(one: SizeResponse) -> SizeSeries:
-    seen = [(d, a) for d, a in zip(one.diameters_mm, one.areas_mm2, strict=True) if a is not None]
+def _series(response: SizeResponse) -> SizeSeries:
+    seen = [(d, a) for d, a in zip(response.diameters_mm, response.areas_mm2, strict=True) if a is not None]
     targets, areas = zip(*seen, strict=True)
-    return SizeSeries(one.place, targets, tuple(float(2 * np.sqrt(area / np.pi)) for area in areas))
+    return SizeSeries(response.place, targets, tuple(float(2 * np.sqrt(area / np.pi)) for area in areas))
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -238,12 +241,12 @@ def _figure(choice: ParameterChoice, curve: ParameterCurve, marks: list[Paramete
         f"Noise figure (Adler et al. 2009) against {choice.name}. {smoother}: less noise, and what presses closer"
         f" together is no longer told apart. Full mark and line: chosen.{others}{target}"
     )
-    said = [
+    words = [
         f"{mark.title} {'chose' if mark.chosen else 'would take'} {value_text(mark.value, discrete=curve.discrete)}"
         for mark in marks
         if mark.value is not None
     ]
-    alternative = f"Noise figure over {choice.name}: {', '.join(said)}."
+    alternative = f"Noise figure over {choice.name}: {', '.join(words)}."
     return parameter_figure(curve, marks, choice.name, caption=caption, alternative=alternative)
 
 

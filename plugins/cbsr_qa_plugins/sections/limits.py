@@ -119,11 +119,11 @@ def _judged(judged: Sequence[Measurement]) -> list[Table]:
 
 def _with_strains(measurements: Sequence[Measurement]) -> frozenset[str]:
     """Phases in which loads of one name were pressed at several strains: their name alone says too little."""
-    found: dict[tuple[str, str], set[float]] = {}
+    strains_of: dict[tuple[str, str], set[float]] = {}
     for m in measurements:
         if m.strain is not None:
-            found.setdefault((m.phase, m.location), set()).add(m.strain)
-    return frozenset(phase for (phase, _), strains in found.items() if len(strains) > 1)
+            strains_of.setdefault((m.phase, m.location), set()).add(m.strain)
+    return frozenset(phase for (phase, _), strains in strains_of.items() if len(strains) > 1)
 
 
 def _judged_row(m: Measurement, strains: bool, versioned: bool) -> list[str | Cell]:

@@ -60,8 +60,8 @@ class LoadEstimates:
         loads = tuple(load for load in loads if measured.of_load("detectability", load) is not None)
         if not loads:
             return None
-        found = estimated_loads(run, run.settings.reference)
-        pairs = [(load, found[(load.phase, load.record.index)]) for load in loads]
+        estimates = estimated_loads(run, run.settings.reference)
+        pairs = [(load, estimates[(load.phase, load.record.index)]) for load in loads]
         placed = [_placed(load, estimate, run) for load, estimate in pairs]
         words = _in_words(pairs, placed)
         scale = error_scale(placed)

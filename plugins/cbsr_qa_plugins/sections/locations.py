@@ -96,7 +96,7 @@ def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Blo
     for strain in strains:
         members = [load for load in loads if round(load.record.load.strain, 9) == strain]
         values = [measured.values(name, members) for name, _, _ in SPATIAL]
-        spreads = [spread_text(found, unit) for found, (_, _, unit) in zip(values, SPATIAL, strict=True)]
+        spreads = [spread_text(values_of, unit) for values_of, (_, _, unit) in zip(values, SPATIAL, strict=True)]
         rows.append([f"{100 * strain:g}", *spreads, _force(members), f"{len(values[0])} of {len(members)}"])
     columns = ("Strain [%]", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Force [N]", "Loads seen")
     caption = "Each strain: mean ± standard deviation over all locations and trials."
@@ -173,15 +173,15 @@ def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measur
 def _cell(name: str, members: Sequence[LoadObservation], measured: Measured) -> Cell:
     if len(members) == 1:
         return value_cell(measured.of_load(name, members[0]))
-    found = [measured.of_load(name, load) for load in members]
-    outcomes = [m.outcome for m in found if m is not None and m.limit is not None]
+    measurements = [measured.of_load(name, load) for load in members]
+    outcomes = [m.outcome for m in measurements if m is not None and m.limit is not None]
     return Cell(spread_text(measured.values(name, members)), worst(outcomes) if outcomes else None)
 
 
 def _bands(members: Sequence[LoadObservation], measured: Measured) -> str:
     """Return the bands the overlap metric names at the head of its ``how``, with counts where they differ."""
-    found = [measured.of_load("area_overlap", load) for load in members]
-    names = [m.how.partition(";")[0] for m in found if m is not None and m.value is not None]
+    measurements = [measured.of_load("area_overlap", load) for load in members]
+    names = [m.how.partition(";")[0] for m in measurements if m is not None and m.value is not None]
     counts = {name: names.count(name) for name in dict.fromkeys(names)}
     if len(counts) == 1:
         return next(iter(counts))
@@ -222,7 +222,7 @@ def _table_mask_comparison(result: RunResult, run: RunObservation) -> Table:
     for fraction in run.settings.masks:
         qualifier = mask_qualifier(run, fraction)
         values = [measured.values(name, loads, qualifier) for name, _, _ in SPATIAL]
-        spreads = [spread_text(found, unit) for found, (_, _, unit) in zip(values, SPATIAL, strict=True)]
+        spreads = [spread_text(values_of, unit) for values_of, (_, _, unit) in zip(values, SPATIAL, strict=True)]
         decides = "" if qualifier else " (decides)"
         rows.append([f"{100 * fraction:g} %{decides}", *spreads, f"{len(values[0])} of {len(loads)}"])
     columns = ["Mask", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Loads seen"]

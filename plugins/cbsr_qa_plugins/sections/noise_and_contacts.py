@@ -54,12 +54,12 @@ class NoiseAndContacts:
 def _table(result: RunResult, run: RunObservation) -> Table:
     own = [m for m in result.measurements if m.name.startswith(_WORDS) and not m.location]
     # Single pairs and readings are drawn.
-    found = [m for m in own if not (m.qualifier.startswith("pair ") or m.qualifier.startswith("drive "))]
+    whole = [m for m in own if not (m.qualifier.startswith("pair ") or m.qualifier.startswith("drive "))]
     rows: list[list[str | Cell]] = [
         [m.label, m.phase or "whole run", value_cell(m, unit=True), limit_text(m.limit) if m.limit else "–", m.how]
-        for m in found
+        for m in whole
     ]
-    if not any(m.name == "noise_floor" for m in found):
+    if not any(m.name == "noise_floor" for m in whole):
         floor = f"largest |value| of any element in {len(run.noise_images)} unloaded images"
         rows.append(["noise floor", "whole run", number(run.noise_floor), "–", floor])
     columns = ("Quantity", "Phase", "Value", "Limit", "How")
@@ -68,29 +68,29 @@ def _table(result: RunResult, run: RunObservation) -> Table:
 
 def _channels(run: RunObservation, ratio_dB: NDArray[np.float64]) -> Figure:
     used = ratio_dB[run.usable & np.isfinite(ratio_dB)]
-    told = "no usable reading" if not used.size else f"median {np.median(used):.0f} dB, lowest {used.min():.0f} dB"
+    words = "no usable reading" if not used.size else f"median {np.median(used):.0f} dB, lowest {used.min():.0f} dB"
     return channel_map_figure(
         ratio_dB,
         label="level over noise",
         unit="dB",
         used=run.usable,
-        caption=f"Signal-to-noise ratio of each reading on the rested sheet ({len(run.unloaded)} frames): {told}."
+        caption=f"Signal-to-noise ratio of each reading on the rested sheet ({len(run.unloaded)} frames): {words}."
         " Grey: readings that are not imaged.",
-        alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {told}.",
+        alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
     )
 
 
 def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: NDArray[np.float64]) -> Figure:
     largest = largest_by_reading(pairs, errors, run.usable.shape)
-    told = f"rms {number(100 * float(np.sqrt(np.mean(errors**2))), 2)} %, largest {number(100 * errors.max(), 2)} %"
+    words = f"rms {number(100 * float(np.sqrt(np.mean(errors**2))), 2)} %, largest {number(100 * errors.max(), 2)} %"
     return channel_map_figure(
         100 * largest,
         label="reciprocity error",
         unit="%",
         used=largest >= 0,
         caption=f"Change of each reading of the reference frame when drive and measure pair are exchanged, of the rms"
-        f" reading: {told}. One electrode whose row and column stand out is a contact; a whole triangle is memory.",
-        alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {told}.",
+        f" reading: {words}. One electrode whose row and column stand out is a contact; a whole triangle is memory.",
+        alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
     )
 
 
@@ -110,8 +110,8 @@ def _contacts(pairs: Sequence[Measurement]) -> Figure:
         if away < _ALIKE
         else f"furthest from it pair {known[worst][0]} with {quantity(known[worst][1], pairs[0].unit)}"
     )
-    told = f"median {quantity(median, pairs[0].unit)}, {furthest}"
-    told += f"; without a value: {', '.join(lost)}" if lost else ""
+    words = f"median {quantity(median, pairs[0].unit)}, {furthest}"
+    words += f"; without a value: {', '.join(lost)}" if lost else ""
     return pair_bar_figure(
         values / scale,
         [name.replace("-", "–") for name, _, _ in known],
@@ -119,7 +119,7 @@ def _contacts(pairs: Sequence[Measurement]) -> Figure:
         unit=unit,
         limits=(None if low is None else low / scale, None if high is None else high / scale),
         outside=[rank for rank, (_, _, outcome) in enumerate(known) if outcome is Outcome.FAIL],
-        caption=f"Resistance of each electrode pair on the rested sheet, contacts included: {told}. One electrode"
+        caption=f"Resistance of each electrode pair on the rested sheet, contacts included: {words}. One electrode"
         " with a bad contact raises both pairs it belongs to.",
-        alternative=f"Bars of {len(known)} electrode pairs; {told}.",
+        alternative=f"Bars of {len(known)} electrode pairs; {words}.",
     )

@@ -155,8 +155,8 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
 
 
 def _moving(events: Sequence[LoadEvent]) -> list[Block]:
-    said = [f"{_name(rank)} moves: {event.motion.words}" for rank, event in enumerate(events) if event.motion]
-    return [Paragraph(f"{'. '.join(said)}. The table gives where it is clearest.")] if said else []
+    motions = [f"{_name(rank)} moves: {event.motion.words}" for rank, event in enumerate(events) if event.motion]
+    return [Paragraph(f"{'. '.join(motions)}. The table gives where it is clearest.")] if motions else []
 
 
 def _imaging(result: RecordingResult) -> Table:
@@ -236,12 +236,12 @@ def _timeline(result: RecordingResult) -> Figure | None:
     traces += [Trace("force", s.unit, s.time_s, s.values) for s in recording.samples if s.channel == "force"]
     spans = [Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
     what = "one row a frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
-    told = plural(len(spans), "event") if spans else "no event"
+    count = plural(len(spans), "event") if spans else "no event"
     return timeline_figure(
         traces,
         spans,
-        caption=f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {told}.",
-        alternative=f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {told}.",
+        caption=f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {count}.",
+        alternative=f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {count}.",
     )
 
 

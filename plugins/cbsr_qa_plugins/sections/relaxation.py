@@ -59,8 +59,8 @@ class RelaxationFits:
 def _shown(loads: Sequence[SettledLoad], apart: Sequence[SettledLoad]) -> SettledLoad:
     """Return the load worth pointing out: one that was held for this, else the one whose fits explain most."""
     wanted = apart[0] if apart else None
-    found = [load for load in loads if wanted and (load.label, load.group) == (wanted.label, wanted.group)]
-    return found[0] if found else _best(loads)
+    near = [load for load in loads if wanted and (load.label, load.group) == (wanted.label, wanted.group)]
+    return near[0] if near else _best(loads)
 
 
 def _traces(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str]) -> Figure:
@@ -103,11 +103,11 @@ def _together(measurements: Sequence[Measurement]) -> list[Block]:
 
 def _agreements(run: RunObservation, measurements: Sequence[Measurement]) -> list[Block]:
     """What relaxes alike, as far as this run's metrics ask: the whole image as the blobs, the sheet as a strip."""
-    asked = {m.name for m in measurements}
+    wanted = {m.name for m in measurements}
     blocks: list[Block] = []
-    if "relaxation_shape_difference" in asked:
+    if "relaxation_shape_difference" in wanted:
         blocks += _agreement(image_against_blobs(run), "The whole image against the blobs")
-    if "strip_relaxation_difference" in asked:
+    if "strip_relaxation_difference" in wanted:
         blocks += _agreement(sheet_against_strip(run), "The sheet against a strip of its material (2D against 1D)")
     return blocks
 
@@ -115,15 +115,17 @@ def _agreements(run: RunObservation, measurements: Sequence[Measurement]) -> lis
 def _agreement(compared: Sequence[DirectedAgreement], words: str) -> list[Block]:
     if not compared:
         return []
-    if all(one.found.why for one in compared):
-        why = "; ".join(dict.fromkeys(one.found.why for one in compared))
+    if all(agreement.found.why for agreement in compared):
+        why = "; ".join(dict.fromkeys(agreement.found.why for agreement in compared))
         return [Paragraph(f"{words}: not compared, {why}.", "note")]
     caption = (
         f"{words}: relaxations over their change (above) and their difference (below), each with its 90 % interval."
         f" Equivalent: that interval stays within ±{SHAPE_MARGIN:g} (shaded) throughout."
     )
-    said = "; ".join(f"{one.direction}: {one.found.why or one.found.shape}" for one in compared)
-    return [agreement_figure(compared, caption=caption, alternative=f"{words}. {said}.")]
+    shapes = "; ".join(
+        f"{agreement.direction}: {agreement.found.why or agreement.found.shape}" for agreement in compared
+    )
+    return [agreement_figure(compared, caption=caption, alternative=f"{words}. {shapes}.")]
 
 
 def _rejections(fits: Sequence[RelaxationFit], gate: float) -> str:
@@ -183,8 +185,8 @@ def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
     for signal in signals:
         for loading in (True, False):
             for words, members in classes.items():
-                found = [load.one(signal, loading) for load in members]
-                rows.append(_strain_row(signal, loading, words, [r for r in found if r is not None]))
+                relaxations = [load.one(signal, loading) for load in members]
+                rows.append(_strain_row(signal, loading, words, [r for r in relaxations if r is not None]))
     columns = ("Signal", "After", "Strain [%]", "Settling [s]", "Settled", "Later than window", "Rejected")
     caption = (
         "Settling by strain: mean ± standard deviation. Presses not settled within their window count with their"
@@ -206,15 +208,15 @@ def _strain_classes(loads: Sequence[SettledLoad]) -> dict[str, list[SettledLoad]
     }
 
 
-def _strain_row(signal: str, loading: bool, strain: str, found: Sequence[RelaxationObservation]) -> list[str]:
-    if not found:
+def _strain_row(signal: str, loading: bool, strain: str, relaxations: Sequence[RelaxationObservation]) -> list[str]:
+    if not relaxations:
         return []
-    timed = [(r.settling.value_s, r.settling.censored) for r in found if r.settling.value_s is not None]
+    timed = [(r.settling.value_s, r.settling.censored) for r in relaxations if r.settling.value_s is not None]
     censored = sum(late for _, late in timed)
-    rejected = len(found) - len(timed)
+    rejected = len(relaxations) - len(timed)
     mean = (
         "–"
-        if not timed or 2 * len(timed) < len(found)
+        if not timed or 2 * len(timed) < len(relaxations)
         else _mean_text([time for time, _ in timed], [late for _, late in timed])
     )
     after = "press" if loading else "release"

@@ -115,7 +115,14 @@ def _weighting(run: RunObservation) -> str:
 
 def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
     rows = [
-        [f"{one.at:%Y-%m-%d %H:%M} UTC", one.verdict.value, one.outcome.value, one.by, one.why] for one in overrides
+        [
+            f"{override.at:%Y-%m-%d %H:%M} UTC",
+            override.verdict.value,
+            override.outcome.value,
+            override.by,
+            override.why,
+        ]
+        for override in overrides
     ]
     caption = "Decisions against the verdict, oldest first; the latest holds, and none issues a calibration."
     return text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
@@ -132,15 +139,15 @@ def _changes(history: ChangeHistory) -> Block:
         return Paragraph(f"Recipe, limits, station, sensor type and material: no change was noted {since}.")
     rows = [
         [
-            f"{one.at:%Y-%m-%d %H:%M} UTC",
-            f"{one.kind} {one.name}",
-            one.words(12),
-            f"{one.old_digest[:12]} → {one.new_digest[:12]}",
-            one.by or "not stated",
-            one.why,
-            one.run,
+            f"{change.at:%Y-%m-%d %H:%M} UTC",
+            f"{change.kind} {change.name}",
+            change.words(12),
+            f"{change.old_digest[:12]} → {change.new_digest[:12]}",
+            change.by or "not stated",
+            change.why,
+            change.run,
         ]
-        for one in history.changes
+        for change in history.changes
     ]
     columns = ("When", "File", "What changed", "Content (SHA-256)", "By", "Why", "First run with it")
     return text_table(f"Changes of recipe, limits, station, sensor type and material {since}.", columns, rows)
