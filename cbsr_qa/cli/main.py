@@ -102,8 +102,8 @@ def _supervise_every_command(group: typer.Typer) -> None:
 _supervise_every_command(app)
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(wanted: bool) -> None:
+    if wanted:
         sys.stdout.write(f"cbsr-qa {cbsr_qa.__version__}\n")
         raise typer.Exit
 

@@ -168,10 +168,10 @@ STOP: Final = ("stop", "abort")
 
 def operator_at_terminal() -> Callable[[str], str] | None:
     """Return what asks the operator; None where no terminal is at the input."""
-    return asked if sys.stdin is not None and sys.stdin.isatty() else None
+    return ask_operator if sys.stdin is not None and sys.stdin.isatty() else None
 
 
-def asked(text: str) -> str:
+def ask_operator(text: str) -> str:
     """Show a text on stderr, so that ``--json`` prints one document only, and return the line that is typed.
 
     Raises

@@ -15,7 +15,7 @@ from cbsr_qa.plugin import said
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.documents import Documents, Subscriber, Warn
 from cbsr_qa.station.dry_runs import DryPhase, DryRun, dry_run
-from cbsr_qa.station.interrupts import Asking, Interrupts, Stopped, on_stderr
+from cbsr_qa.station.interrupts import Interrupts, OperatorPrompt, Stopped, on_stderr
 from cbsr_qa.station.limits import check_samplers
 from cbsr_qa.station.performer import Ask, Performer
 from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe
@@ -115,8 +115,8 @@ def execute(
         anybody else sees it, and a document it cannot store breaks the run. The others cannot stop the run.
     done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
     ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
-    ask : shows a prompt and returns when it is answered; an :class:`~cbsr_qa.station.Asking` where instruments
-        ask through it as well, so that one which waits for the operator does not count as hanging.
+    ask : shows a prompt and returns when it is answered; an :class:`~cbsr_qa.station.OperatorPrompt` if instruments
+        ask through it as well, so that one that waits for the operator does not count as hanging.
     retries : how often an operation that failed retryably is tried again.
     warn : is told about subscribers that fail.
     tell : is told what a signal did and what another would do, at once and from a signal's handler.
@@ -138,7 +138,7 @@ def execute(
     dry.refuse()
     check_samplers(plan, bench.samplers)
     interlock = Interlock()
-    asking = ask if isinstance(ask, Asking) else Asking(ask)
+    prompt = ask if isinstance(ask, OperatorPrompt) else OperatorPrompt(ask)
     with (
         Interrupts(tell) as interrupts,
         Watchdog(
@@ -146,11 +146,11 @@ def execute(
             break_in=interrupts.break_in,
             make_safe=bench.safe_state,
             tell=tell,
-            excused=asking.is_waiting,
+            excused=prompt.is_waiting,
         ) as watchdog,
     ):
         interlock.clear(bench)
-        interrupts.hurry, interrupts.waiting = watchdog.hurry, asking.is_waiting
+        interrupts.hurry, interrupts.waiting = watchdog.hurry, prompt.is_waiting
         documents = Documents(subscribers, interrupts, warn)
         performer = Performer(
             plan,
@@ -161,7 +161,7 @@ def execute(
             interrupts=interrupts,
             watchdog=watchdog,
             retries=retries,
-            ask=None if ask is None else asking,
+            ask=None if ask is None else prompt,
         )
         walk = _Walk(dry, performer, documents, interlock, watchdog, clock)
         end, detail = walk.to_its_end(identity, bench, interrupts)

@@ -18,7 +18,7 @@ from cbsr_qa.system import Redelivery
 A = TypeVar("A")
 
 
-class Asking(Generic[A]):
+class OperatorPrompt(Generic[A]):
     """Asks the operator, and knows while a question is open.
 
     The runner's own prompts and instruments that are worked by hand must ask through the same one.

@@ -15,7 +15,7 @@ from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import FramesTaken
 from cbsr_qa.station import watchdog
 from cbsr_qa.station.execution import execute
-from cbsr_qa.station.interrupts import Asking
+from cbsr_qa.station.interrupts import OperatorPrompt
 from cbsr_qa.station.watchdog import Watchdog
 from cbsr_qa.system import RealClock, VirtualClock
 from cbsr_qa.testing import Script, example_identity, example_plan, scripted_bench
@@ -162,7 +162,7 @@ def test_a_call_that_was_under_way_for_long_still_has_its_grace(clock):
 
 
 def test_an_instrument_that_waits_for_the_operator_does_not_hang(clock):
-    asking = Asking(lambda text: clock.nothing_late_after(1000.0) or "done")
+    asking = OperatorPrompt(lambda text: clock.nothing_late_after(1000.0) or "done")
     script, never = Script(VirtualClock()), threading.Event()
     script.on("load_cell.samples_since", lambda: asking("read the scale"), call=2)
     assert run(script=script, ask=asking)[0].end is EndReason.FINISHED
@@ -206,7 +206,7 @@ def test_a_wait_is_no_call_that_hangs():
 
 
 def test_a_signal_ends_what_waits_for_the_operator_at_once():
-    asking, never = Asking(lambda text: never.wait(30) and "done"), threading.Event()
+    asking, never = OperatorPrompt(lambda text: never.wait(30) and "done"), threading.Event()
     script = Script(VirtualClock())
 
     def wait():

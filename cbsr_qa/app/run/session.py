@@ -31,9 +31,9 @@ from cbsr_qa.domain.run import (
 )
 from cbsr_qa.plugin import Plugins, left_running
 from cbsr_qa.station import (
-    Asking,
     DryRun,
     LoadKey,
+    OperatorPrompt,
     RunProgress,
     check_samplers,
     dry_run,
@@ -152,7 +152,7 @@ class Session:
         self.warnings: list[str] = []
         self._plan = plan_of(configuration, plugins)
         self._clock = station_clock(configuration)
-        self._ask = None if ask is None else Asking(self._asked)
+        self._ask = None if ask is None else OperatorPrompt(self._asked)
         self._bench = open_station(
             configuration, plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
         )

@@ -9,7 +9,7 @@ import pytest
 from station_files import station_file
 
 from cbsr_qa.app.run import RunRequest, plan_run, run_sensor, session as running
-from cbsr_qa.cli import asked, guarded, operator_at_terminal
+from cbsr_qa.cli import ask_operator, guarded, operator_at_terminal
 from cbsr_qa.domain import AbortedError, ConfigError
 from cbsr_qa.station.interrupts import Stopped
 
@@ -55,7 +55,7 @@ def terminal(monkeypatch):
 
 def test_a_text_is_shown_on_stderr_and_the_line_comes_back(terminal, capsys):
     os.write(terminal, b" 25.8 mm \n")
-    assert asked("head: what the scale says [mm]:") == "25.8 mm"
+    assert ask_operator("head: what the scale says [mm]:") == "25.8 mm"
     shown = capsys.readouterr()
     assert "head: what the scale says [mm]:" in shown.err
     assert shown.out == ""
@@ -65,17 +65,17 @@ def test_a_text_is_shown_on_stderr_and_the_line_comes_back(terminal, capsys):
 def test_an_operator_can_stop_the_run_by_an_answer(terminal, said):
     os.write(terminal, f"{said}\n".encode())
     with pytest.raises(AbortedError, match="aborted by the operator, who answered"):
-        asked("lift the head")
+        ask_operator("lift the head")
 
 
 def test_an_input_that_ends_stops_the_run(monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     with pytest.raises(AbortedError, match="closed the terminal's input"):
-        asked("lift the head")
+        ask_operator("lift the head")
 
 
 def test_an_operator_is_there_only_at_a_terminal(terminal, monkeypatch):
-    assert operator_at_terminal() is asked
+    assert operator_at_terminal() is ask_operator
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
     assert operator_at_terminal() is None
     monkeypatch.setattr(sys, "stdin", None)
