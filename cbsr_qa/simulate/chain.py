@@ -117,12 +117,12 @@ class Chain:
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         """Times after the first and up to the last [s] at which the impedance jumps."""
-        found: list[float] = []
+        times_s: list[float] = []
         for name, effect in self._stages["impedance"]:
             if isinstance(effect, SwitchingEffect):
                 with _blaming(name):
-                    found += effect.switches(moment, first_s, last_s)
-        return found
+                    times_s += effect.switches(moment, first_s, last_s)
+        return times_s
 
 
 def _applied(named: Iterable[tuple[str, AnyEffect]], stage: str) -> Iterator[tuple[str, Effect]]:

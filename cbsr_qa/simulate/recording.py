@@ -79,14 +79,14 @@ def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[P
     pressed: list[PressedLoad] = []
     for number, loads in plan.heads().items():
         pressed += _pressed_by(world, plan, number, loads, end_s)
-    for one in pressed:
-        if one.true_strain >= 1:
+    for load in pressed:
+        if load.true_strain >= 1:
             raise RefusedError(
-                f"loads[{one.index + 1}] would strain the sheet by {100 * one.true_strain:.0f} %: where it is pressed"
-                " the sheet lies higher or is thinner than nominal",
+                f"loads[{load.index + 1}] would strain the sheet by {100 * load.true_strain:.0f} %: where it is"
+                " pressed the sheet lies higher or is thinner than nominal",
                 remedy="press less deep, or use effects on sheet and head that leave more thickness",
             )
-    return tuple(sorted(pressed, key=lambda one: one.index))
+    return tuple(sorted(pressed, key=lambda load: load.index))
 
 
 def _pressed_by(
@@ -106,7 +106,7 @@ def _pressed_by(
         clock.sleep(times.lifts_s - clock.now())
         head.lift()
         made = world.presses[before] if len(world.presses) > before else None
-        index = next(index for index, one in enumerate(plan.loads) if one is load)
+        index = next(index for index, other in enumerate(plan.loads) if other is load)
         pressed.append(PressedLoad(index, load, _record(index, load, times, end_s), made))
     return _rested(pressed)
 
@@ -127,8 +127,8 @@ def _record(index: int, load: SceneLoad, times: PressTimes, rest_end_s: float) -
 def _rested(pressed: list[PressedLoad]) -> list[PressedLoad]:
     """End each rest where the same head's next press begins."""
     rested = [
-        replace(one, record=replace(one.record, rest_end_s=following.record.press_start_s))
-        for one, following in pairwise(pressed)
+        replace(load, record=replace(load.record, rest_end_s=following.record.press_start_s))
+        for load, following in pairwise(pressed)
     ]
     return [*rested, *pressed[-1:]]
 
@@ -243,7 +243,7 @@ def record_scene(
         magnitudes_only=False,
         clock="station",
         samples=samples,
-        loads=tuple(sorted((one.record for one in pressed), key=lambda record: record.press_start_s)),
+        loads=tuple(sorted((load.record for load in pressed), key=lambda record: record.press_start_s)),
         layout=world.setting.sensor_type.electrodes,
         sensor_type=world.setting.sensor_type.name,
     )
@@ -256,11 +256,11 @@ def _frames(world: SimulatedWorld, transcript: Transcript, progress: Callable[[i
     for index, (time_s, pauses_s) in enumerate(zip(times_s.tolist(), row_pauses_s, strict=True)):
         frames.append(world.frame(time_s, index, pauses_s))
         progress(index + 1, len(times_s))
-    own = [one.time_s for one in frames if one.time_s is not None]
+    own = [frame.time_s for frame in frames if frame.time_s is not None]
     return FrameBlock(
         times_s,
-        np.stack([one.voltages for one in frames]),
-        np.stack([one.flags for one in frames]),
+        np.stack([frame.voltages for frame in frames]),
+        np.stack([frame.flags for frame in frames]),
         VoltageUnit.VOLT,
         world.setting.current_A,
         np.stack(own) if own else None,

@@ -205,8 +205,11 @@ def scripted_bench(script: Script, sensor_type: SensorType, *, frame_period_s: f
     applicator = ScriptedApplicator(script)
     frames = ScriptedFrames(script, sensor_type.pattern.shape, frame_period_s)
     mounted = [
-        Mounted(InstrumentSpec(one.role, "scripted", (getattr(one, "channel", one.role),), {}, None), one)
-        for one in (applicator, frames, ScriptedLoadCell(script, applicator))
+        Mounted(
+            InstrumentSpec(instrument.role, "scripted", (getattr(instrument, "channel", instrument.role),), {}, None),
+            instrument,
+        )
+        for instrument in (applicator, frames, ScriptedLoadCell(script, applicator))
     ]
     return Bench(mounted, stop_within_s=2.0)
 

@@ -111,8 +111,10 @@ def check_sampler(
     # A driver may forget what it has handed out; what it still has it gives unchanged.
     kept = np.isin(np.concatenate([block.time_s for block in blocks]), again.time_s)
     demand(sampler, len(again) <= together + 1, f"gives {len(again)} samples where {together} came one after another")
-    said = f"{together} of {channel} in {unit} within {clock.now() - start_s:.3g} s, {int(kept.sum())} of them kept"
-    done.append(Checked("samples", said))
+    counted = (
+        f"{together} of {channel} in {unit} within {clock.now() - start_s:.3g} s, {int(kept.sum())} of them kept"
+    )
+    done.append(Checked("samples", counted))
     return tuple(done)
 
 
@@ -288,7 +290,7 @@ def safe_state_s(instrument: Instrument) -> float:
     """Make it safe from another thread, as the runner does; return how long that took [s]."""
     raised: list[BaseException] = []
 
-    def told() -> None:
+    def make_safe() -> None:
         try:
             instrument.safe_state()
         except BaseException as error:  # noqa: BLE001 - told to whoever waits
@@ -296,7 +298,7 @@ def safe_state_s(instrument: Instrument) -> float:
 
     clock = RealClock()
     before_s = clock.now()
-    thread = threading.Thread(target=told, daemon=True)
+    thread = threading.Thread(target=make_safe, daemon=True)
     thread.start()
     thread.join(timeout=SAFE_WITHIN_S)
     took_s = clock.now() - before_s
@@ -316,10 +318,10 @@ def _refuses(instrument: Instrument, call: Callable[[], object], what: str) -> N
     raise AssertionError(_said(instrument, f"takes {what} without a word"))
 
 
-def demand(instrument: Instrument, holds: bool, said: str) -> None:
+def demand(instrument: Instrument, holds: bool, otherwise: str) -> None:
     """Raise AssertionError naming the driver and what it did, unless a promise holds."""
     if not holds:
-        raise AssertionError(_said(instrument, said))
+        raise AssertionError(_said(instrument, otherwise))
 
 
 def _said(instrument: Instrument, what: str) -> str:

@@ -43,10 +43,10 @@ def assert_expected_order(
         With the errors, sizes and the order found. A rate that is too good fails as well: it means that the errors
         are not what they are taken for, or that the expectation should be raised.
     """
-    found = convergence_order(errors, sizes)
-    if abs(found - order) > tolerance:
+    measured = convergence_order(errors, sizes)
+    if abs(measured - order) > tolerance:
         rows = "\n".join(f"  size {size:.4g}: error {error:.4g}" for size, error in zip(sizes, errors, strict=True))
-        raise AssertionError(f"order {found:.3f} instead of {order} ± {tolerance}\n{rows}")
+        raise AssertionError(f"order {measured:.3f} instead of {order} ± {tolerance}\n{rows}")
 
 
 def assert_adjoint(

@@ -146,9 +146,9 @@ def check_linearity(prepared: PreparedReconstruction, *, tolerance: float = _COM
     if not is_linear(prepared):
         return Checked("linearity", "the method does not claim it", applies=False)
     random = np.random.default_rng(5)
-    one, other = (noise(prepared.problem, random, 3) for _ in range(2))
-    summed = prepared.images(2.5 * one - other)
-    apart = 2.5 * prepared.images(one) - prepared.images(other)
+    first, second = (noise(prepared.problem, random, 3) for _ in range(2))
+    summed = prepared.images(2.5 * first - second)
+    apart = 2.5 * prepared.images(first) - prepared.images(second)
     departure = _relative(summed, apart)
     _demand(prepared, departure <= tolerance, f"is not linear: departs by {departure:.3g}, allowed {tolerance:.3g}")
     return Checked("linearity", f"departs by {departure:.1e}")
@@ -165,9 +165,9 @@ def check_places_and_signs(prepared: PreparedReconstruction, *, tolerance: float
     problem = prepared.problem
     radius, worst = problem.sensor_type.radius_mm, 0.0
     for sign in (1, -1):
-        found = [found_at(prepared, at, sign * CONTRAST) for at in PLACES]
+        centres = [found_at(prepared, at, sign * CONTRAST) for at in PLACES]
         wanted = [radius * np.array(at) for at in PLACES]
-        for centre, place in zip(found, wanted, strict=True):
+        for centre, place in zip(centres, wanted, strict=True):
             distance = float(np.hypot(*(centre - place))) / radius
             worst = max(worst, distance)
             _demand(
@@ -176,7 +176,7 @@ def check_places_and_signs(prepared: PreparedReconstruction, *, tolerance: float
                 f"puts a target of {sign * CONTRAST:+.0%} at {_mm(place)} to {_mm(centre)},"
                 f" {distance:.3f} of the radius away, allowed {tolerance:.3g}",
             )
-        for step, wanted_step in zip(np.diff(found, axis=0), np.diff(wanted, axis=0), strict=True):
+        for step, wanted_step in zip(np.diff(centres, axis=0), np.diff(wanted, axis=0), strict=True):
             along = float(step @ wanted_step / (np.hypot(*step) * np.hypot(*wanted_step)))
             _demand(
                 prepared,
@@ -203,14 +203,14 @@ def check_turn(
     turned = prepared.images(symmetric.turn_readings(readings)[None])[0]
     departure = _relative(turned, image)
     apart = float(np.hypot(*(blob_centre(prepared, turned) - blob_centre(prepared, image)))) / radius
-    found = f"image {departure:.2g}, centre {apart * radius:.2g} mm"
+    difference = f"image {departure:.2g}, centre {apart * radius:.2g} mm"
     _demand(
         prepared,
         departure <= image_tolerance and apart <= place_tolerance,
-        f"turns the image otherwise than the target: off by {found},"
+        f"turns the image otherwise than the target: off by {difference},"
         f" allowed {image_tolerance:.2g}, {place_tolerance * radius:.2g} mm",
     )
-    return Checked("turn by one electrode", f"off by {found}")
+    return Checked("turn by one electrode", f"off by {difference}")
 
 
 def check_repeatable(factory: Factory, prepared: PreparedReconstruction) -> Checked:
@@ -264,8 +264,8 @@ def check_masked_electrodes(factory: Factory, *, tolerance: float = _COMMON.mask
         worst <= tolerance,
         f"puts a target {worst:.3f} of the radius away with electrodes {_MASKED} masked, allowed {tolerance:.3g}",
     )
-    one, other = (_image_with(prepared, touched, value) for value in (np.nan, 1e6))
-    _demand(prepared, np.array_equal(one, other), "looks at readings that are masked")
+    first, second = (_image_with(prepared, touched, value) for value in (np.nan, 1e6))
+    _demand(prepared, np.array_equal(first, second), "looks at readings that are masked")
     return Checked("masked electrodes", f"worst {worst * radius:.2f} mm from its place, masked readings unseen")
 
 
@@ -284,8 +284,8 @@ def check_noise_propagation(prepared: PreparedReconstruction, *, draws: int = 20
     matrix, images = (
         np.array([prepared.images(block).ravel() for block in some]) for some in (units, blocks)
     )  # (2m, 2e), (draws, 2e)
-    one = np.diag(deviation**2) + np.outer(deviation, deviation)
-    expected = matrix.T @ np.kron(np.eye(2), one) @ matrix
+    of_frame = np.diag(deviation**2) + np.outer(deviation, deviation)
+    expected = matrix.T @ np.kron(np.eye(2), of_frame) @ matrix
     sampled = images.T @ images / draws
     error = np.sqrt((np.trace(expected) ** 2 + np.sum(expected**2)) / draws)
     ratio = float(np.linalg.norm(sampled - expected) / error)
@@ -300,7 +300,7 @@ def check_noise_weighing(factory: Factory, prepared: PreparedReconstruction) -> 
     that lets all readings count alike says so (``weighs_noise = False``).
     """
     if not isinstance(prepared, LinearReconstruction):
-        return Checked("noise weighing", "the method is not one matrix, and no run can use it", applies=False)
+        return Checked("noise weighing", "the method is not method matrix, and no run can use it", applies=False)
     if not getattr(factory(), "weighs_noise", True):
         return Checked("noise weighing", "the method says that it lets all readings count alike", applies=False)
     problem, loud = prepared.problem, np.ones(len(prepared.problem.reference))
@@ -308,7 +308,7 @@ def check_noise_weighing(factory: Factory, prepared: PreparedReconstruction) -> 
     variance = loud * (1 / loud).mean()
     weighed = factory().prepare(replace(problem, noise_variance=variance, nominal=problem.nominal or problem))
     units = np.eye(len(loud))
-    after, before = (float((one.images(units) ** 2).sum(axis=1) @ variance) for one in (weighed, prepared))
+    after, before = (float((method.images(units) ** 2).sum(axis=1) @ variance) for method in (weighed, prepared))
     _demand(
         prepared,
         after < 0.9 * before,
@@ -355,10 +355,10 @@ def _image_with(prepared: PreparedReconstruction, masked: Mask, value: float) ->
     return prepared.images(changes(frame[None], reference, problem, scale_of(reference, problem)))
 
 
-def _relative(one: Array, other: Array) -> float:
+def _relative(a: Array, b: Array) -> float:
     """Distance in the largest norm, relative to the larger of the two."""
-    scale = max(float(np.abs(one).max()), float(np.abs(other).max()))
-    return float(np.abs(one - other).max()) / scale if scale else 0.0
+    scale = max(float(np.abs(a).max()), float(np.abs(b).max()))
+    return float(np.abs(a - b).max()) / scale if scale else 0.0
 
 
 def _mm(place: Array) -> str:

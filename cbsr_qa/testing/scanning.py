@@ -92,15 +92,15 @@ def check_self_test(instrument: SelfTesting) -> tuple[Checked, ...]:
     """
     demand(instrument, isinstance(instrument, SelfTesting), "has no self_test")
     first, again = instrument.self_test(), instrument.self_test()
-    for found in (first, again):
-        demand(instrument, isinstance(found, tuple) and bool(found), f"returns {found!r}, which is no tuple of lines")
-        for line in found:
+    for lines in (first, again):
+        demand(instrument, isinstance(lines, tuple) and bool(lines), f"returns {lines!r}, which is no tuple of lines")
+        for line in lines:
             _check_line(instrument, line)
     names = [line.name for line in first]
     demand(instrument, len(set(names)) == len(names), f"has lines of one name: {', '.join(names)}")
     demand(instrument, names == [line.name for line in again], "has other lines the second time it is asked")
-    said = ", ".join(f"{line.name} {line.outcome}" for line in first)
-    return (Checked("self-test", said),)
+    outcomes = ", ".join(f"{line.name} {line.outcome}" for line in first)
+    return (Checked("self-test", outcomes),)
 
 
 def _check_line(instrument: SelfTesting, line: CheckResult) -> None:

@@ -172,8 +172,8 @@ def _strip(inner: int, inner_count: int, outer: int, outer_count: int) -> Indice
 def _turned(mesh: Mesh) -> Indices:
     angle = 2 * np.pi / _ELECTRODES
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    found = cKDTree(mesh.centroids_mm).query(mesh.centroids_mm @ turn.T)
-    distance, turned = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+    nearest = cKDTree(mesh.centroids_mm).query(mesh.centroids_mm @ turn.T)
+    distance, turned = np.asarray(nearest[0]), np.asarray(nearest[1], dtype=np.int64)
     if distance.max() > 1e-9 * _RADIUS_MM or len(np.unique(turned)) < len(turned):
         raise AssertionError("the mesh is not the same after a turn by one electrode")
     return turned

@@ -70,9 +70,9 @@ class LoadFitter:
         change, slope = [], []
         for first in range(0, len(parameters), _AT_ONCE):
             part = parameters[first : first + _AT_ONCE]
-            found = self.model.readings(RoundLoads(part[:, :2], part[:, 2], part[:, 3]))
-            change.append(self.readings.of_model(found.change))
-            slope.append(self.readings.of_model(found.slope).swapaxes(1, 2))
+            loaded = self.model.readings(RoundLoads(part[:, :2], part[:, 2], part[:, 3]))
+            change.append(self.readings.of_model(loaded.change))
+            slope.append(self.readings.of_model(loaded.slope).swapaxes(1, 2))
         return np.concatenate(change), np.concatenate(slope)
 
     def fit(self, data: Array, start: Array, *, square: bool) -> Fits:

@@ -104,8 +104,8 @@ class LoadEstimator:
         NumericsError
             If a reading is not finite or their number is wrong.
         """
-        found = self.fit(changes, start_mm=start_mm)
-        return tuple(self._estimate(found, number) for number in range(len(changes)))
+        fitted = self.fit(changes, start_mm=start_mm)
+        return tuple(self._estimate(fitted, number) for number in range(len(changes)))
 
     def fit(self, changes: Array, *, start_mm: Array | None = None) -> LoadFits:
         """Estimate as :meth:`estimate` does, as arrays."""
@@ -131,8 +131,8 @@ class LoadEstimator:
         """Start from the better of the given place and the best of the grid, (n, 4); its explained share, (n,)."""
         match = data @ self._patterns.T
         best, every = np.abs(match).argmax(axis=1), np.arange(len(data))
-        found = match[every, best]
-        place, strength = self._places[best], found / self._size[best]
+        matched = match[every, best]
+        place, strength = self._places[best], matched / self._size[best]
         if start_mm is not None:
             given = np.asarray(start_mm, dtype=np.float64)
             clear = self.model.surroundings.clearance_mm(given) > _GRID * self.model.surroundings.radius_mm / 2
@@ -141,10 +141,10 @@ class LoadEstimator:
                 self.readings.of_model(_weak_changes(self.model, given, self.expected_radius_mm))
             )
             own = (data * patterns).sum(axis=1)
-            better = np.abs(own) > np.abs(found)
+            better = np.abs(own) > np.abs(matched)
             place = np.where(better[:, None], given, place)
-            strength, found = np.where(better, own / size, strength), np.where(better, own, found)
-        return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), found**2
+            strength, matched = np.where(better, own / size, strength), np.where(better, own, matched)
+        return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), matched**2
 
     def _sized(self, data: Array, fits: Fits) -> Fits:
         """Fit the size as well, if a load was detected."""
@@ -191,37 +191,37 @@ class LoadEstimator:
         stderr[which] = np.sqrt(variance) / (2 * self.expected_radius_mm)
         return stderr
 
-    def _estimate(self, found: LoadFits, number: int) -> LoadEstimate:
-        finding = tuple(LoadFinding)[found.finding[number]]
+    def _estimate(self, fitted: LoadFits, number: int) -> LoadEstimate:
+        finding = tuple(LoadFinding)[fitted.finding[number]]
         located = finding is LoadFinding.LOCATED
-        fits = found.fits
+        fits = fitted.fits
         covariance = fits.covariance[number]
         x_mm, y_mm, strength, square = fits.parameters[number].tolist()
         errors = np.sqrt(np.diag(covariance)).tolist()
         freedom = len(self.readings.weight) - (3 if self.known else 4)
         return LoadEstimate(
             finding=finding,
-            why="" if located else self._why(finding, found, number),
-            detectability=float(found.detectability[number]),
+            why="" if located else self._why(finding, fitted, number),
+            detectability=float(fitted.detectability[number]),
             place_mm=(x_mm, y_mm) if located else None,
             place_covariance_mm2=covariance[:2, :2].copy() if located else None,
             area_contrast_mm2=area_contrast(strength, errors[2]) if located else None,
             contrast=contrast_of(strength / square, errors[2] / square) if located and self.known else None,
-            radius_mm=radius_of(square, errors[3], float(fits.excess[number])) if found.has_radius[number] else None,
-            no_radius="" if found.has_radius[number] else self._why_no_radius(located, errors[3]),
+            radius_mm=radius_of(square, errors[3], float(fits.excess[number])) if fitted.has_radius[number] else None,
+            no_radius="" if fitted.has_radius[number] else self._why_no_radius(located, errors[3]),
             misfit=float(fits.misfit[number] / freedom),
-            misfit_probability=float(found.probability[number]),
-            inflation=float(found.inflation[number]),
+            misfit_probability=float(fitted.probability[number]),
+            inflation=float(fitted.inflation[number]),
             steps=int(fits.steps[number]),
         )
 
-    def _why(self, finding: LoadFinding, found: LoadFits, number: int) -> str:
+    def _why(self, finding: LoadFinding, fitted: LoadFits, number: int) -> str:
         if finding is LoadFinding.NOT_DETECTED:
-            if found.inflation[number] > 1:
+            if fitted.inflation[number] > 1:
                 return "the readings changed by more than their noise, but not as one round load changes them"
             return "no load stands out of the noise of the readings"
-        seen, place = float(found.detectability[number]), float(found.place_stderr_mm[number])
-        if not found.fits.converged[number]:
+        seen, place = float(fitted.detectability[number]), float(fitted.place_stderr_mm[number])
+        if not fitted.fits.converged[number]:
             return "the fit of a round load did not converge: there is more than one load, or none"
         allowed = _SHARE * self.expected_radius_mm
         factor = max(10 / max(seen, 1e-3), place / allowed)

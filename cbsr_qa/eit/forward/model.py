@@ -189,8 +189,8 @@ class ForwardModel:
         """
         driven, measured = self._pair_fields
         rows = np.empty((len(drive), len(self.mesh.elements)))
-        for row, one, other in zip(rows, drive, measure, strict=True):
-            np.einsum("ie,ie->e", driven[one], measured[other], out=row)
+        for row, k, m in zip(rows, drive, measure, strict=True):
+            np.einsum("ie,ie->e", driven[k], measured[m], out=row)
         return np.negative(rows, out=rows)
 
     def contact_jacobian(self) -> Array:
@@ -313,12 +313,12 @@ def point_model(
     return ForwardModel(mesh, pattern, conductance, np.ones(len(nodes)), prepared=prepared)
 
 
-def _alike(one: Array, other: Array, points: int) -> tuple[Array, Array]:
+def _alike(before: Array, change: Array, points: int) -> tuple[Array, Array]:
     """Conductances both as numbers, or both as matrices (…, q, 2, 2)."""
-    if np.ndim(one) == np.ndim(other):
-        return one, other
+    if np.ndim(before) == np.ndim(change):
+        return before, change
     first, second = (
         part if np.ndim(part) > 1 else np.multiply.outer(part, np.tile(np.eye(2), (points, 1, 1)))
-        for part in (one, other)
+        for part in (before, change)
     )
     return first, second

@@ -89,11 +89,11 @@ def _share(correction: Array, potentials: Array) -> float:
     return float(share)
 
 
-def _sum(one: Array, other: Array) -> tuple[Array, Array]:
+def _sum(a: Array, b: Array) -> tuple[Array, Array]:
     """Rounded sum, and its rounding error (Knuth)."""
-    total = one + other
-    part = total - one
-    return total, (one - (total - part)) + (other - part)
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
 
 
 # Supernodes are not relaxed: with the symmetric ordering SuperLU pads some of them until they cost ten times as much.

@@ -124,14 +124,14 @@ def component_labels(count: int, first: Indices, second: Indices) -> Indices:
     """
     label = np.arange(count)
     while True:
-        one, other = label[first], label[second]
-        apart = one != other
+        near, far = label[first], label[second]
+        apart = near != far
         if not apart.any():
             return label
-        first, second, one, other = first[apart], second[apart], one[apart], other[apart]
-        lower = np.minimum(one, other)
-        np.minimum.at(label, one, lower)
-        np.minimum.at(label, other, lower)
+        first, second, near, far = first[apart], second[apart], near[apart], far[apart]
+        lower = np.minimum(near, far)
+        np.minimum.at(label, near, lower)
+        np.minimum.at(label, far, lower)
         label = _followed(label)
 
 
@@ -212,14 +212,14 @@ def _components(image: Image, keeps: Mask) -> tuple[tuple[Blob, ...], ...]:
         return ((),) * len(keeps)
     number = np.full(keeps.shape, -1, dtype=np.int64)
     number[mask, element] = np.arange(element.size)
-    one, other = image.mesh.neighbours.T
+    first, second = image.mesh.neighbours.T
     anywhere = np.logical_or.reduce(keeps)
-    pairs = number[:, image.mesh.neighbours[anywhere[one] & anywhere[other]]].reshape(-1, 2)
+    pairs = number[:, image.mesh.neighbours[anywhere[first] & anywhere[second]]].reshape(-1, 2)
     pairs = pairs[(pairs[:, 0] >= 0) & (pairs[:, 1] >= 0)]
-    found: tuple[list[Blob], ...] = tuple([] for _ in keeps)
+    blobs_of: tuple[list[Blob], ...] = tuple([] for _ in keeps)
     for piece in groups(component_labels(element.size, pairs[:, 0], pairs[:, 1])).values():
-        found[mask[piece[0]]].append(Blob(image, element[piece].astype(np.int64)))
-    return tuple(tuple(sorted(blobs, key=_heaviest_first)) for blobs in found)
+        blobs_of[mask[piece[0]]].append(Blob(image, element[piece].astype(np.int64)))
+    return tuple(tuple(sorted(blobs, key=_heaviest_first)) for blobs in blobs_of)
 
 
 def _heaviest_first(blob: Blob) -> tuple[float, int]:

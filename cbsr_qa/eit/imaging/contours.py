@@ -72,8 +72,8 @@ class ContourRegion:
 
     @cached_property
     def _areas_mm2(self) -> Array:
-        one, other = (self.triangles_mm[:, k] - self.triangles_mm[:, 0] for k in (1, 2))
-        return (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+        u, v = (self.triangles_mm[:, k] - self.triangles_mm[:, 0] for k in (1, 2))
+        return (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / 2
 
 
 def nodal_values(mesh: Mesh, values: Array) -> Array:
@@ -141,12 +141,12 @@ def field_regions(mesh: Mesh, nodal: Array, levels: Array) -> tuple[tuple[Contou
     -------
     One tuple per level, heaviest first.
     """
-    found: tuple[list[ContourRegion], ...] = tuple([] for _ in levels)
+    regions_of: tuple[list[ContourRegion], ...] = tuple([] for _ in levels)
     least = _SPECK * float(mesh.areas_mm2.mean())
     for mask, region in _regions(_Cut(mesh, nodal, levels)):
         if region.area_mm2 > least:
-            found[mask].append(region)
-    return tuple(tuple(sorted(regions, key=lambda region: -region.weight)) for regions in found)
+            regions_of[mask].append(region)
+    return tuple(tuple(sorted(regions, key=lambda region: -region.weight)) for regions in regions_of)
 
 
 @lru_cache(maxsize=16)
@@ -228,13 +228,13 @@ class _Cut:
 
 def _any(flags: Mask, nodes: Indices) -> Mask:
     """Whether any of some nodes (k, …) is marked: (k,). Column by column, for speed."""
-    found: Mask = np.logical_or.reduce(flags[nodes.T])
-    return found
+    marked: Mask = np.logical_or.reduce(flags[nodes.T])
+    return marked
 
 
 def _all(flags: Mask, nodes: Indices) -> Mask:
-    found: Mask = np.logical_and.reduce(flags[nodes.T])
-    return found
+    marked: Mask = np.logical_and.reduce(flags[nodes.T])
+    return marked
 
 
 def _turned(triangles: Indices, odd: Mask) -> Indices:

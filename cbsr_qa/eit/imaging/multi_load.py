@@ -64,9 +64,9 @@ def _neighbours(blob: Blob) -> list[list[int]]:
     number[blob.elements] = np.arange(len(blob.elements))
     pairs = number[blob.image.mesh.neighbours]
     around: list[list[int]] = [[] for _ in blob.elements]
-    for one, other in pairs[(pairs[:, 0] >= 0) & (pairs[:, 1] >= 0)].tolist():
-        around[one].append(other)
-        around[other].append(one)
+    for first, second in pairs[(pairs[:, 0] >= 0) & (pairs[:, 1] >= 0)].tolist():
+        around[first].append(second)
+        around[second].append(first)
     return around
 
 
@@ -79,7 +79,7 @@ def _flooded(values: Array, around: list[list[int]], depth: float) -> Indices:
     into = list(range(len(values)))  # a basin that was joined to another points to it
     basin = np.full(len(values), -1, dtype=np.int64)
 
-    def found(peak: int) -> int:
+    def top(peak: int) -> int:
         while into[peak] != peak:
             peak = into[peak]
         return peak
@@ -90,11 +90,11 @@ def _flooded(values: Array, around: list[list[int]], depth: float) -> Indices:
             basin[element] = element
             continue
         basin[element] = basin[known[0]]
-        peaks = sorted({found(int(basin[other])) for other in known}, key=lambda k: (-values[k], k))
+        peaks = sorted({top(int(basin[other])) for other in known}, key=lambda k: (-values[k], k))
         for peak in peaks[1:]:
             if values[peak] - values[element] <= depth:
                 into[peak] = peaks[0]
-    return np.array([found(int(number)) for number in basin])
+    return np.array([top(int(number)) for number in basin])
 
 
 @dataclass(frozen=True, slots=True)

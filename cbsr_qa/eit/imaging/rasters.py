@@ -152,9 +152,9 @@ def outlines(raster: Raster, level: float) -> tuple[Array, ...]:
     -------
     tuple of (k, 2) float64 [mm], first and last point equal; what is above the level lies to the left.
     """
-    found = _measure.find_contours(np.pad(raster.values, 1), level, positive_orientation="high")
+    contours = _measure.find_contours(np.pad(raster.values, 1), level, positive_orientation="high")
     # Rows rise with y: (row, column) to (x, y) is a reflection, which turns outlines round.
-    closed = [raster.places_mm(contour[::-1] - 1) for contour in found]
+    closed = [raster.places_mm(contour[::-1] - 1) for contour in contours]
     return tuple(sorted(closed, key=lambda outline: -float(np.hypot(*np.diff(outline, axis=0).T).sum())))
 
 
@@ -167,9 +167,9 @@ def _masked(raster: Raster, fraction: float) -> tuple[Mask, float]:
 
 def _regions(raster: Raster, labels: Indices, level: float) -> tuple[PixelRegion, ...]:
     regions = []
-    for found in _measure.regionprops(labels, intensity_image=raster.values):
-        pixels = labels == found.label
-        centre = raster.places_mm(np.array([found.centroid_weighted]))[0]
+    for properties in _measure.regionprops(labels, intensity_image=raster.values):
+        pixels = labels == properties.label
+        centre = raster.places_mm(np.array([properties.centroid_weighted]))[0]
         alone = Raster(
             np.where(pixels | (raster.values < level), raster.values, 0.0), raster.pitch_mm, raster.first_mm
         )
@@ -177,8 +177,8 @@ def _regions(raster: Raster, labels: Indices, level: float) -> tuple[PixelRegion
         start, end = (np.concatenate([piece[part] for piece in pieces]) for part in (slice(-1), slice(1, None)))
         long = (start != end).any(axis=1)
         # About a corner of its own: products of places far from the origin would leave no digits of a small area.
-        one, other = start - start[0], end - start[0]
-        area = float((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()) / 2
+        u, v = start - start[0], end - start[0]
+        area = float((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()) / 2
         weight = float(raster.values[pixels].sum()) * raster.pitch_mm**2
         regions.append(PixelRegion(pixels, centre, area, weight, start[long], end[long]))
     return tuple(sorted(regions, key=lambda region: -region.weight))

@@ -69,8 +69,8 @@ def _candidates(fine: Mesh, coarse: Mesh) -> tuple[Indices, Indices]:
     near = cKDTree(coarse.centroids_mm).query_ball_point(
         fine.centroids_mm, reach[0] + reach[1].max(), return_sorted=True
     )
-    first = np.repeat(np.arange(len(near)), [len(found) for found in near])
-    second = np.concatenate([np.asarray(found, dtype=np.int64) for found in near])
+    first = np.repeat(np.arange(len(near)), [len(elements) for elements in near])
+    second = np.concatenate([np.asarray(elements, dtype=np.int64) for elements in near])
     apart = np.hypot(*(fine.centroids_mm[first] - coarse.centroids_mm[second]).T)
     meet = apart < reach[0][first] + reach[1][second]
     return first[meet], second[meet]
@@ -87,10 +87,10 @@ def _intersections(first: Array, second: Array) -> tuple[Array, Array]:
         polygon = _clipped(polygon, start, second[:, (corner + 1) % 3] - start)
     following = np.roll(polygon, -1, axis=1)
     origin = polygon[:, :1]
-    one, other = polygon - origin, following - origin
-    twice = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    u, v = polygon - origin, following - origin
+    twice = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
     area = np.maximum(twice.sum(axis=1) / 2, 0)
-    moment = (twice[..., None] * (one + other)).sum(axis=1)
+    moment = (twice[..., None] * (u + v)).sum(axis=1)
     divisor = np.where(area > 0, 6 * area, 1.0)[:, None]
     return area, origin[:, 0] + moment / divisor
 

@@ -88,8 +88,8 @@ class PixelImaging:
         return image.reshape(self.pixels, self.pixels)
 
     def _unfit(self, changes: Array) -> RefusedError:
-        found = f"readings of shape {changes.shape} and type {changes.dtype}"
-        return RefusedError(f"{found} do not match {self.readings} used channels of real numbers")
+        given = f"readings of shape {changes.shape} and type {changes.dtype}"
+        return RefusedError(f"{given} do not match {self.readings} used channels of real numbers")
 
     def images(self, changes: Array) -> Pixels:
         """Image n frames (n, m), as :meth:`image`: (n, pixels, pixels)."""

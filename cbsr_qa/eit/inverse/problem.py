@@ -43,8 +43,8 @@ def image_jacobian(model: ForwardModel, mesh: Mesh, drive: Indices, measure: Ind
     driven, measured = (fields @ pairs for pairs in (model.pattern.drive_currents(), model.pattern.measure_matrix()))
     driven, measured = (np.ascontiguousarray(each.transpose(2, 1, 0)) for each in (driven, measured))
     products = np.empty((len(drive), len(pieces.areas_mm2)))
-    for row, one, other in zip(products, drive, measure, strict=True):
-        np.einsum("xp,xp->p", driven[one], measured[other], out=row)
+    for row, k, m in zip(products, drive, measure, strict=True):
+        np.einsum("xp,xp->p", driven[k], measured[m], out=row)
     count = len(pieces.areas_mm2)
     gather = sparse.csr_matrix((-pieces.areas_mm2, (pieces.coarse, np.arange(count))), (len(mesh.elements), count))
     return np.ascontiguousarray((gather @ products.T).T)

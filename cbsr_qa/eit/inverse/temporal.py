@@ -94,18 +94,18 @@ def _smoothed_back(filtered: Array, back: Array, a: float, lag: int | None) -> A
     """Let each frame know of those after it, up to a lag."""
     count = len(filtered)
     if lag is None or lag >= count - 1:
-        found = filtered.copy()
+        smooth = filtered.copy()
         for frame in range(count - 2, -1, -1):
-            found[frame] += back[frame] * (found[frame + 1] - a * filtered[frame])
-        return found
+            smooth[frame] += back[frame] * (smooth[frame + 1] - a * filtered[frame])
+        return smooth
     here = np.arange(count)
     last = np.minimum(here + lag, count - 1)
-    found = filtered[last]
+    smooth = filtered[last]
     for behind in range(1, lag + 1):
         some = last - behind >= here
         at = (last - behind)[some]
-        found[some] = filtered[at] + back[at] * (found[some] - a * filtered[at])
-    return found
+        smooth[some] = filtered[at] + back[at] * (smooth[some] - a * filtered[at])
+    return smooth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,8 +136,8 @@ class TemporalImages:
             If readings do not fit or are not finite.
         """
         readings = checked_readings(changes, self.problem) @ self.spectrum.analysis.T
-        found = smoothed(readings, self.spectrum.values, self.choice.value**2, self.correlation)
-        return found @ self.spectrum.basis.T
+        coefficients = smoothed(readings, self.spectrum.values, self.choice.value**2, self.correlation)
+        return coefficients @ self.spectrum.basis.T
 
 
 def lasting_noise_figure(

@@ -93,24 +93,24 @@ class StackedSeries:
 
     def __init__(self, series: Sequence[Series], places: Sequence[Indices], shape: tuple[int, ...]) -> None:
         self._series, self._places = tuple(series), places
-        self._reach = np.array([one.reach for one in series])
+        self._reach = np.array([load.reach for load in series])
         self._shape = shape
         terms, owners, orders = [], [], []
-        for number, (one, place) in enumerate(zip(series, places, strict=True)):
-            size = np.abs(one.coefficients).reshape(TERMS, -1).max(axis=1)
+        for number, (load, place) in enumerate(zip(series, places, strict=True)):
+            size = np.abs(load.coefficients).reshape(TERMS, -1).max(axis=1)
             kept = (
-                np.flatnonzero(size > np.finfo(float).eps * size.max()) if one.reach else np.zeros(0, dtype=np.int64)
+                np.flatnonzero(size > np.finfo(float).eps * size.max()) if load.reach else np.zeros(0, dtype=np.int64)
             )
             spread = np.zeros((len(kept), *self._shape))
             if kept.size:
-                spread[:, place] = one.coefficients[kept]
+                spread[:, place] = load.coefficients[kept]
             terms.append(spread.reshape(len(kept), -1))
             owners.append(np.full(len(kept), number))
             orders.append(kept)
         self._terms = np.concatenate(terms)
         self._owner, self._order = np.concatenate(owners), np.concatenate(orders)
         # Largest entry by strength, of matrices of two by two.
-        self._slope = np.array([2 * np.abs(one.coefficients).sum(axis=0).max() for one in series])
+        self._slope = np.array([2 * np.abs(load.coefficients).sum(axis=0).max() for load in series])
 
     def __call__(self, strengths: Array) -> Array:
         """Return the sum of all changes for (n,) strengths: (all elements, q, 2, 2)."""
@@ -207,14 +207,12 @@ class Patch:
         unit = step * np.eye(count)
         up, down = (np.array([self._exact((sign * row).tolist()) for row in unit]) for sign in (1, -1))
         pairs = []
-        for one, other in zip(*np.triu_indices(count), strict=True):
-            if one == other:
-                pairs.append((up[one] + down[one]) / (2 * step**2))
+        for i, j in zip(*np.triu_indices(count), strict=True):
+            if i == j:
+                pairs.append((up[i] + down[i]) / (2 * step**2))
             else:
-                both = self._exact((unit[one] + unit[other]).tolist()) + self._exact(
-                    (-unit[one] - unit[other]).tolist()
-                )
-                pairs.append((both - up[one] - down[one] - up[other] - down[other]) / (2 * step**2))
+                both = self._exact((unit[i] + unit[j]).tolist()) + self._exact((-unit[i] - unit[j]).tolist())
+                pairs.append((both - up[i] - down[i] - up[j] - down[j]) / (2 * step**2))
         return (up - down) / (2 * step), np.array(pairs)
 
     def _exact(self, strengths: Sequence[float]) -> Array:

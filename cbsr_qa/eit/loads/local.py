@@ -79,10 +79,10 @@ class LocalUpdate:
             If an element is not in the mesh, or its new conductance is not a positive finite number, or as a matrix
             not positive definite; or a contact impedance is not a positive finite number.
         """
-        found = self._changed(elements, conductance_change, contact_impedance)
-        if isinstance(found, ForwardModel):
-            return found.voltages()
-        lost, own = found  # apart: what driven contacts drop costs the other readings no digits
+        changed = self._changed(elements, conductance_change, contact_impedance)
+        if isinstance(changed, ForwardModel):
+            return changed.voltages()
+        lost, own = changed  # apart: what driven contacts drop costs the other readings no digits
         return self._unchanged - self.model.readings(lost) + self.model.readings(own)
 
     def transfer_impedance(
@@ -92,10 +92,10 @@ class LocalUpdate:
 
         Holds for currents that sum to zero, and differences of potentials.
         """
-        found = self._changed(elements, conductance_change, contact_impedance)
-        if isinstance(found, ForwardModel):
-            return found.transfer_impedance
-        lost, own = found
+        change = self._changed(elements, conductance_change, contact_impedance)
+        if isinstance(change, ForwardModel):
+            return change.transfer_impedance
+        lost, own = change
         return self.model.transfer_impedance - lost + own
 
     def _changed(

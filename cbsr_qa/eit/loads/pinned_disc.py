@@ -211,8 +211,8 @@ def _mirrored(centre: Complex, orders: int) -> Array:
     count = np.arange(orders + 1)
     choose = np.array([[comb(n, j) for j in count] for n in count], dtype=np.float64)
     gap = 1 - np.abs(centre) ** 2
-    one = np.ones_like(centre)[:, None]
-    base = np.concatenate([one, _powers(centre / gap, orders)], axis=1)
+    ones = np.ones_like(centre)[:, None]
+    base = np.concatenate([ones, _powers(centre / gap, orders)], axis=1)
     lag = count[1:, None] - count[1:]  # (n or m, j)
     lower = np.where(lag >= 0, base[:, np.maximum(lag, 0)], 0)
     rising = choose[1:, 1:] * lower

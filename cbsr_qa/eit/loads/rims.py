@@ -173,14 +173,14 @@ def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
 
 def met_bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
     """Orthonormal bases (b, r) of the fields that reach each rim from other rims and electrodes, truncated."""
-    found = []
+    bases = []
     for span, negligible in zip(spans, least, strict=True):
         # The factor R of the transpose has the same left vectors, and is square.
         square: Array = np.asarray(np.linalg.qr(np.vstack([between[span].T, fields[span].T]), mode="r"))
         basis, size, _ = np.linalg.svd(square.T, full_matrices=False)
         rank = max(1, int((size > negligible * max(size[0], np.finfo(float).tiny)).sum()))
-        found.append(basis[:, :rank])
-    return found
+        bases.append(basis[:, :rank])
+    return bases
 
 
 def filled_up(bases: Sequence[Array]) -> list[Array]:

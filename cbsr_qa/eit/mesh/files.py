@@ -79,8 +79,8 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
     try:
         if path.suffix == ".npz":
             return _checked(_npz(path), electrodes, mend=mend)
-        nodes, elements, found = _by_meshio(path)
-        return imported_mesh(nodes, elements, found if electrodes is None else electrodes, mend=mend)
+        nodes, elements, named = _by_meshio(path)
+        return imported_mesh(nodes, elements, named if electrodes is None else electrodes, mend=mend)
     except CbsrError as error:
         raise NumericsError(f"{path.name}: {error.reason}", remedy=error.remedy) from error
 
@@ -117,31 +117,31 @@ def _by_meshio(path: Path) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGi
             f"files of type {path.suffix!r} are read by meshio, which is not installed",
             remedy="install meshio, or write the mesh as .npz with arrays nodes_mm and elements",
         ) from error
-    said = io.StringIO()
+    printed = io.StringIO()
     try:
-        with redirect_stdout(said), redirect_stderr(said):
-            found = meshio.read(path)
+        with redirect_stdout(printed), redirect_stderr(printed):
+            content = meshio.read(path)
     # meshio raises whatever its readers stumble over; on some formats it prints why and leaves the program.
     except (Exception, SystemExit) as error:
-        why = " ".join((said.getvalue() or str(error)).split())
+        why = " ".join((printed.getvalue() or str(error)).split())
         raise NumericsError(f"meshio cannot read it: {why[:200]}") from error
-    triangles = found.cells_dict.get("triangle")
+    triangles = content.cells_dict.get("triangle")
     if triangles is None:
-        kinds = ", ".join(sorted(found.cells_dict)) or "nothing"
+        kinds = ", ".join(sorted(content.cells_dict)) or "nothing"
         raise NumericsError(f"it holds {kinds} and no triangles", remedy="mesh the sheet with triangles")
-    return found.points, triangles, _named_lines(found)
+    return content.points, triangles, _named_lines(content)
 
 
-def _named_lines(found: Any) -> list[ElectrodeGiven]:
+def _named_lines(content: Any) -> list[ElectrodeGiven]:
     """Groups of lines that are called electrodes, in the order of their numbers."""
-    lines = found.cells_dict.get("line")
+    lines = content.cells_dict.get("line")
     groups: dict[int, NDArray[Any]] = {}
-    for name, members in found.cell_sets_dict.items():
+    for name, members in content.cell_sets_dict.items():
         called = _ELECTRODE.fullmatch(str(name))
         if called and lines is not None and "line" in members:
             groups[int(called[1])] = lines[members["line"]]
-    physical = found.cell_data_dict.get("gmsh:physical", {}).get("line")
-    for name, (tag, dimension) in found.field_data.items():
+    physical = content.cell_data_dict.get("gmsh:physical", {}).get("line")
+    for name, (tag, dimension) in content.field_data.items():
         called = _ELECTRODE.fullmatch(str(name))
         if called and lines is not None and physical is not None and dimension == 1:
             groups.setdefault(int(called[1]), lines[physical == tag])

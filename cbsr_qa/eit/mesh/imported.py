@@ -85,9 +85,9 @@ def check_doubled(points: Points, corners: Indices) -> None:
     used = np.unique(corners)
     pairs = cKDTree(points[used]).query_pairs(_SAME * size, output_type="ndarray")
     if len(pairs):
-        one, other = sorted(used[pairs[0]].tolist())
+        first, second = sorted(used[pairs[0]].tolist())
         raise NumericsError(
-            f"nodes {one} and {other} (one of {len(pairs)} such pairs) are at the same place",
+            f"nodes {first} and {second} (one of {len(pairs)} such pairs) are at the same place",
             remedy="merge them: elements that touch must share their nodes",
         )
 
@@ -220,7 +220,10 @@ def imported_mesh(
     points = plane_points(nodes_mm)
     corners = whole_numbers(elements, "elements", (3,)) - first
     check_range(corners, len(points), first, "element")
-    given = [one if isinstance(one, ElectrodeAt) else _numbers(one, k, first) for k, one in enumerate(electrodes)]
+    given = [
+        electrode if isinstance(electrode, ElectrodeAt) else _numbers(electrode, k, first)
+        for k, electrode in enumerate(electrodes)
+    ]
     check_doubled(points, corners)
     if mend:
         points, corners, given = _mended(points, corners, given)
@@ -230,7 +233,7 @@ def imported_mesh(
     boundary = boundary_edges(mesh)
     check_in_one_piece(mesh)
     check_hanging(mesh, boundary)
-    edges = [_edges_of(one, number, mesh, boundary) for number, one in enumerate(given)]
+    edges = [_edges_of(electrode, number, mesh, boundary) for number, electrode in enumerate(given)]
     _check_shared(edges)
     return Mesh(points, corners, tuple(edges))
 
@@ -255,14 +258,14 @@ def _mended(
     new = np.full(len(points), -1, dtype=np.int64)
     new[used] = np.arange(len(used))
     kept: list[ElectrodeAt | Indices] = []
-    for number, one in enumerate(given):
-        if not isinstance(one, ElectrodeAt):
-            check_range(one, len(points), 0, f"electrode {number}: entry")
-            if (new[one] < 0).any():
+    for number, electrode in enumerate(given):
+        if not isinstance(electrode, ElectrodeAt):
+            check_range(electrode, len(points), 0, f"electrode {number}: entry")
+            if (new[electrode] < 0).any():
                 raise NumericsError(
                     f"electrode {number} names a node that belongs to no element", remedy="name nodes of the sheet"
                 )
-        kept.append(one if isinstance(one, ElectrodeAt) else new[one])
+        kept.append(electrode if isinstance(electrode, ElectrodeAt) else new[electrode])
     return points[used], new[corners], kept
 
 

@@ -261,9 +261,9 @@ def _cut_edges(rings: list[Points]) -> Mask:
 def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:
     """The mesh must end exactly where the sheet does."""
     counts = np.bincount(mesh.element_edges.ravel(), minlength=len(mesh.edges))
-    found = mesh.edges[counts == 1] @ [len(mesh.nodes_mm), 1]
+    boundary = mesh.edges[counts == 1] @ [len(mesh.nodes_mm), 1]
     wanted = np.sort(np.vstack(rings), axis=1) @ [len(mesh.nodes_mm), 1]
-    if counts.max() > 2 or not np.array_equal(np.sort(found), np.sort(wanted)):
+    if counts.max() > 2 or not np.array_equal(np.sort(boundary), np.sort(wanted)):
         raise RefusedError(
             f"elements of {size:g} mm cannot follow the sheet's outline",
             remedy="use a smaller element size, or a plainer outline",

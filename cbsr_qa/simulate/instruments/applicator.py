@@ -137,12 +137,12 @@ class EmulatedApplicator:
         if Fault.RESET in self._told:
             self._told.discard(Fault.RESET)
             return self._restarted()
-        said = ""
+        reply = ""
         with self._rig.lock:
             *lines, self._partial = (self._partial + data).split(b"\n")
             for line in lines:
-                said += self._obey(line)
-        return said.encode()
+                reply += self._obey(line)
+        return reply.encode()
 
     def misbehave(self, fault: Fault) -> None:
         """Inject a fault: request a resend, report busy, or restart."""
@@ -170,7 +170,7 @@ class EmulatedApplicator:
 
     def _believe(self, position: Position) -> None:
         """Define the head's current position (G92)."""
-        x, y, z = (true - told for true, told in zip(self._head.target_mm, position, strict=True))
+        x, y, z = (true - believed for true, believed in zip(self._head.target_mm, position, strict=True))
         self._offset: Position = (x, y, z)
 
     def _obey(self, raw: bytes) -> str:
@@ -206,9 +206,9 @@ class EmulatedApplicator:
         return self._g1(parameters)
 
     def _g1(self, parameters: Parameters) -> str:
-        said = ""
+        reply = ""
         while self._head.queued >= _BUFFER:
-            said += self._wait_until(self._head.next_end_s)
+            reply += self._wait_until(self._head.next_end_s)
         speed = parameters.get("F")
         if speed is not None and speed > 0:
             self._speed_mm_s = speed / 60
@@ -220,19 +220,19 @@ class EmulatedApplicator:
         slowest_s = max([length / self._speed_mm_s, *(w / v for w, v in zip(ways, _FASTEST_MM_S, strict=True))])
         if length > 0:
             self._head.go(self._true((x, y, z)), length / slowest_s)
-        return said
+        return reply
 
     def _g4(self, parameters: Parameters) -> str:
-        said = self._m400({})
+        reply = self._m400({})
         dwell_s = (parameters.get("S") or 0.0) + (parameters.get("P") or 0.0) / 1e3
-        return said + self._wait_until(self._rig.clock.now() + dwell_s)
+        return reply + self._wait_until(self._rig.clock.now() + dwell_s)
 
     def _g28(self, parameters: Parameters) -> str:
         """Home the named axes, or all.
 
         A Prusa lifts before it, and levels the mesh after it where no axis was named.
         """
-        said = self._m400({})
+        reply = self._m400({})
         named = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]
         x, y, z = self._head.target_mm
         if self._firmware == "prusa":
@@ -241,12 +241,12 @@ class EmulatedApplicator:
             goal = list(self._head.target_mm)
             goal[axis] = 0.0
             self._head.go((goal[0], goal[1], goal[2]), _HOMING_MM_S[axis])
-        said += self._m400({})
+        reply += self._m400({})
         x, y, z = (0.0 if axis in named else offset for axis, offset in enumerate(self._offset))
         self._offset = (x, y, z)
         if not any(letter in parameters for letter in (*_AXES, "W")) and self._firmware == "prusa":
-            said += self._wait_until(self._rig.clock.now() + _LEVELLING_S)
-        return said
+            reply += self._wait_until(self._rig.clock.now() + _LEVELLING_S)
+        return reply
 
     def _g90(self, parameters: Parameters) -> str:
         self._absolute = True
@@ -287,7 +287,7 @@ class EmulatedApplicator:
         return x, y, z
 
     def _true(self, position: Position) -> Position:
-        x, y, z = (told + offset for told, offset in zip(position, self._offset, strict=True))
+        x, y, z = (believed + offset for believed, offset in zip(position, self._offset, strict=True))
         return x, y, z
 
     def _goal_of(self, axis: int, parameters: Parameters) -> float:
@@ -298,8 +298,8 @@ class EmulatedApplicator:
 
     def _wait_until(self, time_s: float) -> str:
         """Wait, with a busy message every two seconds."""
-        said = ""
+        reply = ""
         while (left_s := time_s - self._rig.clock.now()) > 0:
             self._rig.clock.sleep(min(left_s, _BUSY_EVERY_S))
-            said += "echo:busy: processing\n" if left_s > _BUSY_EVERY_S else ""
-        return said
+            reply += "echo:busy: processing\n" if left_s > _BUSY_EVERY_S else ""
+        return reply

@@ -99,14 +99,14 @@ class EmulatedErtBoard:
         self._silent = fault is Fault.SILENCE
         if fault is Fault.RESET:
             return self.misbehave(fault)
-        said = self._said(row)
+        sent = self._said(row)
         if fault is Fault.GARBLE:
-            said = said[:7] + said[8:]
+            sent = sent[:7] + sent[8:]
         if fault is Fault.STALE:
-            said = self._last + said
-        self._last = said
+            sent = self._last + sent
+        self._last = sent
         if not self._silent:
-            self._send(said)
+            self._send(sent)
         return None
 
     def _said(self, row: int) -> bytes:

@@ -55,12 +55,12 @@ class EmulatedMultiplexer:
         """Execute the first received byte; the others are lost, as in the firmware."""
         command = data[:1]
         with self._rig.lock:
-            said = self._obeyed(command)
+            reply = self._obeyed(command)
         with self._writing:
             held, self._waiting = self._waiting, b""
         if command == b"c":
             self._later(str(self._counter).encode())
-        return held + said
+        return held + reply
 
     def misbehave(self, fault: Fault) -> None:
         """Restart: the counter is reset and pending output is lost."""

@@ -76,10 +76,10 @@ class LineSender(ABC):
             due_s = self._sent / self._rate_hz
             if due_s < self.started_s:
                 continue  # it boots
-            said = f"{self._line(self._sent, due_s)}\r\n".encode("ascii")
+            line = f"{self._line(self._sent, due_s)}\r\n".encode("ascii")
             while (fault := self._fault()) is not None:
-                said = self._spoilt(fault, said, due_s)
-            due += self._in_time(said, due_s)
+                line = self._spoilt(fault, line, due_s)
+            due += self._in_time(line, due_s)
         if due and not self._silent:
             self._hand_over(due)
 
@@ -88,7 +88,7 @@ class LineSender(ABC):
             return self._told.pop(0)
         return None if self._port is None else self._port.faults.met()
 
-    def _spoilt(self, fault: Fault, said: bytes, due_s: float) -> bytes:
+    def _spoilt(self, fault: Fault, line: bytes, due_s: float) -> bytes:
         match fault:
             case Fault.DROP:
                 self._silent = True
@@ -97,9 +97,9 @@ class LineSender(ABC):
             case Fault.SILENCE:
                 self._silent = True
             case Fault.GARBLE:
-                return bytes([said[0] ^ 0x15]) + said[1:]
+                return bytes([line[0] ^ 0x15]) + line[1:]
             case Fault.STALE:
-                return self._last + said
+                return self._last + line
             case Fault.DELAY:
                 self._late_until_s = due_s + LATE_S
             case Fault.RESET:
@@ -107,21 +107,21 @@ class LineSender(ABC):
                 return f"{self._banner}\r\n".encode("ascii")
             case Fault.OVERLOAD:
                 self._more = self.overload
-        return said
+        return line
 
-    def _in_time(self, said: bytes, due_s: float) -> bytes:
+    def _in_time(self, line: bytes, due_s: float) -> bytes:
         """Return the bytes to send now: a line, nothing, or all lines held back."""
-        self._last = said
-        self._late += said
+        self._last = line
+        self._late += line
         if self._late_until_s is not None and due_s < self._late_until_s:
             return b""
         self._late_until_s, all_of_it, self._late = None, self._late, b""
         return all_of_it
 
-    def _hand_over(self, said: bytes) -> None:
+    def _hand_over(self, due: bytes) -> None:
         """Send, and wait until the driver can read it; only then time goes on."""
         before = _FULL if self._port is None else self._port.unread()
-        self._send(said)
+        self._send(due)
         clock = RealClock()
         while before < _FULL and self._port is not None and self._port.unread() == before:
             if clock.now() > _HANDED_OVER_S:
@@ -161,10 +161,10 @@ class EmulatedLoadCell(LineSender):
         if self._limit_N is not None:
             force_N = min(max(force_N, -self._limit_N), self._limit_N)
         value = (self._sign * force_N / self._per_unit_N - self._offset) / self._scale
-        said = f"{round(value)}" if self._counts else f"{value:.6g}"
+        reading = f"{round(value)}" if self._counts else f"{value:.6g}"
         if not self._with_time:
-            return said
-        return f"{round(1e3 * (1 + _DRIFT) * (time_s - self.started_s))},{said}"
+            return reading
+        return f"{round(1e3 * (1 + _DRIFT) * (time_s - self.started_s))},{reading}"
 
 
 _MEAN_C: Final = 22.0

@@ -197,8 +197,8 @@ class Port(ABC):
             reply = bytes([reply[0] ^ 0x15]) + reply[1:]
         if fault is Fault.DELAY:
             self._over.wait(LATE_S)
-        said, self._last = (self._last if fault is Fault.STALE else b"") + reply, reply or self._last
-        return said
+        answer, self._last = (self._last if fault is Fault.STALE else b"") + reply, reply or self._last
+        return answer
 
 
 class PtyPort(Port):
@@ -261,13 +261,13 @@ class PtyPort(Port):
                 return
             if not data:
                 continue
-            said = self._answered(instrument, data)
-            if said is None:
+            answer = self._answered(instrument, data)
+            if answer is None:
                 return self.hang_up()
-            self._write(master, said)
+            self._write(master, answer)
 
-    def _write(self, master: int, said: bytes) -> None:
-        left = said
+    def _write(self, master: int, answer: bytes) -> None:
+        left = answer
         while left and not self._over.is_set():
             _, ready, _ = select.select([], [master], [], _LOOK_S)
             if ready:
@@ -294,13 +294,13 @@ class TcpPort(Port):
 
     def hang_up(self) -> None:
         """Close the connection and accept no other."""
-        for one in (self._talking, self._listening):
-            if one is not None:
+        for connection in (self._talking, self._listening):
+            if connection is not None:
                 # Closing alone would not wake the thread that waits on it.
                 with suppress(OSError):
-                    one.shutdown(socket.SHUT_RDWR)
+                    connection.shutdown(socket.SHUT_RDWR)
                 with suppress(OSError):
-                    one.close()
+                    connection.close()
 
     def _serve(self, instrument: Served) -> None:
         while not self._over.is_set():
@@ -326,8 +326,8 @@ class TcpPort(Port):
                 return
             if not data:
                 return
-            said = self._answered(instrument, data)
-            if said is None:
+            answer = self._answered(instrument, data)
+            if answer is None:
                 return self.hang_up()
             with suppress(OSError):
-                talking.sendall(said)
+                talking.sendall(answer)

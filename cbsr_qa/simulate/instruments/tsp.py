@@ -178,9 +178,9 @@ class _Parser:
         interpreter = self._interpreter
 
         def run(local: Locals) -> tuple[Any, ...]:
-            values: list[Any] = [_one(one(local)) for one in arguments[:-1]]
-            for one in arguments[-1:]:  # of the last argument all values count, as in Lua
-                values += one(local)
+            values: list[Any] = [_one(argument(local)) for argument in arguments[:-1]]
+            for argument in arguments[-1:]:  # of the last argument all values count, as in Lua
+                values += argument(local)
             return interpreter.call(name, tuple(values))
 
         return run
@@ -224,7 +224,7 @@ def _one(values: tuple[Any, ...]) -> Any:
 
 def _tokens(line: str) -> list[tuple[str, str]]:
     """Split a line into (kind, text); keywords are their own kind, the end is two empty texts."""
-    found: list[tuple[str, str]] = []
+    tokens: list[tuple[str, str]] = []
     at = 0
     line = line.rstrip()
     while at < len(line):
@@ -235,6 +235,6 @@ def _tokens(line: str) -> list[tuple[str, str]]:
             )
         kind = str(match.lastgroup)
         text = match[kind]
-        found.append((text if text in _KEYWORDS and kind == "name" else kind, text))
+        tokens.append((text if text in _KEYWORDS and kind == "name" else kind, text))
         at = match.end()
-    return [*found, ("", "")]
+    return [*tokens, ("", "")]

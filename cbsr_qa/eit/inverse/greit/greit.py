@@ -131,9 +131,9 @@ def combined(solved: Array, width: Array) -> Array:
     """Rows (n, g) for a width of each node (n,), from rows for :data:`WIDTHS` (n, g, w): a cubic in log width."""
     at, known = np.log(width), np.log(WIDTHS)
     shares = np.ones((len(width), len(known)))
-    for one, here in enumerate(known):
-        for other in np.delete(known, one):
-            shares[:, one] *= (at - other) / (here - other)
+    for own, here in enumerate(known):
+        for other in np.delete(known, own):
+            shares[:, own] *= (at - other) / (here - other)
     rows: Array = np.einsum("ngw,nw->ng", solved, shares)
     return rows
 
@@ -150,13 +150,13 @@ class _Fit:
         self._far_right = np.empty((len(nodes), count))
         self._share = np.empty(len(nodes))  # of the far errors in the whole
         close = neighbours(targets.centres_mm, nodes, near_mm)
-        for row, (node, found) in enumerate(zip(nodes, close, strict=True)):
-            weight = _weight(np.hypot(*(targets.centres_mm[found] - node).T) / near_mm)
-            here = signals[:, found] * weight
+        for row, (node, around) in enumerate(zip(nodes, close, strict=True)):
+            weight = _weight(np.hypot(*(targets.centres_mm[around] - node).T) / near_mm)
+            here = signals[:, around] * weight
             self._share[row] = 1 / (weight.sum() + _FAR**2 * signals.shape[1])
             self._far_right[row] = _FAR**2 * targets.desired(node[None])[0] @ signals.T
-            near_right = here @ targets.desired(node[None], WIDTHS, found)[0]
-            self.normal[row] = (here @ signals[:, found].T + self._far_normal) * self._share[row]
+            near_right = here @ targets.desired(node[None], WIDTHS, around)[0]
+            self.normal[row] = (here @ signals[:, around].T + self._far_normal) * self._share[row]
             self.right[row] = (near_right + self._far_right[row][:, None]) * self._share[row]
         self._raised = np.ones(len(nodes))
 

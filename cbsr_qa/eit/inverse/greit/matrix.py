@@ -106,9 +106,9 @@ class _SoftMasks:
 
     def __init__(self, mesh: Mesh, centres_mm: Array, reach_mm: float) -> None:
         near = neighbours(mesh.nodes_mm, centres_mm, reach_mm)
-        most = max(len(found) for found in near)
-        self._node = np.array([np.pad(found, (0, most - len(found))) for found in near])
-        there = np.arange(most) < np.array([len(found) for found in near])[:, None]
+        most = max(len(nodes) for nodes in near)
+        self._node = np.array([np.pad(nodes, (0, most - len(nodes))) for nodes in near])
+        there = np.arange(most) < np.array([len(nodes) for nodes in near])[:, None]
         self._mass = np.where(there, node_areas_mm2(mesh)[self._node], 0.0)  # (t, most)
         self._away = mesh.nodes_mm[self._node] - centres_mm[:, None]
         self._square = (self._away**2).sum(axis=2)

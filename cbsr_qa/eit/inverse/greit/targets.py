@@ -187,7 +187,7 @@ def disc_signals(jacobian: Array, mesh: Mesh, centres_mm: Array, radius_mm: floa
     """
     reach = radius_mm + float(reaches_mm(mesh).max())
     near = neighbours(mesh.centroids_mm, centres_mm, reach)
-    target = np.repeat(np.arange(len(centres_mm)), [len(found) for found in near])
+    target = np.repeat(np.arange(len(centres_mm)), [len(elements) for elements in near])
     element = np.concatenate(near)
     covered = circle_overlap_mm2(mesh.corners_mm[element] - centres_mm[target][:, None], (0.0, 0.0), radius_mm)
     total = np.bincount(target, covered, minlength=len(centres_mm))
@@ -204,15 +204,15 @@ def node_areas_mm2(mesh: Mesh) -> Array:
 
 def neighbours(points_mm: Array, places_mm: Array, reach_mm: float) -> list[Indices]:
     """For each place the indices of the points within reach, rising."""
-    found: Any = cKDTree(points_mm).query_ball_point(places_mm, reach_mm, return_sorted=True)
-    return [np.asarray(near, dtype=np.int64) for near in found]
+    within: Any = cKDTree(points_mm).query_ball_point(places_mm, reach_mm, return_sorted=True)
+    return [np.asarray(near, dtype=np.int64) for near in within]
 
 
 def _apart(nodes: Array, distance: float) -> Indices:
     """Indices of nodes no closer than a distance to each other: all of them on the usual image mesh."""
     pairs = cKDTree(nodes).query_pairs(distance, output_type="ndarray")
     keep = np.ones(len(nodes), dtype=np.bool_)
-    for one, other in pairs[np.lexsort(pairs.T[::-1])]:
-        if keep[one]:
-            keep[other] = False
+    for first, second in pairs[np.lexsort(pairs.T[::-1])]:
+        if keep[first]:
+            keep[second] = False
     return np.flatnonzero(keep)

@@ -168,7 +168,7 @@ class AbsoluteImages:
             As :meth:`images`.
         """
         folded = self.model.fold.fold(checked_readings(changes, self.problem)) / self.scale
-        found = [
+        solved = [
             most_probable_state(
                 self.model,
                 self.before_load,
@@ -178,9 +178,9 @@ class AbsoluteImages:
             )
             for change in folded
         ]
-        for number, state in enumerate(found):
+        for number, state in enumerate(solved):
             _check_explained(state, f"frame {number}")
-        return found
+        return solved
 
     def contact_impedance(self) -> Array:
         """Contact impedances of the unloaded sensor times the unit model's conductance, (electrodes,) [mm].
@@ -220,8 +220,8 @@ def _reference_state(
     )
     nominal = Linearised(model.at(model.nominal), prior, variance)
     if problem.measured is None:
-        found = most_probable_state(model, nominal, nominal.readings, prior)
-        return found, 1.0
+        state = most_probable_state(model, nominal, nominal.readings, prior)
+        return state, 1.0
     wanted = model.fold.fold(checked_readings(problem.measured[None], problem))[0]
     scale = float(wanted @ nominal.readings / (nominal.readings @ nominal.readings))
     if not scale > 0:
@@ -229,9 +229,9 @@ def _reference_state(
             "the reference readings are uncorrelated with the model's, or have the opposite polarity",
             remedy="check the electrode numbering of the sensor type and that the source was on",
         )
-    found = most_probable_state(model, nominal, wanted / scale, prior, most_steps=expected.iterations)
-    _check_explained(found, "the reference")
-    return found, scale
+    state = most_probable_state(model, nominal, wanted / scale, prior, most_steps=expected.iterations)
+    _check_explained(state, "the reference")
+    return state, scale
 
 
 def _check_explained(state: FoundState, what: str) -> None:

@@ -138,16 +138,16 @@ class TotalVariation:
         level = float(ones @ readings / (ones @ ones))
         residual = level * ones - readings
         pull = self._rows.T @ residual
-        found = level, np.inf, float(residual @ residual)
+        flattest = level, np.inf, float(residual @ residual)
         if np.isfinite(pull).all():
-            found = level, float(np.abs(self._jumps @ self._even.solve(pull)).max()), found[2]
-        if not np.isfinite(found).all():
+            flattest = level, float(np.abs(self._jumps @ self._even.solve(pull)).max()), flattest[2]
+        if not np.isfinite(flattest).all():
             raise NumericsError(
                 f"total variation cannot be minimised: readings are up to {np.abs(readings).max():.2g} and"
                 f" sensitivities up to {np.abs(self._rows).max():.2g} of their noise: their squares overflow",
                 remedy="check the units of readings and of their noise variances",
             )
-        return found
+        return flattest
 
     def _step(self, state: "_State", here: "_Here", alpha: float) -> "_State":
         weights = 1 / (state.up / (alpha - state.dual) + state.down / (alpha + state.dual))
@@ -294,13 +294,13 @@ class _Graph:
     @classmethod
     def of(cls, jumps: sparse.csr_matrix) -> "_Graph":
         first, second = jumps.indices.reshape(-1, 2).T.astype(np.int64)
-        one, other = jumps.data.reshape(-1, 2).T
+        a, b = jumps.data.reshape(-1, 2).T
         row = np.concatenate([first, second, first, second])
         column = np.concatenate([first, second, second, first])
         count = jumps.shape[1]
         keys, place = np.unique(column * count + row, return_inverse=True)
         starts = np.searchsorted(keys, np.arange(count + 1) * count)
-        size = np.concatenate([one * one, other * other, one * other, one * other])
+        size = np.concatenate([a * a, b * b, a * b, a * b])
         return cls(keys % count, starts, place.astype(np.int64), size, int(np.searchsorted(keys, 0)))
 
     def laplacian(self, weights: Array) -> _Laplacian:

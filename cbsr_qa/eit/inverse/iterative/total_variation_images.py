@@ -104,22 +104,22 @@ class TotalVariationImages:
             If a frame does not converge, after how many steps; or if no image explains it to ten times the noise α
             was chosen for: the image that comes nearest would be one of whatever else is in the readings.
         """
-        return np.array([one.image for one in self.minimisers(changes)]).reshape(
+        return np.array([minimiser.image for minimiser in self.minimisers(changes)]).reshape(
             len(changes), len(self.problem.mesh.elements)
         )
 
     def minimisers(self, changes: Array) -> list[TvImage]:
         """Images with their residual, duality gap and number of steps."""
         white = self.readings.white(checked_readings(changes, self.problem))
-        found = [self.minimise.image(one, self.choice.value) for one in white]
+        images = [self.minimise.image(frame, self.choice.value) for frame in white]
         if self.variance is not None:
-            left = np.sqrt([one.residual / (white.shape[1] * self.variance) for one in found])
+            left = np.sqrt([image.residual / (white.shape[1] * self.variance) for image in images])
             for frame in np.flatnonzero(left > _UNEXPLAINED)[:1]:
                 raise NumericsError(
                     f"no image explains frame {frame}: the residual is {left[frame]:.0f} times the expected noise",
                     remedy="set noise_dB to the noise of the readings, or check geometry and channels",
                 )
-        return found
+        return images
 
 
 _COARSE: Final = 0.12  # edge length of the image α is settled on, of the sheet's radius
@@ -233,7 +233,7 @@ class _Search:
 
     def alpha(self) -> float:
         """Return α at which the mean squared residual is the variance."""
-        upper = max(self.method.flattening(one) for one in self.readings)
+        upper = max(self.method.flattening(frame) for frame in self.readings)
         if self.excess(upper) < _CLEAR * np.sqrt(2 / self.readings.size):
             raise NumericsError(
                 "the changes to choose α on are only noise: a flat image explains them",
@@ -247,12 +247,12 @@ class _Search:
                     "no image explains the changes to choose α on to within the noise",
                     remedy="give the hyperparameter itself, or check geometry and noise",
                 )
-        found = brentq(lambda log: self.excess(float(np.exp(log))), np.log(lower), np.log(upper), xtol=_EXACT)
-        return float(np.exp(found))
+        root = brentq(lambda log: self.excess(float(np.exp(log))), np.log(lower), np.log(upper), xtol=_EXACT)
+        return float(np.exp(root))
 
     def excess(self, alpha: float) -> float:
         """Logarithm of the mean squared residual over the variance."""
-        residuals = [self.method.image(one, alpha).residual for one in self.readings]
+        residuals = [self.method.image(frame, alpha).residual for frame in self.readings]
         return float(np.log(max(sum(residuals), np.finfo(float).tiny) / self.readings.size / self.variance))
 
 
@@ -265,11 +265,11 @@ def _noise_figure(problem: ImagingProblem, alpha: float, evidence: Evidence) -> 
     assert evidence.variance is not None
     white = WhiteReadings.of(problem)
     method = TotalVariation(problem.mesh, white.rows)
-    images = np.array([method.image(one, alpha).image for one in white.white(evidence.changes)])
+    images = np.array([method.image(draw, alpha).image for draw in white.white(evidence.changes)])
     images *= problem.mesh.areas_mm2
     relative = np.ones(1) if problem.noise_variance is None else problem.noise_variance
     snr = float(np.abs(central_signal(problem, CONTRAST)).mean() / np.sqrt(evidence.variance * relative.mean()))
-    left_out = [snr / _image_snr(np.delete(images, one, axis=0)) for one in range(len(images))]
+    left_out = [snr / _image_snr(np.delete(images, draw, axis=0)) for draw in range(len(images))]
     spread = np.sqrt((len(images) - 1) * np.var(left_out))
     return snr / _image_snr(images), float(spread)
 
