@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import ReferenceRing
-from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
+from cbsr_qa.domain.readings import UNUSABLE, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.domain.sensor import DrivePattern
 from cbsr_qa.eit.forward import lead_readings, ring_impedance, ring_readings
@@ -19,8 +19,6 @@ Array = NDArray[np.float64]
 
 #: Readings that ought to be smaller than this share of the largest are held against it instead of themselves.
 _SMALLEST: Final = 1e-3
-#: Flags of readings that say nothing of the ring.
-_BAD: Final = int(ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +72,7 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     if frames.current_A == 0:
         raise NumericsError("the frames were taken without a current", remedy="check that the source is on")
     flags = np.bitwise_or.reduce(frames.flags, axis=0)
-    used = (flags & _BAD) == 0
+    used = (flags & int(UNUSABLE)) == 0
     closed = ring_readings(ring.resistances_ohm, pattern)
     mean = frames.voltages.mean(axis=0)
     absolute = frames.unit is VoltageUnit.VOLT and frames.current_A is not None
@@ -106,7 +104,7 @@ def exchanged(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tu
     impedance = ring_impedance(ring.resistances_ohm)
     driven, measured = pattern.drive_currents(), pattern.measure_matrix()
     frames = ring.frames
-    used = (np.bitwise_or.reduce(frames.flags, axis=0) & _BAD) == 0
+    used = (np.bitwise_or.reduce(frames.flags, axis=0) & int(UNUSABLE)) == 0
     mean, leads = frames.voltages.mean(axis=0), lead_readings(pattern)
     current = frames.current_A or 1.0
     best: tuple[float, tuple[int, int]] | None = None

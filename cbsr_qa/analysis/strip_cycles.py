@@ -11,7 +11,7 @@ from cbsr_qa.analysis.run import unloaded_frames
 from cbsr_qa.calibration.strip import Specimen, characterise
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
+from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.results import Characterisation, CharacterisationSettings, CycleReadings
 from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor import Parameter, SensorType
@@ -112,7 +112,6 @@ def _longest_run(flags: NDArray[np.bool_]) -> int:
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-_UNUSABLE: Final = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
 _BEFORE: Final = 4  # readings before a press
 _DEAD_SHARE: Final = 0.5  # of all readings; a pin without contact shows in most of them
 
@@ -209,7 +208,7 @@ def _pins(frames: FrameBlock | None) -> _Pins:
         return _Pins(np.zeros(0), np.zeros(0))
     if frames.unit is not VoltageUnit.VOLT or not frames.current_A:
         raise NumericsError("the readings are not volts at a known current: resistance cannot be computed")
-    good = (frames.flags[:, 0, 0] & _UNUSABLE) == 0
+    good = (frames.flags[:, 0, 0] & UNUSABLE) == 0
     return _Pins(frames.time_s[good], frames.voltages[good, 0, 0] / frames.current_A)
 
 
@@ -219,7 +218,7 @@ def _check_contact(phases: list[PhaseRecord]) -> None:
     if not taken:
         raise NumericsError("no frames were taken in the press cycles", remedy="take frames through holds and rests")
     flags = np.concatenate([frames.flags[:, 0, 0] for frames in taken])
-    flagged = int(((flags & _UNUSABLE) != 0).sum())
+    flagged = int(((flags & UNUSABLE) != 0).sum())
     if flagged > _DEAD_SHARE * len(flags):
         raise NumericsError(
             f"{flagged} of {len(flags)} readings are missing, or source or voltmeter was at its limit: a pin"

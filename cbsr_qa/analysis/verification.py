@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run import load_window
+from cbsr_qa.analysis.run import load_window, off_the_line
 from cbsr_qa.calibration.fits import predict_steady, relaxation_curve
 from cbsr_qa.calibration.runtime import Calibration, Matches
 from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
@@ -132,9 +132,7 @@ class _Reader:
     def noise_ratio(self) -> float:
         """Of the unloaded frames, about a straight line in time; rows are of unit noise in the calibration."""
         rows, time_s = self._rows(self._run.unloaded.voltages), self._run.unloaded.time_s
-        line = np.column_stack([np.ones(len(time_s)), time_s - time_s.mean()])
-        q, _ = np.linalg.qr(line)
-        left = rows - q @ (q.T @ rows)
+        left = off_the_line(rows, time_s)
         return float(np.sqrt((left**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
 
     def load(self, load: LoadObservation) -> VerifiedLoad | None:

@@ -32,6 +32,7 @@ from .reference import (
     FEWEST_FRAMES as FEWEST_FRAMES,
     check_weighing as check_weighing,
     largest_by_reading as largest_by_reading,
+    off_the_line as off_the_line,
     reciprocity_errors as reciprocity_errors,
     signal_to_noise_dB as signal_to_noise_dB,
     unloaded_frames as unloaded_frames,

@@ -152,11 +152,11 @@ def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> M
 
 def _of(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservation | None:
     """The relaxation of a signal, None if it is too short."""
-    relaxations = (seen for seen in load.relaxations if seen.signal == signal and seen.loading is loading)
-    return next((seen for seen in relaxations if len(seen.trace.values) >= _FEWEST), None)
+    relaxation = load.relaxation(signal, loading=loading)
+    return None if relaxation is None or len(relaxation.trace.values) < _FEWEST else relaxation
 
 
 def _end(load: LoadObservation, signal: str) -> float:
     """Level at the end of the hold."""
-    held = next((seen for seen in load.relaxations if seen.signal == signal and seen.loading), None)
-    return 0.0 if held is None or not len(held.trace.values) else float(np.median(held.trace.values[-4:]))
+    held = load.relaxation(signal, loading=True)
+    return 0.0 if held is None else held.trace.end_level

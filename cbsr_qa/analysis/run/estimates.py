@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.loads import LoadWindow, window_of
+from cbsr_qa.analysis.run.reference import off_the_line
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import LoadEstimate, LoadObservation, RunObservation
@@ -88,10 +89,8 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     count = len(unloaded)
     if count < FEWEST_FRAMES:
         raise NumericsError(f"{count} unloaded frames are too few to estimate noise; {FEWEST_FRAMES} are needed")
-    line = np.column_stack([np.ones(count), unloaded.time_s - unloaded.time_s.mean()])
-    q, _ = np.linalg.qr(line)
     flat = unloaded.voltages.reshape(count, -1)
-    left = flat - q @ (q.T @ flat)
+    left = off_the_line(flat, unloaded.time_s)
     freedom = count - 2
     variance = ((left**2).sum(axis=0) / freedom).reshape(usable.shape) * freedom / (freedom - 2)
     typical = float(np.median(variance[usable]))

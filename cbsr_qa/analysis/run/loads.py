@@ -133,7 +133,8 @@ def observe_load(
     load = _observe(setting, phase, record, window, values[chosen], residue)
     if over_time:
         relaxations = _relaxations_of(setting, load, window.cycle, before, phase.channel("force"))
-        load = replace(load, relaxations=relaxations, settled=_settled(load, relaxations, window, setting.settings))
+        load = replace(load, relaxations=relaxations)
+        load = replace(load, settled=_settled(load, window, setting.settings))
     if residue <= setting.noise_floor:
         return load
     return replace(load, alternate=_observe(setting, phase, record, window, values[other], residue))
@@ -193,19 +194,14 @@ def _mean_force(
     return float(taken.values.mean()), spread / len(taken) ** 0.5
 
 
-def _settled(
-    load: LoadObservation,
-    relaxations: tuple[RelaxationObservation, ...],
-    window: LoadWindow,
-    settings: AnalysisSettings,
-) -> bool | None:
+def _settled(load: LoadObservation, window: LoadWindow, settings: AnalysisSettings) -> bool | None:
     """Whether the steady frames lie beyond the required multiple of the load's own settling time; None if unknown."""
-    for seen in relaxations:
-        if seen.signal == "conductance" and seen.loading and seen.settling.value_s is not None:
-            needed_s = settings.settling_multiple * seen.settling.value_s
-            held_s = float(window.steady.time_s[0]) - load.record.hold_start_s
-            return not seen.settling.censored and held_s >= needed_s
-    return None
+    pressed = load.relaxation("conductance", loading=True)
+    if pressed is None or pressed.settling.value_s is None:
+        return None
+    needed_s = settings.settling_multiple * pressed.settling.value_s
+    held_s = float(window.steady.time_s[0]) - load.record.hold_start_s
+    return not pressed.settling.censored and held_s >= needed_s
 
 
 def _relaxations_of(
@@ -244,7 +240,7 @@ def _press_and_release(
 ) -> list[RelaxationObservation]:
     held = _cut(trace, record.hold_start_s, record.release_start_s)
     released = _cut(trace, record.unloaded_s, record.rest_end_s)
-    pressed = _fitted(signal, held, settings, loaded_change=None, steady=_end_level(held))
+    pressed = _fitted(signal, held, settings, loaded_change=None, steady=held.end_level)
     if len(released.time_s) == 0:
         return [pressed]
     loaded, start = _steady_change(pressed), relaxation_start(released.values)
@@ -255,7 +251,7 @@ def _steady_change(pressed: RelaxationObservation) -> float:
     """Steady change under load: of an accepted fit, else the observed end of the hold."""
     if pressed.settling.value_s is not None and not pressed.settling.censored:
         return pressed.fit.offset
-    return _end_level(pressed.trace)
+    return pressed.trace.end_level
 
 
 def _fitted(
@@ -290,10 +286,6 @@ def _fitted(
     return RelaxationObservation(signal, loaded_change is None, trace, fit, settling)
 
 
-def _end_level(trace: Trace) -> float:
-    return float(np.median(trace.values[-4:])) if len(trace.values) else 0.0
-
-
 def _stress(
     force: SampleBlock, indenter: Indenter, record: LoadRecord, settings: AnalysisSettings
 ) -> list[RelaxationObservation]:
@@ -304,7 +296,7 @@ def _stress(
     time_s = np.array([taken.time_s[p].mean() for p in points]) - record.hold_start_s
     stress_kPa = np.array([taken.values[p].mean() for p in points]) / indenter.area_mm2 * 1e3
     trace = Trace("stress", "kPa", time_s, stress_kPa)
-    return [_fitted("stress", trace, settings, loaded_change=None, steady=_end_level(trace))]
+    return [_fitted("stress", trace, settings, loaded_change=None, steady=trace.end_level)]
 
 
 def _cut(trace: Trace, start_s: float, end_s: float) -> Trace:

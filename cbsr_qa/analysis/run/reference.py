@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, join_frames
+from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, join_frames
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor import DrivePattern
@@ -35,7 +35,9 @@ def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
     if len(frames) < FEWEST_FRAMES:
         return None
     level = np.abs(frames.voltages.mean(axis=0))
-    noise = np.sqrt((_off_the_line(frames) ** 2).sum(axis=0) / (len(frames) - 2))
+    readings = frames.voltages.reshape(len(frames), -1)
+    squares = (off_the_line(readings - readings.mean(axis=0), frames.time_s) ** 2).reshape(frames.voltages.shape)
+    noise = np.sqrt(squares.sum(axis=0) / (len(frames) - 2))
     silent = noise <= _ROUNDING * level.max(initial=0.0)
     ratio = level / np.where(silent, 1.0, noise)
     loud = ratio > 0
@@ -77,12 +79,10 @@ def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int
     return largest.reshape(shape)
 
 
-def _off_the_line(frames: FrameBlock) -> Array:
-    """Deviation of every reading from its straight line in time, (n, drives, measures)."""
-    readings = frames.voltages.reshape(len(frames), -1)
-    q, _ = np.linalg.qr(np.column_stack([np.ones(len(frames)), frames.time_s - frames.time_s.mean()]))
-    centred = readings - readings.mean(axis=0)
-    left: Array = (centred - q @ (q.T @ centred)).reshape(frames.voltages.shape)
+def off_the_line(readings: Array, time_s: Array) -> Array:
+    """Return the deviations of readings (n, m) from their straight lines in time (n,)."""
+    q, _ = np.linalg.qr(np.column_stack([np.ones(len(time_s)), time_s - time_s.mean()]))
+    left: Array = readings - q @ (q.T @ readings)
     return left
 
 
@@ -91,7 +91,6 @@ _LOST_SHARE = 0.25
 #: Channels are left out until at most this share of the frames is still touched by a flag.
 _TOUCHED_SHARE = 0.01
 _NAMED = 6  # readings named in a warning
-_UNUSABLE = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
 
 
 def unloaded_frames(record: RunRecord) -> FrameBlock:
@@ -156,7 +155,7 @@ def usable_data(record: RunRecord) -> UsableData:
     """
     frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
     pattern = record.sensor_type.pattern.usable()
-    flagged = ((frames.flags & _UNUSABLE) != 0) & pattern
+    flagged = ((frames.flags & UNUSABLE) != 0) & pattern
     lost = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
     left_out = _flagged_channels(flagged[~lost])
     lost |= (flagged & ~left_out).any(axis=(1, 2))

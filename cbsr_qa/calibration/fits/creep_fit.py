@@ -19,9 +19,8 @@ STRESS: Final = "stress"
 
 def trace_of(load: LoadObservation, signal: str, *, loading: bool) -> Trace | None:
     """Trace of a load's signal after the press or after the release; None where there is none, or no sample in it."""
-    traces = (r.trace for r in load.relaxations if r.signal == signal and r.loading == loading)
-    trace = next(traces, None)
-    return None if trace is None or not len(trace.values) else trace
+    relaxation = load.relaxation(signal, loading=loading)
+    return None if relaxation is None or not len(relaxation.trace.values) else relaxation.trace
 
 
 def end_level(trace: Trace, frames: int) -> float:

@@ -19,6 +19,7 @@ from .findings import (
 )
 from .frames import (
     LARGEST_VALUE as LARGEST_VALUE,
+    UNUSABLE as UNUSABLE,
     FrameBlock as FrameBlock,
     ReadingFlag as ReadingFlag,
     ReadOptions as ReadOptions,

@@ -39,6 +39,10 @@ class ReadingFlag(IntFlag):
     MISSING = 4  #: not recorded; the voltage stored is 0
 
 
+#: Flags of readings that say nothing of a sheet.
+UNUSABLE: Final = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameBlock:
     """Consecutive frames in canonical order (row = drive pair, column = measure pair).

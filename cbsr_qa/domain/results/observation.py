@@ -105,6 +105,11 @@ class Trace:
     time_s: NDArray[np.float64]
     values: NDArray[np.float64]
 
+    @property
+    def end_level(self) -> float:
+        """Median of the last four values; 0 of an empty trace."""
+        return float(np.median(self.values[-4:])) if len(self.values) else 0.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelaxationObservation:
@@ -213,6 +218,10 @@ class LoadObservation:
     def hold_s(self) -> float:
         """How long it was held."""
         return self.record.release_start_s - self.record.hold_start_s
+
+    def relaxation(self, signal: str, *, loading: bool) -> RelaxationObservation | None:
+        """Return the relaxation of a signal after the press or after the release; None where there is none."""
+        return next((r for r in self.relaxations if r.signal == signal and r.loading == loading), None)
 
     def mask(self, fraction: float) -> MaskView | None:
         """Return the view of one percentage mask, or None if the recipe does not use it."""

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from cbsr_qa.analysis.run import reciprocity_errors
-from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
+from cbsr_qa.domain.readings import UNUSABLE, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.results import Measurement, RunObservation
 from cbsr_qa.plugin import PluginOptions, WithOptions
 
@@ -98,10 +98,9 @@ def _driven(run: RunObservation) -> list[tuple[int, int, str]]:
 
 
 def _pair(run: RunObservation, drive: int, measure: int, name: str, current_A: float) -> Measurement:
-    spoilt = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
     flags = run.unloaded.flags[:, drive, measure]
-    if (flags & np.uint8(spoilt)).any():
-        seen = ReadingFlag(int(np.bitwise_or.reduce(flags)) & spoilt)
+    if (flags & np.uint8(UNUSABLE)).any():
+        seen = ReadingFlag(int(np.bitwise_or.reduce(flags)) & UNUSABLE)
         how = f"the reading is marked {str(seen.name).lower()}: the contact's resistance is not known"
         return Measurement("contact_resistance", None, "Ω", qualifier=name, how=how)
     readings = run.unloaded.voltages[:, drive, measure] / current_A

@@ -5,7 +5,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run import FEWEST_FRAMES, signal_to_noise_dB
+from cbsr_qa.analysis.run import FEWEST_FRAMES, off_the_line, signal_to_noise_dB
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
 from cbsr_qa.eit.inverse import changes
@@ -50,9 +50,7 @@ def _noise(run: RunObservation) -> NDArray[np.float64] | None:
     if len(frames) < _FEWEST_FRAMES:
         return None
     readings = changes(frames.voltages, run.reference, run.reconstruction.problem, run.scale)
-    line = np.column_stack([np.ones(len(frames)), frames.time_s - frames.time_s.mean()])
-    q, _ = np.linalg.qr(line)
-    left: NDArray[np.float64] = readings - q @ (q.T @ readings)
+    left = off_the_line(readings, frames.time_s)
     # Rounding of frames that are all alike is no noise.
     if np.abs(left).max() <= 1e-12 * np.abs(run.reconstruction.problem.reference).max():
         return np.zeros_like(left)

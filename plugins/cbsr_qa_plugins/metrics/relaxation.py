@@ -3,8 +3,6 @@
 from collections.abc import Iterator
 from typing import ClassVar, Final
 
-import numpy as np
-
 from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
 from cbsr_qa.calibration.fits import (
     SHAPE_MARGIN,
@@ -142,13 +140,8 @@ def _loaded_change(members: list[_Member]) -> float | None:
     """Mean change at the end of the holds of unloadings; None for loadings."""
     if not members or members[0][1].loading:
         return None
-    held = [
-        seen
-        for load, pressed in members
-        for seen in load.relaxations
-        if seen.loading and seen.signal == pressed.signal
-    ]
-    ends = [float(np.median(seen.trace.values[-4:])) for seen in held if len(seen.trace.values)]
+    held = [load.relaxation(released.signal, loading=True) for load, released in members]
+    ends = [pressed.trace.end_level for pressed in held if pressed is not None and len(pressed.trace.values)]
     return sum(ends) / len(ends) if ends else 0.0
 
 
