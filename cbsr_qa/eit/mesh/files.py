@@ -54,7 +54,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
         ) from error
 
 
-def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *, mend: bool = False) -> Mesh:
+def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *, fix: bool = False) -> Mesh:
     """Read a mesh and check it as :func:`cbsr_qa.eit.mesh.imported_mesh` does.
 
     Parameters
@@ -62,7 +62,7 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
     path : ``.npz`` with ``nodes_mm`` and ``elements`` (from 0), or any other format for meshio [mm].
     electrodes : as there; by default what the file says: ``electrode_edges`` and ``electrode_edge_counts`` of an
         ``.npz``, groups of lines called "electrode 0", "electrode 1" and so on of another.
-    mend : turn clockwise elements and leave out nodes that no element uses.
+    fix : turn clockwise elements and leave out nodes that no element uses.
 
     Raises
     ------
@@ -78,9 +78,9 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
         )
     try:
         if path.suffix == ".npz":
-            return _checked(_npz(path), electrodes, mend=mend)
+            return _checked(_npz(path), electrodes, fix=fix)
         nodes, elements, named = _by_meshio(path)
-        return imported_mesh(nodes, elements, named if electrodes is None else electrodes, mend=mend)
+        return imported_mesh(nodes, elements, named if electrodes is None else electrodes, fix=fix)
     except CbsrError as error:
         raise NumericsError(f"{path.name}: {error.reason}", remedy=error.remedy) from error
 
@@ -95,15 +95,15 @@ def _npz(path: Path) -> dict[str, NDArray[Any]]:
         ) from error
 
 
-def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeGiven] | None, *, mend: bool) -> Mesh:
+def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:
     missing = [name for name in ("nodes_mm", "elements") if name not in arrays]
     if missing:
         raise NumericsError(
             f"it has no array {missing[0]}", remedy="write it with write_mesh, or with arrays nodes_mm and elements"
         )
     if electrodes is not None or "electrode_edges" not in arrays:
-        return imported_mesh(arrays["nodes_mm"], arrays["elements"], electrodes or (), mend=mend)
-    mesh = imported_mesh(arrays["nodes_mm"], arrays["elements"], edge_lists(arrays, "electrode"), mend=mend)
+        return imported_mesh(arrays["nodes_mm"], arrays["elements"], electrodes or (), fix=fix)
+    mesh = imported_mesh(arrays["nodes_mm"], arrays["elements"], edge_lists(arrays, "electrode"), fix=fix)
     if len(mesh.nodes_mm) != len(arrays["nodes_mm"]) or "arc_edges" not in arrays:
         return mesh  # arcs do not outlive nodes that are left out
     return mesh_of_arrays({**arrays, **mesh_arrays(mesh), **{k: arrays[k] for k in arrays if k.startswith("arc_")}})

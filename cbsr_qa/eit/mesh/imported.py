@@ -100,7 +100,7 @@ def check_used(points: Points, corners: Indices) -> None:
     if idle.size:
         raise NumericsError(
             f"node {idle[0]} (one of {idle.size} such) belongs to no element",
-            remedy="leave such nodes out, or say mend=True",
+            remedy="leave such nodes out, or say fix=True",
         )
 
 
@@ -119,7 +119,7 @@ def check_shape(points: Points, corners: Indices) -> None:
     if turned.size:
         raise NumericsError(
             f"element {turned[0]} (one of {turned.size} such) is turned: its corners go clockwise",
-            remedy="list them counterclockwise, or say mend=True",
+            remedy="list them counterclockwise, or say fix=True",
         )
 
 
@@ -196,7 +196,7 @@ def imported_mesh(
     electrodes: Sequence[ElectrodeGiven] = (),
     *,
     first: int = 0,
-    mend: bool = False,
+    fix: bool = False,
 ) -> Mesh:
     """Check a mesh that was made elsewhere, and find its electrodes' edges.
 
@@ -207,7 +207,7 @@ def imported_mesh(
     electrodes : each by its nodes, its edges or its place; in the order of their numbers. Nodes and edges are counted
         as those of ``elements`` are.
     first : number of the first node, 1 where software counts from one (MATLAB, EIDORS, gmsh).
-    mend : turn clockwise elements and leave out nodes that no element uses, instead of refusing them.
+    fix : turn clockwise elements and leave out nodes that no element uses, instead of refusing them.
 
     Raises
     ------
@@ -225,8 +225,8 @@ def imported_mesh(
         for k, electrode in enumerate(electrodes)
     ]
     check_doubled(points, corners)
-    if mend:
-        points, corners, given = _mended(points, corners, given)
+    if fix:
+        points, corners, given = _fixed(points, corners, given)
     check_used(points, corners)
     check_shape(points, corners)
     mesh = Mesh(points, corners)
@@ -248,7 +248,7 @@ def _numbers(given: ArrayLike, number: int, first: int) -> Indices:
     return whole_numbers(array, f"electrode {number}:", (2,) if array.ndim == 2 else ()) - first
 
 
-def _mended(
+def _fixed(
     points: Points, corners: Indices, given: list[ElectrodeAt | Indices]
 ) -> tuple[Points, Indices, list[ElectrodeAt | Indices]]:
     turned = twice_area(points, corners) < 0

@@ -71,7 +71,7 @@ def test_a_mesh_counted_from_one_in_space_and_clockwise_is_the_same_mesh():
     idle = np.vstack([mesh.nodes_mm, [[3.0, 4.0]]])
     flat = np.column_stack([idle, np.full(len(idle), 7.0)])
     nodes = [np.unique(edges) + 1 for edges in mesh.electrode_edges]
-    found = imported_mesh(flat.tolist(), (mesh.elements[:, ::-1] + 1).tolist(), nodes, first=1, mend=True)
+    found = imported_mesh(flat.tolist(), (mesh.elements[:, ::-1] + 1).tolist(), nodes, first=1, fix=True)
     np.testing.assert_array_equal(found.nodes_mm, mesh.nodes_mm)
     assert set(map(frozenset, found.elements.tolist())) == set(map(frozenset, mesh.elements.tolist()))
     assert all(same_edges(*pair) for pair in zip(found.electrode_edges, mesh.electrode_edges, strict=True))
@@ -117,7 +117,7 @@ def test_two_meshes_are_one_sensor_only_where_everything_is_the_same():
 def test_images_leave_out_the_holes_of_a_mesh():
     nodes, triangles = grid()
     hole = (np.abs(nodes[triangles].mean(axis=1) - [20, 0]) < 7.5).all(axis=1)
-    mesh = imported_mesh(nodes, triangles[~hole], [ElectrodeAt(x, y, 5) for x, y in PLACES], mend=True)
+    mesh = imported_mesh(nodes, triangles[~hole], [ElectrodeAt(x, y, 5) for x, y in PLACES], fix=True)
     sensor = mesh_sensor("holed", mesh, adjacent_pattern(10), thickness_mm=4.0)
     image = image_mesh(sensor, size_mm=2.5)
     assert not (np.abs(image.nodes_mm[image.elements] - [20, 0]) < 7.5).all(axis=(1, 2)).any()
@@ -140,14 +140,14 @@ MISTAKES = {
     "idle node": (
         lambda n, t: (np.vstack([n, [[1.0, 1.1]]]), t),
         "node 925 (one of 1 such) belongs to no",
-        "mend=True",
+        "fix=True",
     ),
     "doubled node": (
         lambda n, t: (np.vstack([n, n[t[:1, 0]]]), np.vstack([[[len(n), *t[0, 1:]]], t[1:]])),
         "are at the same place",
         "merge them",
     ),
-    "turned": (lambda n, t: (n, np.vstack([t[:1, ::-1], t[1:]])), "element 0 (one of 1 such) is turned", "mend=True"),
+    "turned": (lambda n, t: (n, np.vstack([t[:1, ::-1], t[1:]])), "element 0 (one of 1 such) is turned", "fix=True"),
     "flat": (
         lambda n, t: (n, np.vstack([[[0, 1, 2]], t])),
         "element 0 (one of 1 such) is flat",
