@@ -81,55 +81,25 @@ def test_modules_of_effects_that_are_off_are_not_imported():
     ]
 
 
-def test_an_effect_without_what_it_needs_is_refused():
-    with pytest.raises(ConfigError, match="'conductance-relaxation' without 'piezoresistivity'") as refused:
-        build_chain(scene("conductance-relaxation"), SETTING, installed)
-    assert "add [[effects]]" in refused.value.remedy
-
-
-def test_an_effect_before_what_it_needs_is_refused():
-    with pytest.raises(ConfigError, match="'stress-relaxation' before 'elastic-stress'") as refused:
-        build_chain(scene("stress-relaxation", "elastic-stress"), SETTING, installed)
-    assert "above" in refused.value.remedy
-
-
-def test_an_effect_that_is_on_twice_is_refused():
-    with pytest.raises(ConfigError, match="twice"):
-        build_chain(scene("piezoresistivity", "piezoresistivity"), SETTING, installed)
-
-
-def test_an_unknown_parameter_is_refused_with_the_nearest():
-    asked = scene("load-cell-noise", load_cell_noise={"rms_n": 0.1})
-    with pytest.raises(ConfigError, match="rms_n is not a known key") as refused:
-        build_chain(asked, SETTING, installed)
-    assert "did you mean 'rms_N'" in refused.value.remedy
-
-
-def test_a_parameter_that_is_missing_is_named():
-    with pytest.raises(ConfigError, match="rms_N is missing"):
-        build_chain(scene("load-cell-noise"), SETTING, installed)
-
-
-@pytest.mark.parametrize("rms_N", [-0.1, float("nan"), float("inf")])
-def test_an_impossible_parameter_names_scene_effect_and_range(rms_N: float):
-    with pytest.raises(ConfigError, match="scene 'test', effect 'load-cell-noise': rms_N is") as refused:
-        build_chain(scene("load-cell-noise", load_cell_noise={"rms_N": rms_N}), SETTING, installed)
-    assert "from 0 to" in refused.value.remedy
-
-
-def test_a_parameter_of_the_wrong_type_is_refused():
-    with pytest.raises(ConfigError, match="load-cell-noise"):
-        build_chain(scene("load-cell-noise", load_cell_noise={"rms_N": "much"}), SETTING, installed)
+@pytest.mark.parametrize(
+    ("effects", "refusal", "named"),
+    [
+        (("conductance-relaxation",), ConfigError, "'conductance-relaxation' without 'piezoresistivity'"),
+        (("stress-relaxation", "elastic-stress"), ConfigError, "'stress-relaxation' before 'elastic-stress'"),
+        (("piezoresistivity", "piezoresistivity"), ConfigError, "twice"),
+        (("load-cell-noise",), ConfigError, "rms_N is missing"),
+        (("piezoresistance",), PluginError, "piezoresistance"),
+    ],
+)
+def test_effects_that_make_no_scene_are_refused_by_name(effects, refusal, named):
+    with pytest.raises(refusal, match=named) as refused:
+        build_chain(scene(*effects), SETTING, installed)
+    assert refused.value.remedy
 
 
 def test_an_effect_that_perturbs_nothing_known_is_refused():
     with pytest.raises(ConfigError, match="perturbs 'mood'"):
         _build({"odd": _effect("mood")}, "odd")
-
-
-def test_an_unknown_effect_is_refused_by_name():
-    with pytest.raises(PluginError, match="piezoresistance"):
-        build_chain(scene("piezoresistance"), SETTING, installed)
 
 
 # --- the sheet ---

@@ -3,7 +3,7 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
+from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse import central_signal
 from cbsr_qa.eit.inverse.priors import indenter_smoothness
@@ -132,9 +132,3 @@ def test_impossible_options_are_refused(problem, options, reason):
 def test_options_that_are_no_numbers_are_refused(options):
     with pytest.raises(ConfigError, match=f"{next(iter(options))} is"):
         Temporal(**options)
-
-
-def test_readings_that_do_not_fit_are_refused(problem):
-    with pytest.raises(RefusedError, match="do not fit 208"):
-        temporal(problem).images(np.zeros((3, 207)))
-    assert temporal(problem).images(np.zeros((0, 208))).shape == (0, len(problem.mesh.elements))
