@@ -39,6 +39,7 @@ from .station import (
 )
 from .tables import (
     bound_sign as bound_sign,
+    capital as capital,
     duration as duration,
     fixed as fixed,
     limit_text as limit_text,

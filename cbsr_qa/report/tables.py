@@ -139,6 +139,11 @@ def named(names: Sequence[str], most: int = _MOST_NAMED) -> str:
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
+def capital(text: str) -> str:
+    """Begin with a capital letter; the rest stays, also where it is a name."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 def text_table(
     caption: str, columns: Sequence[str], rows: Sequence[Sequence[str | Cell]], numeric: Sequence[int] = ()
 ) -> Table:

@@ -36,7 +36,7 @@ JOINED: Final = 15
 #: Drawn, and not counted: one value far off moves it twice, and of undisturbed runs it is wrong in 1 of 110.
 UNCOUNTED: Final = "moving range"
 #: Rules by the numbers they are known by.
-RULES: Final = {int(rule.value.partition(":")[0]): rule for rule in Rule}
+RULES: Final = dict(enumerate(Rule, start=1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from cbsr_qa.domain.results import (
     Table,
 )
 from cbsr_qa.domain.run import ChartKind, ChartReference
-from cbsr_qa.report import number, plural, text_table, unit_shown
+from cbsr_qa.report import capital, number, plural, text_table, unit_shown
 from cbsr_qa.studies.charts.charting import MOST_DRAWN, STANDS, ChartPhase, MetricChart
 from cbsr_qa.studies.charts.charts import Charts
 
@@ -141,7 +141,7 @@ def _blocks(chart: MetricChart) -> Iterator[Block]:
         yield Paragraph(_NO_CHART.format(why=chart.why), "warning")
     if chart.signal is not None:
         yield Paragraph(f"S{chart.signal.since_words()[1:]}.", "warning")
-    yield from (Paragraph(f"{note[0].upper()}{note[1:]}.", "note") for note in chart.notes)
+    yield from (Paragraph(f"{capital(note)}.", "note") for note in chart.notes)
     if chart.charts:
         yield _figure(chart)
 

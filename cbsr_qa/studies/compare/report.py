@@ -10,10 +10,10 @@ import numpy as np
 
 from cbsr_qa.domain import Array, of_kind
 from cbsr_qa.domain.results import Banner, CommandOutcome, Page
-from cbsr_qa.report import named, number, plural
+from cbsr_qa.report import capital, named, number, plural
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.differences import Estimated
-from cbsr_qa.studies.compare.tables import all_stations, amount, capital, each, others, sections, side, significant
+from cbsr_qa.studies.compare.tables import all_stations, amount, each, others, sections, side, significant
 from cbsr_qa.studies.compare.terms import By
 
 _NOTHING: Final = 3
@@ -102,7 +102,7 @@ def _headline(comparison: Comparison) -> str:
     ]
     more = len(differ) + len(drifted) - len(shown)
     text = "; ".join([*clauses, *([_MORE.format(count=plural(more, "more difference"))] if more else [])])
-    return text if text.startswith(tuple(everyone)) else f"{text[0].upper()}{text[1:]}"
+    return text if text.startswith(tuple(everyone)) else capital(text)
 
 
 def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparison: Comparison) -> Iterator[str]:

@@ -7,7 +7,7 @@ from typing import Final
 
 from cbsr_qa.domain import of_kind
 from cbsr_qa.domain.results import Block, Figure, Paragraph, Section, Table
-from cbsr_qa.report import number, plural, text_table, unit_column, unit_shown
+from cbsr_qa.report import capital, number, plural, text_table, unit_column, unit_shown
 from cbsr_qa.stats import Index, Interval
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.describe import Distribution
@@ -365,8 +365,3 @@ def _share(share: float | None, inside: Interval | None) -> str:
     if share is None or inside is None:
         return "not judged"
     return f"{100 * share:.1f} % ({100 * inside.low:.0f} to {100 * inside.high:.0f} %)"
-
-
-def capital(text: str) -> str:
-    """Begin with a capital letter."""
-    return f"{text[:1].upper()}{text[1:]}"

@@ -5,7 +5,17 @@ from math import sqrt
 from typing import Final, TypeVar
 
 from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section, Table
-from cbsr_qa.report import fixed, named, number, plural, text_table, unit_column, unit_shown, with_uncertainty
+from cbsr_qa.report import (
+    capital,
+    fixed,
+    named,
+    number,
+    plural,
+    text_table,
+    unit_column,
+    unit_shown,
+    with_uncertainty,
+)
 from cbsr_qa.stats import Estimate, Interval
 from cbsr_qa.stats.gauge import FEWEST_CHARTED
 from cbsr_qa.studies.gauge.references import AgainstReferences, Bias, BiasLinearity, BiasStability
@@ -91,7 +101,7 @@ def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
         yield _anova(metric)
         if metric.missing:
             yield Paragraph(f"Uneven: {named(metric.missing)}.", "note")
-    yield from (Paragraph(f"{note[0].upper()}{note[1:]}.", "note") for note in metric.notes)
+    yield from (Paragraph(f"{capital(note)}.", "note") for note in metric.notes)
     if metric.references is not None:
         yield from _reference_tables(metric.references, metric.unit, study)
 
@@ -123,7 +133,7 @@ def _sentences(metric: MetricGauge, study: GaugeStudy) -> Iterator[str]:
         inside_of = _ends(metric.anova.categories_interval, 2)
         yield _CATEGORIES.format(count=count, inside=inside_of, least=_LEAST_CATEGORIES)
         yield _largest(metric, study.appraiser)
-    yield from (f"{note[0].upper()}{note[1:]}." for note in metric.anova.notes)
+    yield from (f"{capital(note)}." for note in metric.anova.notes)
 
 
 def _largest(metric: MetricGauge, appraiser: str) -> str:

@@ -4,13 +4,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Bound, Limit, Measurement
+from cbsr_qa.domain.results import Bound, Limit, Measurement, MetricKey
 from cbsr_qa.studies.limits.golden_lot import Lot, LotRun
 from cbsr_qa.studies.selection import not_measured
 
-#: What one limit judges: measurement, phase, qualifier.
-Key = tuple[str, str, str]
-Taken = Mapping[Key, tuple[Measurement, ...]]
+Taken = Mapping[MetricKey, tuple[Measurement, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,10 +21,8 @@ class Group:
     present : the limit it had in the latest run; None where it had none.
     """
 
-    name: str
+    key: MetricKey
     unit: str
-    phase: str
-    qualifier: str
     sensors: Mapping[str, tuple[tuple[Measurement, ...], ...]]
     present: Limit | None
 
@@ -73,24 +69,24 @@ def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, 
     runs = {serial: tuple(_by_key(run) for run in members) for serial, members in lot.analysed.items()}
     latest = _by_key(max(lot.runs, key=lambda run: run.line.started_at))
     keys = dict.fromkeys((*latest, *(key for members in runs.values() for run in members for key in run)))
-    known = {name for name, _, _ in keys}
+    known = {key.name for key in keys}
     for name in names:
         if name not in known:
             raise not_measured(name, known)
-    groups = [_group(key, runs, latest) for key in keys if not names or key[0] in names]
+    groups = [_group(key, runs, latest) for key in keys if not names or key.name in names]
     limited = [group for group in groups if group.present is not None]
     return tuple(groups if names or everything or not limited else limited)
 
 
 def _by_key(run: LotRun) -> Taken:
-    taken: dict[Key, tuple[Measurement, ...]] = {}
+    taken: dict[MetricKey, tuple[Measurement, ...]] = {}
     for m in run.analysis.measurements:
-        key = (m.name, m.phase, m.qualifier)
+        key = MetricKey(m.name, m.phase, m.qualifier)
         taken[key] = (*taken.get(key, ()), m)
     return taken
 
 
-def _group(key: Key, lot: Mapping[str, tuple[Taken, ...]], latest: Taken) -> Group:
+def _group(key: MetricKey, lot: Mapping[str, tuple[Taken, ...]], latest: Taken) -> Group:
     sensors = {serial: tuple(run.get(key, ()) for run in runs) for serial, runs in lot.items()}
     units: dict[str, str] = {}
     for serial, runs in sensors.items():
@@ -99,8 +95,8 @@ def _group(key: Key, lot: Mapping[str, tuple[Taken, ...]], latest: Taken) -> Gro
     if len(units) > 1:
         said = " and ".join(f"{unit} ({serial})" for unit, serial in units.items())
         raise RefusedError(
-            f"{key[0]} is in {said}: values of different units make no lot",
+            f"{key.name} is in {said}: values of different units make no lot",
             remedy="leave the sensors of one unit out by --without, or analyse all with one version",
         )
     limits = [m.limit for m in latest.get(key, ()) if m.limit is not None]
-    return Group(key[0], next(iter(units)), key[1], key[2], sensors, limits[0] if limits else None)
+    return Group(key, next(iter(units)), sensors, limits[0] if limits else None)

@@ -117,20 +117,13 @@ class BareLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class NoLimit:
-    """A measurement without a proposed limit, and why.
-
-    Parameters
-    ----------
-    far_out : serials that lie far from the others.
-    """
+class Judged:
+    """What one limit judges: a measurement, in its unit, of a phase and with a qualifier."""
 
     measurement: str
     unit: str
     phase: str
     qualifier: str
-    why: str
-    far_out: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -139,7 +132,20 @@ class NoLimit:
 
 
 @dataclass(frozen=True, slots=True)
-class ProposedLimit:
+class NoLimit(Judged):
+    """A measurement without a proposed limit, and why.
+
+    Parameters
+    ----------
+    far_out : serials that lie far from the others.
+    """
+
+    why: str
+    far_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ProposedLimit(Judged):
     """A limit that is proposed.
 
     Parameters
@@ -158,10 +164,6 @@ class ProposedLimit:
         proposed one, and that pass it marginally.
     """
 
-    measurement: str
-    unit: str
-    phase: str
-    qualifier: str
     sensors: int
     values: int
     sides: str
@@ -181,11 +183,6 @@ class ProposedLimit:
     lot_fails: tuple[str, ...]
     lot_marginal: tuple[str, ...]
 
-    @property
-    def label(self) -> str:
-        """Name with phase and qualifier, as a reader would say it."""
-        return MetricKey(self.measurement, self.phase, self.qualifier).label
-
     def limit(self, version: str) -> Limit:
         """Return it as a recipe would hold it."""
         ends = self.lower, self.upper, self.marginal
@@ -194,7 +191,8 @@ class ProposedLimit:
 
 def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
     """Propose a limit for what one limit judges, or give the reason for none."""
-    identity = group.name, group.unit, group.phase, group.qualifier
+    key = group.key
+    identity = key.name, group.unit, key.phase, key.qualifier
     if why := group.why_not():
         return NoLimit(*identity, why)
     present, smallest, largest = group.present, _worst(group, min), _worst(group, max)
@@ -217,7 +215,7 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
         known = uncertainty.standard, uncertainty.coverage_factor, uncertainty.expanded, uncertainty.freedom
         of_run = RunUncertainty(*known, source)
     lower, upper = _ends(found)
-    limit = Limit(group.name, group.unit, lower, upper, width, group.phase, group.qualifier)
+    limit = Limit(key.name, group.unit, lower, upper, width, key.phase, key.qualifier)
     found_risks = None if uncertainty is None else _risks(bounds.values(), width, uncertainty)
     return ProposedLimit(
         *identity,

@@ -13,7 +13,7 @@ from cbsr_qa.analysis.recording import nominal_disc
 from cbsr_qa.domain.geometry import Disc
 from cbsr_qa.domain.readings import LoadEvent, RecordingResult, ScanKind
 from cbsr_qa.domain.results import Block, Figure, Paragraph, RunResult, Section, Table, Trace
-from cbsr_qa.report import fixed, number, plural, text_table
+from cbsr_qa.report import capital, fixed, number, plural, text_table
 from cbsr_qa.report.draw import (
     ChannelMark,
     ImagePanel,
@@ -256,7 +256,7 @@ class RecordingRows:
         if not isinstance(result, RecordingResult):
             return None
         recording = result.recording
-        blocks: list[Block] = [Paragraph(f"{note[:1].upper()}{note[1:]}.", "note") for note in recording.notes]
+        blocks: list[Block] = [Paragraph(f"{capital(note)}.", "note") for note in recording.notes]
         shown = sorted(recording.problems, key=lambda p: (not p.rejected, p.line))[:_MOST_ROWS]
         if shown:
             left = len(recording.problems) - len(shown)
