@@ -240,22 +240,6 @@ def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):
     assert any(f"clock of station {STATION} was wrong by about 1.1 years" in note for note in found["notes"])
 
 
-@pytest.mark.rest
-def test_odd_runs_are_named(tmp_path, document):
-    path = tmp_path / "runs.db"
-    fill(path, values(count=20))
-    with open_store(f"sqlite:///{path}", durable=False) as store:
-        store_run(store, "S-600", judged(10.0, "kN/V"), station=STATION, day=30)
-        store_run(store, "S-601", judged(None), station=STATION, day=31, software=[("cbsr-qa", "9.9")])
-        store_run(store, "S-602", judged(10.0), station=STATION, day=32, tables={"analysis": {"mask": 0.5}})
-    found = document(path, "--reference-runs", 15, "--operator", "Zoë", "--metric", "force_gain")
-    notes = " ".join(found["charts"][0]["notes"])
-    assert "in kN/V instead of N/V: S-600" in notes
-    assert "1 of 1 values could not be measured: S-601" in notes
-    assert any("9.9 (1 run)" in note for note in found["notes"])
-    assert any("was not the same at the first" in note for note in found["notes"])
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -98,12 +98,6 @@ def test_each_location_has_a_study_of_its_own(crossed, document):
     assert metrics[0]["anova"]["components"]["gauge"]["variance"] == pytest.approx(whole)  # both moved alike
 
 
-def test_operators_can_be_the_appraisers(crossed, command):
-    code, _, err = command(crossed, "--recipe", "short", "--appraiser", "operator")
-    assert code == 2  # one operator measured them all
-    assert "all 36 runs are of one operator, Zoë Ōtani" in err
-
-
 @pytest.mark.rest
 def test_what_is_missing_is_said_and_the_largest_whole_part_taken_only_if_asked(tmp_path, command, document):
     rows = [row for row in runs(trials=3) if not (row[2] == 2 and row[1] == "bench-c") and row[0] != "S-06"]
@@ -153,15 +147,6 @@ def test_a_study_of_operators_speaks_of_operators(tmp_path, command, document):
     err = command(tmp_path / "runs.db", *asked[:4])[2]
     assert "sensor S-02 has 3 runs by operator Ada, others have 2" in err
     assert "uneven: S-02 by Ada has 3 runs instead of 2" in err
-
-
-@pytest.mark.rest
-def test_counts_of_one_are_written_as_one(tmp_path, command):
-    random = np.random.default_rng(7)
-    rows = [(*row[:3], (value := 10 + 0.1 * random.standard_normal(), value)) for row in runs()]
-    fill(tmp_path / "runs.db", rows)
-    said = " ".join(command(tmp_path / "runs.db", "--recipe", "short")[1].split())
-    assert "It distinguishes 1 category of sensors" in said
 
 
 @pytest.mark.rest
@@ -272,7 +257,7 @@ def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
         (("--recipe", "short", "--since", "2026-03-02", "--until", "2026-03-01"), "swap --since and --until"),
         (("--recipe", "short", "--stations", "bench-a,bench-d"), "no stored run is of station 'bench-d'"),
         (("--recipe", "short", "--reference", "S-01.force_gain=10±0.1 mm"), "measured in N/V"),
-        (("--recipe", "short", "--confidence", "0"), "0 %"),
+        (("--recipe", "short", "--appraiser", "operator"), "all 36 runs are of one operator, Zoë Ōtani"),
     ],
 )
 def test_what_cannot_be_studied_is_refused_by_name(crossed, command, arguments, words):
@@ -288,7 +273,8 @@ def test_odd_runs_are_left_out_by_name(tmp_path, document):
     with open_store(f"sqlite:///{path}", durable=False) as store:
         store_run(store, "S-01", measured((9.0, 9.0), limit=None, unit="kN/V"), station="bench-a", day=-400)
         store_run(store, "S-02", measured((9.0, None)), station="bench-a", software=[("cbsr-qa", "9.9")])
-        store_run(store, "S-03", (Measurement("drift", 0.1, "1"),), station="bench-b")
+        of_other = {"tables": {"analysis": {"mask": 0.5}}}
+        store_run(store, "S-03", (Measurement("drift", 0.1, "1"),), station="bench-b", **of_other)
     found = document(path, "--recipe", "short", "--metric", "force_gain")
     (metric,) = found["metrics"]
     notes = " ".join(metric["notes"])
@@ -298,7 +284,7 @@ def test_odd_runs_are_left_out_by_name(tmp_path, document):
     assert metric["runs"] == 36
     assert any("clock of station bench-a was wrong by about 1.1 years" in said for said in found["notes"])
     assert any("0.1.0 (38 runs), 9.9 (1 run)" in said for said in found["notes"])
-    assert not any("was not the same at the first" in said for said in found["notes"])
+    assert any("was not the same at the first" in said for said in found["notes"])
 
 
 @pytest.mark.rest

@@ -86,19 +86,8 @@ def test_no_two_sensors_on_the_same_two_stations_is_said(tmp_path, command):
     assert "no two sensors were run twice each on the same two stations: nothing is crossed" in err
 
 
-def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
-    path, odd = (
-        tmp_path / "runs.db",
-        (*measured((9.0,) * 2)[:1], Measurement("force_gain", 9e-3, "kN/V", None, "grid", "L1")),
-    )
-    fill(path, runs())
-    with open_store(f"sqlite:///{path}", durable=False) as store:
-        store_run(store, "S-02", odd, station="bench-a", day=9)
-    said = "values are in several units within the run, N/V and kN/V: S-02 (batch golden, station bench-a, "
-    code, out, _ = command("--recipe", "short", "--metric", "force_gain", "--database", path)
-    assert code == 0
-    assert said in out
-    assert "could not be measured" not in out
+def test_a_metric_in_several_units_in_every_run_has_no_study(tmp_path, command):
+    odd = (*measured((9.0,) * 2)[:1], Measurement("force_gain", 9e-3, "kN/V", None, "grid", "L1"))
     fill(other := tmp_path / "other.db", [])
     with open_store(f"sqlite:///{other}", durable=False) as store:
         names = [store_run(store, serial, odd, station=station) for serial, station, *_ in runs()]
@@ -106,21 +95,6 @@ def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
     assert code == 2
     assert "none of these runs has a value of it; left out: its values are in several units" in err
     assert names[0] in err
-
-
-def test_runs_without_measurements_are_said(tmp_path, command):
-    with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
-        store_run(store, "S-01", (), station="bench-a")
-    for option in ((), ("--metric", "force_gain")):
-        code, _, err = command("--recipe", "short", "--database", tmp_path / "runs.db", *option)
-        assert (code, err) == (2, "cbsr-qa: none of these runs has measurements choose runs that were finished")
-
-
-def test_a_station_that_says_what_it_is_is_not_told_twice(tmp_path, command):
-    rows = [(serial, station.replace("bench", "station"), *rest) for serial, station, *rest in runs()]
-    fill(tmp_path / "runs.db", [*rows, rows[0]])
-    err = command("--recipe", "short", "--database", tmp_path / "runs.db")[2]
-    assert "sensor S-01 has 3 runs on station-a, others have 2" in err
 
 
 def test_stability_of_few_runs_has_no_verdict_of_a_chart(tmp_path, crossed, command):
@@ -157,14 +131,6 @@ def test_the_page_has_references_in_tables(crossed, command, tmp_path):
         (table,) = [one for one in tables if caption in one]
         assert table.count("<tr") == rows + 1
     assert "Bias of S-01 on" not in page
-
-
-def test_the_terminal_writes_numbers_in_one_way(tmp_path, command):
-    rows = [(*row[:3], tuple(value * 1e-5 for value in row[3])) for row in runs()]
-    fill(tmp_path / "runs.db", rows, limit=None)
-    out = command("--recipe", "short", "--metric", "force_gain", "--database", tmp_path / "runs.db")[1]
-    assert "× 10⁻⁶" in out
-    assert not re.search(r"\de-\d", out)
 
 
 def test_legends_cover_no_panel_and_every_panel_has_its_axis_named(monkeypatch):
