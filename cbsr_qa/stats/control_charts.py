@@ -176,7 +176,7 @@ def ewma(
     Raises
     ------
     NumericsError
-        A weight or width that is none, or as :func:`individuals`.
+        A weight or width out of range, or as :func:`individuals`.
     """
     if not (0 < weight <= 1 and width > 0):
         raise NumericsError(
@@ -212,7 +212,7 @@ def cusum(
     Raises
     ------
     NumericsError
-        A slack or threshold that is none, or as :func:`individuals`.
+        A slack or threshold out of range, or as :func:`individuals`.
     """
     if not (slack >= 0 and threshold > 0):
         raise NumericsError(f"{what}: slack {slack:g}, threshold {threshold:g}; allowed: slack ≥ 0, threshold > 0")

@@ -86,7 +86,7 @@ class Contrast:
         Raises
         ------
         NumericsError
-            The margin is not a positive number, or the level is none.
+            The margin is not a positive number, or the level is not between 0 and 0.5.
         """
         if not (margin > 0 and isfinite(margin)):
             raise NumericsError(f"equivalence: margin is {margin:g}; it must be positive")

@@ -26,12 +26,13 @@ from scipy import optimize, special, stats
 from scipy.optimize import brentq
 
 from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.stats.samples import Estimate, Interval, share
+from cbsr_qa.stats.samples import Estimate, Interval, largest_rank, share, smallest
 
 #: Beyond it the normal part of a noncentral t is nothing beside its χ part (1e-8), and its series no longer converge.
 _LARGE = 1e4
 _TAIL: Final = 1e-16  #: share of χ² beyond each end of the integral
 _NODES: Final = 400
+_MOST_NEEDED: Final = 10**12
 
 
 def noncentrality(t: float, freedom: float, below: float) -> float:
@@ -140,12 +141,7 @@ def spacings_outside(count: int, coverage: float, confidence: float) -> int:
     With r of them the bound is the r-th value from the end; shared between both ends for two bounds. 0 where
     ``count`` values are too few even for their extremes.
     """
-    outside = int(stats.binom.ppf(1 - confidence, count, 1 - coverage))
-    while outside and stats.binom.cdf(outside - 1, count, 1 - coverage) > 1 - confidence:
-        outside -= 1
-    while stats.binom.cdf(outside, count, 1 - coverage) <= 1 - confidence:
-        outside += 1
-    return outside
+    return largest_rank(count, 1 - coverage, 1 - confidence)
 
 
 def count_needed(coverage: float, confidence: float, sides: int) -> int:
@@ -155,17 +151,13 @@ def count_needed(coverage: float, confidence: float, sides: int) -> int:
     ----------
     sides : 1 or 2 bounds.
     """
+
+    def enough(count: int) -> bool:
+        return spacings_outside(count, coverage, confidence) >= sides
+
     fewer = ceil(log(1 - confidence) / log(coverage) - 1e-9)
-    if spacings_outside(fewer, coverage, confidence) >= sides:
-        return fewer
-    count = 2 * fewer
-    while spacings_outside(count, coverage, confidence) < sides:
-        fewer, count = count, 2 * count
-    while count - fewer > 1:
-        middle = (count + fewer) // 2
-        enough = spacings_outside(middle, coverage, confidence) >= sides
-        fewer, count = (fewer, middle) if enough else (middle, count)
-    return count
+    beyond = f"a coverage of {coverage:g} needs more than {_MOST_NEEDED:g} values"
+    return fewer if enough(fewer) else smallest(enough, fewer, _MOST_NEEDED, beyond)
 
 
 #: With fewer a spread of two values stands for everything: no interval is given.

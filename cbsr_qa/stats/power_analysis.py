@@ -21,7 +21,7 @@ import numpy as np
 from scipy import special, stats
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.stats.samples import share
+from cbsr_qa.stats.samples import share, smallest
 
 _MOST = 10**9  #: sensors a group; more is no plan
 _SURE = 40.0  #: δ beyond which a test of this level cannot miss, and the noncentral t need not be summed
@@ -42,7 +42,7 @@ def power(size: float, first: int, second: int, *, level: float = 0.05) -> float
     Raises
     ------
     NumericsError
-        Groups that have no test, or a level that is none.
+        Groups that have no test, or a level that is not between 0 and 1.
     """
     freedom, shift = _test(size, first, second, level)
     critical = float(stats.t.isf(level / 2, freedom))
@@ -66,7 +66,7 @@ def power_of_equivalence(margin: float, first: int, second: int, *, level: float
     Raises
     ------
     NumericsError
-        Groups that have no test, or a level that is none.
+        Groups that have no test, or a level that is not between 0 and 1.
     """
     freedom, shift = _test(max(margin, 0.0), first, second, level)
     critical = float(stats.t.isf(level, freedom))
@@ -92,7 +92,8 @@ def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> 
     Raises
     ------
     NumericsError
-        No difference is asked for, more than 10⁹ sensors would be needed, or a share is none.
+        No difference is asked for, more than 10⁹ sensors would be needed, or a share is not between 0
+        and 1.
     """
     _check_wanted(wanted, level)
     if not abs(size) > 0:
@@ -112,7 +113,8 @@ def sensors_to_show_alike(margin: float, *, wanted: float = 0.8, level: float = 
     Raises
     ------
     NumericsError
-        The margin is not a positive number, more than 10⁹ sensors would be needed, or a share is none.
+        The margin is not a positive number, more than 10⁹ sensors would be needed, or a share is not between 0
+        and 1.
     """
     _check_wanted(wanted, level)
     if not margin > 0:
@@ -136,12 +138,4 @@ def _check_wanted(wanted: float, level: float) -> None:
 
 def _fewest(enough: Callable[[int], bool], size: float) -> int:
     """Return the smallest sufficient number of sensors per group, at least two."""
-    fewer, count = 1, 2
-    while not enough(count):
-        fewer, count = count, 2 * count
-        if count > _MOST:
-            raise NumericsError(f"power: {size:g} deviations need more than {_MOST:g} sensors a group")
-    while count - fewer > 1:
-        middle = (count + fewer) // 2
-        fewer, count = (fewer, middle) if enough(middle) else (middle, count)
-    return count
+    return smallest(enough, 1, _MOST, f"power: {size:g} deviations need more than {_MOST:g} sensors a group")

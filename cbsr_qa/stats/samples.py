@@ -10,7 +10,7 @@ with sums that are rounded once (:func:`math.fsum`). Sources: NIST Statistical R
 statistics (definitions and certified values); Chan, Golub & LeVeque 1983 for the corrected two-pass sum.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, fsum, isfinite, log, sqrt
@@ -234,21 +234,21 @@ def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95,
     Raises
     ------
     NumericsError
-        No values, missing ones, or shares that are none.
+        No values, missing ones, or a share that is not between 0 and 1.
     """
     array = np.sort(sample(values, what))
     share(below, "share below a quantile"), share(confidence, "confidence")
     count, tail = len(array), (1 - confidence) / 2
-    lower = _largest_rank(count, below, tail)
-    upper = count + 1 - _largest_rank(count, 1 - below, tail)
+    lower = largest_rank(count, below, tail)
+    upper = count + 1 - largest_rank(count, 1 - below, tail)
     fits = lower >= 1 and upper <= count
     interval = Interval(float(array[lower - 1]), float(array[upper - 1]), confidence) if fits else None
     return Quantile(below, float(np.quantile(array, below)), interval, _needed(below, tail))
 
 
 @lru_cache(maxsize=1024)  # many metrics have as many values each
-def _largest_rank(count: int, below: float, tail: float) -> int:
-    """Largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 if none."""
+def largest_rank(count: int, below: float, tail: float) -> int:
+    """Return the largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 if none."""
     rank = int(stats.binom.ppf(tail, count, below))
     while rank and stats.binom.cdf(rank - 1, count, below) > tail:
         rank -= 1
@@ -263,4 +263,23 @@ def _needed(below: float, tail: float) -> int:
     count = ceil(log(tail) / log(1 - rarer))
     if count > 10**12:
         raise NumericsError(f"share below a quantile: {below:g} is too close to 0 or 1 for any sample size")
+    return count
+
+
+def smallest(enough: Callable[[int], bool], above: int, most: int, beyond: str) -> int:
+    """Return the smallest count that is enough, above one that is not, by doubling and bisection.
+
+    Raises
+    ------
+    NumericsError
+        More than ``most`` would be needed, in the words of ``beyond``.
+    """
+    fewer, count = above, 2 * above
+    while not enough(count):
+        fewer, count = count, 2 * count
+        if count > most:
+            raise NumericsError(beyond)
+    while count - fewer > 1:
+        middle = (count + fewer) // 2
+        fewer, count = (fewer, middle) if enough(middle) else (middle, count)
     return count

@@ -67,7 +67,7 @@ def fleet_table(engine: Engine, selection: RunSelection) -> FleetTable:
     Raises
     ------
     StoreError
-        If the database cannot be read, holds an outcome or a bound that is none, or a cell of another type than was
+        If the database cannot be read, holds an unknown outcome or bound, or a cell of another type than was
         stored, or something that is read of a chained run is not what was stored.
     """
 

@@ -64,15 +64,15 @@ def figures_of(table: FleetTable, *, by_location: bool = False) -> dict[MetricKe
     bounded = np.bincount(cell, table.state & State.LOWER_BOUND > 0)
     means = np.bincount(cell, table.value) / counts
     numbers = (of.tolist() for of in (cells, means, counts, missing, bounded, lower, upper))
-    found: dict[MetricKey, dict[str, RunFigure]] = {}
+    by_key: dict[MetricKey, dict[str, RunFigure]] = {}
     for at, mean, count, absent, bounds, low, high in zip(*numbers, strict=True):
         run, (key, unit) = table.runs[at // len(columns)].run, columns[at % len(columns)]
         value = None if absent or bounds else mean
         ends = [None if isnan(end) else end for end in (low, high)]
         figure = RunFigure(run, key, unit, value, count, int(absent), int(bounds), ends[0], ends[1])
-        of_key = found.setdefault(key, {})
+        of_key = by_key.setdefault(key, {})
         of_key[run] = _of_several_units(of_key[run], figure) if run in of_key else figure
-    return found
+    return by_key
 
 
 def series_of(runs: Sequence[RunLine], figures: Figures, names: Sequence[str] = ()) -> list[Series]:

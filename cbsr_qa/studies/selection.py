@@ -47,7 +47,7 @@ def check_names(store: Repository, selection: RunSelection, at: Mapping[str, str
     RefusedError
         Naming all of them, with the name that is nearest to the first.
     """
-    stored, said, remedy = store.run_lines(), [], ""
+    stored, problems, remedy = store.run_lines(), [], ""
     for noun, field, attribute in (
         ("recipe", "recipe", "recipe"),
         ("batch", "batch", "batch"),
@@ -59,10 +59,10 @@ def check_names(store: Repository, selection: RunSelection, at: Mapping[str, str
         known = {getattr(run, attribute) for run in stored} - {""}
         for name in (wanted,) if isinstance(wanted, str) else wanted or ():
             if name not in known:
-                said.append(f"{(at or {}).get(field, '')}no stored run is of {noun} {echo(name, 64)}")
+                problems.append(f"{(at or {}).get(field, '')}no stored run is of {noun} {echo(name, 64)}")
                 remedy = remedy or nearest(name, known, f"{noun}s" if noun != "batch" else "batches")
-    if said:
-        raise RefusedError("\n".join(said), remedy=remedy)
+    if problems:
+        raise RefusedError("\n".join(problems), remedy=remedy)
 
 
 def clock_notes(runs: Sequence[RunLine]) -> tuple[str, ...]:
@@ -86,9 +86,9 @@ def likeness_notes(store: Repository, runs: Sequence[RunLine]) -> tuple[str, ...
     versions = Counter(dict(run.software).get("cbsr-qa") or "not noted" for run in runs)
     notes = []
     if len(versions) > 1:
-        said = ", ".join(f"{version} ({plural(count, 'run')})" for version, count in sorted(versions.items()))
+        counts = ", ".join(f"{version} ({plural(count, 'run')})" for version, count in sorted(versions.items()))
         notes.append(
-            f"the runs were analysed with several versions of cbsr-qa: {said}; a change may be the software's"
+            f"the runs were analysed with several versions of cbsr-qa: {counts}; a change may be the software's"
         )
     first, last = runs[0], runs[-1]
     if measuring_digest(store.configuration(first.run)) != measuring_digest(store.configuration(last.run)):

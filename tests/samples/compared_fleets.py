@@ -8,7 +8,7 @@ import numpy as np
 from filled_databases import filled
 from stored_lots import judged, measured
 
-from cbsr_qa.domain.results import RunSelection
+from cbsr_qa.domain.results import EndReason, FleetTable, Kind, MetricKey, Outcome, RunLine, RunSelection
 from cbsr_qa.report import json_document, render_sections
 from cbsr_qa.studies.compare import By, Terms, compare_groups, compare_outcome
 
@@ -40,6 +40,33 @@ def fleet(url, *, alone=False, sensors=24, both=8, **changes):
             values = judged(moved(measured(random, sensor), mm))
             runs.append((f"S-{number:02d}", values, {"batch": batch, "station": station, **changes}))
     filled(url.removeprefix("sqlite:///"), runs)
+
+
+def run_of(number, batch, station="A", began=NOW, **changes):
+    """A finished and analysed run of a sensor of its own, without a database."""
+    run = RunLine(
+        run=f"run-{number:04d}",
+        serial=f"S-{number:03d}",
+        batch=batch,
+        material="cbsr",
+        station=station,
+        recipe="short",
+        started_at=began,
+        made_at=began,
+        end=EndReason.FINISHED,
+        outcome=Outcome.PASS,
+        software=(("cbsr-qa", "1.0"),),
+        simulated=(),
+    )
+    return replace(run, **changes)
+
+
+def table_of(runs, values, names=("gap",)):
+    """Runs with one value of each metric: (R,) or (R, metrics)."""
+    values = np.asarray(values, dtype=float).reshape(len(runs), len(names))
+    kinds = tuple(Kind(MetricKey(name), "mm", "", None, None) for name in names)
+    run, kind = np.divmod(np.arange(values.size, dtype=np.int32), np.int32(len(names)))
+    return FleetTable(tuple(runs), kinds, run, kind, values.ravel(), np.zeros(values.size, np.uint8))
 
 
 def compared(url, by=By.BATCH, choice=None, **terms):

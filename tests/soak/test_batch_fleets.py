@@ -4,9 +4,9 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from compared_fleets import run_of, table_of
 
 from benchmarks.batch_coverage import BATCHES, DESIGNS, design, values
-from cbsr_qa.domain.results import EndReason, FleetTable, Kind, MetricKey, Outcome, RunLine, State
 from cbsr_qa.studies.compare import By, Terms, compare
 
 SEEDS = 1000
@@ -17,29 +17,16 @@ TERMS = Terms(By.BATCH, groups=("batch 0", "batch 1", "batch 2"))
 def fleet(rows):
     """Runs of a design, in the order they are made in."""
     return tuple(
-        RunLine(
-            run=f"run-{number:04d}",
+        run_of(
+            number,
+            f"batch {batch}",
+            f"station {station}",
+            BEGAN + timedelta(hours=number),
             serial=f"S-{sensor:03d}",
-            batch=f"batch {batch}",
-            material="cbsr-8wt",
-            station=f"station {station}",
-            recipe="nine-locations",
-            started_at=BEGAN + timedelta(hours=number),
-            made_at=BEGAN + timedelta(hours=number),
-            end=EndReason.FINISHED,
-            outcome=Outcome.PASS,
-            software=(("cbsr-qa", "1"),),
             simulated=("figures",),
         )
         for number, (batch, station, sensor) in enumerate(rows)
     )
-
-
-def table(runs, drawn):
-    """One metric of them."""
-    number = np.arange(len(runs), dtype=np.int32)
-    every = np.full(len(runs), State.PLAIN, dtype=np.uint8)
-    return FleetTable(runs, (Kind(MetricKey("figure"), "1", "", None, None),), number, 0 * number, drawn, every)
 
 
 @pytest.mark.parametrize("title", DESIGNS)
@@ -48,7 +35,7 @@ def test_the_batch_is_found_and_the_station_is_not_taken_for_it(title):
     runs, now = fleet(rows), BEGAN + timedelta(days=365)
     held, found, taken, plainly_held, plainly_found = [], [], [], [], []
     for seed in range(SEEDS):
-        (metric,) = compare(table(runs, values(rows, seed)), TERMS, now).of_metrics
+        (metric,) = compare(table_of(runs, values(rows, seed)), TERMS, now).of_metrics
         for number, one in zip((1, 2), metric.differences, strict=True):
             true = BATCHES[number] - BATCHES[0]
             held.append(one.low <= true <= one.high)

@@ -285,7 +285,7 @@ def reference_figures(
     table: FleetTable, references: Iterable[ChartReference]
 ) -> dict[MetricKey, dict[str, RunFigure]]:
     """Return the figures that references are of, by metric and run."""
-    found: dict[MetricKey, dict[str, RunFigure]] = {}
+    figures: dict[MetricKey, dict[str, RunFigure]] = {}
     for by_location in {bool(reference.location) for reference in references}:
-        found |= figures_of(table, by_location=by_location)
-    return found
+        figures |= figures_of(table, by_location=by_location)
+    return figures

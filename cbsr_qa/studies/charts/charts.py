@@ -119,10 +119,10 @@ def _charted_runs(store: Repository, request: ChartsRequest) -> RunSelection:
 def _held_references(store: Repository, request: ChartsRequest, recipe: str) -> list[ChartReference]:
     """Return the references that hold of the charts that are asked for."""
     return [
-        one
-        for one in store.chart_references(request.station)
-        if (one.recipe, one.golden) == (recipe, request.golden)
-        and (not request.metrics or one.name in request.metrics)
+        reference
+        for reference in store.chart_references(request.station)
+        if (reference.recipe, reference.golden) == (recipe, request.golden)
+        and (not request.metrics or reference.name in request.metrics)
     ]
 
 
@@ -182,9 +182,9 @@ def _with_period(
     if not charts:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     if all(chart.reference is None for chart in charts):
-        said = "\n".join("; ".join((f"  {one.label}: {one.why}", *one.notes)) for one in charts[:10])
+        whys = "\n".join("; ".join((f"  {one.label}: {one.why}", *one.notes)) for one in charts[:10])
         raise RefusedError(
-            f"no limits come of this reference period:\n{said}", remedy="choose another or a longer one"
+            f"no limits come of this reference period:\n{whys}", remedy="choose another or a longer one"
         )
     return charts
 

@@ -23,7 +23,7 @@ _LEFT_OUT: Final = "Left out: {runs} {why}"
 _ONE_GROUP: Final = "There is only one {by}, {name}: nothing to compare it with"
 _ONE_SENSOR: Final = "{name} has only one sensor, which does not show how sensors differ"
 _SEVERAL_GROUPS: Final = "Runs put {sensors} into several groups, which is a mistake in one of them: {serials}"
-_NESTED: Final = "Batches of one material are taken for alike: intervals do not include how they differ"
+_NESTED: Final = "Batches of one material are treated as alike: intervals do not include how they differ"
 _ONE_BATCH: Final = "A difference of materials cannot be told from one of batches: {materials}"
 _RESTS_ON: Final = (
     "Differences of {noun}s rest on batches that ran at one station in both, compared with {reference}: {groups}"
@@ -157,10 +157,10 @@ def _far_from_others(runs: Sequence[RunLine]) -> Iterator[str]:
 
 
 def _by_station(runs: Iterable[RunLine]) -> Iterator[tuple[str, list[RunLine]]]:
-    found: dict[str, list[RunLine]] = {}
+    by_station: dict[str, list[RunLine]] = {}
     for run in runs:
-        found.setdefault(run.station, []).append(run)
-    return ((of_kind("station", station), members) for station, members in found.items())
+        by_station.setdefault(run.station, []).append(run)
+    return ((of_kind("station", station), members) for station, members in by_station.items())
 
 
 def _runs(members: Sequence[RunLine]) -> str:

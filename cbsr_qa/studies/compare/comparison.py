@@ -160,7 +160,7 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         adjustment=terms.adjustment,
         confidence=terms.confidence,
         recipes=tuple(sorted({run.recipe for run in members})),
-        simulated=tuple(sorted({said for simulated in {run.simulated for run in members} for said in simulated})),
+        simulated=tuple(sorted({words for simulated in {run.simulated for run in members} for words in simulated})),
         groups=tuple(groups_of(table.runs, grouping, every, terms)),
         metrics=differences,
         stations=tuple(chain.from_iterable(one.stations for one in metrics)),
@@ -239,13 +239,13 @@ def _of_the_stations(model: Fitted, metric: MetricValues, design: Design) -> Fit
 def _samples(
     metric: MetricValues, runs: Sequence[RunLine], known: Mapping[str, IntArray]
 ) -> tuple[tuple[str, str, Array], ...]:
-    found = []
+    samples = []
     for name, indices in known.items():
         at: dict[str, list[int]] = {}
         for index in indices.tolist():
             at.setdefault(runs[index].station, []).append(index)
-        found += [(name, station, metric.mean[members]) for station, members in sorted(at.items())]
-    return tuple(found)
+        samples += [(name, station, metric.mean[members]) for station, members in sorted(at.items())]
+    return tuple(samples)
 
 
 def _notes(
@@ -267,8 +267,8 @@ def _notes(
 def _adjusted(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricComparison]:
     """Adjust p values: those of groups for all of groups, and so those of likeness and those of stations."""
     every = [difference for metric in metrics for difference in metric.differences]
-    groups = iter(_adjust([one.p_unadjusted for one in every], terms.adjustment))
-    alike = iter(_adjust([one.equivalence_p_unadjusted for one in every], terms.adjustment))
+    groups = iter(_adjust([test.p_unadjusted for test in every], terms.adjustment))
+    alike = iter(_adjust([test.equivalence_p_unadjusted for test in every], terms.adjustment))
     stations = iter(
         _adjust([station.p_unadjusted for metric in metrics for station in metric.stations], terms.adjustment)
     )
@@ -282,7 +282,7 @@ def _adjusted(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricC
         replace(
             metric,
             differences=tuple(map(with_p, metric.differences)),
-            stations=tuple(replace(one, p=next(stations)) for one in metric.stations),
+            stations=tuple(replace(test, p=next(stations)) for test in metric.stations),
         )
         for metric in metrics
     ]

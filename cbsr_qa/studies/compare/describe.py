@@ -143,18 +143,18 @@ def distribution(
     values = metric.mean[indices]
     if not len(values):
         return Distribution(*metric.identity, name, 0, no_capability="nothing was measured")
-    found = summary(values, metric.key.label)
+    moments = summary(values, metric.key.label)
     quantiles = {share: quantile(values, share, confidence=terms.confidence) for share in QUANTILES}
     index, why = _capability(metric, runs, indices, terms)
     return Distribution(
         *metric.identity,
         group=name,
-        n=found.count,
-        mean=found.mean,
-        deviation=found.deviation,
+        n=moments.count,
+        mean=moments.mean,
+        deviation=moments.deviation,
         median=quantiles[0.5].value,
         median_interval=quantiles[0.5].interval,
-        quantiles={f"{share:g}": one.value for share, one in quantiles.items()},
+        quantiles={f"{share:g}": estimate.value for share, estimate in quantiles.items()},
         capability=index,
         no_capability=why,
     )
@@ -184,10 +184,10 @@ def _capability(
 
 def _subgroups(values: Array, runs: Sequence[RunLine], indices: IntArray) -> list[list[float]]:
     """Values of each batch on each station."""
-    found: dict[tuple[str, str], list[float]] = {}
+    subgroups: dict[tuple[str, str], list[float]] = {}
     for index, value in zip(indices.tolist(), values[indices].tolist(), strict=True):
-        found.setdefault((runs[index].batch, runs[index].station), []).append(value)
-    members = list(found.values())
+        subgroups.setdefault((runs[index].batch, runs[index].station), []).append(value)
+    members = list(subgroups.values())
     if len(indices) == len(members):  # every subgroup has one value: no short term to speak of
         return [[value for group in members for value in group]]
     return members

@@ -211,23 +211,23 @@ def difference(
     naive = _naive(values, names, terms)
     bare = Difference(*metric.identity, names[1], group=names[0], model=REFUSED, naive=naive)
     try:
-        found = model.difference(*names)
+        contrast = model.difference(*names)
     except NumericsError as error:
         why = "" if model.fit is None else design.untold(model.fit.design, *names)
         return replace(bare, warnings=(why or _one_line(error),))
     assert model.fit is not None
-    told = _told(bare, found, terms)
+    estimated = _told(bare, contrast, terms)
     deviation = sqrt(model.fit.run_deviation**2 + (model.fit.sensor_deviation or 0.0) ** 2)
     stations = [[design.sides[index] for index in known[name].tolist()] for name in names]
     detect, margin = (stated.get(metric.key.name) for stated in (terms.detect, terms.margins))
-    likeness = None if margin is None else found.equivalence(margin, level=terms.level)
+    likeness = None if margin is None else contrast.equivalence(margin, level=terms.level)
     kind = str(model.fit.model)
     return replace(
-        told,
+        estimated,
         model=kind.replace("group and station", _WITH_BATCH) if design.levels else kind,
         deviation=deviation,
-        effect_size=found.value / deviation,
-        effect_size_interval=found.interval(terms.confidence).scaled(1 / deviation),
+        effect_size=contrast.value / deviation,
+        effect_size_interval=contrast.interval(terms.confidence).scaled(1 / deviation),
         margin=margin,
         equivalence_interval=None if likeness is None else likeness.interval,
         equivalence_p_unadjusted=None if likeness is None else likeness.p_value,
@@ -253,12 +253,12 @@ def _needed(count: Callable[..., int], size: float | None, deviation: float, ter
 
 def _naive(values: tuple[Array, Array], names: tuple[str, str], terms: Terms) -> Naive | None:
     try:
-        found = welch(*values, names=names)
+        contrast = welch(*values, names=names)
         size = hedges(*values, confidence=terms.confidence, names=names).value
     except NumericsError:
         return None
-    inside = found.interval(terms.confidence)
-    return Naive(found.value, inside.low, inside.high, found.p_value(), size)
+    inside = contrast.interval(terms.confidence)
+    return Naive(contrast.value, inside.low, inside.high, contrast.p_value(), size)
 
 
 def _robust(
@@ -309,12 +309,14 @@ def _places_of(
     places = []
     for location, model in models.items():
         try:
-            found = model.difference(*pair)
+            contrast = model.difference(*pair)
         except NumericsError:
             continue
-        inside = found.interval(terms.confidence)
+        inside = contrast.interval(terms.confidence)
         x_mm, y_mm = table.places_mm.get(location, (None, None))
-        places.append(PlaceDifference(location, x_mm, y_mm, found.value, inside.low, inside.high, found.p_value()))
+        places.append(
+            PlaceDifference(location, x_mm, y_mm, contrast.value, inside.low, inside.high, contrast.p_value())
+        )
     adjusted = holm([place.p for place in places]).tolist()
     return tuple(replace(place, p=p) for place, p in zip(places, adjusted, strict=True))
 

@@ -100,13 +100,13 @@ def software_words(runs: Sequence[RunLine]) -> list[str]:
     """Name the software each run was analysed with: of what is not the same for all, and the program itself."""
     versions = {run.software for run in runs}
     common = set.intersection(*(set(pairs) for pairs in versions)) if versions else set()
-    said = {
+    words = {
         pairs: ", ".join(
             f"{name} {version}" for name, version in pairs if (name, version) not in common or name == "cbsr-qa"
         )
         for pairs in versions
     }
-    return [said[run.software] for run in runs]
+    return [words[run.software] for run in runs]
 
 
 def period_of(moment: datetime, period: Period) -> str:
@@ -294,10 +294,10 @@ def _levels_of(crossing: Crossing) -> Mapping[str, frozenset[str]]:
 
 
 @lru_cache(maxsize=4)
-def _joined(design: Design, found: Crossing, side: int) -> Crossing:
+def _joined(design: Design, crossed: Crossing, side: int) -> Crossing:
     """Groups crossed with the batches (side 1) or the stations (side 0) of their levels."""
     pairs = sorted(
-        {(name, design.levels[level][side]) for name, levels in _levels_of(found).items() for level in levels}
+        {(name, design.levels[level][side]) for name, levels in _levels_of(crossed).items() for level in levels}
     )
     groups = [group for group, _ in pairs]
     return crossing(groups, [other for _, other in pairs], groups)
@@ -327,11 +327,11 @@ def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: 
     if terms.groups:
         if sizes[part_of[first]] > 1:
             return grouping, []
-        said = f"Nothing can be compared with {first}; {named(members)} can among themselves"
-        return grouping, [f"{said}: --groups {','.join(members)}"]
+        words = f"Nothing can be compared with {first}; {named(members)} can among themselves"
+        return grouping, [f"{words}: --groups {','.join(members)}"]
     usual = "is the earliest" if terms.by is By.PERIOD else "has most sensors"
-    said = f"The reference is {best}: {first} {usual}, and cannot be compared with {named(members)}"
-    return replace(grouping, names=(best, *(name for name in sorted(grouping.names) if name != best))), [said]
+    words = f"The reference is {best}: {first} {usual}, and cannot be compared with {named(members)}"
+    return replace(grouping, names=(best, *(name for name in sorted(grouping.names) if name != best))), [words]
 
 
 def _parts(grouping: Grouping, design: Design, measured: BoolArray) -> dict[str, int]:

@@ -56,7 +56,7 @@ _RULE_OF_NUMBERS: Final = (
 def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
     """Lay a comparison out; its headline, sentences and rules are filled in."""
     warnings, remarks = tuple(_important(comparison)), tuple(_remarks(comparison))
-    said = replace(
+    worded = replace(
         comparison,
         headline=_headline(comparison),
         sentences=(*warnings, *remarks, *comparison.warnings),
@@ -70,10 +70,10 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
         ("Stations", ", ".join(all_stations(comparison))),
         ("Recipes", ", ".join(comparison.recipes)),
     )
-    banner = Banner("plain", "●" if comparison.compared else _NONE, said.headline, "")
+    banner = Banner("plain", "●" if comparison.compared else _NONE, worded.headline, "")
     subject, every = f"by {comparison.by}", (*warnings, *comparison.warnings)
     page = Page("Comparison", subject, banner, identity, comparison.simulated, every, remarks)
-    return CommandOutcome(said, page, tuple(sections(said)), 0 if comparison.compared else _NOTHING)
+    return CommandOutcome(worded, page, tuple(sections(worded)), 0 if comparison.compared else _NOTHING)
 
 
 def _headline(comparison: Comparison) -> str:
@@ -108,8 +108,8 @@ def _headline(comparison: Comparison) -> str:
 def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparison: Comparison) -> Iterator[str]:
     """Say what reads how much above or below its reference; the metric is named where it changes."""
     before = ""
-    for metric, one, who in shown:
-        size, low, high = (one.difference or 0.0, one.low or 0.0, one.high or 0.0)
+    for metric, difference, who in shown:
+        size, low, high = (difference.difference or 0.0, difference.low or 0.0, difference.high or 0.0)
         if size < 0:
             size, low, high = -size, -high, -low
         yield _READS.format(
@@ -117,8 +117,8 @@ def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparis
             size=amount(size, metric.values.unit, 2),
             low=number(low, 2),
             high=number(high, 2),
-            side=side(metric, one, comparison),
-            reference=one.reference,
+            side=side(metric, difference, comparison),
+            reference=difference.reference,
             metric="" if metric.values.title == before else f" in {metric.values.title}",
         )
         before = metric.values.title
@@ -176,7 +176,7 @@ def _remarks(comparison: Comparison) -> Iterator[str]:
     if (
         comparison.compared
         and not comparison.terms.margins
-        and not all(significant(one, comparison) for _, one in each(comparison))
+        and not all(significant(difference, comparison) for _, difference in each(comparison))
     ):
         yield _NOT_ALIKE
     yield from _refusals(comparison, of_idle=True)
@@ -223,8 +223,8 @@ def _rules(comparison: Comparison) -> Iterator[str]:
 
 def _known(comparison: Comparison) -> list[str]:
     """Return the reference and the groups that could be compared with it in any metric, in their order."""
-    told = {metric.group for metric in comparison.metrics if metric.difference is not None}
-    return [group.name for group in comparison.groups if group.name in told or group.name == comparison.reference]
+    known = {metric.group for metric in comparison.metrics if metric.difference is not None}
+    return [group.name for group in comparison.groups if group.name in known or group.name == comparison.reference]
 
 
 def _idle(metric: MetricComparison) -> bool:

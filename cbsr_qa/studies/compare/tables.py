@@ -99,17 +99,17 @@ def _difference_row(metric: MetricComparison, difference: Difference, comparison
 def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) -> tuple[str, ...]:
     margin = comparison.terms.margins[metric.values.key.name]
     asked = _label(metric), f"± {number(margin)}"
-    one = next((difference for difference in metric.differences if difference.group == group), None)
-    if one is None or one.difference is None:
+    pair = next((difference for difference in metric.differences if difference.group == group), None)
+    if pair is None or pair.difference is None:
         return *asked, _NONE, _NONE, _NONE, "not tested", _NONE
-    hopeless = abs(one.difference) >= margin
+    hopeless = abs(pair.difference) >= margin
     return (
         *asked,
-        number(one.difference),
-        _ends(one.equivalence_interval),
-        _p(one.equivalence_p),
-        "yes" if one.equivalent else "not shown",
-        "none would do" if hopeless else _count(one.sensors_to_show_alike),
+        number(pair.difference),
+        _ends(pair.equivalence_interval),
+        _p(pair.equivalence_p),
+        "yes" if pair.equivalent else "not shown",
+        "none would do" if hopeless else _count(pair.sensors_to_show_alike),
     )
 
 
@@ -154,20 +154,20 @@ def _group_tables(comparison: Comparison) -> Iterator[Table]:
     columns = (str(comparison.by), "sensors", "runs", "yield", "first-pass yield", "not measured", "stations")
     rows = [
         (
-            one.name,
-            str(one.n),
-            str(one.runs),
-            _share(one.passed, one.yield_interval),
-            _share(one.first_pass_yield, one.first_pass_yield_interval),
-            str(one.not_measured or ""),
-            ", ".join(one.stations),
+            of_group.name,
+            str(of_group.n),
+            str(of_group.runs),
+            _share(of_group.passed, of_group.yield_interval),
+            _share(of_group.first_pass_yield, of_group.first_pass_yield_interval),
+            str(of_group.not_measured or ""),
+            ", ".join(of_group.stations),
         )
-        for one in comparison.groups
+        for of_group in comparison.groups
     ]
     yield from _table(_GROUPS, columns, rows, (1, 2, 5))
     failed = []
     for group in comparison.groups:
-        total = sum(one.sensors for one in group.failures)
+        total = sum(failure.sensors for failure in group.failures)
         failed += [
             (group.name, failure.metric, str(failure.sensors), f"{100 * failure.sensors / total:.0f} %")
             for failure in group.failures[:_MOST_DRAWN]
@@ -244,10 +244,10 @@ def _moments(distribution: Distribution) -> tuple[str, ...]:
 def _capability_table(comparison: Comparison) -> Iterator[Table]:
     rows = []
     for metric in comparison.of_metrics:
-        for one in metric.distributions if metric.values.limited else ():
-            index = one.capability
+        for distribution in metric.distributions if metric.values.limited else ():
+            index = distribution.capability
             indices = (None,) * 4 if index is None else (index.cp, index.cpk, index.pp, index.ppk)
-            rows.append((_label(metric), one.group, *map(_index, indices), one.no_capability or ""))
+            rows.append((_label(metric), distribution.group, *map(_index, indices), distribution.no_capability or ""))
     return _table(_CAPABILITY, ("metric", "group", "Cp", "Cpk", "Pp", "Ppk", "why not"), rows, (2, 3, 4, 5))
 
 

@@ -150,10 +150,10 @@ def _means(run: NDArray[np.int32], value: Array, runs: int) -> Array:
 
 
 def _extremes(pick: np.ufunc, run: NDArray[np.int32], value: Array, runs: int) -> Array:
-    found: Array = np.full(runs, np.inf if pick is np.minimum else -np.inf)
-    pick.at(found, run, value)
-    found[np.isinf(found)] = np.nan
-    return found
+    extremes: Array = np.full(runs, np.inf if pick is np.minimum else -np.inf)
+    pick.at(extremes, run, value)
+    extremes[np.isinf(extremes)] = np.nan
+    return extremes
 
 
 def _by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[str, Array]:
@@ -161,11 +161,11 @@ def _by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[s
     for index in np.unique(table.kind[rows]):
         members.setdefault(table.kinds[index].location, []).append(int(index))
     members.pop("", None)
-    found = {}
+    means = {}
     for location, indices in sorted(members.items()):
         here = rows[np.isin(table.kind[rows], indices)]
-        found[location] = _means(table.run[here], table.value[here], runs)
-    return found
+        means[location] = _means(table.run[here], table.value[here], runs)
+    return means
 
 
 def _one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[str]]:
@@ -199,7 +199,7 @@ def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Itera
 
 def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
     """Name values that no arithmetic can be done with."""
-    shown = {f"{table.runs[one].serial} ({number:g})" for one, number in zip(run, value, strict=True)}
+    shown = {f"{table.runs[index].serial} ({number:g})" for index, number in zip(run, value, strict=True)}
     if shown:
         yield _BEYOND.format(values=named(sorted(shown)))
 

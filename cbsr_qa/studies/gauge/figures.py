@@ -41,8 +41,8 @@ def six_panels(study: Study, components: Components, unit: str) -> str:
         _means(axes[4], study, who)
         _interaction(axes[5], study, who)
         names = ("share [%]", axis("each run"), axis("range"), axis("each run"), axis("mean"), axis("mean"))
-        for one, name in zip(axes, names, strict=True):
-            one.set_ylabel(name)
+        for panel, name in zip(axes, names, strict=True):
+            panel.set_ylabel(name)
         return figure
 
     return svg_of(build)

@@ -40,11 +40,11 @@ def wanted_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunL
     _check_known(request, {kind.key for kind in table.kinds})
     figures = _of_locations(request, figures_of(table, by_location=request.by_location))
     series = series_of(runs, figures, tuple(dict.fromkeys(metric.name for metric in request.metrics)))
-    found = [one for of_metric in series for one in _toleranced(request, of_metric)]
-    if not found:
+    wanted = [one for of_metric in series for one in _toleranced(request, of_metric)]
+    if not wanted:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
-    _check_references(request, runs, found)
-    return found
+    _check_references(request, runs, wanted)
+    return wanted
 
 
 def _check_known(request: GaugeRequest, known: set[MetricKey]) -> None:
@@ -67,13 +67,13 @@ def _of_locations(request: GaugeRequest, figures: Figures) -> Figures:
     if not request.by_location or not figures:
         return figures
     names = {metric.name for metric in request.metrics}
-    found = {key: of for key, of in figures.items() if key.location and (not names or key.name in names)}
-    if not found:
+    located = {key: of for key, of in figures.items() if key.location and (not names or key.name in names)}
+    if not located:
         raise RefusedError(
             f"{request.at('study', 'by_location')}these metrics are not of locations",
             remedy="leave out --by-location (by_location in the study), or name a metric of locations",
         )
-    return found
+    return located
 
 
 def _toleranced(request: GaugeRequest, series: Series) -> Iterator[Toleranced]:

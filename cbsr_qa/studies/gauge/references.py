@@ -144,16 +144,16 @@ def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
     RefusedError
         If one cannot be read, or one sensor has two values of one metric.
     """
-    found: list[ReferenceValue] = []
+    references: list[ReferenceValue] = []
     for text in given:
-        found += _of_file(text) if text.endswith(".toml") else [_of_text(text)]
-    keys = [(one.serial, one.metric) for one in found]
+        references += _of_file(text) if text.endswith(".toml") else [_of_text(text)]
+    keys = [(one.serial, one.metric) for one in references]
     for key in keys:
         if keys.count(key) > 1:
             raise RefusedError(
                 f"sensor {key[0]} has {keys.count(key)} reference values of {key[1]}", remedy="give one"
             )
-    return tuple(found)
+    return tuple(references)
 
 
 def _of_file(name: str) -> tuple[ReferenceValue, ...]:
@@ -164,18 +164,18 @@ def _of_text(text: str) -> ReferenceValue:
     remedy = (
         "write 'SERIAL.METRIC=VALUE±UNCERTAINTY UNIT', e.g. 'G-01.force_gain=10.6±0.02 N/V', or name a .toml file"
     )
-    found = _GIVEN.fullmatch(text.strip())
-    if found is None:
+    parts = _GIVEN.fullmatch(text.strip())
+    if parts is None:
         raise RefusedError(f"--reference {echo(text)} cannot be read", remedy=remedy)
     try:
-        value, uncertainty = float(found["value"]), float(found["u"] or 0)
+        value, uncertainty = float(parts["value"]), float(parts["u"] or 0)
     except ValueError as error:
         raise RefusedError(f"--reference {echo(text)}: {error}", remedy=remedy) from error
     if not (isfinite(value) and isfinite(uncertainty) and uncertainty >= 0):
         raise RefusedError(
             f"--reference {echo(text)}: allowed are finite values, uncertainties from 0", remedy=remedy
         )
-    return ReferenceValue(found["serial"], found["metric"], value, uncertainty, found["unit"] or "")
+    return ReferenceValue(parts["serial"], parts["metric"], value, uncertainty, parts["unit"] or "")
 
 
 def against_references(
@@ -211,15 +211,15 @@ def against_references(
 
 
 def _bias(reference: ReferenceValue, unit: str, who: str, values: Sequence[float], confidence: float) -> Bias:
-    found, why = None, ""
+    estimate, why = None, ""
     if not values:
         why = "no run in this study is of that sensor"
     else:
         try:
-            found = bias(values, reference.value, uncertainty=reference.uncertainty).estimate(confidence)
+            estimate = bias(values, reference.value, uncertainty=reference.uncertainty).estimate(confidence)
         except NumericsError as error:
             why = error.reason
-    return Bias(reference.serial, reference.value, reference.uncertainty, unit, who, len(values), found, why)
+    return Bias(reference.serial, reference.value, reference.uncertainty, unit, who, len(values), estimate, why)
 
 
 def _stability(
@@ -231,12 +231,12 @@ def _stability(
         return replace(bare, why=f"no drift can be told: {wrong[0]}")
     days = [(line.started_at - lines[0].started_at) / timedelta(days=1) for line in lines]
     try:
-        found = stability(days, values, reference.value)
+        over_time = stability(days, values, reference.value)
     except NumericsError as error:
         return replace(bare, why=error.reason)
-    signal = found.chart.signals[0].rule if found.chart.signals and found.in_control is False else ""
+    signal = over_time.chart.signals[0].rule if over_time.chart.signals and over_time.in_control is False else ""
     return replace(
-        bare, drift_per_day=found.drift.estimate(confidence), in_control=found.in_control, signal=str(signal)
+        bare, drift_per_day=over_time.drift.estimate(confidence), in_control=over_time.in_control, signal=str(signal)
     )
 
 

@@ -221,17 +221,19 @@ class StudyFile(FileModel[GaugeRequest]):
     def _reference_problems(self) -> Iterator[Problem]:
         serials, seen = self.study.serials, set()
         names = [metric.name for metric in self.metrics or ()]
-        for index, one in enumerate(self.reference or ()):
+        for index, reference in enumerate(self.reference or ()):
             where = ("reference", index)
-            if serials is not None and one.serial not in serials:
-                what = f"is {one.serial!r}, which is none of study.serials: {', '.join(serials)}"
+            if serials is not None and reference.serial not in serials:
+                what = f"is {reference.serial!r}, which is none of study.serials: {', '.join(serials)}"
                 yield Problem((*where, "serial"), what)
-            if names and one.metric not in names:
-                what = f"is {one.metric!r}, which is none of the metrics: {', '.join(names)}"
+            if names and reference.metric not in names:
+                what = f"is {reference.metric!r}, which is none of the metrics: {', '.join(names)}"
                 yield Problem((*where, "metric"), what)
-            if (one.serial, one.metric) in seen:
-                yield Problem((*where, "serial"), f"is {one.serial!r}, which has a value of {one.metric} already")
-            seen.add((one.serial, one.metric))
+            if (reference.serial, reference.metric) in seen:
+                yield Problem(
+                    (*where, "serial"), f"is {reference.serial!r}, which has a value of {reference.metric} already"
+                )
+            seen.add((reference.serial, reference.metric))
 
     def to_domain(self) -> GaugeRequest:
         """Return what is asked for; per cent become a fraction."""
@@ -249,7 +251,7 @@ class StudyFile(FileModel[GaugeRequest]):
             by_location=study.by_location,
             appraiser=study.appraiser,
             largest_balanced=study.largest_balanced,
-            references=tuple(one.to_domain() for one in self.reference or ()),
+            references=tuple(reference.to_domain() for reference in self.reference or ()),
             confidence=study.confidence_percent / 100,
             source=StudySource(study.name, "", "", ""),
         )

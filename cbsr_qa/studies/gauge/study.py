@@ -251,7 +251,7 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
 
 
 def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser: str) -> str:
-    """Say that no sensor was run twice by the same appraiser, which no choice of runs mends; empty where one was."""
+    """Say that no sensor was run twice by the same appraiser, whatever runs are chosen; empty where one was."""
     cells = Counter(zip(sensors, appraisers, strict=True))
     if not cells or max(cells.values()) > 1 or min(len(set(sensors)), len(set(appraisers))) < 2:
         return ""

@@ -40,11 +40,11 @@ class LotChoice:
     def words(self) -> str:
         """Return the choice as a reader would say it."""
         wanted = self.runs
-        said = [f"batch {wanted.batch}"] if wanted.batch is not None else []
-        said += [f"recipe {wanted.recipe}"] if wanted.recipe is not None else []
-        said += [f"since {wanted.since}"] if wanted.since else []
-        said += [f"until {wanted.until}"] if wanted.until else []
-        return ", ".join([*said, *(["named sensors"] if wanted.serials else [])])
+        parts = [f"batch {wanted.batch}"] if wanted.batch is not None else []
+        parts += [f"recipe {wanted.recipe}"] if wanted.recipe is not None else []
+        parts += [f"since {wanted.since}"] if wanted.since else []
+        parts += [f"until {wanted.until}"] if wanted.until else []
+        return ", ".join([*parts, *(["named sensors"] if wanted.serials else [])])
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +174,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
 
 def _simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
     """Say what was simulated, each thing once: seeds differ from run to run."""
-    words = {said for run in runs for said in run.line.simulated}
+    words = {what for run in runs for what in run.line.simulated}
     return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in words}))
 
 
@@ -184,13 +184,13 @@ def _analysed(run: RunLine) -> bool:
 
 def _not_good(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
     bad = [run for run in runs if not (_analysed(run) and run.outcome in _GOOD)]
-    said = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
+    fates = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
     if bad and not choice.include_failed:
         raise RefusedError(
-            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {named(said)}",
+            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {named(fates)}",
             remedy="leave those sensors out by --without, choose other days, or take them in by --include-failed",
         )
-    return said
+    return fates
 
 
 def _fate(run: RunLine) -> str:
@@ -203,17 +203,17 @@ def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tupl
     """Say in what the runs differ that changes numbers; refuse it unless it was asked for."""
     recipes = _shared_by((run, _recipe_words(run, store.configuration(run.line.run))) for run in runs)
     software = _shared_by((run, _software_words(run, runs)) for run in runs)
-    found = tuple(
+    mixed = tuple(
         f"{noun}: {'; '.join(f'{what} ({named(serials)})' for what, serials in groups.items())}"
         for noun, groups in (("recipes", recipes), ("software versions", software))
         if len(groups) > 1
     )
-    if found and not choice.allow_mixed:
+    if mixed and not choice.allow_mixed:
         raise RefusedError(
-            f"the lot mixes {' and '.join(found)}",
+            f"the lot mixes {' and '.join(mixed)}",
             remedy="narrow it by --recipe, --since, --until or --without, or take it as it is by --allow-mixed",
         )
-    return found
+    return mixed
 
 
 def _shared_by(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:

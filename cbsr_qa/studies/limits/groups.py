@@ -93,9 +93,9 @@ def _group(key: MetricKey, lot: Mapping[str, tuple[Taken, ...]], latest: Taken) 
         for measurement in (m for run in runs for m in run):
             units.setdefault(measurement.unit, serial)
     if len(units) > 1:
-        said = " and ".join(f"{unit} ({serial})" for unit, serial in units.items())
+        units_words = " and ".join(f"{unit} ({serial})" for unit, serial in units.items())
         raise RefusedError(
-            f"{key.name} is in {said}: values of different units make no lot",
+            f"{key.name} is in {units_words}: values of different units make no lot",
             remedy="leave the sensors of one unit out by --without, or analyse all with one version",
         )
     limits = [m.limit for m in latest.get(key, ()) if m.limit is not None]

@@ -203,18 +203,18 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
         upper=present is None or present.upper is not None,
         distribution=terms.distribution,
     )
-    found = lot_limits(smallest, largest, group.values, ask)
+    limits = lot_limits(smallest, largest, group.values, ask)
     serials = list(group.sensors)
-    far_out = tuple(serials[index] for index in found.far_out)
-    if found.why:
-        return NoLimit(*identity, found.why, far_out)
-    bounds = {side: bound for side, bound in (("lower", found.lower), ("upper", found.upper)) if bound is not None}
+    far_out = tuple(serials[index] for index in limits.far_out)
+    if limits.why:
+        return NoLimit(*identity, limits.why, far_out)
+    bounds = {side: bound for side, bound in (("lower", limits.lower), ("upper", limits.upper)) if bound is not None}
     uncertainty, width, source = _guard(group, bounds, lot, terms)
     of_run = RunUncertainty(None, None, None, None, source)
     if uncertainty is not None:
         known = uncertainty.standard, uncertainty.coverage_factor, uncertainty.expanded, uncertainty.freedom
         of_run = RunUncertainty(*known, source)
-    lower, upper = _ends(found)
+    lower, upper = _ends(limits)
     limit = Limit(key.name, group.unit, lower, upper, width, key.phase, key.qualifier)
     found_risks = None if uncertainty is None else _risks(bounds.values(), width, uncertainty)
     return ProposedLimit(
@@ -232,7 +232,7 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
         risks=found_risks,
         no_risks="" if found_risks else _why_no_risks(bounds.values(), uncertainty),
         far_out=far_out,
-        without_far_out=_without(found, smallest, largest, group.values, ask),
+        without_far_out=_without(limits, smallest, largest, group.values, ask),
         present=present,
         lot_fails_present=None if present is None else _failing(group, present),
         lot_fails=_failing(group, limit),
@@ -321,9 +321,9 @@ def _why_no_risks(bounds: Iterable[Bound], uncertainty: Uncertainty | None) -> s
 
 def _failing(group: Group, limit: Limit, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:
     """Name the sensors whose worst outcome over all their runs is this one."""
-    found = []
+    failing = []
     for serial, runs in group.sensors.items():
         outcomes = {limit.judge(m.value, m.bound) for run in runs for m in run}
         if outcome in outcomes and (outcome is Outcome.FAIL or Outcome.FAIL not in outcomes):
-            found.append(serial)
-    return tuple(found)
+            failing.append(serial)
+    return tuple(failing)

@@ -99,7 +99,7 @@ def propose_limits(
     proposals = tuple(propose(group, lot, terms) for group in groups_of(lot, names, everything))
     _check_any(proposals, names)
     limits = tuple(proposal for proposal in proposals if isinstance(proposal, ProposedLimit))
-    found = ProposedLimits(
+    proposed = ProposedLimits(
         version=version or f"{made.isoformat()}-{digest[:8]}",
         date=made,
         coverage=terms.coverage,
@@ -115,8 +115,8 @@ def propose_limits(
         output=None if output is None else str(output),
     )
     if output is not None:
-        write_new(output, limits_toml(found))
-    return found
+        write_new(output, limits_toml(proposed))
+    return proposed
 
 
 def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str, ...]) -> None:
@@ -125,10 +125,10 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
         members = [proposal for proposal in proposals if name in (None, proposal.measurement)]
         refused = [member for member in members if isinstance(member, NoLimit)]
         if len(refused) == len(members):
-            said = "\n".join(f"  {one.label}: {one.why}{far_from_others(one)}" for one in refused[:10])
+            whys = "\n".join(f"  {one.label}: {one.why}{far_from_others(one)}" for one in refused[:10])
             rest = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
             raise RefusedError(
-                f"no limit can be proposed from this lot:\n{said}{rest}",
+                f"no limit can be proposed from this lot:\n{whys}{rest}",
                 remedy="test more sensors, leave out what does not belong by --without, or ask for less --coverage",
             )
 

@@ -168,7 +168,7 @@ def test_periods_are_days_weeks_months_and_years(url):
 def test_a_material_of_one_batch_cannot_be_told_from_it(url):
     fleet(url, sensors=4, both=0)
     warnings = json_of(compared(url, By.MATERIAL))["warnings"]
-    assert any("Batches of one material are taken for alike" in words for words in warnings)
+    assert any("Batches of one material are treated as alike" in words for words in warnings)
     only = json_of(compared(url, By.MATERIAL, RunSelection(recipe="short")))
     assert [g["name"] for g in only["groups"]] == ["cbsr-8wt"]
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from compared_fleets import ERROR, NOW, compared, fleet, page_of
+from compared_fleets import ERROR, NOW, compared, fleet, page_of, run_of, table_of
 from stored_lots import judged, store_run
 
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import EndReason, FleetTable, Kind, Measurement, MetricKey, Outcome, RunLine, Verdict
+from cbsr_qa.domain.results import Measurement, Outcome, Verdict
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import By, Terms, compare, compare_outcome
 from cbsr_qa.studies.compare.figures import strips
@@ -22,27 +22,11 @@ def made_of(plan, values=None, terms=None, names=("gap", "noise"), material=None
     """Compare runs of (batch, station), a sensor each; ``values`` (R, metrics) are noise where none are given."""
     random = np.random.default_rng(4)
     values = random.standard_normal((len(plan), len(names))) if values is None else np.asarray(values, float)
-    runs = tuple(
-        RunLine(
-            run=f"run-{number:04d}",
-            serial=f"S-{number:03d}",
-            batch=batch,
-            material=(material or {}).get(batch, "cbsr"),
-            station=station,
-            recipe="short",
-            started_at=NOW,
-            made_at=NOW,
-            end=EndReason.FINISHED,
-            outcome=Outcome.PASS,
-            software=(("cbsr-qa", "1.0"),),
-            simulated=(),
-        )
+    runs = [
+        run_of(number, batch, station, material=(material or {}).get(batch, "cbsr"))
         for number, (batch, station) in enumerate(plan)
-    )
-    kinds = tuple(Kind(MetricKey(name), "mm", "", None, None) for name in names)
-    count = values.size
-    run, kind = np.divmod(np.arange(count, dtype=np.int32), np.int32(len(names)))
-    table = FleetTable(runs, kinds, run, kind, values.ravel(), np.zeros(count, np.uint8))
+    ]
+    table = table_of(runs, values, names)
     kept = ~np.isnan(table.value)
     columns = {name: getattr(table, name)[kept] for name in ("run", "kind", "value", "state")}
     return compare_outcome(compare(replace(table, **columns), terms or Terms(By.BATCH), NOW))

@@ -5,10 +5,9 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from compared_fleets import page_of
+from compared_fleets import page_of, run_of as run_at, table_of
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import EndReason, FleetTable, Kind, MetricKey, Outcome, RunLine
 from cbsr_qa.studies.compare import By, Period, Policy, Terms, compare, compare_outcome
 from cbsr_qa.studies.compare.groups import design_of, grouped
 
@@ -19,32 +18,8 @@ BATCH_MM = 2.0
 DAYS = Terms(By.PERIOD, period=Period.DAY)
 
 
-def run_of(number, batch, station="A", day=0, serial=None, **changes):
-    began = BEGAN + timedelta(days=day, minutes=number)
-    one = RunLine(
-        run=f"run-{number:04d}",
-        serial=serial or f"S-{number:03d}",
-        batch=batch,
-        material="cbsr",
-        station=station,
-        recipe="short",
-        started_at=began,
-        made_at=began,
-        end=EndReason.FINISHED,
-        outcome=Outcome.PASS,
-        software=(("cbsr-qa", "1.0"),),
-        simulated=(),
-    )
-    return replace(one, **changes)
-
-
-def table_of(runs, values, names=("gap",)):
-    """Runs with one value of each metric: (R,) or (R, metrics)."""
-    values = np.asarray(values, dtype=float).reshape(len(runs), len(names))
-    count = len(runs) * len(names)
-    kinds = tuple(Kind(MetricKey(name), "mm", "", None, None) for name in names)
-    run, kind = np.divmod(np.arange(count, dtype=np.int32), np.int32(len(names)))
-    return FleetTable(tuple(runs), kinds, run, kind, values.ravel(), np.zeros(count, np.uint8))
+def run_of(number, batch, station="A", day=0, **changes):
+    return run_at(number, batch, station, BEGAN + timedelta(days=day, minutes=number), **changes)
 
 
 def without(table, dropped):

@@ -10,8 +10,9 @@ from stored_lots import store_run
 from test_gauge_command import LIMIT, STATIONS, expected, fill, measured, runs
 
 from cbsr_qa.cli import guarded
+from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.results import Measurement
-from cbsr_qa.stats.gauge import gauge_anova, missing_runs
+from cbsr_qa.stats.gauge import gauge_anova, missing_runs, study
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.gauge import figures
 
@@ -76,6 +77,8 @@ def test_runs_that_lack_are_counted_against_those_there_are():
         "A on y has 0 of 2 runs",
         "B on x has 0 of 2 runs",
     )
+    with pytest.raises(NumericsError, match="sensor A has 3 runs on station-a, others have 2"):
+        study([*"AABBAABBA"], ["station-a"] * 4 + ["station-b"] * 4 + ["station-a"], range(9))
 
 
 def test_no_two_sensors_on_the_same_two_stations_is_said(tmp_path, command):
