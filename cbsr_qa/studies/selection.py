@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from datetime import timedelta
 from itertools import pairwise
 from typing import Any, Final
@@ -21,6 +21,14 @@ _CLOCK_STEP: Final = timedelta(days=1)
 _NOT_MEASURING: Final = ("limits", "limits_version", "report")
 #: Of known names in a remedy.
 _MOST_NAMED: Final = 20
+#: What runs are selected by: noun, field of the selection, attribute of a run.
+_NAMES: Final = (
+    ("recipe", "recipe", "recipe"),
+    ("batch", "batch", "batch"),
+    ("sensor", "serials", "serial"),
+    ("station", "stations", "station"),
+    ("operator", "operators", "operator"),
+)
 _OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
 
 
@@ -35,34 +43,48 @@ def not_measured(name: str, known: Collection[str], at: str = "") -> RefusedErro
     return RefusedError(f"{at}no run of these measured {echo(name, 64)}", remedy=nearest(name, known, "measured"))
 
 
-def check_names(store: Repository, selection: RunSelection, at: Mapping[str, str] | None = None) -> None:
+def absent_names(selection: RunSelection, runs: Sequence[RunLine]) -> Iterator[tuple[str, str, str, Collection[str]]]:
+    """Yield names of a selection that none of the runs has: noun, field of the selection, name, known names."""
+    for noun, field, attribute in _NAMES:
+        wanted = getattr(selection, field)
+        known = {getattr(run, attribute) for run in runs} - {""}
+        for name in (wanted,) if isinstance(wanted, str) else wanted or ():
+            if name not in known:
+                yield noun, field, name, known
+
+
+def check_names(store: Repository, selection: RunSelection, at: Callable[[str], str] = lambda field: "") -> None:
     """Refuse names of a selection that no stored run has.
 
     Parameters
     ----------
-    at : field of the selection → where it stands in a file, to begin the sentence with.
+    at : where a field of the selection stands in a file, to begin the sentence with.
 
     Raises
     ------
     RefusedError
         Naming all of them, with the name that is nearest to the first.
     """
-    stored, problems, remedy = store.run_lines(), [], ""
-    for noun, field, attribute in (
-        ("recipe", "recipe", "recipe"),
-        ("batch", "batch", "batch"),
-        ("sensor", "serials", "serial"),
-        ("station", "stations", "station"),
-        ("operator", "operators", "operator"),
-    ):
-        wanted = getattr(selection, field)
-        known = {getattr(run, attribute) for run in stored} - {""}
-        for name in (wanted,) if isinstance(wanted, str) else wanted or ():
-            if name not in known:
-                problems.append(f"{(at or {}).get(field, '')}no stored run is of {noun} {echo(name, 64)}")
-                remedy = remedy or nearest(name, known, f"{noun}s" if noun != "batch" else "batches")
-    if problems:
-        raise RefusedError("\n".join(problems), remedy=remedy)
+    absent = list(absent_names(selection, store.run_lines()))
+    if absent:
+        noun, _, name, known = absent[0]
+        raise RefusedError(
+            "\n".join(f"{at(field)}no stored run is of {noun} {echo(name, 64)}" for noun, field, name, _ in absent),
+            remedy=nearest(name, known, "batches" if noun == "batch" else f"{noun}s"),
+        )
+
+
+def software_words(runs: Sequence[RunLine]) -> list[str]:
+    """Name the software each run was analysed with: of what is not the same for all, and the program itself."""
+    versions = {run.software for run in runs}
+    common = set.intersection(*map(set, versions)) if versions else set()
+    words = {
+        pairs: ", ".join(
+            f"{name} {version}" for name, version in pairs if (name, version) not in common or name == "cbsr-qa"
+        )
+        for pairs in versions
+    }
+    return [words[run.software] for run in runs]
 
 
 def clock_notes(runs: Sequence[RunLine]) -> tuple[str, ...]:

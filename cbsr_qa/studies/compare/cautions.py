@@ -12,8 +12,9 @@ from typing import Final
 from cbsr_qa.domain import of_kind
 from cbsr_qa.domain.results import RunLine
 from cbsr_qa.report import named, plural
-from cbsr_qa.studies.compare.groups import NO_BATCH, Design, Grouping, software_words
+from cbsr_qa.studies.compare.groups import NO_BATCH, Design, Grouping
 from cbsr_qa.studies.compare.terms import By, Terms
+from cbsr_qa.studies.selection import software_words
 
 _DAY: Final = timedelta(days=1)
 #: One batch is tested within this time, or somebody's clock is wrong.

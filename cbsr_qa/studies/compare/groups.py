@@ -16,7 +16,7 @@ from cbsr_qa.report import named
 from cbsr_qa.stats import Crossing, IntArray, crossing
 from cbsr_qa.studies.compare.terms import By, Period, Policy, Terms
 from cbsr_qa.studies.compare.values import BoolArray
-from cbsr_qa.studies.selection import nearest
+from cbsr_qa.studies.selection import nearest, software_words
 
 PASSED: Final = (Outcome.PASS, Outcome.MARGINAL)
 #: What a run without a batch is of.
@@ -94,19 +94,6 @@ def decides(runs: Sequence[RunLine], tests: Sequence[int], policy: Policy) -> in
     if policy is Policy.ANY:
         return next((index for index in tests if runs[index].outcome in PASSED), tests[-1])
     return tests[-1]
-
-
-def software_words(runs: Sequence[RunLine]) -> list[str]:
-    """Name the software each run was analysed with: of what is not the same for all, and the program itself."""
-    versions = {run.software for run in runs}
-    common = set.intersection(*(set(pairs) for pairs in versions)) if versions else set()
-    words = {
-        pairs: ", ".join(
-            f"{name} {version}" for name, version in pairs if (name, version) not in common or name == "cbsr-qa"
-        )
-        for pairs in versions
-    }
-    return [words[run.software] for run in runs]
 
 
 def period_of(moment: datetime, period: Period) -> str:

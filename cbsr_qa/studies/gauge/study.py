@@ -30,7 +30,7 @@ from cbsr_qa.store import Repository, open_store
 from cbsr_qa.studies.gauge.metrics import Toleranced, wanted_metrics
 from cbsr_qa.studies.gauge.references import AgainstReferences, against_references
 from cbsr_qa.studies.gauge.request import GaugeRequest, StudySource
-from cbsr_qa.studies.selection import check_names, clock_notes, likeness_notes, several_recipes
+from cbsr_qa.studies.selection import absent_names, check_names, clock_notes, likeness_notes, several_recipes
 
 
 def appraiser_of(line: RunLine, kind: str) -> str:
@@ -67,28 +67,17 @@ def chosen_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, t
 
 def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLine]) -> None:
     """Refuse names without a run, each with its line in the study's file; unknown names come first."""
-    wanted = request.runs
-    absent = [
-        (noun, key, name)
-        for noun, key, names, there in (
-            ("sensor", "serials", wanted.serials, {run.serial for run in runs}),
-            ("station", "stations", wanted.stations, {run.station for run in runs}),
-            ("operator", "operators", wanted.operators, {run.operator for run in runs}),
-        )
-        for name in names
-        if name not in there
-    ]
+    wanted, absent = request.runs, list(absent_names(request.runs, runs))
     if runs and not absent:
         return
-    keys = ("recipe", "serials", "stations", "operators")
-    check_names(store, wanted, {key: request.at("study", key) for key in keys})
+    check_names(store, wanted, lambda field: request.at("study", field))
     of_names = store.run_lines(RunSelection(serials=wanted.serials, recipe=wanted.recipe))
     remedy = f"choose other days, other names or another recipe{_days(of_names)}"
     # Without any run that fits, every name is absent, and it is no name that is wrong.
     if runs:
         said = [
             f"{request.at('study', key)}{of_kind(noun, name)} has no analysed run that fits"
-            for noun, key, name in absent
+            for noun, key, name, _ in absent
         ]
         raise RefusedError("\n".join(said), remedy=remedy)
     raise RefusedError(f"{request.at('study')}no analysed run fits this study", remedy=remedy)

@@ -15,7 +15,7 @@ from cbsr_qa.domain.results import EndReason, Outcome, RunLine, RunSelection
 from cbsr_qa.report import named
 from cbsr_qa.store import Repository
 from cbsr_qa.store.results import StoredAnalysis
-from cbsr_qa.studies.selection import check_names, measuring_digest
+from cbsr_qa.studies.selection import check_names, measuring_digest, software_words
 
 _GOOD = (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)
 
@@ -202,7 +202,7 @@ def _fate(run: RunLine) -> str:
 def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tuple[str, ...]:
     """Say in what the runs differ that changes numbers; refuse it unless it was asked for."""
     recipes = _shared_by((run, _recipe_words(run, store.configuration(run.line.run))) for run in runs)
-    software = _shared_by((run, _software_words(run, runs)) for run in runs)
+    software = _shared_by(zip(runs, software_words([run.line for run in runs]), strict=True))
     mixed = tuple(
         f"{noun}: {'; '.join(f'{what} ({named(serials)})' for what, serials in groups.items())}"
         for noun, groups in (("recipes", recipes), ("software versions", software))
@@ -228,10 +228,3 @@ def _shared_by(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
 def _recipe_words(run: LotRun, configuration: str) -> str:
     """Name a recipe with the digest of all that decides its numbers."""
     return f"{run.line.recipe} {measuring_digest(configuration)[:8]}"
-
-
-def _software_words(run: LotRun, runs: Sequence[LotRun]) -> str:
-    """Name the versions a run was analysed with, of what is not the same for all."""
-    common = set(runs[0].analysis.software).intersection(*(other.analysis.software for other in runs))
-    own = [f"{name} {version}" for name, version in run.analysis.software if (name, version) not in common]
-    return ", ".join(own) or "no other"
