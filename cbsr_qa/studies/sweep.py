@@ -79,7 +79,7 @@ class Kept:
     def _take(self, path: Path, number: int, line: bytes) -> None:
         try:
             entry = json.loads(line)
-            key, documents = str(entry["key"]), [dict(one) for one in entry["documents"]]
+            key, documents = str(entry["key"]), [dict(document) for document in entry["documents"]]
         except (ValueError, KeyError, TypeError) as error:
             raise StoreError(
                 f"{path}: line {number} is no finished piece of a sweep ({type(error).__name__})", remedy=_BEGIN_AGAIN

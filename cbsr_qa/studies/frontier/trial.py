@@ -62,13 +62,13 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
     CbsrError
         If no force model can be learned.
     """
-    found = learned_from(run)
-    assert found.learned is not None
-    errors = _forces(found.learned, held_out)
-    errors["map_error"] = _map_error(found.learned, design, run.record.indenter.radius_mm)
+    force = learned_from(run)
+    assert force.learned is not None
+    errors = _forces(force.learned, held_out)
+    errors["map_error"] = _map_error(force.learned, design, run.record.indenter.radius_mm)
     traces = hold_traces(run, long_holds(run))
     with suppress(CbsrError):
-        errors["gauge_factor_error"] = _gauge_factor(run, found, design, traces)
+        errors["gauge_factor_error"] = _gauge_factor(run, force, design, traces)
     with suppress(CbsrError):
         errors["settling_error"] = _settling(run, traces)
     return {name: value for name, value in errors.items() if np.isfinite(value)}
@@ -88,9 +88,9 @@ def long_holds(run: RunObservation) -> list[LoadObservation]:
 def _forces(learned: LearnedForce, held_out: RunObservation) -> dict[str, float]:
     tests = force_tests(held_out, learned)
     known = [test.known_N - test.measured_N for test in tests]
-    found = [test.found_N - test.measured_N for test in tests if test.found_N is not None]
-    errors = {"force_error": known, "force_error_found": found}
-    return {name: float(np.sqrt(np.mean(np.square(one)))) for name, one in errors.items() if one}
+    estimated = [test.found_N - test.measured_N for test in tests if test.found_N is not None]
+    errors = {"force_error": known, "force_error_found": estimated}
+    return {name: float(np.sqrt(np.mean(np.square(values)))) for name, values in errors.items() if values}
 
 
 def _map_error(learned: LearnedForce, design: SheetDesign, radius_mm: float) -> float:
@@ -110,10 +110,10 @@ def true_response(design: SheetDesign, places_mm: Array, radius_mm: float) -> Ar
     return mean
 
 
-def _gauge_factor(run: RunObservation, found: RunForce, design: SheetDesign, traces: Sequence[TimedValues]) -> float:
-    assert found.learned is not None
-    value, _ = gauge_factor(run, found, traces=traces)
-    places = sheet_places(found.learned.model)
+def _gauge_factor(run: RunObservation, force: RunForce, design: SheetDesign, traces: Sequence[TimedValues]) -> float:
+    assert force.learned is not None
+    value, _ = gauge_factor(run, force, traces=traces)
+    places = sheet_places(force.learned.model)
     mean = float(true_response(design, places, run.record.indenter.radius_mm).mean())
     return value.value / (run.record.material.against_strain.slope.value * mean) - 1
 
@@ -160,9 +160,9 @@ def least_sure_first(run: RunObservation, count: int) -> list[int]:
     chosen = farthest_first(places, min(FIRST, count))
     while len(chosen) < count:
         some = {id(grid[k]) for k in chosen}
-        found = learned_from(only(run, _wanted(some)))
-        assert found.learned is not None
-        _, variance = found.learned.response.predict(places)
+        force = learned_from(only(run, _wanted(some)))
+        assert force.learned is not None
+        _, variance = force.learned.response.predict(places)
         chosen += _next(places, variance, chosen, min(_AT_A_TIME, count - len(chosen)))
     return chosen
 
@@ -177,7 +177,7 @@ def _next(places: Array, variance: Array, chosen: Sequence[int], count: int) -> 
     for apart_mm in (_APART_MM, 0.0):
         for k in np.argsort(-variance).tolist():
             taken = k in chosen or k in picked
-            near = any(np.hypot(*(places[k] - places[one])) < apart_mm for one in picked)
+            near = any(np.hypot(*(places[k] - places[other])) < apart_mm for other in picked)
             if len(picked) < count and not taken and not near:
                 picked.append(k)
     return picked

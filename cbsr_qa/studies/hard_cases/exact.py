@@ -33,21 +33,21 @@ _USUAL_DEVIATION: Final = 0.2
 _USUAL_SCATTER: Final = 0.02
 
 
-def relative_error(found: float, truth: Any) -> float:  # an mpmath number
+def relative_error(computed: float, truth: Any) -> float:  # an mpmath number
     """Difference of a number from the truth over the truth's size; over 1 where the truth is zero."""
     with mp.workdps(DIGITS):
         size = abs(truth)
-        return float(abs(mp.mpf(float(found)) - truth) / (size if size else 1))
+        return float(abs(mp.mpf(float(computed)) - truth) / (size if size else 1))
 
 
-def largest_relative_error(found: Iterable[float], truth: Iterable[Any]) -> float:
+def largest_relative_error(computed: Iterable[float], truth: Iterable[Any]) -> float:
     """Largest relative error of several numbers, each against its own truth."""
-    return max(relative_error(one, other) for one, other in zip(found, truth, strict=True))
+    return max(relative_error(computed_value, exact) for computed_value, exact in zip(computed, truth, strict=True))
 
 
-def apart(found: Array, exact: Array) -> float:
+def apart(computed: Array, exact: Array) -> float:
     """‖x − x*‖/‖x*‖ of doubles."""
-    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+    return float(np.linalg.norm(computed - exact) / np.linalg.norm(exact))
 
 
 def polygon_area(corners: NDArray[np.float64]) -> Any:  # an mpmath number
@@ -75,15 +75,15 @@ def _under_side(start: Any, end: Any, radius: Any) -> Any:
     middle = -mp.re(start * mp.conj(along)) / length2
     under = radius**2 - mp.im(mp.conj(start) * along) ** 2 / length2
     half = mp.sqrt(under / length2) if under > 0 else mp.mpf(0)
-    first, last = (min(max(one, mp.mpf(0)), mp.mpf(1)) for one in (middle - half, middle + half))
+    first, last = (min(max(share, mp.mpf(0)), mp.mpf(1)) for share in (middle - half, middle + half))
     enters, leaves = start + first * along, start + last * along
     turned = _angle(start, enters) if first > 0 else mp.mpf(0)
     turned += _angle(leaves, end) if last < 1 else mp.mpf(0)
     return (radius**2 * turned + mp.im(mp.conj(enters) * leaves)) / 2
 
 
-def _angle(one: Any, other: Any) -> Any:
-    return mp.arg(mp.conj(one) * other)
+def _angle(start: Any, end: Any) -> Any:
+    return mp.arg(mp.conj(start) * end)
 
 
 def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance: Array, readings: Array) -> Array:
@@ -157,8 +157,8 @@ def line_condition(x: Array, y: Array, stderr: Array) -> float:
     """Σ |x ∂s/∂x| + Σ |y ∂s/∂y| over |s|: what small relative changes of every place and value make of a slope s."""
     slope, intercept = exact_line(x, y, stderr)
     with mp.workdps(DIGITS):
-        weight = [1 / mp.mpf(float(one)) ** 2 for one in stderr]
-        places, values = ([mp.mpf(float(one)) for one in some] for some in (x, y))
+        weight = [1 / mp.mpf(float(value)) ** 2 for value in stderr]
+        places, values = ([mp.mpf(float(value)) for value in some] for some in (x, y))
         middle = mp.fsum(w * a for w, a in zip(weight, places, strict=True)) / mp.fsum(weight)
         size = mp.fsum(w * (a - middle) ** 2 for w, a in zip(weight, places, strict=True))
         moved = mp.fsum(
@@ -170,13 +170,13 @@ def line_condition(x: Array, y: Array, stderr: Array) -> float:
 
 def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> float:
     """Largest condition number of the loads' covariances, over the processes of a map."""
-    found = []
-    for one in learned.members:
+    conditions = []
+    for process in learned.members:
         with mp.workdps(DIGITS):
-            alike = np.array(_correlations(places_mm, places_mm, one.smooth, one.length_mm), dtype=np.float64)
-        noise = variance + one.scatter**2 + _LEAST_VARIANCE
-        found.append(float(np.linalg.cond(one.deviation**2 * alike + np.diag(noise))))
-    return max(found)
+            alike = np.array(_correlations(places_mm, places_mm, process.smooth, process.length_mm), dtype=np.float64)
+        noise = variance + process.scatter**2 + _LEAST_VARIANCE
+        conditions.append(float(np.linalg.cond(process.deviation**2 * alike + np.diag(noise))))
+    return max(conditions)
 
 
 def exact_map(
@@ -193,29 +193,32 @@ def exact_map(
     """
     with mp.workdps(DIGITS):
         y = [mp.mpf(float(value)) for value in values]
-        kinds = {(one.smooth, one.length_mm) for one in learned.members}
+        kinds = {(process.smooth, process.length_mm) for process in learned.members}
         alike = {kind: _correlations(places_mm, np.vstack([places_mm, wanted_mm]), *kind) for kind in kinds}
-        found = []
-        for one in learned.members:
-            noise = [mp.mpf(float(v)) + mp.mpf(one.scatter) ** 2 + _LEAST_VARIANCE for v in variance]
-            found.append(_process(alike[one.smooth, one.length_mm], mp.mpf(one.deviation), noise, y))
+        processes = []
+        for process in learned.members:
+            noise = [mp.mpf(float(v)) + mp.mpf(process.scatter) ** 2 + _LEAST_VARIANCE for v in variance]
+            processes.append(_process(alike[process.smooth, process.length_mm], mp.mpf(process.deviation), noise, y))
         scores = [
             score
-            + mp.log(one.deviation)
-            - mp.log1p((mp.mpf(one.deviation) / _USUAL_DEVIATION) ** 2)
-            - mp.mpf(one.scatter) / _USUAL_SCATTER
-            for one, (score, _, _) in zip(learned.members, found, strict=True)
+            + mp.log(process.deviation)
+            - mp.log1p((mp.mpf(process.deviation) / _USUAL_DEVIATION) ** 2)
+            - mp.mpf(process.scatter) / _USUAL_SCATTER
+            for process, (score, _, _) in zip(learned.members, processes, strict=True)
         ]
         top = max(scores)
         weights = [mp.exp(score - top) for score in scores]
-        return _mixed([weight / mp.fsum(weights) for weight in weights], found)
+        return _mixed([weight / mp.fsum(weights) for weight in weights], processes)
 
 
-def _mixed(weights: list[Any], found: Sequence[tuple[Any, list[Any], list[Any]]]) -> tuple[list[Any], list[Any]]:
+def _mixed(weights: list[Any], processes: Sequence[tuple[Any, list[Any], list[Any]]]) -> tuple[list[Any], list[Any]]:
     means, variances = [], []
-    for place in range(len(found[0][1])):
-        mean = mp.fsum(w * one[1][place] for w, one in zip(weights, found, strict=True))
-        parts = (w * (one[2][place] + (one[1][place] - mean) ** 2) for w, one in zip(weights, found, strict=True))
+    for place in range(len(processes[0][1])):
+        mean = mp.fsum(w * process[1][place] for w, process in zip(weights, processes, strict=True))
+        parts = (
+            w * (process[2][place] + (process[1][place] - mean) ** 2)
+            for w, process in zip(weights, processes, strict=True)
+        )
         means.append(mean)
         variances.append(mp.fsum(parts))
     return means, variances
@@ -242,12 +245,12 @@ def _process(
     return -mp.fdot(left, left) / 2 - logarithms, means, variances
 
 
-def _correlations(one: Array, other: Array, smooth: bool, length_mm: float) -> list[list[Any]]:
+def _correlations(places_mm: Array, others_mm: Array, smooth: bool, length_mm: float) -> list[list[Any]]:
     """Gaussian or Matérn 5/2 correlations of places."""
     length = mp.mpf(length_mm)
     rows = []
-    for x, y in one.tolist():
-        apart = [mp.hypot(mp.mpf(x) - u, mp.mpf(y) - v) / length for u, v in other.tolist()]
+    for x, y in places_mm.tolist():
+        apart = [mp.hypot(mp.mpf(x) - u, mp.mpf(y) - v) / length for u, v in others_mm.tolist()]
         far = [mp.sqrt(5) * r for r in apart]
         matern = [(1 + f + f**2 / 3) * mp.exp(-f) for f in far]
         rows.append([mp.exp(-(r**2) / 2) for r in apart] if smooth else matern)
@@ -265,7 +268,7 @@ def _forward(root: Any, right: list[Any]) -> list[Any]:
 def mean_exponential(time_s: float, tau_s: float, ramp_s: float, frame_s: float) -> tuple[Any, Any]:
     """Value, and slope by log τ, of e^(−t/τ) after a ramp and averaged over a frame."""
     with mp.workdps(DIGITS):
-        ramp, frame, at = (mp.mpf(float(one)) for one in (ramp_s, frame_s, time_s))
+        ramp, frame, at = (mp.mpf(float(seconds)) for seconds in (ramp_s, frame_s, time_s))
 
         def value(log_tau: Any) -> Any:
             tau = mp.exp(log_tau)

@@ -137,10 +137,10 @@ def scattered(decades: float, seed: int = 20261121) -> Array:
     return values
 
 
-def relative_error(found: Array, exact: Array, pattern: DrivePattern) -> float:
+def relative_error(computed: Array, exact: Array, pattern: DrivePattern) -> float:
     """‖V − V*‖/‖V*‖ over the readings that touch no driven electrode."""
     used = pattern.usable()
-    return apart(found[used], exact[used])
+    return apart(computed[used], exact[used])
 
 
 def reading_condition(model: ForwardModel, before: Array | None = None) -> float:
@@ -182,11 +182,11 @@ def exact_readings(
         potentials, places = _potentials(mesh, pattern, conductance, contact_impedance), len(mesh.nodes_mm)
         measured = pattern.measure_matrix()
         readings = np.zeros(pattern.shape)
-        for drive, found in enumerate(potentials):
+        for drive, potential in enumerate(potentials):
             for measure in range(measured.shape[1]):
                 touched = np.flatnonzero(measured[:, measure])
                 readings[drive, measure] = float(
-                    mp.fsum(mp.mpf(measured[k, measure]) * found[places + int(k)] for k in touched)
+                    mp.fsum(mp.mpf(measured[k, measure]) * potential[places + int(k)] for k in touched)
                 )
     return readings
 
@@ -206,14 +206,16 @@ def exact_derivatives(
     count = len(mesh.nodes_mm)
     with mp.workdps(DIGITS):
         potentials = _potentials(mesh, pattern, conductance, contact_impedance)
-        pairs = [(one, two) for one in range(len(potentials)) for two in range(one + 1)]
+        pairs = [(drive, measure) for drive in range(len(potentials)) for measure in range(drive + 1)]
         places = [[mp.mpf(float(value)) for value in node] for node in mesh.nodes_mm]
         by_element = np.zeros((len(potentials), len(potentials), len(mesh.elements)))
         for number, (corners, gamma) in enumerate(zip(mesh.elements.tolist(), conductance.tolist(), strict=True)):
-            fields = [_gradient([places[c] for c in corners], [found[c] for c in corners]) for found in potentials]
-            for one, two in pairs:
-                (ax, ay, area), (bx, by, _) = fields[one], fields[two]
-                by_element[one, two, number] = by_element[two, one, number] = float(
+            fields = [
+                _gradient([places[c] for c in corners], [potential[c] for c in corners]) for potential in potentials
+            ]
+            for drive, measure in pairs:
+                (ax, ay, area), (bx, by, _) = fields[drive], fields[measure]
+                by_element[drive, measure, number] = by_element[measure, drive, number] = float(
                     -mp.mpf(gamma) * (ax * bx + ay * by) * area
                 )
         by_contact = np.zeros((len(potentials), len(potentials), len(mesh.electrode_edges)))
@@ -221,11 +223,11 @@ def exact_derivatives(
             for ends in edges.tolist():
                 (ax, ay), (bx, by) = (places[end] for end in ends)
                 length = mp.sqrt((ax - bx) ** 2 + (ay - by) ** 2) / mp.mpf(float(contact_impedance[number]))
-                drops = [[found[count + number] - found[end] for end in ends] for found in potentials]
-                for one, two in pairs:
-                    (a, b), (c, d) = drops[one], drops[two]
-                    by_contact[one, two, number] += float(length * (2 * a * c + 2 * b * d + a * d + b * c) / 6)
-                    by_contact[two, one, number] = by_contact[one, two, number]
+                drops = [[potential[count + number] - potential[end] for end in ends] for potential in potentials]
+                for drive, measure in pairs:
+                    (a, b), (c, d) = drops[drive], drops[measure]
+                    by_contact[drive, measure, number] += float(length * (2 * a * c + 2 * b * d + a * d + b * c) / 6)
+                    by_contact[measure, drive, number] = by_contact[drive, measure, number]
     return by_element, by_contact
 
 
@@ -239,14 +241,16 @@ def _potentials(
     _drop(rows, ground)
     driven = pattern.drive_currents()
     loads = [{count + k: mp.mpf(driven[k, d]) for k in range(electrodes - 1)} for d in range(driven.shape[1])]
-    return [[found.get(unknown, mp.zero) for unknown in range(ground + 1)] for found in _solved(rows, loads, ground)]
+    return [
+        [solution.get(unknown, mp.zero) for unknown in range(ground + 1)] for solution in _solved(rows, loads, ground)
+    ]
 
 
 def _gradient(places: Sequence[Sequence[Any]], values: Sequence[Any]) -> tuple[Any, Any, Any]:
     """Gradient of a linear function on a triangle, and the triangle's area."""
     (ax, ay), (bx, by) = ([places[k][axis] - places[0][axis] for axis in (0, 1)] for k in (1, 2))
-    one, other, twice = values[1] - values[0], values[2] - values[0], ax * by - ay * bx
-    return (one * by - other * ay) / twice, (other * ax - one * bx) / twice, twice / 2
+    along, across, twice = values[1] - values[0], values[2] - values[0], ax * by - ay * bx
+    return (along * by - across * ay) / twice, (across * ax - along * bx) / twice, twice / 2
 
 
 def _assembled(mesh: Mesh, conductance: Array, contact_impedance: Sequence[float] | Array) -> _Rows:
@@ -275,12 +279,12 @@ def _add_element(rows: _Rows, corners: Sequence[int], places: Sequence[Sequence[
 
 def _add_contact(rows: _Rows, first: int, second: int, electrode: int, admittance: Any) -> None:
     """∫ (u − U)² / z along an edge, where ``admittance`` is its length over z."""
-    for one, other, share in (
+    for row, column, share in (
         (first, first, 3), (second, second, 3), (first, second, 6), (second, first, 6),
         (first, electrode, -2), (electrode, first, -2), (second, electrode, -2), (electrode, second, -2),
         (electrode, electrode, 1),
     ):  # fmt: skip
-        _add(rows, one, other, admittance / share)
+        _add(rows, row, column, admittance / share)
 
 
 def _add(rows: _Rows, row: int, column: int, value: Any) -> None:
@@ -314,9 +318,9 @@ def _solved(rows: _Rows, loads: list[dict[int, Any]], ground: int) -> list[dict[
                 if load.get(pivot):
                     load[one] = load.get(one, mp.zero) - factor * load[pivot]
         steps.append((pivot, row, diagonal))
-    found: list[dict[int, Any]] = [{} for _ in loads]
+    solutions: list[dict[int, Any]] = [{} for _ in loads]
     for pivot, row, diagonal in reversed(steps):
-        for load, answer in zip(loads, found, strict=True):
+        for load, answer in zip(loads, solutions, strict=True):
             rest = mp.fsum(entry * answer[other] for other, entry in row.items())
             answer[pivot] = (load.get(pivot, mp.zero) - rest) / diagonal
-    return found
+    return solutions

@@ -229,11 +229,11 @@ def _longer_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int
 
 def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:
     """An effect and all that need it, also through others; those come after it."""
-    found = {name}
+    dependents = {name}
     for other, effect in effects.items():
-        if found & set(effect.needs):
-            found.add(other)
-    return found
+        if dependents & set(effect.needs):
+            dependents.add(other)
+    return dependents
 
 
 def _loaded_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
@@ -241,5 +241,5 @@ def _loaded_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
     times = [press_times(load, load.strain * thickness_mm, plan.motion) for load in plan.loads]
     middles = sorted((each.down_s + each.lifts_s) / 2 for each in times)
     frames: Iterable[int] = (int(middle / plan.scene.frame_period_s) for middle in middles)
-    found = sorted({min(frame, plan.frame_count - 1) for frame in frames}) or range(plan.frame_count)
-    return [found[int(k)] for k in np.unique(np.linspace(0, len(found) - 1, _FRAMES).astype(int))]
+    loaded = sorted({min(frame, plan.frame_count - 1) for frame in frames}) or range(plan.frame_count)
+    return [loaded[int(k)] for k in np.unique(np.linspace(0, len(loaded) - 1, _FRAMES).astype(int))]

@@ -32,8 +32,8 @@ _REPEATS: Final = 7
 def timed(run: Callable[[], T]) -> tuple[T, float]:
     """Run once and return what came of it and the processor time [s]; with several threads, the sum over them."""
     before = time.process_time()
-    found = run()
-    return found, time.process_time() - before
+    result = run()
+    return result, time.process_time() - before
 
 
 def fastest_s(run: Callable[[], object], repeats: int = _REPEATS) -> float:

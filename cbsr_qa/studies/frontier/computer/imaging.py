@@ -259,17 +259,6 @@ def relative_error(images: Floats, exact: Floats) -> float:
     return float((apart / size).max())
 
 
-def error_bound(matrix: Array, changes: Array, precision: str) -> float:
-    """Bound of :func:`relative_error`, whatever the order of summation (Higham 2002, section 3.5).
-
-    Each product of a sum of m carries at most m roundings, and one each of matrix and reading in single precision:
-    ‖x − x₀‖ ≤ γ ‖|R| |y|‖ with γ = k u/(1 − k u), k = m + 2 and u half the precision's machine epsilon.
-    """
-    roundings = (matrix.shape[1] + 2) * float(np.finfo(precision).eps) / 2
-    most = np.linalg.norm(np.abs(changes) @ np.abs(matrix).T, axis=1) / np.linalg.norm(changes @ matrix.T, axis=1)
-    return float(roundings / (1 - roundings) * most.max())
-
-
 @lru_cache(maxsize=1)
 def _matrix() -> Array:
     problem = imaging_problem(base_scene_readings(1).sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)

@@ -81,7 +81,7 @@ def base_scene_readings(seeds: int) -> SimulatedReadings:
         end_s = _FIRST_S + len(loads) * _APART_S
         pressed = press_loads(world, replace(plan, loads=loads, duration_s=end_s), end_s)
         unloaded.append([_frame(world, index) for index in range(NOISE_FRAMES + REFERENCE_FRAMES)])
-        loaded.append([_steady(world, one) for one in pressed])
+        loaded.append([_steady(world, load) for load in pressed])
     return SimulatedReadings(sensor_type, heads, np.array(unloaded), np.array(loaded))
 
 
@@ -165,10 +165,10 @@ def _sensor(prepared: PreparedReconstruction, readings: SimulatedReadings, numbe
 
 def _load(image: Array, mesh: Mesh, head: Footprint, floor: float) -> Array:
     regions = contour_regions(Image(mesh, floored(image, floor)), _MASK)
-    (found,) = spatial_figures([nearest_blob(regions, *head.centre_mm)], head)
-    if found is None:
+    (figures,) = spatial_figures([nearest_blob(regions, *head.centre_mm)], head)
+    if figures is None:
         return np.full(len(_FIGURES), np.nan)
-    return np.array([found.error_mm, found.overlap_percent, found.deviation_mm2])
+    return np.array([figures.error_mm, figures.overlap_percent, figures.deviation_mm2])
 
 
 def _mean(values: Array, unit: str, better: Literal["more", "less"] = "less") -> Accuracy:

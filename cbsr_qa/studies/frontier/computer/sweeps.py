@@ -46,19 +46,19 @@ _GREIT_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0)  # its training takes seconds
 _QUICK_BATCHES: Final = (1, 256)
 
 
-def computer_tasks(*, quick: bool = False, methods: Sequence[MethodSetting] | None = None) -> list[Task]:
+def computer_tasks(*, quick: bool = False) -> list[Task]:
     """Return every point of the computer's clock, still to be measured.
+
+    Reconstructions are all that are registered and image single frames, and the shipped recipes' own.
 
     Parameters
     ----------
     quick : a few points of each series, in seconds instead of minutes.
-    methods : reconstructions to try; by default all that are registered and image single frames, and the shipped
-        recipes' own. Those given are tried by a quick sweep as well, with their own choice of λ.
     """
     return [
         *_forward(_QUICK_SIZES_MM if quick else SIZES_MM),
         *_precision(_QUICK_BATCHES if quick else BATCHES),
-        *_methods(quick, methods),
+        *_methods(quick),
         *_meshes(quick),
     ]
 
@@ -111,14 +111,11 @@ def _precision(batches: Sequence[int]) -> Iterator[Task]:
             yield _task(SERIES_PRECISION, {"precision": precision, "batch": batch}, run)
 
 
-def _methods(quick: bool, methods: Sequence[MethodSetting] | None) -> Iterator[Task]:
-    settings = list(_QUICK_METHODS) if quick and methods is None else []
-    if methods is None:
-        methods = () if quick else (*registered_methods(), RECIPES_METHOD)
+def _methods(quick: bool) -> Iterator[Task]:
     seeds = QUICK_SEEDS if quick else SEEDS
-    for method in methods:
-        factors = () if quick else FACTORS.get(method.smoothing, ())
-        settings += [(method, factor) for factor in sorted((1.0, *factors))]
+    settings = list(_QUICK_METHODS) if quick else []
+    for method in () if quick else (*registered_methods(), RECIPES_METHOD):
+        settings += [(method, factor) for factor in sorted((1.0, *FACTORS.get(method.smoothing, ())))]
     for method, factor in settings:
         knobs = {"method": method.name, **dict(method.options), "smoothing_over_own": factor}
         run = partial(method_point, method, factor, seeds)
@@ -135,16 +132,16 @@ def _meshes(quick: bool) -> Iterator[Task]:
 
 
 def _task(series: str, knobs: Mapping[str, Knob], run: Callable[[], Point], **more: Any) -> Task:
-    said = ", ".join(f"{name}={value}" for name, value in knobs.items())
+    setting = ", ".join(f"{name}={value}" for name, value in knobs.items())
     versions = {"cbsr-qa": cbsr_qa.__version__, "numpy": np.__version__, "scipy": scipy.__version__}
     known = ", ".join(f"{name}={value}" for name, value in {"sweep": _VERSION, **versions, **more}.items())
-    return Task(f"computer; {series}; {said}; {known}", f"{series}: {said}", run)
+    return Task(f"computer; {series}; {setting}; {known}", f"{series}: {setting}", run)
 
 
 def _distribution(method: MethodSetting) -> str:
     """Distribution and version that a method comes from."""
-    found = (one for one in discover().registrations(Kind.RECONSTRUCTION) if one.name == method.name)
-    return next((f"{one.distribution} {one.version}" for one in found), "")
+    registered = (plugin for plugin in discover().registrations(Kind.RECONSTRUCTION) if plugin.name == method.name)
+    return next((f"{plugin.distribution} {plugin.version}" for plugin in registered), "")
 
 
 def _shared_costs(points: Sequence[Point]) -> dict[int, float]:

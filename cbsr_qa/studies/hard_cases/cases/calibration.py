@@ -51,11 +51,11 @@ def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
     learned = learn_response(places_mm, log_response, variance, radius_mm=50.0)
     some = np.linspace(0, len(learned.weights) - 1, _PROCESSES).astype(int)
     chosen = learned.weights[some] / learned.weights[some].sum()
-    found = ResponseMap(learned.places_mm, tuple(learned.members[k] for k in some), chosen)
-    mean, spread = found.predict(wanted)
-    exact_mean, exact_spread = exact_map(found, places_mm, log_response, variance, wanted)
+    partly = ResponseMap(learned.places_mm, tuple(learned.members[k] for k in some), chosen)
+    mean, spread = partly.predict(wanted)
+    exact_mean, exact_spread = exact_map(partly, places_mm, log_response, variance, wanted)
     error = max(largest_relative_error(mean, exact_mean), largest_relative_error(spread, exact_spread))
-    condition = map_condition(found, places_mm, variance)
+    condition = map_condition(partly, places_mm, variance)
     return conditioned(error, condition, note=f"{_PROCESSES} of {len(learned.weights)} processes compared")
 
 
@@ -69,8 +69,8 @@ def kernel(unit: float, sizes: tuple[float, ...], *, releases: bool = False) -> 
     time_s: Array = 2.5 * np.arange(25.0)
     relaxing = 0.3 * np.exp(-time_s / 5) + 0.2 * np.exp(-time_s / 30)
     traces = [(time_s, unit * (size * relaxing + (0.01 if releases else size))) for size in sizes]
-    found = learn_kernel(traces, released=[unit * size for size in sizes] if releases else None)
-    values = [*found.weights, *found.time_constants_s]
+    learned = learn_kernel(traces, released=[unit * size for size in sizes] if releases else None)
+    values = [*learned.weights, *learned.time_constants_s]
     error = largest_relative_error(values, [0.3, 0.2, 5.0, 30.0]) if len(values) == 4 else 1.0
     return Answer(error, 1e-9, note="exact but for a prior and a noise of 1e-6 of a load")
 
@@ -79,9 +79,9 @@ def sheet_pose(seen_mm: Array, shift_mm: float) -> Answer:
     """Fitted displacement of a sheet."""
     nothing = np.zeros(len(seen_mm))
     covariance = np.tile(np.diag([1e-4, 1e-2, 1e-2]), (len(seen_mm), 1, 1))
-    found = sheet_pose_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
-    moved = float(np.abs(found.places_mm(NINE) - NINE - shift_mm).max())
-    return conditioned(moved if np.isfinite(found.shift_stderr_mm) else 1.0, 60.0, unit="mm")
+    pose = sheet_pose_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
+    moved = float(np.abs(pose.places_mm(NINE) - NINE - shift_mm).max())
+    return conditioned(moved if np.isfinite(pose.shift_stderr_mm) else 1.0, 60.0, unit="mm")
 
 
 @AREA.against(_SQUARES)
@@ -177,8 +177,8 @@ def registration_far_from_the_origin() -> Answer:
     q = turn * p
     near = np.column_stack([p.real, p.imag]) + first
     far = np.column_stack([q.real, q.imag]) - 3 * first
-    found = register(near, far)
-    error = max(relative_error(found.scale, mpmath.mpf("1.02")), abs(np.radians(found.rotation_deg) - 0.1))
+    registered = register(near, far)
+    error = max(relative_error(registered.scale, mpmath.mpf("1.02")), abs(np.radians(registered.rotation_deg) - 0.1))
     condition = 3 * first / float(np.abs(p).max())
     return conditioned(float(error), condition)
 
@@ -187,8 +187,8 @@ def registration_far_from_the_origin() -> Answer:
 def registration_of_places_in_a_line() -> Answer:
     """Places in a line determine the sheet's pose along and across it, but not a mirror image."""
     row = NINE[[0, 1, 2]]
-    found = register(row, np.column_stack([-row[:, 1], row[:, 0]]) * 0.9)
-    error = max(relative_error(found.scale, mpmath.mpf("0.9")), abs(found.rotation_deg / 90 - 1))
+    registered = register(row, np.column_stack([-row[:, 1], row[:, 0]]) * 0.9)
+    error = max(relative_error(registered.scale, mpmath.mpf("0.9")), abs(registered.rotation_deg / 90 - 1))
     return conditioned(float(error), 1.0)
 
 

@@ -48,7 +48,7 @@ def readings_of(conductance: Array | None = None, ratio: float | None = None) ->
 
 
 def against_fifty_digits(
-    model: ForwardModel, found: Array | None = None, *, condition: float | None = None
+    model: ForwardModel, computed: Array | None = None, *, condition: float | None = None
 ) -> Answer:
     """Readings of a model of the first order against fifty digits.
 
@@ -58,7 +58,7 @@ def against_fifty_digits(
     condition : number of them; by default for small changes of conductances and contacts.
     """
     exact = exact_readings(model.mesh, model.pattern, model.conductance, model.contact_impedance)
-    error = relative_error(model.voltages() if found is None else found, exact, model.pattern)
+    error = relative_error(model.voltages() if computed is None else computed, exact, model.pattern)
     return conditioned(error, reading_condition(model) if condition is None else condition)
 
 
@@ -79,8 +79,10 @@ def _sensitivities(conductance: Array, ratio: float, of_contacts: bool) -> Answe
     model = small_model().changed(conductance=conductance, contact_impedance=contacts)
     used = model.pattern.usable()
     exact = exact_derivatives(model.mesh, model.pattern, model.conductance, contacts)[int(of_contacts)][used]
-    found = model.contact_jacobian()[used] * contacts if of_contacts else model.jacobian()[used] * model.conductance
-    error = float((np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)).max())
+    computed = (
+        model.contact_jacobian()[used] * contacts if of_contacts else model.jacobian()[used] * model.conductance
+    )
+    error = float((np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)).max())
     condition = 2 * reading_condition(model)
     bound = conditioned_bound(condition, _leak(model.conductance, model.prepared.contacts.lengths_mm / contacts))
     return Answer(error, bound, condition, note="the worst of all columns")

@@ -101,8 +101,8 @@ def contacts_become_1e7_poorer() -> Answer:
     """All contacts fail between two frames: their impedance rises ten million times."""
     model = small_model()
     impedance = 1e7 * model.prepared.contacts.lengths_mm
-    found = LocalUpdate(model).voltages(np.zeros(0, dtype=np.int64), np.zeros(0), impedance)
-    return against_fifty_digits(model.changed(contact_impedance=impedance), found)
+    computed = LocalUpdate(model).voltages(np.zeros(0, dtype=np.int64), np.zeros(0), impedance)
+    return against_fifty_digits(model.changed(contact_impedance=impedance), computed)
 
 
 @AREA.against("the readings of the sheet before")

@@ -43,11 +43,11 @@ def needle(width_mm: float, first_mm: float) -> Answer:
 
 def circle(corners: Array, centre: tuple[float, float]) -> Answer:
     """Area of a triangle inside the indenter's circle, as a share of the smaller of the two."""
-    found = float(circle_overlap_mm2(corners[None], centre, _RADIUS_MM)[0])
+    computed = float(circle_overlap_mm2(corners[None], centre, _RADIUS_MM)[0])
     exact = circle_overlap(corners, centre, _RADIUS_MM)
     with mpmath.workdps(DIGITS):
         smaller = min(polygon_area(corners), mpmath.pi * mpmath.mpf(_RADIUS_MM) ** 2)
-        error = float(abs(mpmath.mpf(found) - exact) / smaller)
+        error = float(abs(mpmath.mpf(computed) - exact) / smaller)
         # A shift of all places by their rounding moves at most the whole outline's strip in or out.
         outline = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum()
         reach = float(np.abs(corners - np.array(centre)).max())
@@ -60,7 +60,7 @@ def rim_of(corners: int) -> Answer:
     half = np.pi / corners
     angle = 2 * half * np.arange(corners)
     rim = _RADIUS_MM * np.column_stack([np.cos(angle), np.sin(angle)])
-    found = RoundFootprint(0.0, 0.0, _RADIUS_MM).squared_distance_mm3(rim, np.roll(rim, -1, axis=0)).sum()
+    computed = RoundFootprint(0.0, 0.0, _RADIUS_MM).squared_distance_mm3(rim, np.roll(rim, -1, axis=0)).sum()
     with mpmath.workdps(DIGITS):
         r, turn = mpmath.mpf(_RADIUS_MM), mpmath.pi / corners
         height, reach = r * mpmath.cos(turn), r * mpmath.sin(turn)
@@ -68,7 +68,7 @@ def rim_of(corners: int) -> Answer:
         bent = reach * r + height**2 * mpmath.asinh(reach / height)
         truth = corners * 2 * (reach**3 / 3 + (height**2 + r**2) * reach - r * bent)
         condition = float(2 * r / (r - height))  # of the distance from the circle
-    return conditioned(relative_error(float(found), truth), condition)
+    return conditioned(relative_error(float(computed), truth), condition)
 
 
 def _triangle(x: float, y: float = 0.0, *, long: float = 3.0) -> Array:

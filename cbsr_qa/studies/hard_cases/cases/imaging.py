@@ -36,9 +36,9 @@ def single_element(scale: float) -> Answer:
     image.values[90] = scale
     (blob,) = masked_blobs(image, (0.85,))[0]
     corners = image.mesh.corners_mm[90]
-    found = [blob.area_mm2, blob.weight / scale, *blob.centre_mm().tolist()]
+    values = [blob.area_mm2, blob.weight / scale, *blob.centre_mm().tolist()]
     digits = max(1.0, float(np.finfo(np.float64).tiny) / scale)  # a subnormal number has fewer digits
-    error = largest_relative_error(found, [0.5, 0.5, corners[:, 0].mean(), corners[:, 1].mean()])
+    error = largest_relative_error(values, [0.5, 0.5, corners[:, 0].mean(), corners[:, 1].mean()])
     return conditioned(error, digits)
 
 
@@ -46,18 +46,18 @@ def empty_image(value: float) -> Answer:
     """Regions found where nothing was sensed."""
     values = np.full((_SIDE, _SIDE), value)
     image = _mesh_image(values)
-    found = len(masked_blobs(image, (0.85,))[0]) + len(contour_regions(image, 0.85))
-    found += len(find_regions(Raster(values, 1.0, (0.0, 0.0)), 0.85))
-    found += greit_figures(image, RoundFootprint(5.5, 5.5, 3.0)) is not None
-    return Answer(float(found), 0.0, unit="regions")
+    count = len(masked_blobs(image, (0.85,))[0]) + len(contour_regions(image, 0.85))
+    count += len(find_regions(Raster(values, 1.0, (0.0, 0.0)), 0.85))
+    count += greit_figures(image, RoundFootprint(5.5, 5.5, 3.0)) is not None
+    return Answer(float(count), 0.0, unit="regions")
 
 
 def outline_error(image: Image) -> tuple[float, int]:
     """Area by Green's theorem along the outline of the one region at half, against its pieces; and its sides."""
     (region,) = contour_regions(image, 0.5)
     start, end = region.rim_mm()
-    one, other = start - start[0], end - start[0]
-    outlined = float((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()) / 2
+    near, far = start - start[0], end - start[0]
+    outlined = float((near[:, 0] * far[:, 1] - near[:, 1] * far[:, 0]).sum()) / 2
     return relative_error(outlined, region.area_mm2), len(start)
 
 
@@ -111,9 +111,9 @@ def flat_image_contour() -> Answer:
     Area and centre of the 85 % contour of an image of equal values: the whole sheet.
     """
     regions = contour_regions(_mesh_image(np.full((_SIDE, _SIDE), 0.3)), 0.85)
-    found = [float(len(regions)), regions[0].area_mm2, *regions[0].centre_mm().tolist()]
+    figures = [float(len(regions)), regions[0].area_mm2, *regions[0].centre_mm().tolist()]
     middle = (_SIDE - 1) / 2
-    return conditioned(largest_relative_error(found, [1, _SIDE**2, middle, middle]), 1.0)
+    return conditioned(largest_relative_error(figures, [1, _SIDE**2, middle, middle]), 1.0)
 
 
 @AREA.against(_TRIANGLE)

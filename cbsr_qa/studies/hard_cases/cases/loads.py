@@ -54,21 +54,21 @@ def estimated(changes: Array) -> LoadEstimate:
 def located(x_mm: float) -> Answer:
     """Where a head without noise is found, on the sheet's axis."""
     changes = changes_of(x_mm, 0.0)
-    found = estimated(changes)
-    if found.place_mm is None or found.place_covariance_mm2 is None:
+    estimate = estimated(changes)
+    if estimate.place_mm is None or estimate.place_covariance_mm2 is None:
         return Answer(float("inf"), 0.0)
-    error = float(np.hypot(found.place_mm[0] - x_mm, found.place_mm[1]))
+    error = float(np.hypot(estimate.place_mm[0] - x_mm, estimate.place_mm[1]))
     # The place moves by its standard error per unit of a row, and rows round by their size.
     rows = disc()[1].of_data(changes)
-    condition = float(np.sqrt(np.trace(found.place_covariance_mm2)) * np.linalg.norm(rows))
+    condition = float(np.sqrt(np.trace(estimate.place_covariance_mm2)) * np.linalg.norm(rows))
     return conditioned(error, condition, unit="mm")
 
 
 def nothing_found(changes: Array, why: str) -> Answer:
     """Loads found in a frame that holds none, or another reason given than there is."""
-    found = estimated(changes)
-    right = found.place_mm is None and why in found.why
-    return Answer(0.0 if right else 1.0, 0.0, unit="wrong statements", note=found.why)
+    estimate = estimated(changes)
+    right = estimate.place_mm is None and why in estimate.why
+    return Answer(0.0 if right else 1.0, 0.0, unit="wrong statements", note=estimate.why)
 
 
 def force_model(log_response: float, log_size: float = 0.0) -> ForceModel:
@@ -111,14 +111,14 @@ def newtons(strength: float, log_response: float) -> tuple[float, float]:
 
 def force_of(strength: float, log_response: float) -> Answer:
     """Force against σ = (κ/S − β)/α, F = σ A in fifty digits."""
-    found, stderr = newtons(strength, log_response)
+    force, stderr = newtons(strength, log_response)
     with mpmath.workdps(DIGITS):
         a, area = mpmath.mpf(strength), mpmath.mpf(132.7) / 1000
         seen = 2 * a / (2 - a) * mpmath.exp(-mpmath.mpf(log_response))
         beta, alpha = mpmath.mpf(_LINE.intercept.value), mpmath.mpf(_LINE.slope.value)
         truth = (seen - beta) / alpha * area
         condition = float((abs(seen) * (1 + abs(log_response) + 2 / (2 - a)) + abs(beta)) / abs(seen - beta))
-    error = relative_error(found, truth) if np.isfinite(stderr) and stderr > 0 else 1.0
+    error = relative_error(force, truth) if np.isfinite(stderr) and stderr > 0 else 1.0
     return conditioned(error, condition)
 
 
@@ -138,9 +138,9 @@ def sized_templates(log_size: float) -> Answer:
     """Strength of a head whose templates are this large."""
     finder = TemplateFilter(force_model(0.0, log_size))
     place = np.array([2.0, -1.0])
-    found = finder.at(0.1 * finder.template(place[None]), place)
+    match = finder.at(0.1 * finder.template(place[None]), place)
     condition = 1 + abs(log_size)
-    return conditioned(relative_error(float(found.strength[0]), mpmath.mpf(0.1)), condition)
+    return conditioned(relative_error(float(match.strength[0]), mpmath.mpf(0.1)), condition)
 
 
 @AREA.against(_PLACE)

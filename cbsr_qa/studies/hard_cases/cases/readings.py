@@ -38,8 +38,8 @@ def _change(problem: ImagingProblem, frame: Array, reference: Array, scale: floa
     """(V − V_ref)/s of the used readings in whole fractions, rounded once."""
     return np.array(
         [
-            float((Fraction(one) - Fraction(other)) / Fraction(scale))
-            for one, other in zip(frame[problem.used].tolist(), reference[problem.used].tolist(), strict=True)
+            float((Fraction(voltage) - Fraction(unloaded)) / Fraction(scale))
+            for voltage, unloaded in zip(frame[problem.used].tolist(), reference[problem.used].tolist(), strict=True)
         ]
     )
 
@@ -56,9 +56,9 @@ def _offset(times: float) -> Answer:
     signal = float(np.abs(changed - reference).max())
     offset = times * signal
     scale = scale_of(reference, problem)
-    found = changes((changed + offset)[None], reference + offset, problem, scale)[0]
+    computed = changes((changed + offset)[None], reference + offset, problem, scale)[0]
     exact = _change(problem, changed, reference, scale)
-    return conditioned(apart(found, exact), _change_condition(problem, changed, reference, offset))
+    return conditioned(apart(computed, exact), _change_condition(problem, changed, reference, offset))
 
 
 def _in_units(factor: float) -> Answer:
@@ -81,9 +81,9 @@ def _noise(offset: float, beginning_s: float) -> Answer:
     noise = np.round(random.standard_normal((30, 40)) * 2**10) / 2**30
     time_s = np.arange(30) / 4.0
     plain = reading_noise(noise, time_s).variance
-    found = reading_noise(noise + offset, time_s + beginning_s).variance
+    computed = reading_noise(noise + offset, time_s + beginning_s).variance
     condition = offset / float(noise.std()) + beginning_s / 7.5
-    return conditioned(apart(found, plain), condition)
+    return conditioned(apart(computed, plain), condition)
 
 
 _WHOLE: Final = "the same numbers, as whole fractions"
@@ -148,11 +148,11 @@ def single_precision_frames() -> Answer:
     single: NDArray[Any] = changed.astype(np.float32)
     single_reference: NDArray[Any] = reference.astype(np.float32)
     scale = scale_of(reference, problem)
-    found = changes(single[None], single_reference, problem, scale)[0]
+    computed = changes(single[None], single_reference, problem, scale)[0]
     exact = _change(problem, single.astype(np.float64), single_reference.astype(np.float64), scale)
-    lost = apart(found, _change(problem, changed, reference, scale))
+    lost = apart(computed, _change(problem, changed, reference, scale))
     note = f"what the format itself has lost of the change is {lost:.1e}"
-    return conditioned(apart(found, exact), 1.0, note=note)
+    return conditioned(apart(computed, exact), 1.0, note=note)
 
 
 @AREA.against("the difference of whole numbers")
@@ -165,9 +165,9 @@ def counts_at_both_ends_of_16_bits() -> Answer:
     low, high = np.iinfo(np.int16).min, np.iinfo(np.int16).max
     reference: NDArray[Any] = np.full(problem.used.shape, low, dtype=np.int16)
     frame: NDArray[Any] = np.full((1, *problem.used.shape), high, dtype=np.int16)
-    found = changes(frame, reference, problem, 1.0)[0]
-    exact = np.full(len(found), float(int(high) - int(low)))
-    return Answer(apart(found, exact), 0.0, note="the bound is zero: whole numbers")
+    computed = changes(frame, reference, problem, 1.0)[0]
+    exact = np.full(len(computed), float(int(high) - int(low)))
+    return Answer(apart(computed, exact), 0.0, note="the bound is zero: whole numbers")
 
 
 @AREA.against(_WHOLE)
@@ -178,9 +178,9 @@ def frame_of_zeros() -> Answer:
     """
     problem, reference, _ = _frames()
     scale = scale_of(reference, problem)
-    found = changes(np.zeros((1, *reference.shape)), reference, problem, scale)[0]
+    computed = changes(np.zeros((1, *reference.shape)), reference, problem, scale)[0]
     exact = _change(problem, np.zeros_like(reference), reference, scale)
-    return conditioned(apart(found, exact), 1.0)
+    return conditioned(apart(computed, exact), 1.0)
 
 
 @AREA.against("the image with zeros in these channels")
@@ -215,9 +215,9 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
     problem = replace(plain, noise_variance=10**decades)
     readings = np.random.default_rng(_SEED + 1).standard_normal(len(decades))
     fold = ReadingFold.of(problem)
-    found = fold.fold(readings[None])[0]
+    computed = fold.fold(readings[None])[0]
     weights = [1 / Fraction(one) for one in (10**decades).tolist()]
-    above, below, size = ([Fraction(0)] * len(found) for _ in range(3))
+    above, below, size = ([Fraction(0)] * len(computed) for _ in range(3))
     for group, sign, weight, reading in zip(
         fold.group.tolist(), fold.sign.tolist(), weights, readings.tolist(), strict=True
     ):
@@ -226,7 +226,7 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
         below[group] += weight
     exact = np.array([float(one / other) for one, other in zip(above, below, strict=True)])
     condition = max(float(all_ / abs(one)) for all_, one in zip(size, above, strict=True))
-    error = float(np.abs(found / exact - 1).max())
+    error = float(np.abs(computed / exact - 1).max())
     return conditioned(error, condition)
 
 

@@ -8,7 +8,7 @@ from mpmath import mp
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.eit.inverse import Correlation, ReadingFold, RidgeCurves, imaging_problem, noser, smoothed
 from cbsr_qa.studies.hard_cases.case import Answer, Area, conditioned
@@ -46,11 +46,11 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
     value = relative * float(sizes[0])
     given = {"components": len(sizes)} if name == "truncated-svd" else {"hyperparameter": value}
     readings = _changes(problem)
-    found = prepared(name, problem, given).images(readings[None])[0]
+    computed = prepared(name, problem, given).images(readings[None])[0]
     folded = fold.fold(readings[None])[0]
     exact = exact_image(rows, weights, value, fold.variance, folded)
     condition = ridge_condition(sizes, value)
-    return conditioned(apart(found, exact), condition)
+    return conditioned(apart(computed, exact), condition)
 
 
 def _weights(name: str, problem: ImagingProblem) -> Array:
@@ -85,8 +85,8 @@ def _l_curve(relative: float) -> Answer:
         size = mp.fsum(value / (value + ridge2) ** 2 * z**2 for value, z in pairs)
         residual = mp.fsum((ridge2 / (value + ridge2)) ** 2 * z**2 for value, z in pairs)
         errors = [
-            abs(mp.mpf(float(found)) / truth - 1)
-            for found, truth in ((curves.size(s), size), (curves.residual(s), residual))
+            abs(mp.mpf(float(computed)) / truth - 1)
+            for computed, truth in ((curves.size(s), size), (curves.residual(s), residual))
         ]
     condition = max(1.0, abs(s))  # of e^s
     return conditioned(float(max(errors)), condition)
@@ -97,8 +97,8 @@ def _lasting(frames: float) -> Answer:
     count, ridge2 = 12, 1e-9
     values = np.geomspace(1e-12, 1.0, 5)
     readings = np.random.default_rng(_SEED).standard_normal((count, len(values)))
-    found = smoothed(readings, values, ridge2, Correlation(frames))
-    exact = np.empty_like(found)
+    computed = smoothed(readings, values, ridge2, Correlation(frames))
+    exact = np.empty_like(computed)
     conditions = []
     with mp.workdps(DIGITS):
         between = mp.exp(-1 / mp.mpf(frames))
@@ -109,11 +109,11 @@ def _lasting(frames: float) -> Answer:
                     prior[i, j] = between ** abs(i - j)
             system = mp.mpf(value) * prior + mp.mpf(ridge2) * mp.eye(count)
             smoother = prior * system**-1
-            exact[:, column] = [float(one) for one in smoother * mp.matrix(readings[:, column].tolist())]
+            exact[:, column] = [float(value) for value in smoother * mp.matrix(readings[:, column].tolist())]
             felt = np.abs(np.array(smoother.tolist(), dtype=np.float64)) @ np.abs(readings[:, column])
             conditions.append(np.linalg.norm(felt) / np.linalg.norm(exact[:, column]))
     condition = float(max(conditions))
-    error = np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)
+    error = np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)
     return conditioned(float(error.max()), condition)
 
 
@@ -163,11 +163,11 @@ def nothing_but_regularisation() -> Answer:
     weights = noser(problem.jacobian, 0.5)
     readings = _changes(problem)
     value = 1e9 * float(linalg.norm(problem.jacobian / np.sqrt(weights), 2))
-    found = value**2 * prepared("gauss-newton-noser", problem, {"hyperparameter": value}).images(readings[None])[0]
+    computed = value**2 * prepared("gauss-newton-noser", problem, {"hyperparameter": value}).images(readings[None])[0]
     fold = ReadingFold.of(problem)
     limit = (fold.rows(problem.jacobian).T @ (fold.fold(readings[None])[0] / fold.variance)) / weights
     condition = float(np.linalg.norm(np.abs(problem.jacobian).T @ np.abs(readings) / weights) / np.linalg.norm(limit))
-    return conditioned(apart(found, limit), condition)
+    return conditioned(apart(computed, limit), condition)
 
 
 @AREA.against("the image at λ = 10²⁰: the limit")
@@ -177,11 +177,11 @@ def greit_of_nothing_but_regularisation() -> Answer:
     They no longer depend on λ then, to 1/λ².
     """
     problem, readings = usual_problem(), _changes(usual_problem())
-    one, other = (
+    large, larger = (
         prepared("greit", problem, {"hyperparameter": value}).images(readings[None])[0] for value in (1e10, 1e20)
     )
-    condition = float(np.linalg.norm(readings) * np.sqrt(len(one)) / np.linalg.norm(one))
-    return conditioned(apart(one, other), max(condition, 1.0))
+    condition = float(np.linalg.norm(readings) * np.sqrt(len(large)) / np.linalg.norm(large))
+    return conditioned(apart(large, larger), max(condition, 1.0))
 
 
 @AREA.against("the constant that explains the readings best, in fifty digits")
@@ -210,10 +210,10 @@ def sensor_in_picovolts() -> Answer:
     other = replace(problem, jacobian=scale * problem.jacobian, reference=scale * problem.reference)
     readings = _changes(problem)
     name, value = "gauss-newton-tikhonov", 1e-4
-    one = prepared(name, problem, {"hyperparameter": value}).images(readings[None])[0]
-    two = prepared(name, other, {"hyperparameter": scale * value}).images(scale * readings[None])[0]
+    usual = prepared(name, problem, {"hyperparameter": value}).images(readings[None])[0]
+    scaled = prepared(name, other, {"hyperparameter": scale * value}).images(scale * readings[None])[0]
     condition = ridge_condition(linalg.svdvals(problem.jacobian), value)
-    return conditioned(apart(two, one), condition)
+    return conditioned(apart(scaled, usual), condition)
 
 
 @AREA.against("an image of zeros, exactly")
@@ -258,7 +258,7 @@ def frames_alike_for_one() -> Answer:
     return _lasting(0.05)
 
 
-@AREA.refused(NumericsError, "the refusal, by λ and its range")
+@AREA.refused(ConfigError, "the refusal, by λ and its range")
 def parameter_beyond_doubles() -> None:
     """λ = 1e60, whose square leaves an image of rounding errors only."""
     prepared("gauss-newton-noser", usual_problem(), {"hyperparameter": 1e60})

@@ -62,9 +62,9 @@ def recovered(
     values = curve(offset, amplitudes, taus_s)
     given = (values * unit).astype(np.float32) if single else values * unit
     fit = fit_relaxation(_TIME_S * second, np.asarray(given))
-    found = [fit.offset / unit, *np.array(fit.amplitudes) / unit, *np.array(fit.time_constants_s) / second]
+    computed = [fit.offset / unit, *np.array(fit.amplitudes) / unit, *np.array(fit.time_constants_s) / second]
     truth = [offset, *amplitudes, *taus_s]
-    error = largest_relative_error(found, truth) if len(found) == len(truth) else 1.0
+    error = largest_relative_error(computed, truth) if len(computed) == len(truth) else 1.0
     condition = fit_condition(offset, amplitudes, taus_s)
     rounding = float(np.finfo(np.float32).eps) / EPSILON if single else 1.0
     return Answer(error, conditioned_bound(condition * rounding), condition, note=str(fit.status))
@@ -73,7 +73,7 @@ def recovered(
 def settled(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Answer:
     """Settling time of a known curve, against the root of the same curve in fifty digits."""
     fit = RelaxationFit(FitStatus.TWO, 1.0, amplitudes, taus_s, 0.0, (0.0, 0.0), 1.0, "")
-    found = settling_time(fit, window_s=_WINDOW_S).value_s or 0.0
+    settled_s = settling_time(fit, window_s=_WINDOW_S).value_s or 0.0
     with mpmath.workdps(DIGITS):
 
         def beyond(time_s: Any) -> Any:
@@ -87,7 +87,7 @@ def settled(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Ans
             abs(a) * mpmath.exp(-truth / tau) * (1 + truth / tau) for a, tau in zip(amplitudes, taus_s, strict=True)
         )
         condition = float(of_parts / (slope * truth))
-    return conditioned(relative_error(found, truth), condition)
+    return conditioned(relative_error(settled_s, truth), condition)
 
 
 def steady_without_noise(noise: float) -> Answer:
@@ -95,11 +95,11 @@ def steady_without_noise(noise: float) -> Answer:
     taus_s, weights = np.array([5.0, 30.0]), np.array([0.3, 0.2])
     kernel = RelaxationKernel(True, weights, taus_s, np.eye(4) * 1e-4, 0.1 * weights, 8.0, 9)
     time_s: Array = 2.5 * np.arange(1.0, 25.0)
-    found = predict_steady(time_s, curve(1.0, (0.3, 0.2), (5.0, 30.0), time_s), noise, kernel)
+    steady = predict_steady(time_s, curve(1.0, (0.3, 0.2), (5.0, 30.0), time_s), noise, kernel)
     parts = np.exp(-time_s[:, None] / taus_s)
     design = np.column_stack([1 + parts @ weights, 0.01 * parts, 0.01 * weights * parts * time_s[:, None] / taus_s])
     condition = float(np.linalg.norm(np.linalg.pinv(design)[0]) * np.linalg.norm(design[:, 0]))
-    return conditioned(relative_error(float(found.values[0]), _mp(1)), condition)
+    return conditioned(relative_error(float(steady.values[0]), _mp(1)), condition)
 
 
 def _deviation(amplitudes: tuple[float, float], taus_s: tuple[float, float], time_s: Any) -> Any:
@@ -219,9 +219,12 @@ def settling_of_cancelling_exponentials() -> Answer:
 def never_settled() -> Answer:
     """A curve that is outside its band at the end of the trace."""
     fit = RelaxationFit(FitStatus.TWO, 1.0, (1.0, 0.5), (1.0, 2000.0), 0.0, (0.0, 0.0), 1.0, "")
-    found = settling_time(fit, window_s=_WINDOW_S)
+    settling = settling_time(fit, window_s=_WINDOW_S)
     return Answer(
-        0.0 if found.censored and found.value_s == _WINDOW_S else 1.0, 0.0, unit="wrong statements", note=found.why
+        0.0 if settling.censored and settling.value_s == _WINDOW_S else 1.0,
+        0.0,
+        unit="wrong statements",
+        note=settling.why,
     )
 
 
@@ -243,8 +246,8 @@ def loads_of_sizes_a_million_apart() -> Answer:
     """Loads that share their time constants, but one is a million times as large as another."""
     sizes = (1e-3, 1.0, 1e3)
     common = fit_common_relaxation([(_TIME_S, size * curve(1.0, (0.3, 0.2), (5.0, 30.0))) for size in sizes])
-    found = [*common.fit.time_constants_s, *(common.scales / (0.5 * np.array(sizes)))]
-    error = largest_relative_error(found, [5, 30, 1, 1, 1]) if len(found) == 5 else 1.0
+    computed = [*common.fit.time_constants_s, *(common.scales / (0.5 * np.array(sizes)))]
+    error = largest_relative_error(computed, [5, 30, 1, 1, 1]) if len(computed) == 5 else 1.0
     condition = fit_condition(1.0, (0.3, 0.2), (5.0, 30.0))
     return conditioned(error, condition)
 

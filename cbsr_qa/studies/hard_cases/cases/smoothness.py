@@ -47,16 +47,16 @@ def smooth(relative: float) -> Answer:
     sizes = _sizes(jacobian, differences)
     value = relative * float(sizes[0])
     readings = np.random.default_rng(_SEED).standard_normal(len(jacobian))
-    found = dual_matrix(jacobian, laplace(mesh), value) @ readings
+    computed = dual_matrix(jacobian, laplace(mesh), value) @ readings
     exact = _exact(jacobian, differences, value, readings)
-    return conditioned(apart(found, exact), ridge_condition(sizes, value))
+    return conditioned(apart(computed, exact), ridge_condition(sizes, value))
 
 
 def _differences(mesh: Mesh) -> Array:
     """Rows (edges, e) whose squares the prior adds up, twice."""
     rows = np.zeros((len(mesh.neighbours), len(mesh.elements)))
-    for row, (one, other) in zip(rows, mesh.neighbours, strict=True):
-        row[one], row[other] = 1.0, -1.0
+    for row, (first, second) in zip(rows, mesh.neighbours, strict=True):
+        row[first], row[second] = 1.0, -1.0
     return rows
 
 

@@ -61,15 +61,15 @@ def two_sided(coverage: float, confidence: float, count: int) -> Answer:
 def limits_of(values: list[float]) -> Answer:
     """Upper limit of a lot, mean + k s, against the same in fifty digits; rounded outwards by at most 1 %."""
     runs = [[value] for value in values]
-    found = lot_limits(runs, runs, 1, Ask(0.95, 0.95, False, True, Distribution.NORMAL))
-    if found.upper is None:
-        raise NumericsError(found.why, remedy="propose limits from sensors that differ, in a unit of their size")
+    limits = lot_limits(runs, runs, 1, Ask(0.95, 0.95, False, True, Distribution.NORMAL))
+    if limits.upper is None:
+        raise NumericsError(limits.why, remedy="propose limits from sensors that differ, in a unit of their size")
     with mpmath.workdps(DIGITS):
         exact = [mpmath.mpf(value) for value in values]
         mean = mpmath.fsum(exact) / len(exact)
         deviation = mpmath.sqrt(mpmath.fsum((x - mean) ** 2 for x in exact) / (len(exact) - 1))
         distance = one_sided_factor(0.95, 0.95, len(values), len(values) - 1) * deviation
-        beyond = float((mpmath.mpf(found.upper.limit) - mean - distance) / distance)
+        beyond = float((mpmath.mpf(limits.upper.limit) - mean - distance) / distance)
     error = beyond if beyond >= 0 else 1.0  # a limit within the exact one promises too much
     return Answer(error, 0.011, note="limits are rounded outwards to a hundredth of their distance from the mean")
 
@@ -81,7 +81,7 @@ def variance_of_huge_values() -> Answer:
     Variances between and within sensors of values of 1e9 that differ by tenths.
     """
     runs = [[1e9 + 0.5 * k, 1e9 + 0.5 * k + 0.1 * (k % 3)] for k in range(8)]
-    found = components(runs)
+    variance = components(runs)
     with mpmath.workdps(DIGITS):
         means = [mpmath.fsum(mpmath.mpf(x) for x in run) / 2 for run in runs]
         middle = mpmath.fsum(means) / 8
@@ -89,7 +89,7 @@ def variance_of_huge_values() -> Answer:
         within = mpmath.fsum((mpmath.mpf(x) - m) ** 2 for run, m in zip(runs, means, strict=True) for x in run) / 8
     # Sensors' means are numbers of 1e9 themselves, and carry their rounding.
     condition = 2 * 1e9 / float(mpmath.sqrt(within))
-    error = largest_relative_error([found.between, found.within or 0.0], [between, within])
+    error = largest_relative_error([variance.between, variance.within or 0.0], [between, within])
     return conditioned(error, condition)
 
 
@@ -117,7 +117,7 @@ def sensors_for_rare_failures() -> Answer:
 
     Sensors needed so that two extremes hold all but a millionth of a millionth of them.
     """
-    found = count_needed(1 - 1e-12, 0.95, 2)
+    needed = count_needed(1 - 1e-12, 0.95, 2)
     with mpmath.workdps(DIGITS):
         outside = 1 - mpmath.mpf(1 - 1e-12)
 
@@ -128,7 +128,7 @@ def sensors_for_rare_failures() -> Answer:
 
         truth = mpmath.ceil(mpmath.findroot(doubt, 4.7) / outside)
     # 1 − coverage is exact for a coverage above one half: nothing of it may be lost.
-    return conditioned(relative_error(found, truth), 1.0)
+    return conditioned(relative_error(needed, truth), 1.0)
 
 
 @AREA.against("mean and deviation in fifty digits")
@@ -192,10 +192,10 @@ def equivalence_without_noise() -> Answer:
     Two relaxations without noise: equal ones are equivalent, ones a third apart differ.
     """
     time_s: Array = 2.5 * np.arange(25.0)
-    one, same, other = (
+    first, same, other = (
         MeasuredRelaxation(fit_common_relaxation([(time_s, 1 + share * np.exp(-time_s / 20))]), 60.0)
         for share in (0.3, 0.3, 0.6)
     )
-    wrong = int(compare_relaxations(one, same).shape is not Agreement.EQUIVALENT)
-    wrong += compare_relaxations(one, other).shape is not Agreement.DIFFERENT
+    wrong = int(compare_relaxations(first, same).shape is not Agreement.EQUIVALENT)
+    wrong += compare_relaxations(first, other).shape is not Agreement.DIFFERENT
     return Answer(float(wrong), 0.0, unit="wrong statements")

@@ -65,8 +65,8 @@ def frames_at_irregular_times() -> Answer:
     fit = fit_relaxation(time_s, values)
     design = np.column_stack([np.ones_like(time_s), parts, parts * time_s[:, None] / [5.0, 30.0] * [0.3, 0.2]])
     condition = float(np.linalg.norm(np.linalg.pinv(design)[3:], axis=1).max() * np.linalg.norm(values))
-    found = [*fit.time_constants_s, *fit.amplitudes]
-    error = largest_relative_error(found, [5, 30, 0.3, 0.2]) if len(found) == 4 else 1.0
+    computed = [*fit.time_constants_s, *fit.amplitudes]
+    error = largest_relative_error(computed, [5, 30, 0.3, 0.2]) if len(computed) == 4 else 1.0
     return conditioned(error, condition)
 
 
