@@ -23,7 +23,8 @@ from cbsr_qa.domain.results import (
     Table,
 )
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.report import filled, fixed, text_table
+from cbsr_qa.report import filled, fixed, run_named, text_table
+from cbsr_qa.store import made_at
 from cbsr_qa.system import read_untrusted
 
 _Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -310,12 +311,12 @@ def _least_force_N(calibration: Calibration, model: ForceModel, places: _Array) 
 
 
 def _page(shown: ShownCalibration) -> Page:
-    identity = shown.identity
+    identity, began = shown.identity, made_at(shown.identity.run)
     facts = (
         ("Batch", identity.batch or "not stated"),
         ("Sensor type", identity.sensor_type),
         ("Issued at", identity.issued_at),
-        ("Run", identity.run),
+        ("Run", identity.run if began is None else run_named(identity.serial, began, identity.run)),
         ("Calibration", identity.calibration),
     )
     banner = Banner("plain", "●", f"Calibration of sensor {identity.serial}", "")

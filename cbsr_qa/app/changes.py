@@ -14,7 +14,7 @@ from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.results import CommandOutcome, Outcome, Paragraph, Section
 from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride
 from cbsr_qa.report import answer, filled, number, plural, run_named, unit_shown
-from cbsr_qa.store import Repository, open_store
+from cbsr_qa.store import Repository, made_at, open_store
 
 _UNCHANGED: Final = "no file was changed, no limits of a control chart set, and no verdict overridden"
 _AT: Final = "%Y-%m-%d %H:%M"
@@ -109,11 +109,16 @@ def _settings(reference: ChartReference) -> str:
 def unexplained(changes: Iterable[ConfigurationChange]) -> tuple[str, ...]:
     """Return a warning for each change nobody gave a reason for."""
     return tuple(
-        f"{change.kind} {change.name!r} is not what run {change.earlier_run} used: {change.words()};"
+        f"{change.kind} {change.name!r} is not what {_dated(change.earlier_run)} used: {change.words()};"
         f" {NO_REASON} (cbsr-qa run --why TEXT gives one)"
         for change in changes
         if change.why == NO_REASON
     )
+
+
+def _dated(run: str) -> str:
+    began = made_at(run)
+    return f"run {run}" if began is None else f"the run of {began:{_AT}} UTC ({run})"
 
 
 _OUTCOMES: Final = {"pass": Outcome.PASS, "fail": Outcome.FAIL}

@@ -65,7 +65,10 @@ def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...])
     """
     blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not blocks:
-        raise RefusedError(f"run {record.identity.run} holds no frames in {', '.join(p.name for p in phases)}")
+        raise RefusedError(
+            f"run {record.identity.run} of sensor {record.identity.sensor.serial} holds no frames in"
+            f" {', '.join(p.name for p in phases)}"
+        )
     notes = [f"run {record.identity.run} of sensor {record.identity.sensor.serial}"]
     if loops := sum(len(phase.loops) for phase in phases):
         notes.append(f"not among its presses, which are of one strain each: loops through several strains ({loops})")

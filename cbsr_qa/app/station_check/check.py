@@ -24,7 +24,7 @@ from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.results import CommandOutcome, EndReason
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.report import render_sections, report_name, write_report
+from cbsr_qa.report import render_sections, report_name, run_named, write_report
 from cbsr_qa.station import configure, on_stderr, station_clock
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.system import RealClock
@@ -256,7 +256,8 @@ def _golden(
     if record.end is not EndReason.FINISHED:
         line(CheckOutcome.FAILED, f"run {outcome.run} was {record.end}: {record.end_detail}", "measure it again")
         return outcome.run
-    line(CheckOutcome.OK, f"run {outcome.run}, {record.station_s / 60:.1f} min of station time")
+    name = run_named(serial, record.identity.started_at, outcome.run)
+    line(CheckOutcome.OK, f"{name}, {record.station_s / 60:.1f} min of station time")
     history = golden_history(store, outcome.run)
     station = record.identity.station
     findings.lines += compare_golden(outcome.result.measurements, history, station=station, subject=subject)
