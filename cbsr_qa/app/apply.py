@@ -243,7 +243,7 @@ def apply_calibration(
     CalibrationError
         If the calibration cannot be used, or is of another sensor than the recordings are said to be.
     ConfigError
-        If that serial number is none.
+        If that serial number is malformed.
     """
     sensor, plugins = Calibration(read_contained(calibration)), discover()
     remarks = _serial_remarks(sensor.issued.sensor.serial, request.serial)

@@ -73,7 +73,7 @@ def write_report(path: Path, html: str) -> None:
     Raises
     ------
     RefusedError
-        If the path is a folder, holds what is no page while a page is to be written, or its folder cannot be made or
+        If the path is a folder, holds something else than a page, or its folder cannot be made or
         written to; names it, and leaves nothing behind.
     """
     _check_no_folder(path)
@@ -91,12 +91,12 @@ def write_report(path: Path, html: str) -> None:
 
 
 def check_replaceable(path: Path) -> None:
-    """Refuse to put a page in the place of a folder, database, study or device: whoever meant that lost it for good.
+    """Refuse to replace a folder, database, study or device by a page: it would be lost for good.
 
     Raises
     ------
     RefusedError
-        If something is there that is no page, or cannot be read.
+        If something else than a page is there, or it cannot be read.
     """
     _check_no_folder(path)
     if not path.exists():
@@ -110,7 +110,7 @@ def check_replaceable(path: Path) -> None:
     except OSError as error:
         raise RefusedError(f"the page cannot be written to {path}: {error.strerror or error}") from error
     raise RefusedError(
-        f"{path} is there and is no page: it is not written over", remedy="name another file, for example page.html"
+        f"refusing to overwrite {path}: not an HTML page", remedy="name another file, for example page.html"
     )
 
 

@@ -262,7 +262,7 @@ class _Look:
 
 
 def _failed(subject: str, name: str, error: Exception) -> CheckResult:
-    """Line of something that went wrong; an operator who stops the check while being asked is none."""
+    """Line of something that went wrong; that an operator stops the check is raised again."""
     if isinstance(error, AbortedError):
         raise error
     if isinstance(error, CbsrError):

@@ -265,7 +265,7 @@ def _golden(
 
 
 def _written(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandOutcome[CheckedStation]:
-    """Write the page; a check that is stored is none the worse for a page that cannot be written."""
+    """Write the page; if it cannot be written, the stored check says why and stays valid."""
     try:
         write_report(path, render_sections(outcome.page, outcome.sections))
         result, printed = replace(outcome.result, page=path), str(path)

@@ -25,6 +25,13 @@ def run(capsys, *arguments):
     return code, said.out, said.err
 
 
+def refused(capsys, *arguments):
+    """Return the document of a file that is refused."""
+    code, out, _ = run(capsys, *arguments, "--json")
+    assert code == 2
+    return json.loads(out)
+
+
 def test_a_press_in_an_export_is_found_with_force_and_reported(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(0.4, 0.3, contrast=-0.1))
     code, out, _ = run(capsys, path, "--json")
@@ -58,9 +65,7 @@ def test_an_unknown_stated_sensor_type_is_a_warning_an_unknown_named_one_a_refus
     found = json.loads(run(capsys, path, "--json", "--no-report")[1])
     assert any("no-such-type" in warning for warning in found["warnings"])
     assert "x_mm" not in found["events"][0]
-    code, out, _ = run(capsys, path, "--json", "--sensor-type", "disc-99mm")
-    assert code == 2
-    assert "disc-99mm" in json.loads(out)["refused"]["reason"]
+    assert "disc-99mm" in refused(capsys, path, "--sensor-type", "disc-99mm")["refused"]["reason"]
 
 
 @pytest.mark.rest
@@ -150,9 +155,7 @@ def test_several_files_give_one_document_and_the_worst_exit_code(tmp_path, capsy
 def test_bad_files_are_refused_clearly_and_nothing_is_written(tmp_path, capsys, content, said):
     path = tmp_path / "odd.dat"
     path.write_bytes(content)
-    code, out, _ = run(capsys, path, "--json")
-    assert code == 2
-    assert said in json.loads(out)["refused"]["reason"]
+    assert said in refused(capsys, path)["refused"]["reason"]
     assert not (tmp_path / "var").exists()
 
 
@@ -162,9 +165,7 @@ def test_a_missing_file_a_folder_and_an_unknown_format_are_refused(tmp_path, cap
         ((tmp_path,), "is not a file"),
         ((BoardFile().header().save(tmp_path), "--format", "ert-board"), "no recording plugin named"),
     ):
-        code, out, _ = run(capsys, *arguments, "--json")
-        assert code == 2
-        assert said in json.loads(out)["refused"]["reason"]
+        assert said in refused(capsys, *arguments)["refused"]["reason"]
 
 
 def test_quiet_recordings_end_with_no_event_and_its_reason(tmp_path, capsys):
@@ -218,9 +219,7 @@ def test_a_reference_of_another_instrument_or_scale_is_refused(tmp_path, capsys,
     held = exported(
         tmp_path, pressed_frames(-0.3, 0.5, contrast=0.2, start=10, end=70), name="held.h5", sensor_type="disc-100mm"
     )
-    code, out, _ = run(capsys, held, "--json", "--no-report", "--reference", empty)
-    found = json.loads(out)
-    assert code == 2
+    found = refused(capsys, held, "--no-report", "--reference", empty)
     assert said in found["refused"]["reason"]
     assert "empty.h5" in found["refused"]["reason"]
     assert "held.h5" in found["refused"]["reason"]
@@ -234,9 +233,7 @@ def test_a_reference_of_an_unconnected_instrument_is_refused(tmp_path, capsys, l
     frames = pressed_frames(0.4, 0.3, contrast=0.0, n=6)
     held = exported(tmp_path, frames, name="held.h5", unit=unit)
     empty = exported(tmp_path, np.full_like(frames, level), name="empty.h5", unit=unit)
-    code, out, _ = run(capsys, held, "--json", "--reference", empty)
-    reason = json.loads(out)["refused"]["reason"]
-    assert code == 2
+    reason = refused(capsys, held, "--reference", empty)["refused"]["reason"]
     assert reason.startswith("empty.h5 cannot be the reference of held.h5")
     assert f"all its readings are {level:.4g} {unit.value}" in reason
     assert not (tmp_path / "var").exists()
@@ -245,9 +242,7 @@ def test_a_reference_of_an_unconnected_instrument_is_refused(tmp_path, capsys, l
 def test_counts_about_another_offset_are_no_reference(tmp_path, capsys):
     frames = 1e4 * pressed_frames(0.4, 0.3, contrast=0.0, n=6)
     held, empty = board(tmp_path, frames + 100), board(tmp_path, frames + 8000, "empty.csv")
-    code, out, _ = run(capsys, held, "--json", "--no-report", "--reference", empty)
-    assert code == 2
-    assert "lie about" in json.loads(out)["refused"]["reason"]
+    assert "lie about" in refused(capsys, held, "--no-report", "--reference", empty)["refused"]["reason"]
 
 
 def test_a_reference_is_recognised_by_itself(tmp_path, capsys):
@@ -257,9 +252,7 @@ def test_a_reference_is_recognised_by_itself(tmp_path, capsys):
     scipy.io.savemat(tank, {"vv": frames[1:].reshape(1, 256).T, "vvRef": frames[:1].reshape(1, 256).T})
     csv = board(tmp_path, 1e4 * frames)
     for arguments in ((tank, "--dataset", "vv"), (tank, "--dataset", "vv", "--format", "eidors-mat")):
-        code, out, _ = run(capsys, *arguments, "--reference", csv, "--json", "--no-report")
-        reason = json.loads(out)["refused"]["reason"]
-        assert code == 2
+        reason = refused(capsys, *arguments, "--reference", csv, "--no-report")["refused"]["reason"]
         assert "board.csv cannot be the reference of tank.mat" in reason
         assert "damaged" not in reason
     code, out, _ = run(capsys, tank, "--dataset", "vv", "--reference", f"{tank}:vvRef", "--json", "--no-report")
@@ -273,10 +266,9 @@ def test_an_unreadable_reference_is_named_as_the_reference(tmp_path, capsys):
         (BoardFile().header().save(tmp_path), "only headers"),
         (tmp_path / "no.csv", "there is no file"),
     ):
-        code, out, _ = run(capsys, held, "--json", "--no-report", "--reference", other)
-        assert code == 2
-        assert said in json.loads(out)["refused"]["reason"]
-        assert str(other.name) in json.loads(out)["refused"]["reason"]
+        reason = refused(capsys, held, "--no-report", "--reference", other)["refused"]["reason"]
+        assert said in reason
+        assert other.name in reason
 
 
 @pytest.mark.parametrize("text", ["", " ", ":"])

@@ -170,7 +170,7 @@ def test_a_file_that_is_no_page_is_refused_before_a_reference_is_stored(tmp_path
     fill(database, values(count=40))
     code, _, said = command(database, *NEW, "--output", database)
     assert code == 2
-    assert "runs.db is there and is no page: it is not written over" in said
+    assert "runs.db: not an HTML page" in said
     with open_store(f"sqlite:///{database}") as store:
         assert store.chart_references(STATION) == ()
     command(database, *NEW)
