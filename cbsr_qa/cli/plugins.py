@@ -1,13 +1,17 @@
-"""``cbsr-qa plugins``: what is installed and from where."""
+"""``cbsr-qa plugins``: what is installed and from where, and what each plugin takes."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from pydantic import Field
 
 from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import show
+from cbsr_qa.plugin import Kind, OptionReference, PluginReference
+
+if TYPE_CHECKING:
+    from cbsr_qa.domain.results import Section
 
 app = typer.Typer(help="List what is installed, and from where.", no_args_is_help=True)
 
@@ -19,12 +23,13 @@ def _group() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """A registered plugin and the distribution it comes from."""
+    """A registered plugin, the distribution it comes from, and with ``--options`` what it takes."""
 
     kind: str
     name: str
     distribution: Annotated[str, Field(serialization_alias="from")]
     version: str
+    options: tuple[OptionReference, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +38,13 @@ class FailedPlugin:
 
     distribution: Annotated[str, Field(serialization_alias="from")]
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ShownPlugins:
+    """Every plugin of one name, with its options and measurements."""
+
+    plugins: tuple[PluginReference, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,20 +58,68 @@ class ListedPlugins:
 @app.command("list")
 def list_plugins(
     kind: Annotated[str | None, typer.Option(help="Only this kind, e.g. metric.")] = None,
+    options: Annotated[bool, typer.Option("--options", help="Name the options of each.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List every plugin by kind and name; name those that could not be loaded, with the reason."""
     from dataclasses import replace
 
     from cbsr_qa.domain.results import Section
-    from cbsr_qa.plugin import discover, kind_named
+    from cbsr_qa.plugin import discover, kind_named, plugin_reference
     from cbsr_qa.report import answer, filled, plural, text_table
 
     plugins = discover()
-    found = tuple(filled(Plugin, one) for one in plugins.registrations(kind_named(kind)))
-    failed = tuple(filled(FailedPlugin, one) for one in plugins.failures)
-    warnings = [f"not loaded: {one.distribution}: {one.reason}" for one in failed]
-    rows = [(one.kind, one.name, f"{one.distribution} {one.version}") for one in found]
-    table = text_table("By kind and name.", ("kind", "name", "from"), rows)
-    outcome = answer(ListedPlugins(found, failed), plural(len(found), "plugin"), warnings=warnings)
+    found = [filled(Plugin, registration) for registration in plugins.registrations(kind_named(kind))]
+    columns: tuple[str, ...] = ("kind", "name", "from")
+    rows = [[plugin.kind, plugin.name, f"{plugin.distribution} {plugin.version}"] for plugin in found]
+    if options:
+        taken = [plugin_reference(plugins, Kind(plugin.kind), plugin.name).options for plugin in found]
+        found = [replace(plugin, options=each) for plugin, each in zip(found, taken, strict=True)]
+        columns += ("options",)
+        rows = [[*row, ", ".join(option.name for option in each)] for row, each in zip(rows, taken, strict=True)]
+    failed = tuple(filled(FailedPlugin, failure) for failure in plugins.failures)
+    warnings = [f"not loaded: {failure.distribution}: {failure.reason}" for failure in failed]
+    table = text_table("By kind and name.", columns, rows)
+    outcome = answer(ListedPlugins(tuple(found), failed), plural(len(found), "plugin"), warnings=warnings)
     show(replace(outcome, sections=(Section("Installed", (table,)),)), as_json=as_json)
+
+
+@app.command("show")
+def show_plugin(
+    name: Annotated[str, typer.Argument(help="Name of the plugin.")],
+    kind: Annotated[str | None, typer.Option(help="Only of this kind, e.g. metric.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Print the options of a plugin with unit, default and range, and what it measures."""
+    from dataclasses import replace
+
+    from cbsr_qa.plugin import discover, kind_named, plugin_reference
+    from cbsr_qa.report import answer
+
+    plugins = discover()
+    asked = kind_named(kind)
+    kinds = [each for each in Kind if asked in (None, each) and name in plugins.names(each)]
+    shown = tuple(plugin_reference(plugins, each, name) for each in kinds)
+    if not shown:
+        raise plugins.unknown(asked, name)
+    outcome = answer(ShownPlugins(shown), name)
+    show(replace(outcome, sections=tuple(map(_section, shown))), as_json=as_json)
+
+
+def _section(plugin: PluginReference) -> "Section":
+    from cbsr_qa.domain.results import Block, Paragraph, Section
+    from cbsr_qa.report import text_table
+
+    blocks: list[Block] = [Paragraph(plugin.summary)]
+    if plugin.measures:
+        rows = [(name, unit) for name, unit in plugin.measures.items()]
+        blocks.append(text_table("What it measures.", ("measurement", "unit"), rows))
+    if plugin.options:
+        options = [
+            (o.name, o.unit, "required" if o.required else o.default, o.allowed, o.description)
+            for o in plugin.options
+        ]
+        blocks.append(text_table("Its options.", ("option", "unit", "default", "allowed", ""), options))
+    else:
+        blocks.append(Paragraph("It has no options."))
+    return Section(f"{plugin.kind} {plugin.name}", tuple(blocks))

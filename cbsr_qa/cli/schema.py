@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from cbsr_qa.cli.output import emit_json, say
-from cbsr_qa.cli.plugins import ListedPlugins
+from cbsr_qa.cli.plugins import ListedPlugins, ShownPlugins
 from cbsr_qa.domain import RefusedError
 
 
@@ -51,6 +51,7 @@ def results() -> dict[str, type]:
         "gauge": GaugeStudy,
         "limits": ProposedLimits,
         "plugins list": ListedPlugins,
+        "plugins show": ShownPlugins,
         "report": Rendered,
         "reproduce": Reproduction,
         "run": RunOutcome,

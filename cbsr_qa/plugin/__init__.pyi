@@ -43,5 +43,11 @@ from .problems import (
     Table as Table,
     check as check,
 )
+from .reference import (
+    OptionReference as OptionReference,
+    PluginReference as PluginReference,
+    plugin_reference as plugin_reference,
+    reference_page as reference_page,
+)
 from .software import kind_named as kind_named, software_versions as software_versions
 from .words import KeyPath as KeyPath, dotted as dotted, echo as echo, printable as printable, shown as shown

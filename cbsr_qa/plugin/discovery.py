@@ -81,14 +81,14 @@ class Plugins:
         """
         registration = self._registered.get((kind, name))
         if registration is None:
-            raise PluginError(f"there is no {kind} plugin named {name!r}", remedy=self._remedy(kind, name))
+            raise self.unknown(kind, name)
         module, _, attribute = registration.target.partition(":")
         try:
             factory: Factory = getattr(importlib.import_module(module), attribute)
         except BaseException as error:
             raise PluginError(
                 f"{kind} plugin {name!r} of {registration.distribution} cannot be loaded: {failure(error)}",
-                remedy="mend or uninstall that distribution",
+                remedy="repair or uninstall that distribution",
             ) from error
         return factory
 
@@ -139,13 +139,15 @@ class Plugins:
         else:
             self._registered |= pending
 
-    def _remedy(self, kind: Kind, name: str) -> str:
-        known = self.names(kind)
+    def unknown(self, kind: Kind | None, name: str) -> PluginError:
+        """Return the refusal of a name that nobody registered; no kind stands for all of them."""
+        known = sorted({registration.name for registration in self.registrations(kind)})
         near = get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         parts = [f"installed: {', '.join(known) or 'none'}"]
         parts += [f"{f.distribution} failed to load: {f.reason}" for f in self.failures]
-        return hint + "; ".join(parts)
+        of_kind = "plugin" if kind is None else f"{kind} plugin"
+        return PluginError(f"there is no {of_kind} named {name!r}", remedy=hint + "; ".join(parts))
 
 
 def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None = None) -> Plugins:

@@ -205,12 +205,18 @@ def _length(parts: Sequence[Any], rules: Sequence[Any]) -> str:
 
 
 def _bounds(rules: Sequence[Any]) -> str:
-    least, above, most, below = (_bound(rules, name) for name in ("ge", "gt", "le", "lt"))
-    if least is not None and most is not None:
-        return f" from {least:g} to {most:g}"
-    low = f" of at least {least:g}" if least is not None else f" above {above:g}" if above is not None else ""
-    high = f"at most {most:g}" if most is not None else f"below {below:g}" if below is not None else ""
-    return low + (f" and {high}" if low else f" {high}" if high.startswith("b") else f" of {high}") * bool(high)
+    least, above, most, below = (_plain(_bound(rules, name)) for name in ("ge", "gt", "le", "lt"))
+    if least and most:
+        return f" from {least} to {most}"
+    low = f" of at least {least}" if least else f" above {above}" if above else ""
+    high = f"at most {most}" if most else f"below {below}" if below else ""
+    return low + (f" and {high}" if low else f" {high}" if below else f" of {high}") * bool(high)
+
+
+def _plain(bound: float | None) -> str:
+    if bound is None:
+        return ""
+    return str(int(bound)) if abs(bound) < 1e9 and bound == int(bound) else f"{bound:g}"
 
 
 def _bound(rules: Sequence[Any], name: str) -> Any:

@@ -79,7 +79,7 @@ def explain_scene(
         If a file is wrong, or its loads or effects do not fit together.
     """
     plugins = discover()
-    setup = set_up(scene, recorded=False)
+    setup = set_up(scene, plugins, recorded=False)
     watched = Watched(effects_of(plugins))
     setting = SceneSetting(
         setup.sensor_type.value,

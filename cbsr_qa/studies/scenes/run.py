@@ -105,7 +105,7 @@ def run_scene(
         hold such a recording, or a file exists already.
     """
     plugins = discover()
-    setup = set_up(request.scene, recorded=True)
+    setup = set_up(request.scene, plugins, recorded=True)
     seed = setup.plan.seed or 0 if request.seed is None else request.seed
     targets = checked_targets(setup.plan.scene.name, seed, request.output, request.formats, plugins)
     tell("creating the sheet")

@@ -46,12 +46,13 @@ class SceneSetup:
         return self.loaded.document.label
 
 
-def set_up(scene: str, *, recorded: bool) -> SceneSetup:
+def set_up(scene: str, plugins: Plugins | None = None, *, recorded: bool) -> SceneSetup:
     """Open a scene's files and check its loads.
 
     Parameters
     ----------
     scene : path or shipped name.
+    plugins : with them the parameters of effects are checked with the rest of the file.
     recorded : whether it must say what is simulated and recorded; otherwise the usual sensor stands in.
 
     Raises
@@ -59,7 +60,7 @@ def set_up(scene: str, *, recorded: bool) -> SceneSetup:
     ConfigError
         If a file is missing or wrong, a load cannot be pressed, or the scene does not say what is recorded.
     """
-    loaded = load_scene_plan(scene)
+    loaded = load_scene_plan(scene, plugins)
     if recorded:
         _check_complete(loaded)
     plan, near = loaded.value, loaded.folder

@@ -48,11 +48,15 @@ class MultiplexerOptions(PluginOptions):
 def open_multiplexer(context: StationContext, options: MultiplexerOptions) -> "Esp32Multiplexer":
     """Open a multiplexer (role ``multiplexer``); opening its port restarts it.
 
-    Options of its table: ``address`` (path of the port, or ``usb:VID:PID:SERIAL``), ``baud`` (115200), ``inner``
-    (``"current"`` where the driven pair changes with every step, else ``"voltage"``), ``current_skip`` and
-    ``voltage_skip`` (electrodes between the two of a pair, 0 for neighbours), ``settle_ms`` (waited after a step),
-    ``boot_s`` (longest time it takes to start), ``timeout_s``, ``reconnect_s`` (how long a pulled cable is waited
-    for).
+    Options of its table
+    --------------------
+    address, baud : of its port.
+    inner : ``"current"`` where the driven pair changes with every step, else ``"voltage"``.
+    current_skip, voltage_skip : electrodes between the two of a pair, 0 for neighbours.
+    settle_ms : waited after a step.
+    boot_s : longest time it takes to start.
+    timeout_s : of an answer.
+    reconnect_s : how long a pulled cable is waited for.
 
     Raises
     ------

@@ -61,10 +61,17 @@ class KeithleyOptions(PluginOptions):
 def open_source_meter(context: StationContext, options: KeithleyOptions) -> "Keithley2600":
     """Open a source-measure unit (role ``source_meter``), switched off.
 
-    Options of its table: ``address`` (VISA resource), ``source_channel`` and ``meter_channel`` (``"a"`` or ``"b"``;
-    the rig drives with b), ``compliance_V``, ``range_V`` of the meter (by default the compliance),
-    ``largest_current_mA``, ``nplc`` (aperture in power line cycles), ``readings`` (averaged on the instrument),
-    ``timeout_s``, ``visa_backend``.
+    Options of its table
+    --------------------
+    address : VISA resource.
+    source_channel, meter_channel : the rig drives with b.
+    compliance_V : voltage that the source does not exceed.
+    range_V : of the meter; by default the compliance.
+    largest_current_mA : that may be asked for.
+    nplc : aperture in power line cycles.
+    readings : averaged on the instrument.
+    timeout_s : of an answer, beside the time that readings take.
+    visa_backend : of pyvisa.
 
     Raises
     ------

@@ -27,8 +27,10 @@ class ManualHeadOptions(PluginOptions):
 def open_applicator(context: StationContext, options: ManualHeadOptions) -> "ManualApplicator":
     """Open a head that is moved by hand.
 
-    Options of its table: ``label`` and ``number`` of the stand, for the record; ``tolerance_mm`` (how far a depth may
-    be from what was asked for; default 0.05).
+    Options of its table
+    --------------------
+    label, number : of the stand, for the record.
+    tolerance_mm : how far a depth may be from what was asked for.
 
     Raises
     ------

@@ -142,9 +142,12 @@ class ManualCellOptions(PluginOptions):
 def open_load_cell(context: StationContext, options: ManualCellOptions) -> "ManualLoadCell":
     """Open a load cell that is read by an operator.
 
-    Options of its table: ``label`` and ``number``, for the record; ``unit`` it shows (``"N"``, ``"g"`` or ``"kg"``,
-    compression positive); ``capacity`` in that unit (no reading can be larger); ``tare`` (whether what it shows with
-    the head up is asked for once and taken off; default true).
+    Options of its table
+    --------------------
+    label, number : of the cell, for the record.
+    unit : that it shows, compression positive.
+    capacity : in that unit; no reading can be larger.
+    tare : whether what it shows with the head up is asked for once and taken off.
 
     Raises
     ------
@@ -248,8 +251,11 @@ class ManualThermometerOptions(PluginOptions):
 def open_thermometer(context: StationContext, options: ManualThermometerOptions) -> "ManualThermometer":
     """Open a thermometer that is read by an operator; it samples ``temperature`` [°C].
 
-    Options of its table: ``label`` and ``number``, for the record; ``every_min`` (how often it is asked for; by
-    default every 3 minutes where the station limits the temperature, else every 30).
+    Options of its table
+    --------------------
+    label, number : of the thermometer, for the record.
+    every_min : how often it is asked for; by default every 3 minutes where the station limits the temperature, else
+        every 30.
 
     Raises
     ------

@@ -31,9 +31,13 @@ class ReplayOptions(PluginOptions):
 def open_replay(context: StationContext, options: ReplayOptions) -> "ReplayedRecording":
     """Open a recording as frame source, sampler of one of its channels, and head that only keeps time.
 
-    Options of its table: ``file``; ``format`` (by default the file is recognised) and ``dataset`` (of a file that
-    holds several); ``channel`` (of its samples; default ``"force"``); ``start_s`` (the recording's time at which it
-    begins to play; by default that of the first thing in it).
+    Options of its table
+    --------------------
+    file : of the recording.
+    format : by default the file is recognised.
+    dataset : of a file that holds several.
+    channel : of its samples.
+    start_s : the recording's time at which it begins to play; by default that of the first thing in it.
 
     Raises
     ------

@@ -55,10 +55,14 @@ class ScanOptions(PluginOptions):
 def open_frames(context: StationContext, options: ScanOptions) -> "ScannedFrames":
     """Open a frame source that scans with the bench's ``source_meter`` and ``multiplexer``.
 
-    Options of its table: ``current_mA``, or ``current = "auto"`` (the default: as much as leaves the headroom on this
-    sensor, at most ``largest_current_mA``); ``headroom_percent`` (of the source's voltage limit, 25); ``contacts``
-    (``"refuse"`` sensors with open pins or pins that touch, or ``"warn"``); ``polarity`` (``"reversed"`` where the
-    meter's leads are the other way round).
+    Options of its table
+    --------------------
+    current : ``"auto"``, the default: as much as leaves the headroom on this sensor.
+    current_mA : in its place.
+    largest_current_mA : that may be chosen or stated.
+    headroom_percent : of the source's voltage limit that is left.
+    contacts : ``"refuse"`` sensors with open pins or pins that touch, or ``"warn"``.
+    polarity : ``"reversed"`` where the meter's leads are the other way round.
 
     Raises
     ------

@@ -32,8 +32,11 @@ class BenchOptions(PluginOptions):
 def open_bench(context: StationContext, options: BenchOptions) -> "SimulatedBench":
     """Open a simulated bench (frame source, force applicator and the sampler ``force``).
 
-    Options of its table: ``hover_mm`` and ``travel_speed_mm_s`` (default: the station's motion),
-    ``contact_length_mm`` (contact impedance over sheet resistance, default 0.2).
+    Options of its table
+    --------------------
+    hover_mm, travel_speed_mm_s : by default the station's motion.
+    contact_length_mm : contact impedance over sheet resistance.
+    scene : file or name of the simulated world; read by whoever opens the bench.
 
     Raises
     ------

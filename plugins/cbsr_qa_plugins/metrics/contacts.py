@@ -17,8 +17,11 @@ class ReciprocityError(WithOptions):
     taken, see :meth:`cbsr_qa.domain.sensor.DrivePattern.reciprocal_pairs`.
 
     Multiplexers that keep a share of the previous reading break reciprocity too: a large value is a reason to look,
-    not yet an electrode fault. With qualifier ``"worst"`` the largest |V_ij − V_ji| over the same rms; with the
-    option ``every = true`` each pair's is a measurement of its own, ``"drive 3, measure 7"``.
+    not yet an electrode fault. With qualifier ``"worst"`` the largest |V_ij − V_ji| over the same rms.
+
+    Parameters
+    ----------
+    every : whether each pair's is a measurement of its own, ``"drive 3, measure 7"``.
     """
 
     class Options(PluginOptions):

@@ -158,8 +158,11 @@ class ChannelNoise(WithOptions):
     """``channel_snr`` [dB], median and worst over the imaged readings, and ``drift`` [%/min] of the unloaded sheet.
 
     A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
-    once, as drift. Drift is the slope of the frames' common scale against the reference. With the option
-    ``every = true`` each imaged reading's ratio is a measurement of its own, ``"drive 3, measure 7"``.
+    once, as drift. Drift is the slope of the frames' common scale against the reference.
+
+    Parameters
+    ----------
+    every : whether each imaged reading's ratio is a measurement of its own, ``"drive 3, measure 7"``.
     """
 
     class Options(PluginOptions):

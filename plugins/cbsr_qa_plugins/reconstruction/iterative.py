@@ -86,9 +86,9 @@ class AbsoluteGaussNewton(WithOptions):
     noise_dB : how far below the mean reading the noise is.
     spread, length : how much ln γ is expected to vary over the unloaded sheet, and over which length, of the radius.
     noise_figure : of the first step on the nominal model (Adler et al. 2009 form), which says how much loads are
-        expected to change ln γ; 1.0 unless that is given as
-    load_spread : smaller keeps places, larger amplitudes. load_length : over which it varies, of the radius; that of
-        the indenter by default.
+        expected to change ln γ; 1.0 unless ``load_spread`` is given.
+    load_spread : how much loads are expected to change ln γ; smaller keeps places, larger amplitudes.
+    load_length : over which that varies, of the radius; that of the indenter by default.
     contact_spread : how much ln z is expected to vary about the nominal contact impedance; a load is expected to
         change it as much as ln γ.
     mesh_size : edge length of the forward mesh (second order), of the radius, 0.03 to 0.25. At 0.03 a sheet with 16

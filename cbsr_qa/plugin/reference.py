@@ -1,0 +1,127 @@
+"""What a plugin takes and measures, told from its code: for ``cbsr-qa plugins show`` and the reference page."""
+
+import inspect
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+from pydantic.fields import FieldInfo
+
+from cbsr_qa.plugin.discovery import Factory, Plugins
+from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.plugin.options import options_of
+from cbsr_qa.plugin.problems import allowed
+
+#: How names of options end → their unit; the first that fits counts.
+_UNITS: Final[Mapping[str, str]] = {
+    "_mm_s2": "mm/s²",
+    "_mm_s": "mm/s",
+    "_K_per_h": "K/h",
+    "_per_K": "1/K",
+    "_per_hour": "1/h",
+    "_per_mm": "1/mm",
+    "_percent": "%",
+    "_ohm": "Ω",
+    "_deg": "°",
+    "_min": "min",
+    "_dB": "dB",
+    "_Hz": "Hz",
+    "_hz": "Hz",
+    "_C": "°C",
+    **{f"_{unit}": unit for unit in ("mm", "ms", "s", "mV", "mA", "V", "A", "N", "g", "K", "kPa")},
+}
+
+
+@dataclass(frozen=True, slots=True)
+class OptionReference:
+    """One option: its unit, what it may be, its default as TOML (empty where there is none) and what it does."""
+
+    name: str
+    unit: str
+    allowed: str
+    default: str
+    required: bool
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class PluginReference:
+    """What a plugin is and takes, and of a metric the names of its measurements with their units."""
+
+    kind: str
+    name: str
+    summary: str
+    options: tuple[OptionReference, ...]
+    measures: Mapping[str, str]
+
+
+def plugin_reference(plugins: Plugins, kind: Kind, name: str) -> PluginReference:
+    """Tell what a plugin takes and measures.
+
+    Raises
+    ------
+    PluginError
+        If it is unknown or cannot be loaded.
+    """
+    factory = plugins.factory(kind, name)
+    model = options_of(factory, handed=int(kind in (Kind.EFFECT, Kind.INSTRUMENT)))
+    described = dict(_described(factory))
+    options = tuple(_option(key, field, described.get(key, "")) for key, field in model.model_fields.items())
+    return PluginReference(
+        kind, name, _text(factory).partition("\n\n")[0], options, getattr(factory, "measures", None) or {}
+    )
+
+
+def _option(name: str, field: FieldInfo, description: str) -> OptionReference:
+    unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
+    default = "" if field.is_required() or field.default is None else json.dumps(field.default, ensure_ascii=False)
+    return OptionReference(name, unit, allowed(field), default, field.is_required(), description)
+
+
+def _text(factory: Factory) -> str:
+    return re.sub(r"(?<!\n)\n(?!\n|\s|[-=])", " ", inspect.getdoc(factory) or "")
+
+
+def _described(factory: Any) -> Iterator[tuple[str, str]]:
+    """Yield options and what a docstring says of them, in the form ``first, second : words``; own ones last."""
+    for cls in reversed(getattr(factory, "__mro__", (factory,))):
+        text = inspect.cleandoc(vars(cls).get("__doc__") or "")
+        for names, words in re.findall(r"^([a-z]\w*(?:, \w+)*) : (.*(?:\n +.*)*)", text, re.M):
+            plain = re.sub(r":\w+:`~?([^`]*)`", lambda role: f"`{role[1].rpartition('.')[2]}`", words)
+            for name in names.split(", "):
+                yield name, " ".join(plain.split())
+
+
+def reference_page(plugins: Plugins, distribution: str) -> str:
+    """Write the reference of a distribution's plugins as Markdown."""
+    lines = [
+        "# Plugins and their options",
+        "",
+        "Written from the code by `python docs/figures/write_plugin_reference.py`; a test compares the two.",
+        "`cbsr-qa plugins show NAME` prints the same for any plugin that is installed.",
+    ]
+    for kind in Kind:
+        names = [r.name for r in plugins.registrations(kind) if r.distribution == distribution]
+        lines += ["", f"## {kind.capitalize()}s"]
+        for name in names:
+            lines += ["", *_entry(plugin_reference(plugins, kind, name))]
+    return "\n".join(lines) + "\n"
+
+
+def _entry(plugin: PluginReference) -> Iterator[str]:
+    yield f"### `{plugin.name}`"
+    yield ""
+    yield plugin.summary
+    if plugin.measures:
+        yield ""
+        yield f"Measures {', '.join(f'`{name}` [{unit}]' for name, unit in plugin.measures.items())}."
+    if plugin.options:
+        yield ""
+        yield "| option | unit | default | allowed | |"
+        yield "| --- | --- | --- | --- | --- |"
+        for option in plugin.options:
+            default = "required" if option.required else f"`{option.default}`" if option.default else ""
+            cells = (f"`{option.name}`", option.unit, default, option.allowed, option.description)
+            yield f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
