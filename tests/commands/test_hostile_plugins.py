@@ -108,7 +108,7 @@ def test_a_plugin_that_cannot_be_loaded_is_named_by_the_run(place, error, bench,
     refused = _run(bench, tmp_path, f"{place}: raise {error}")
     assert refused.returncode == 2
     assert "there is no metric plugin named 'hostile'" in document(refused)["refused"]["reason"]
-    assert "hostile failed to load: " in document(refused)["refused"]["remedy"]
+    assert "hostile failed to load: " in document(refused)["refused"]["reason"]
 
 
 def test_success_is_not_believed_where_the_database_lacks_the_verdict(bench, tmp_path):
