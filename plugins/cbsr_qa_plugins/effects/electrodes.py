@@ -44,7 +44,7 @@ _MOST: Final = 50.0  # change of ln z; no sheet can be solved with contacts that
 
 
 class ContactDrift(SceneEffect):
-    """Every contact impedance grows or falls exponentially at a rate of its own, Gaussian, drawn once per seed.
+    """Every contact impedance grows or falls exponentially at its own rate, Gaussian, drawn once per seed.
 
     Parameters
     ----------

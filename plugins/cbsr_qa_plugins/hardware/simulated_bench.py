@@ -36,7 +36,7 @@ def open_bench(context: StationContext, options: BenchOptions) -> "SimulatedBenc
     --------------------
     hover_mm, travel_speed_mm_s : by default the station's motion.
     contact_length_mm : contact impedance over sheet resistance.
-    scene : file or name of the simulated world; read by whoever opens the bench.
+    scene : file or name of the simulated world; the station loads it before the bench is opened.
 
     Raises
     ------

@@ -21,7 +21,7 @@ class ReciprocityError(WithOptions):
 
     Parameters
     ----------
-    every : whether each pair's is a measurement of its own, ``"drive 3, measure 7"``.
+    every : whether each pair's error is reported too, ``"drive 3, measure 7"``.
     """
 
     class Options(PluginOptions):

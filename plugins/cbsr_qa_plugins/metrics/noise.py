@@ -162,7 +162,7 @@ class ChannelNoise(WithOptions):
 
     Parameters
     ----------
-    every : whether each imaged reading's ratio is a measurement of its own, ``"drive 3, measure 7"``.
+    every : whether each imaged reading's ratio is reported too, ``"drive 3, measure 7"``.
     """
 
     class Options(PluginOptions):

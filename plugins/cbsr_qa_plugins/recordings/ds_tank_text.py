@@ -23,7 +23,7 @@ Rows = list[tuple[int, list[str]]]
 
 
 class DsTankText:
-    """Reads one averaged frame a file; the empty tank is a file of its own.
+    """Reads one averaged frame a file; the empty tank has its own file.
 
     The in-phase voltage Vr is used. Dividing it by the current column makes reciprocity worse (14 % against 1.3 %),
     so it is not divided. Values are magnitudes: the sign of the pattern's geometry is put back by the analysis.

@@ -44,7 +44,7 @@ _MOST_PHASES: Final = 4
 
 
 class Limits:
-    """Section that lists everything that was measured, whoever's plugin measured it."""
+    """Section that lists everything that was measured, by any plugin."""
 
     def render(self, result: RunResult | RecordingResult) -> Section | None:
         """Return the section; None for a recording, or where nothing was measured."""
