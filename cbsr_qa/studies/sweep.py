@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 
 from cbsr_qa.domain import StoreError
 
-#: Told how many pieces of how many are done, and which was the last.
+#: Called with the number of pieces done, of all, and which was the last.
 Tell = Callable[[int, int, str], None]
 Documents = list[dict[str, Any]]
 Job = TypeVar("Job")
@@ -53,7 +53,7 @@ class Kept:
     Raises
     ------
     StoreError
-        If the file is there and is none of ours, or cannot be read.
+        If the file is not one of finished pieces, or cannot be read.
     """
 
     def __init__(self, path: Path | None) -> None:

@@ -14,7 +14,7 @@ def stability(
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> None:
-    """Run the numerically hard cases: error against truth, its bound and the condition met, or the named refusal.
+    """Run the numerically hard cases: error against truth, its bound and the condition number, or the refusal.
 
     Exit code 1 if a bound is broken.
     """

@@ -34,7 +34,7 @@ def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float])
 
 
 def worth_the_station(points: Sequence[Point]) -> tuple[bool, ...]:
-    """Tell of every point whether no other of any series is as good for less of the station's time.
+    """Return for each point whether no other of any series is as good for less of the station's time.
 
     Settings that some sensors refused are not worth anything.
     """
@@ -52,7 +52,9 @@ def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: flo
     names = [name for name in UNITS if not refused and any(name in tried.errors for tried in group)]
     missing = {name: sum(name not in tried.errors for tried in group) for name in names}
     left_out = [
-        f"{name.replace('_', ' ')} not told on {missing[name]} of {len(group)}" for name in names if missing[name]
+        f"{name.replace('_', ' ')} not determined on {missing[name]} of {len(group)}"
+        for name in names
+        if missing[name]
     ]
     return Point(
         Clock.STATION,

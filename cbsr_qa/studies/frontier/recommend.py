@@ -13,7 +13,7 @@ from cbsr_qa.studies.frontier.setting import Setting
 def undominated_within_errors(
     points: Sequence[Point], cost: Callable[[Point], float | None], names: Sequence[str] | None = None
 ) -> tuple[bool, ...]:
-    """Tell of every point whether it buys accuracy that can be told from chance.
+    """Return for each point whether it buys accuracy beyond chance.
 
     The rule: a setting is dominated where a *kept* setting
 

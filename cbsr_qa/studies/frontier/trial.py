@@ -43,7 +43,7 @@ UNITS: Final = {
 
 
 def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign) -> dict[str, float]:
-    """Calibrate with a run and return its errors; figures that cannot be told are absent.
+    """Calibrate with a run and return its errors; values that cannot be determined are absent.
 
     Parameters
     ----------

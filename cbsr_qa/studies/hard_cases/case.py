@@ -28,7 +28,7 @@ class Ending(StrEnum):
     """How a hard case came out."""
 
     OK = "ok"  #: a number within its bound
-    REFUSED = "refused"  #: refused by name, as it should be
+    REFUSED = "refused"  #: refused with reason and remedy, as it should be
     BROKEN = "broken"  #: out of its bound, not finite, an unexplained error or warning, or a refusal not asked for
 
 
@@ -124,7 +124,7 @@ class CaseResult:
     outcome : within its bound, refused as it should be, or broken.
     error, bound, unit, condition, note : of the answer; None where it was refused or failed, or is no finite number.
     reason : of the refusal, or why it is broken; None where it is in its bound.
-    remedy : what the user is told to do; None where nothing is.
+    remedy : what the user can do; None where there is no advice.
     seconds : it took.
     """
 

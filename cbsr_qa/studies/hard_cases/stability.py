@@ -85,7 +85,7 @@ def examine_cases(
     Parameters
     ----------
     areas, names : of the cases to run; all where neither is given.
-    progress : told how many are done, and of how many.
+    progress : called with the number of cases done and of all.
     processes : how many work at once; by default two, or one where there is one core.
 
     Raises

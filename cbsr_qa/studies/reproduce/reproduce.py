@@ -105,7 +105,7 @@ def reproduce_paper(
     Parameters
     ----------
     quick : fewer trials and strains.
-    tell : told what is done.
+    tell : called with what is done, in words.
     processes : how many work at once; by default two, or one where there is one core.
 
     Raises

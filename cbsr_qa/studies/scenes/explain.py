@@ -71,7 +71,7 @@ def explain_scene(
     ----------
     scene : path or shipped name.
     measure : whether frames are taken to measure costs.
-    tell, progress : told what the computer is busy with, and how many of its measurements are done.
+    tell, progress : called with what the computer is busy with, and with measurements done and of all.
 
     Raises
     ------

@@ -95,8 +95,8 @@ def run_scene(
 
     Parameters
     ----------
-    tell : told what the computer is busy with.
-    progress : told how many frames of how many are taken.
+    tell : called with what the computer is busy with.
+    progress : called with the number of frames taken and of all.
 
     Raises
     ------

@@ -102,7 +102,7 @@ def test_a_setting_that_some_sensors_refused_has_no_figures_and_says_why():
 def test_a_figure_that_one_sensor_could_not_tell_is_left_out_and_named():
     point = only_point(tried(1, force_error=0.1, settling_error=0.2), tried(2, force_error=0.1))
     assert point.accuracy.keys() == {"force_error"}
-    assert point.note == "settling error not told on 1 of 2"
+    assert point.note == "settling error not determined on 1 of 2"
 
 
 def test_settings_are_apart_by_series_and_by_every_choice():

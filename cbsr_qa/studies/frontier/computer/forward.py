@@ -1,6 +1,6 @@
 """Voltages of a sheet: what exactness costs in unknowns, time and memory, by size and order of the elements.
 
-What a computation costs: processor time of one core, so that what else a machine does is not counted.
+Time is processor time of one core, so that what else a machine does is not counted.
 """
 
 import time
@@ -24,7 +24,23 @@ from cbsr_qa.eit.mesh import sheet_mesh
 from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
 
 T = TypeVar("T")
+Array = NDArray[np.float64]
 
+SERIES_ARCS: Final = "forward-model, electrodes on the edge"
+SERIES_PINS: Final = "forward-model, pins"
+
+#: Sizes of elements [mm] by their order, coarse to fine.
+SIZES_MM: Final[Mapping[str, Mapping[int, tuple[float, ...]]]] = {
+    "arc": {1: (6.0, 4.0, 3.0, 2.0, 1.4), 2: (10.0, 7.5, 6.0, 5.0, 4.0)},
+    "pin": {1: (6.0, 4.0, 3.0, 2.25, 1.6), 2: (12.0, 8.0, 6.0, 5.0, 3.5)},
+}
+
+_ARC_HALF_RAD: Final = 0.05  # an arc of 5 mm on a sheet of 50 mm
+_ARC_CONTACT_MM: Final = 2.5  # z γ of the arcs; 0.05 radii
+_PIN_CONTACT_MM: Final = 0.2
+_INCLUSION: Final = (0.5, 3.0)  # radius over the sheet's, and conductance over the sheet's
+_HEAD_MM, _CONTRAST = 6.5, 0.5
+_ENTRY_BYTES: Final = 12  # a double and where it stands
 _LEAST_S: Final = 2e-3  # shorter bursts are as long as the clock is coarse on some systems
 _REPEATS: Final = 7
 
@@ -55,25 +71,6 @@ def _burst_s(run: Callable[[], object], calls: int) -> float:
     for _ in range(calls):
         run()
     return time.process_time() - before
-
-
-Array = NDArray[np.float64]
-
-SERIES_ARCS: Final = "forward-model, electrodes on the edge"
-SERIES_PINS: Final = "forward-model, pins"
-
-#: Sizes of elements [mm] by their order, coarse to fine.
-SIZES_MM: Final[Mapping[str, Mapping[int, tuple[float, ...]]]] = {
-    "arc": {1: (6.0, 4.0, 3.0, 2.0, 1.4), 2: (10.0, 7.5, 6.0, 5.0, 4.0)},
-    "pin": {1: (6.0, 4.0, 3.0, 2.25, 1.6), 2: (12.0, 8.0, 6.0, 5.0, 3.5)},
-}
-
-_ARC_HALF_RAD: Final = 0.05  # an arc of 5 mm on a sheet of 50 mm
-_ARC_CONTACT_MM: Final = 2.5  # z γ of the arcs; 0.05 radii
-_PIN_CONTACT_MM: Final = 0.2
-_INCLUSION: Final = (0.5, 3.0)  # radius over the sheet's, and conductance over the sheet's
-_HEAD_MM, _CONTRAST = 6.5, 0.5
-_ENTRY_BYTES: Final = 12  # a double and where it stands
 
 
 def forward_point(electrodes: str, order: int, size_mm: float) -> Point:

@@ -1,6 +1,6 @@
-"""Applying an imaging matrix: what single precision and large blocks of frames cost in digits and save in time.
+"""Images: what methods, smoothing and the density of the mesh do to where loads are put, and what they cost in time.
 
-Reconstructions, how much they smooth, and the density of the image's mesh against where they put loads.
+Of applying an imaging matrix: what single precision and large blocks of frames cost in digits and save in time.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -22,6 +22,12 @@ from cbsr_qa.studies.frontier.computer.forward import fastest_s, timed
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
 from cbsr_qa.studies.frontier.point import Accuracy, Clock, Knob, Point
 
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
+
+SERIES: Final = "applying the matrix"
+PRECISIONS: Final = ("float32", "float64")
+BATCHES: Final = (1, 16, 256, 4096)
 SERIES_METHODS: Final = "reconstruction"
 SERIES_MESHES: Final = "image mesh"  # and the method's name
 
@@ -197,14 +203,6 @@ def _smoothed(method: MethodSetting, value: float, problem: ImagingProblem) -> P
         return made(method, components=whole).prepare(problem)
     except NumericsError:  # two components that belong together: there is a count beside it that parts no pair
         return made(method, components=whole + 1).prepare(problem)
-
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.floating[Any]]
-
-SERIES: Final = "applying the matrix"
-PRECISIONS: Final = ("float32", "float64")
-BATCHES: Final = (1, 16, 256, 4096)
 
 
 def precision_point(precision: str, batch: int) -> Point:

@@ -1,7 +1,4 @@
-"""Where images put the nine loads of simulated sensors, and how large they make them.
-
-Simulated noisy readings of the base scene at the nine places: what images are judged on.
-"""
+"""Where images put nine loads, and how large they make them: simulated noisy readings of the base scene, judged."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -65,7 +62,7 @@ def base_scene_readings(seeds: int) -> SimulatedReadings:
         If there is no seed.
     """
     if seeds < 1:
-        raise ConfigError(f"{seeds} seeds are none", remedy="simulate at least one sensor")
+        raise ConfigError(f"{seeds} seeds, and no sensor to simulate", remedy="simulate at least one sensor")
     plan = load_scene_plan(_SCENE).value
     sensor_type = load_sensor_type(str(plan.sensor_type)).value
     heads = tuple(plan.indenter.at(*load.place_mm) for load in plan.loads)

@@ -70,7 +70,7 @@ def measured(
 
     Parameters
     ----------
-    tell : told before each how many of how many are done, and what comes next.
+    tell : called before each with the number done, of all, and what comes next.
     """
     for done, task in enumerate(tasks):
         tell(done, len(tasks), task.what)
