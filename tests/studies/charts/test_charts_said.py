@@ -147,13 +147,6 @@ def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
     assert "could not be measured" not in out
 
 
-def test_values_that_do_not_differ_name_the_metric_once(tmp_path, command):
-    fill(tmp_path / "runs.db", values(count=30))
-    err = command(tmp_path / "runs.db", *NEW, "--metric", "drift")[2]
-    assert "drift: individuals: all 30 values of the reference period are 0.1" in err
-    assert err.count("drift") == 1
-
-
 def test_what_was_left_out_of_a_reference_that_is_too_short_is_said(tmp_path, command):
     fill(tmp_path / "runs.db", values(count=20))
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:

@@ -134,10 +134,3 @@ def test_empty_tables_and_columns_are_left_out(url):
     assert "why not" not in html
     assert "not measured" not in html
     assert "by other methods" not in page_of(made_of([("41", "A"), ("42", "A")], names=("gap",)))
-
-
-def test_cautions_begin_with_a_capital_and_names_of_groups_stay_as_they_are():
-    alone = made_of([("lot", "A")] * 3)
-    assert alone.result.warnings[0].startswith("There is only one batch, lot")
-    mixed = made_of([("lot", "A"), ("41", "A")])
-    assert any(words.startswith("lot has only one sensor") for words in mixed.result.warnings)

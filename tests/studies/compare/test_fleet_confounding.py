@@ -207,11 +207,3 @@ def test_what_was_taken_out_of_a_difference_of_periods_is_said():
 
 def page_of_days(table):
     return page_of(compare_outcome(compare(table, DAYS, NOW)))
-
-
-def test_rules_and_captions_say_that_yields_and_means_hold_what_stations_differ_by():
-    made = compare_outcome(compare(table_of(*fleet(13, crossed(2))), Terms(By.BATCH), NOW))
-    assert any(rule.startswith("Yields, means, quantiles and capability are of values") for rule in made.result.rules)
-    html = page_of(made)
-    assert "Sensors and yields as measured, stations' differences included" in html
-    assert "One value a sensor as measured, stations' differences included" in html

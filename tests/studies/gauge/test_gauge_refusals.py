@@ -47,18 +47,6 @@ def test_a_confidence_is_in_per_cent(crossed, command, tmp_path, wrong):
     assert "line 4: study.confidence_percent is" in err
 
 
-def test_an_unknown_key_of_a_table_is_told_its_neighbours(crossed, command, tmp_path):
-    study = tmp_path / "study.toml"
-    study.write_text(
-        '[study]\nname = "g"\nrecipe = "short"\n[[reference]]\nserial = "S-01"\nmetric = "force_gain"\n'
-        'unit = "N/V"\nvalue = 10.0\nuncertanty = 0.02\n'
-    )
-    code, _, err = command(study, "--database", crossed)
-    assert code == 2
-    assert "line 9: reference[1].uncertanty is not a known key; did you mean 'uncertainty'?" in err
-    assert "allowed here: metric, serial, uncertainty, unit, value" in err
-
-
 @pytest.mark.parametrize("option", [(), ("--largest-balanced",)])
 @pytest.mark.parametrize("whole", [True, False])
 def test_sensors_that_were_run_once_have_no_repeatability(tmp_path, command, option, whole):
