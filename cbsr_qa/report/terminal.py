@@ -25,18 +25,18 @@ def terminal_lines(page: Page, sections: Sequence[Section]) -> Iterator[str]:
     banner = page.banner
     start = f"{banner.symbol} {banner.headline}"
     yield from _hanging("", f"{start}: {banner.reason}" if banner.reason else start)
-    facts = [(name.lower(), value) for name, value in page.identity]
+    facts = [(_name(name), value) for name, value in page.identity]
     facts += [("simulated", text) for text in page.simulated]
     facts += [("warning", text) for text in page.warnings] + [("note", text) for text in page.remarks]
     width = max((len(name) for name, _ in (*facts, *page.printed)), default=0)
     for name, value in facts:
         yield from _hanging(f"{name:<{width}}  ", value)
     for name, value in page.printed:
-        yield f"{name.lower():<{width}}  {printable(value)}"
+        yield f"{_name(name):<{width}}  {_shown(value)}"
     for section in sections:
         lines = [line for block in section.blocks for line in _block(block)]
         if lines and not section.page_only:
-            yield from ("", printable(section.title), *lines)
+            yield from ("", _shown(section.title), *lines)
 
 
 def _block(block: Block) -> Iterator[str]:
@@ -48,7 +48,7 @@ def _block(block: Block) -> Iterator[str]:
 
 def _table(table: Table) -> Iterator[str]:
     yield from _hanging(_INDENT, table.caption)
-    rows = [table.columns, *(tuple(printable(cell.text) for cell in row) for row in table.rows)]
+    rows = [table.columns, *(tuple(_shown(cell.text) for cell in row) for row in table.rows)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     room = _WIDTH - 2 * len(_INDENT) - sum(width + 2 for width in widths[:-1])
     if widths[-1] > room >= _LEAST_ROOM and len(widths) - 1 not in table.numeric:
@@ -71,10 +71,19 @@ def _parts(cell: str, width: int) -> list[str]:
     return textwrap.wrap(cell, width, break_long_words=False, break_on_hyphens=False)
 
 
+def _name(name: str) -> str:
+    return name if name.isupper() else name.lower()
+
+
+def _shown(text: str) -> str:
+    """A text of one line without control characters; spaces that must not break are wrapped as others are."""
+    return printable(text.replace("\N{NO-BREAK SPACE}", " "))
+
+
 def _hanging(start: str, text: str) -> Iterator[str]:
     """Wrap text behind its first words, further lines below its beginning."""
     yield from textwrap.wrap(
-        printable(text),
+        _shown(text),
         _WIDTH,
         initial_indent=start,
         subsequent_indent=" " * len(start),

@@ -31,3 +31,7 @@ def test_where_the_last_column_has_no_room_long_texts_take_several_lines(columns
     lines = _lines(columns, row, numeric)
     assert max(len(line) for line in lines if "a" * 90 not in line) <= 100
     assert " ".join(lines).count("word") == TEXT.count("word")
+
+
+def test_spaces_that_must_not_break_are_spaces_in_a_terminal():
+    assert "    1.00 kΩ" in _lines(("value",), ("1.00\N{NO-BREAK SPACE}kΩ",))

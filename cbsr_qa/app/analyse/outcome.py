@@ -321,7 +321,8 @@ def _events(result: RecordingResult, *, imaged: bool) -> Iterator[Block]:
         row = [f"E{number}", *times, event.place, *mm, "conducts more" if event.sign > 0 else "conducts less"]
         seen = ["not in it" if event.imaged is None else event.imaged.place] * imaged
         rows.append([*row, fixed(event.snr, 1), *seen])
-    yield text_table("Found in the readings.", [*columns, *(["in its image"] * imaged)], rows)
+    numeric = [place for place, column in enumerate(columns) if column.endswith("]") or column == "SNR"]
+    yield text_table("Found in the readings.", [*columns, *(["in its image"] * imaged)], rows, numeric)
     choice = None if result.imaging is None else result.imaging.choice
     if imaged and result.imaging is not None and choice is not None:
         name = result.imaging.reconstruction.name
