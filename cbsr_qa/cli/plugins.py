@@ -1,17 +1,15 @@
 """``cbsr-qa plugins``: what is installed and from where, and what each plugin takes."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from pydantic import Field
 
 from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import show
-from cbsr_qa.plugin import Kind, OptionReference, PluginReference
 
 if TYPE_CHECKING:
     from cbsr_qa.domain.results import Section
+    from cbsr_qa.plugin import PluginReference
 
 app = typer.Typer(help="List what is installed, and from where.", no_args_is_help=True)
 
@@ -19,40 +17,6 @@ app = typer.Typer(help="List what is installed, and from where.", no_args_is_hel
 @app.callback()
 def _group() -> None:
     """List what is installed, and from where."""
-
-
-@dataclass(frozen=True, slots=True)
-class Plugin:
-    """A registered plugin, the distribution it comes from, and with ``--options`` what it takes."""
-
-    kind: str
-    name: str
-    distribution: Annotated[str, Field(serialization_alias="from")]
-    version: str
-    options: tuple[OptionReference, ...] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class FailedPlugin:
-    """A distribution whose plugins could not be loaded."""
-
-    distribution: Annotated[str, Field(serialization_alias="from")]
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class ShownPlugins:
-    """Every plugin of one name, with its options and measurements."""
-
-    plugins: tuple[PluginReference, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class ListedPlugins:
-    """Plugins by kind and name, and those that could not be loaded."""
-
-    plugins: tuple[Plugin, ...]
-    failed: tuple[FailedPlugin, ...]
 
 
 @app.command("list")
@@ -65,11 +29,11 @@ def list_plugins(
     from dataclasses import replace
 
     from cbsr_qa.domain.results import Section
-    from cbsr_qa.plugin import discover, kind_named, plugin_reference
+    from cbsr_qa.plugin import FailedPlugin, Kind, ListedPlugin, ListedPlugins, discover, kind_named, plugin_reference
     from cbsr_qa.report import answer, filled, plural, text_table
 
     plugins = discover()
-    found = [filled(Plugin, registration) for registration in plugins.registrations(kind_named(kind))]
+    found = [filled(ListedPlugin, registration) for registration in plugins.registrations(kind_named(kind))]
     columns: tuple[str, ...] = ("kind", "name", "from")
     rows = [[plugin.kind, plugin.name, f"{plugin.distribution} {plugin.version}"] for plugin in found]
     if options:
@@ -93,7 +57,7 @@ def show_plugin(
     """Print the options of a plugin with unit, default and range, and what it measures."""
     from dataclasses import replace
 
-    from cbsr_qa.plugin import discover, kind_named, plugin_reference
+    from cbsr_qa.plugin import Kind, ShownPlugins, discover, kind_named, plugin_reference
     from cbsr_qa.report import answer
 
     plugins = discover()
@@ -106,7 +70,7 @@ def show_plugin(
     show(replace(outcome, sections=tuple(map(_section, shown))), as_json=as_json)
 
 
-def _section(plugin: PluginReference) -> "Section":
+def _section(plugin: "PluginReference") -> "Section":
     from cbsr_qa.domain.results import Block, Paragraph, Section
     from cbsr_qa.report import text_table
 

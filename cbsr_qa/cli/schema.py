@@ -5,7 +5,6 @@ from typing import Annotated, Any
 import typer
 
 from cbsr_qa.cli.output import emit_json, say
-from cbsr_qa.cli.plugins import ListedPlugins, ShownPlugins
 from cbsr_qa.domain import RefusedError
 
 
@@ -25,6 +24,7 @@ def results() -> dict[str, type]:
     from cbsr_qa.app.analyse import Analysed
     from cbsr_qa.app.run import PlannedRun, Rendered, RunOutcome
     from cbsr_qa.app.station_check import CheckedStation
+    from cbsr_qa.plugin import ListedPlugins, ShownPlugins
     from cbsr_qa.studies.charts import Charts
     from cbsr_qa.studies.compare import Comparison
     from cbsr_qa.studies.frontier import Frontier

@@ -44,8 +44,11 @@ from .problems import (
     check as check,
 )
 from .reference import (
-    OptionReference as OptionReference,
+    FailedPlugin as FailedPlugin,
+    ListedPlugin as ListedPlugin,
+    ListedPlugins as ListedPlugins,
     PluginReference as PluginReference,
+    ShownPlugins as ShownPlugins,
     plugin_reference as plugin_reference,
     reference_page as reference_page,
 )

@@ -5,8 +5,9 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+from pydantic import Field
 from pydantic.fields import FieldInfo
 
 from cbsr_qa.plugin.discovery import Factory, Plugins
@@ -55,6 +56,40 @@ class PluginReference:
     summary: str
     options: tuple[OptionReference, ...]
     measures: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class ListedPlugin:
+    """A registered plugin, the distribution it comes from, and with ``--options`` what it takes."""
+
+    kind: str
+    name: str
+    distribution: Annotated[str, Field(serialization_alias="from")]
+    version: str
+    options: tuple[OptionReference, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FailedPlugin:
+    """A distribution whose plugins could not be loaded."""
+
+    distribution: Annotated[str, Field(serialization_alias="from")]
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ShownPlugins:
+    """Every plugin of one name, with its options and measurements."""
+
+    plugins: tuple[PluginReference, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ListedPlugins:
+    """Plugins by kind and name, and those that could not be loaded."""
+
+    plugins: tuple[ListedPlugin, ...]
+    failed: tuple[FailedPlugin, ...]
 
 
 def plugin_reference(plugins: Plugins, kind: Kind, name: str) -> PluginReference:
