@@ -10,7 +10,7 @@ from cbsr_qa.plugin import printable
 
 _WIDTH: Final = 100
 #: Longest line of a text in a table that is wider than the terminal.
-_CELL: Final = 36
+_CELL: Final = 40
 _INDENT: Final = "  "
 _LEAST_ROOM: Final = 20  # that a wrapped column has
 

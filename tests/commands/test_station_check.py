@@ -14,6 +14,7 @@ from cbsr_qa.cli import guarded
 from cbsr_qa.config import load_scene, load_station
 from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
+from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.report import terminal_lines
 from cbsr_qa.store import open_store
 
@@ -182,19 +183,19 @@ CHECK = StationCheck("1", "simulated", "", datetime(2026, 11, 22, tzinfo=UTC), "
 
 
 class Silent:
-    """Plugins whose instruments do not answer."""
+    """The installed plugins, whose instruments do not answer."""
 
     def __init__(self, error):
-        self.error = error
+        self.error, self.installed = error, discover()
+
+    def __getattr__(self, name):
+        return getattr(self.installed, name)
 
     def factory(self, kind, name):
-        def opened(context):
+        def opened(context, **options):
             raise self.error
 
-        return opened
-
-    def registrations(self):
-        return ()
+        return opened if kind is Kind.INSTRUMENT else self.installed.factory(kind, name)
 
 
 def test_where_no_instrument_answers_it_ends_with_3_and_says_so_in_a_stored_check(check, monkeypatch):
