@@ -150,5 +150,5 @@ def test_its_effect_refuses_by_name(environment, tmp_path):
     (tmp_path / "draught.toml").write_text(_SCENE + _DRAUGHT.format(cooler_K=-5.0))
     done = _cbsr_qa(environment, tmp_path, "scene", "run", "draught.toml")
     assert done.returncode == 2
-    assert "'room-draught': cooler_K is -5.0" in done.stderr
+    assert "effects[1].cooler_K is -5.0" in done.stderr
     assert not (tmp_path / "var").exists()
