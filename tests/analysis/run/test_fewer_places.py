@@ -22,7 +22,8 @@ def a_run(places_mm, force_N, seed=1, deviation=0.2, response=None, hold_s=30.0)
         SimpleNamespace(
             phase="grid",
             force_N=float(force),
-            record=SimpleNamespace(load=SimpleNamespace(x_mm=float(x), y_mm=float(y)), index=k),
+            place_mm=(float(x), float(y)),
+            record=SimpleNamespace(index=k),
         )
         for k, ((x, y), force) in enumerate(zip(places_mm, force_N, strict=True))
     ]
