@@ -4,17 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_runs import simulated_run
+from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import Conclusion, calibrated
-from cbsr_qa.analysis.run import observe_run
 from cbsr_qa.calibration import Calibration, Flag
 from cbsr_qa.config import load_recipe
 from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.domain.results import Outcome, Verdict
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import Parameter
-from cbsr_qa.plugin import Kind, discover
 
 _RECIPE = replace(load_recipe("nine-locations").value, calibrate_phases=("grid",))
 _DEAD = 5
@@ -26,9 +24,7 @@ def record():
 
 
 def _calibrated(record):
-    factory = discover().factory(Kind.RECONSTRUCTION, _RECIPE.reconstruction.name)
-    settings = replace(_RECIPE.analysis, calibrate_phases=("grid",))
-    observation = observe_run(record, factory(**_RECIPE.reconstruction.options), settings)
+    observation = observed_run(record, calibrate_phases=("grid",))
     conclusion = Conclusion(observation, (), Verdict(Outcome.PASS, "all limits are met"), ())
     return calibrated(conclusion, _RECIPE, calibration="0193-c", issued_at="2026-01-01T00:00:00+00:00")
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_runs import simulated_run
+from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import Conclusion, calibrated
-from cbsr_qa.analysis.run import observe_run, run_force
+from cbsr_qa.analysis.run import run_force
 from cbsr_qa.analysis.verification import verify_calibration
 from cbsr_qa.app.run import RunRequest, plan_run
 from cbsr_qa.calibration.file import write_calibration
@@ -17,16 +17,13 @@ from cbsr_qa.domain import CalibrationError, ConfigError
 from cbsr_qa.domain.results import Outcome, Verdict
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Kind, discover
 from cbsr_qa_plugins.metrics.force import CalibrationCheck
 
 PLACES = ((0.0, 0.0), (25.0, 10.0), (-20.0, 18.0), (-8.0, -28.0))
 
 
 def observed(record, *phases):
-    recipe = load_recipe("nine-locations").value
-    made = discover().factory(Kind.RECONSTRUCTION, recipe.reconstruction.name)(**recipe.reconstruction.options)
-    return observe_run(record, made, replace(recipe.analysis, calibrate_phases=phases)), recipe
+    return observed_run(record, calibrate_phases=phases), load_recipe("nine-locations").value
 
 
 @pytest.fixture(scope="module")

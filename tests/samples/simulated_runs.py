@@ -3,7 +3,8 @@
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from cbsr_qa.config import load_material, load_scene, load_sensor_type
+from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.config import load_material, load_recipe, load_scene, load_sensor_type
 from cbsr_qa.domain.plan import (
     AcquireFrames,
     FindSurface,
@@ -93,3 +94,11 @@ def simulated_run(
     ended = execute(plan, identity, bench, clock, [journal])
     assert not ended.detail, ended.detail
     return journal.record(identity, ended)
+
+
+def observed_run(record, *, over_time=True, **changes):
+    """What the recipe of nine locations observes in a run, with some of its settings changed."""
+    recipe = load_recipe("nine-locations").value
+    factory = discover().factory(Kind.RECONSTRUCTION, recipe.reconstruction.name)
+    settings = replace(recipe.analysis, **changes)
+    return observe_run(record, factory(**recipe.reconstruction.options), settings, over_time=over_time)

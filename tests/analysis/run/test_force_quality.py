@@ -6,21 +6,19 @@ import numpy as np
 import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
-from simulated_runs import simulated_run
+from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.run import force_quality
 from cbsr_qa.analysis.run.force import TRIAL_LEFT_OUT, run_force
 from cbsr_qa.analysis.run.force_quality import FEWEST_COVERED, ForceErrors, calibrated_radius_mm, map_quality
-from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.fits import fit_common_relaxation
 from cbsr_qa.calibration.sheet import average_response, learn_response, sheet_gauge_factor, steady_share
-from cbsr_qa.config import load_material, load_recipe
+from cbsr_qa.config import load_material
 from cbsr_qa.domain import CalibrationError, NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Figure, Paragraph, RunResult, Table, decide
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Load
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.report import number
 from cbsr_qa.report.draw import checked_svg
 from cbsr_qa_plugins.metrics.force import ForceError
@@ -171,10 +169,7 @@ def observed():
     grid = replace(phase, role=Role.GRID, loads=phase.loads[:13])
     random = replace(phase, index=1, name="random", role=Role.RANDOM, loads=phase.loads[13:])
     record = replace(record, material=load_material("cbsr-8wt").value, phases=(grid, random))
-    recipe = load_recipe("nine-locations").value
-    reconstruction = discover().factory(Kind.RECONSTRUCTION, recipe.reconstruction.name)
-    settings = replace(recipe.analysis, calibrate_phases=("grid",))
-    return observe_run(record, reconstruction(**recipe.reconstruction.options), settings)
+    return observed_run(record, calibrate_phases=("grid",))
 
 
 @pytest.fixture(scope="module")

@@ -4,28 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_runs import HEAD, simulated_run
+from simulated_runs import HEAD, observed_run, simulated_run
 
-from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.domain.sensor import Response
 from cbsr_qa.eit.imaging import centre_of_mass_error_mm
-from cbsr_qa.plugin import Kind, discover
 
-_RECIPE = load_recipe("nine-locations").value
-_SETTINGS = _RECIPE.analysis
+_SETTINGS = load_recipe("nine-locations").value.analysis
 _PLACES = ((0.0, 0.0), (30.0, 0.0), (-15.0, 15.0), (0.0, -30.0), (15.0, 15.0))
-
-
-def _reconstruction():
-    factory = discover().factory(Kind.RECONSTRUCTION, _RECIPE.reconstruction.name)
-    return factory(**_RECIPE.reconstruction.options)
-
-
-def _observed(record, **changes):
-    return observe_run(record, _reconstruction(), replace(_SETTINGS, **changes))
 
 
 def _with_phase(record, **changes):
@@ -39,7 +27,7 @@ def run():
 
 @pytest.fixture(scope="module")
 def observation(run):
-    return _observed(run)
+    return observed_run(run)
 
 
 def test_every_press_is_found_where_it_was(observation):
@@ -61,7 +49,7 @@ def test_force_is_the_relaxed_modulus_times_strain_and_area(run, observation):
 def test_response_is_decided_and_the_sign_of_the_material_changes_nothing_else(run, observation):
     assert observation.response is Response.INCREASE
     # Without noise the change of the readings is not quite odd in the conductance; small strain makes it so.
-    pair = [_observed(simulated_run(_PLACES[:2], strain=0.05, gauge=sign, noise=1e-7)) for sign in (1.0, -1.0)]
+    pair = [observed_run(simulated_run(_PLACES[:2], strain=0.05, gauge=sign, noise=1e-7)) for sign in (1.0, -1.0)]
     assert [one.response for one in pair] == [Response.INCREASE, Response.DECREASE]
     for rising, falling in zip(pair[0].loads, pair[1].loads, strict=True):
         up, down = rising.image.values, falling.image.values
@@ -71,7 +59,7 @@ def test_response_is_decided_and_the_sign_of_the_material_changes_nothing_else(r
 
 @pytest.mark.rest
 def test_residue_of_earlier_loads_is_seen_and_both_references_reported(observation):
-    quick = _observed(simulated_run(((15.0, 15.0), (15.0, 12.0)), hold_s=60.0, rest_s=5.0))
+    quick = observed_run(simulated_run(((15.0, 15.0), (15.0, 12.0)), hold_s=60.0, rest_s=5.0))
     first, second = quick.loads
     assert first.alternate is None
     assert second.residue > quick.noise_floor
@@ -79,7 +67,7 @@ def test_residue_of_earlier_loads_is_seen_and_both_references_reported(observati
     assert "both references" in " ".join(quick.warnings)
     # Against the frames before the press the residue is gone from the image, so its peak is lower.
     assert second.alternate.image.values.max() < second.image.values.max()
-    other = _observed(simulated_run(((15.0, 15.0), (15.0, 12.0)), hold_s=60.0, rest_s=5.0), reference="load")
+    other = observed_run(simulated_run(((15.0, 15.0), (15.0, 12.0)), hold_s=60.0, rest_s=5.0), reference="load")
     np.testing.assert_array_equal(other.loads[1].image.values, second.alternate.image.values)
 
 
@@ -100,7 +88,7 @@ def test_settling_is_the_materials_within_its_uncertainty(run, observation):
 
 
 def test_without_what_happens_over_time_all_else_is_the_same(run, observation):
-    steady = observe_run(run, _reconstruction(), _SETTINGS, over_time=False)
+    steady = observed_run(run, over_time=False)
     assert steady.noise_floor == observation.noise_floor
     for one, other in zip(steady.loads, observation.loads, strict=True):
         np.testing.assert_array_equal(one.image.values, other.image.values)
@@ -116,7 +104,7 @@ def test_flagged_and_stuck_readings_are_left_out_and_named(run):
     flags[::3, 0, 7] = ReadingFlag.SATURATED
     voltages[:, 3, 9] = 0.25
     damaged = _with_phase(run, frames=replace(frames, flags=flags, voltages=voltages))
-    observation = _observed(damaged)
+    observation = observed_run(damaged)
     assert not observation.usable[0, 7]
     assert not observation.usable[3, 9]
     assert observation.usable.sum() == 206
@@ -134,7 +122,7 @@ def test_a_lost_frame_costs_that_frame_and_nothing_else(run, observation):
     held = int(np.flatnonzero(frames.time_s > run.phases[0].loads[1].hold_start_s)[3])
     flags[held], voltages[held] = ReadingFlag.MISSING, 0.0  # a whole frame
     flags[held + 30, 4], voltages[held + 30, 4] = ReadingFlag.MISSING, 0.0  # one row of another
-    seen = _observed(_with_phase(run, frames=replace(frames, flags=flags, voltages=voltages)))
+    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags, voltages=voltages)))
     assert seen.usable.sum() == 208
     assert "2 of" in " ".join(seen.warnings)
     for load, before in zip(seen.loads, observation.loads, strict=True):
@@ -146,7 +134,7 @@ def test_a_reading_that_saturates_during_one_press_is_left_out_and_the_press_kep
     press = run.phases[0].loads[2]
     flags = frames.flags.copy()
     flags[(frames.time_s >= press.press_start_s) & (frames.time_s < press.rest_end_s), 6, 1] = ReadingFlag.COMPLIANCE
-    seen = _observed(_with_phase(run, frames=replace(frames, flags=flags)))
+    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags)))
     assert not seen.usable[6, 1]
     assert seen.usable.sum() == 207
     assert seen.loads[2].steady_frames == _SETTINGS.steady_frames
@@ -156,7 +144,7 @@ def test_lambda_belongs_to_the_sensor_type_not_to_the_sensor(run, observation):
     frames = run.phases[0].frames
     flags = frames.flags.copy()
     flags[:, 5, 9] = flags[:, 9, 5] = ReadingFlag.SATURATED
-    seen = _observed(_with_phase(run, frames=replace(frames, flags=flags)))
+    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags)))
     assert seen.usable.sum() == 206
     assert seen.reconstruction.choice.value == observation.reconstruction.choice.value
     assert seen.reconstruction.choice.noise_figure != observation.reconstruction.choice.noise_figure
@@ -166,18 +154,18 @@ def test_driven_pairs_do_not_reach_the_image(run, observation):
     frames = run.phases[0].frames
     voltages = frames.voltages.copy()
     voltages[:, ~run.sensor_type.pattern.usable()] = 123.0
-    changed = _observed(_with_phase(run, frames=replace(frames, voltages=voltages)))
+    changed = observed_run(_with_phase(run, frames=replace(frames, voltages=voltages)))
     np.testing.assert_array_equal(changed.loads[0].image.values, observation.loads[0].image.values)
 
 
 def test_the_analysis_repeats_itself_to_the_bit(run, observation):
-    again = _observed(run)
+    again = observed_run(run)
     for one, other in zip(observation.loads, again.loads, strict=True):
         np.testing.assert_array_equal(one.image.values, other.image.values)
 
 
 def test_a_sheet_that_does_not_respond_has_no_blob_and_no_response():
-    observation = _observed(simulated_run(_PLACES[:1], gauge=0.0))
+    observation = observed_run(simulated_run(_PLACES[:1], gauge=0.0))
     (load,) = observation.loads
     assert "not decided" in observation.response_how
     assert load.image.values.max() < 2 * observation.noise_floor
@@ -188,9 +176,9 @@ def test_a_sheet_that_does_not_respond_has_no_blob_and_no_response():
 
 def test_a_run_without_unloaded_frames_is_refused(run):
     with pytest.raises(NumericsError, match="no frames of the unloaded sheet"):
-        _observed(_with_phase(run, unloaded_from_s=None))
+        observed_run(_with_phase(run, unloaded_from_s=None))
 
 
 def test_too_few_unloaded_frames_are_refused(run):
     with pytest.raises(NumericsError, match="the reference at least one more"):
-        _observed(run, noise_floor_frames=20)
+        observed_run(run, noise_floor_frames=20)

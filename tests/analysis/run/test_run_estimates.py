@@ -4,30 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_runs import HEAD, simulated_run
+from simulated_runs import HEAD, observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import measure_run
 from cbsr_qa.analysis.run.estimates import estimated_loads, model_scale, reading_variance
-from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Figure, LoadFinding, Outcome, Paragraph, RunResult, Table, Verdict
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.eit.estimate import load_model
-from cbsr_qa.plugin import Kind, discover, options_of
+from cbsr_qa.plugin import options_of
 from cbsr_qa.report.draw import PlacedLoad, checked_svg, error_scale
 from cbsr_qa_plugins.metrics.location import CentreOfMassError, LoadEstimates
 from cbsr_qa_plugins.sections.loads import LoadEstimates as Section
 
 _RECIPE = load_recipe("nine-locations").value
 _PLACES = ((0.0, 0.0), (30.0, 0.0), (-15.0, 15.0), (0.0, -30.0))
-
-
-def observed(record, **changes):
-    factory = discover().factory(Kind.RECONSTRUCTION, _RECIPE.reconstruction.name)
-    reconstruction = factory(**_RECIPE.reconstruction.options)
-    return observe_run(record, reconstruction, replace(_RECIPE.analysis, **changes))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +31,7 @@ def run():
 @pytest.fixture(scope="module")
 def observation(run):
     record = replace(run, phases=(replace(run.phases[0], role=Role.GRID),))
-    return observed(record)
+    return observed_run(record)
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +148,7 @@ def test_the_section_is_silent_where_nothing_was_estimated(result):
 
 
 def test_refused_loads_are_counted_in_words(run):
-    weak = observed(replace(run, phases=(replace(run.phases[0], role=Role.GRID),)))
+    weak = observed_run(replace(run, phases=(replace(run.phases[0], role=Role.GRID),)))
     loud = replace(weak.unloaded, voltages=weak.reference + 60 * (weak.unloaded.voltages - weak.reference))
     noisy = replace(weak, unloaded=loud)
     taken, _ = measure_run(noisy, {"load-estimate": LoadEstimates()})

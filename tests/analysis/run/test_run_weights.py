@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_runs import simulated_run
+from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import conclude
-from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.analysis.run.reference import check_weighing
 from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.results import Outcome, RunResult, Table, Verdict
-from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.plugin import discover
 from cbsr_qa.system import Stages
 from cbsr_qa_plugins.metrics.location import AreaOverlap
 from cbsr_qa_plugins.reconstruction.direct import LinearBackProjection
@@ -26,9 +25,7 @@ _FACTOR = 10.0
 
 
 def _observed(record, weighting):
-    factory = discover().factory(Kind.RECONSTRUCTION, _RECIPE.reconstruction.name)
-    settings = replace(_RECIPE.analysis, noise_weighting=weighting)
-    return observe_run(record, factory(**_RECIPE.reconstruction.options), settings)
+    return observed_run(record, noise_weighting=weighting)
 
 
 def _with_voltages(record, voltages):

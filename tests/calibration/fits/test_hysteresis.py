@@ -6,22 +6,19 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from simulated_runs import simulated_run
+from simulated_runs import observed_run, simulated_run
 
-from cbsr_qa.analysis.run import observe_run, run_force
+from cbsr_qa.analysis.run import run_force
 from cbsr_qa.calibration.fits.hysteresis_fit import hysteresis, loop_curve
-from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import LoopObservation, Trace
 from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
-from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.station import PlannedPhase
 from cbsr_qa_plugins.metrics.data_sheet import Hysteresis
 from cbsr_qa_plugins.sequences.centre import HysteresisLoopSequence
 from cbsr_qa_plugins.sequences.places import LocationGridSequence
 
-_RECIPE = load_recipe("nine-locations").value
 _QUIET = 1e-6  # relative noise: what is left of a figure's error is the figure's own
 _LAST_S = 10.0
 
@@ -31,11 +28,6 @@ def _scene(width):
     data = {key: value for key, value in tomllib.loads(text).items() if key in ("scene", "effects")}
     loop = [{"name": "hysteresis", "width": width}] if width else []
     return {**data, "effects": [*data["effects"], *loop]}
-
-
-def _observed(record):
-    factory = discover().factory(Kind.RECONSTRUCTION, _RECIPE.reconstruction.name)
-    return observe_run(record, factory(**_RECIPE.reconstruction.options), _RECIPE.analysis)
 
 
 def _record(width, *, noise=_QUIET, before=(), seed=1, **options):
@@ -52,7 +44,7 @@ def _figures(run):
 
 @pytest.fixture(scope="module")
 def quiet():
-    return {width: _observed(_record(width, cycles=1)) for width in (0.0, 0.04, 0.1)}
+    return {width: observed_run(_record(width, cycles=1)) for width in (0.0, 0.04, 0.1)}
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +82,7 @@ def test_creep_passes_for_hysteresis_only_in_what_was_read(figures):
 @pytest.mark.rest
 @pytest.mark.parametrize("width", [0.0, 0.08])
 def test_the_stated_error_covers_the_material_noise(width):
-    found = _figures(_observed(_record(width, noise=None, cycles=2, seed=4)))[""]
+    found = _figures(observed_run(_record(width, noise=None, cycles=2, seed=4)))[""]
     assert 0.5 < found.uncertainty < 2.5
     assert found.value == pytest.approx(100 * width, abs=3 * found.uncertainty)
     assert "2 loops" in found.how
@@ -98,7 +90,7 @@ def test_the_stated_error_covers_the_material_noise(width):
 
 @pytest.mark.rest
 def test_places_are_told_apart_and_averaged():
-    run = _observed(_record(0.08, cycles=1, locations_mm=[[0, 0], [20, 10]], rest_s=240))
+    run = observed_run(_record(0.08, cycles=1, locations_mm=[[0, 0], [20, 10]], rest_s=240))
     whole, *each = [m for m in Hysteresis().measure_run(run) if not m.qualifier]
     assert [m.location for m in each] == ["H0", "H1"]
     assert [m.value for m in (whole, *each)] == pytest.approx([8.0] * 3, abs=0.4)
@@ -115,7 +107,7 @@ def test_an_electrode_that_falls_out_for_one_hold_and_one_that_drifts_cost_littl
     voltages[np.ix_(gone, range(16), [3, 4])] = 1.0
     answer = np.abs(voltages[frames.time_s > held.end_s].std(axis=0)).max()
     voltages[:, :, 12] += answer * np.linspace(0, 1, len(frames))[:, None]
-    run = _observed(replace(record, phases=(replace(phase, frames=replace(frames, voltages=voltages)),)))
+    run = observed_run(replace(record, phases=(replace(phase, frames=replace(frames, voltages=voltages)),)))
     assert _figures(run)[""].value == pytest.approx(10.0, abs=1.0)
 
 
@@ -127,7 +119,7 @@ def test_everything_at_once_leaves_the_loop_within_its_stated_error():
     (width,) = [effect["width"] for effect in scene["effects"] if effect["name"] == "hysteresis"]
     loop = HysteresisLoopSequence(strains_percent=[5, 10, 15, 20], cycles=3)
     record = simulated_run((), phases=(PlannedPhase("loop", "loop", loop),), scene=scene, seed=2)
-    found = _figures(_observed(record))[""]
+    found = _figures(observed_run(record))[""]
     assert found.value == pytest.approx(100 * width, abs=2 * found.uncertainty)
     assert found.uncertainty < 5.0
 
@@ -144,9 +136,9 @@ def test_loops_neither_calibrate_nor_test_force_nor_change_what_does():
     record = _record(0.0, before=(grid,), cycles=1, initial_rest_s=60)
     assert [(len(phase.loads), len(phase.loops)) for phase in record.phases] == [(4, 0), (0, 1)]
     assert record.phases[1].role is Role.LOOP
-    run = _observed(record)
+    run = observed_run(record)
     bare = tuple(replace(phase, loops=()) for phase in record.phases)
-    without = _observed(replace(record, phases=bare))
+    without = observed_run(replace(record, phases=bare))
     assert [load.record for load in run.loads] == [load.record for load in without.loads]
     assert run.tested == run.loads
     assert (
@@ -278,5 +270,5 @@ def test_a_load_cell_at_its_limit_while_the_deepest_strain_is_held_gives_no_forc
     phase = record.phases[-1]
     (force,) = phase.samples
     clipped = replace(force, values=np.minimum(force.values, 0.9 * np.quantile(force.values, 0.99)))
-    run = _observed(replace(record, phases=(replace(phase, samples=(clipped,)),)))
+    run = observed_run(replace(record, phases=(replace(phase, samples=(clipped,)),)))
     assert "it is saturated" in _figures(run)[""].how

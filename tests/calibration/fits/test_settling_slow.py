@@ -6,11 +6,9 @@ import pytest
 import simulated_runs
 
 from cbsr_qa.analysis import judge
-from cbsr_qa.analysis.run import observe_run
 from cbsr_qa.config import load_material, load_recipe
 from cbsr_qa.domain.results import Bound, Outcome
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
-from cbsr_qa.plugin import Kind, discover
 from cbsr_qa_plugins.metrics.relaxation import SettlingTimes
 
 _WINDOW_S = 55.0  # of a rest of 60 s, but for the head's way up
@@ -23,9 +21,7 @@ def _measured(monkeypatch, unloading_s):
     slow = replace(loaded, value=replace(loaded.value, unloading_relaxation=kernel))
     monkeypatch.setattr(simulated_runs, "load_material", lambda _: slow)
     recipe = load_recipe("nine-locations").value
-    factory = discover().factory(Kind.RECONSTRUCTION, recipe.reconstruction.name)
-    run = simulated_runs.simulated_run(NINE_LOCATIONS_MM)
-    observation = observe_run(run, factory(**recipe.reconstruction.options), recipe.analysis)
+    observation = simulated_runs.observed_run(simulated_runs.simulated_run(NINE_LOCATIONS_MM))
     metric = SettlingTimes()
     each = [m for load in observation.loads for m in metric.measure_load(load, observation)]
     shipped = [limit for limit in recipe.limits if limit.measurement == "common_settling_time"]

@@ -8,21 +8,17 @@ from importlib.resources import files
 import numpy as np
 import pytest
 from effect_setting import history, setting
-from simulated_runs import HEAD, simulated_run
+from simulated_runs import HEAD, observed_run, simulated_run
 
-from cbsr_qa.analysis.run import observe_run
 from cbsr_qa.calibration.fits import trace_of
 from cbsr_qa.calibration.sheet import place_responses
-from cbsr_qa.config import load_recipe
 from cbsr_qa.domain.plan import Role, SheetDesign
 from cbsr_qa.domain.run import Load
-from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.simulate import Transients
 from cbsr_qa_plugins.effects.sheet import UnevenResponse
 from cbsr_qa_plugins.metrics.data_sheet import Creep, Nonlinearity, PreconditioningChange, Repeatability, ZeroReturn
 from cbsr_qa_plugins.metrics.mechanics import ApparentModulus, Uniformity
 
-_RECIPE = load_recipe("nine-locations").value
 _TABLES = ("scene", "effects")
 _QUIET = 1e-6  # relative noise: what is left of a figure's error is the figure's own
 _PLACES = ((0.0, 0.0), (30.0, 0.0), (-15.0, 15.0), (0.0, -30.0))
@@ -36,9 +32,7 @@ def _scene(*added):
 
 
 def _observed(record, role=Role.GRID):
-    factory = discover().factory(Kind.RECONSTRUCTION, _RECIPE.reconstruction.name)
-    record = replace(record, phases=tuple(replace(phase, role=role) for phase in record.phases))
-    return observe_run(record, factory(**_RECIPE.reconstruction.options), _RECIPE.analysis)
+    return observed_run(replace(record, phases=tuple(replace(phase, role=role) for phase in record.phases)))
 
 
 def _loads(strains, trials=1):

@@ -5,21 +5,19 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from simulated_runs import observed_run
 
-from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.config import load_material, load_recipe, load_sensor_type
+from cbsr_qa.config import load_material, load_sensor_type
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role, SheetDesign
 from cbsr_qa.domain.readings import FrameBlock, VoltageUnit
 from cbsr_qa.domain.results import EndReason, RunObservation
 from cbsr_qa.domain.run import Indenter, Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Kind, discover
 from cbsr_qa.simulate import SimulatedSheet
 from cbsr_qa_plugins.metrics.images import GreitFiguresOfMerit, LoadAssignment, TwoTouchResolution
 from cbsr_qa_plugins.metrics.location import AreaOverlap, CentreOfMassError
 
-RECIPE = load_recipe("nine-locations").value
 SENSOR = load_sensor_type("disc-100mm").value
 HEAD = Indenter(13.0)
 _PERIOD_S = 2.5
@@ -59,8 +57,7 @@ def observed(sheet):
         )
         material = load_material("cbsr-8wt").value
         record = RunRecord(identity, SENSOR, material, HEAD, (phase,), EndReason.FINISHED)
-        method = discover().factory(Kind.RECONSTRUCTION, RECIPE.reconstruction.name)(**RECIPE.reconstruction.options)
-        return observe_run(record, method, replace(RECIPE.analysis, **settings))
+        return observed_run(record, **settings)
 
     return observe
 
@@ -102,8 +99,7 @@ def test_a_load_that_left_nothing_is_missed_not_given_the_others_region(observed
     record = run.record.phases[0]
     elsewhere = replace(record.loads[0], index=2, load=Load("L2", 0.0, 35.0, 0.2, 0))
     claimed = replace(run.record, phases=(replace(record, loads=(*record.loads, elsewhere)),))
-    method = discover().factory(Kind.RECONSTRUCTION, RECIPE.reconstruction.name)(**RECIPE.reconstruction.options)
-    seen = observe_run(claimed, method, RECIPE.analysis)
+    seen = observed_run(claimed)
     assert [load.mask(0.85).fate for load in seen.loads] == ["apart", "apart", "missed"]
     (error,) = [m for m in CentreOfMassError().measure_load(seen.loads[2], seen) if not m.qualifier]
     assert error.value is None
