@@ -300,7 +300,7 @@ def check_noise_weighing(factory: Factory, prepared: PreparedReconstruction) -> 
     that lets all readings count alike says so (``weighs_noise = False``).
     """
     if not isinstance(prepared, LinearReconstruction):
-        return Checked("noise weighing", "the method is not method matrix, and no run can use it", applies=False)
+        return Checked("noise weighing", "the method is not one matrix, and no run can use it", applies=False)
     if not getattr(factory(), "weighs_noise", True):
         return Checked("noise weighing", "the method says that it lets all readings count alike", applies=False)
     problem, loud = prepared.problem, np.ones(len(prepared.problem.reference))

@@ -120,7 +120,7 @@ EDITS = {
         "update sample_blocks set sample_values = zeroblob(length(sample_values)) where block = 1",
         "sample block 1 of phase 0 of run .* its digest does not match",
     ),
-    "a load's place": ("update loads set x_mm = 15.5", r"loads\.x_mm \("),
+    "a load's place": ("update loads set x_mm = 15.5", r"loads \(phase 0, load_index 0\) was changed"),
     "a load less": ("delete from loads where run = :run", r"loads \(phase 0, load_index 0\) was removed"),
     "a load more": (
         "insert into loads select run, phase, 1, label, x_mm, y_mm, strain, trial, press_start_s, hold_start_s,"
