@@ -3,7 +3,6 @@
 What a database says when something is wrong, turned into one clear message with what to do.
 """
 
-import shlex
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -90,9 +89,9 @@ def shown(url: URL) -> str:
 
 
 def address(url: URL) -> str:
-    """Return the argument for ``--database``, shell-quoted: a file's path, or the URL with its password hidden."""
+    """Return what names a database to ``--database``: a file's path, or the URL with its password hidden."""
     sqlite = url.get_backend_name() == "sqlite"
-    return shlex.quote(str(url.database) if sqlite else url.render_as_string(hide_password=True))
+    return str(url.database) if sqlite else url.render_as_string(hide_password=True)
 
 
 @contextmanager
