@@ -202,15 +202,21 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
 
 @contextmanager
 def reading(engine: Engine) -> Iterator[Connection]:
-    """One read transaction; database errors become StoreError, and so does what comes of a cell of another type."""
-    with translated(engine.url), engine.begin() as connection:
-        try:
-            yield connection
-        except (TypeError, ValueError, AttributeError) as error:
-            from cbsr_qa.store.tables import Base
+    """One read transaction; database errors become StoreError, and so do errors caused by a cell of another type."""
+    with translated(engine.url), engine.begin() as connection, _foreign_cells_named(connection):
+        yield connection
 
-            foreign = foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
-            raise foreign or error from error
+
+@contextmanager
+def _foreign_cells_named(connection: Connection) -> Iterator[None]:
+    """Raise StoreError in place of an error that a cell of another type explains."""
+    try:
+        yield
+    except (TypeError, ValueError, AttributeError, IndexError) as error:
+        from cbsr_qa.store.tables import Base
+
+        foreign = foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
+        raise foreign or error from error
 
 
 def foreign_cell(
@@ -255,7 +261,7 @@ def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Ite
     """
     with translated(engine.url), engine.connect() as connection:
         writer = connection.execution_options(cbsr_writes=True)
-        with _begun(writer, tell):
+        with _begun(writer, tell), _foreign_cells_named(writer):
             yield writer
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+import sqlite3
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -171,6 +172,18 @@ def test_what_has_no_verdict_cannot_be_overridden(repository):
         with pytest.raises(StoreError, match=said):
             repository.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
     assert repository.overrides() == ()
+
+
+@pytest.mark.parametrize("cell", ["runs.configuration", "runs.started_at", "runs.serial"])
+def test_a_cell_of_another_type_met_while_writing_is_named(tmp_path, cell):
+    table, column = cell.split(".")
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as repository:
+        run = begun(repository)
+        judged(repository, run)
+        with sqlite3.connect(tmp_path / "runs.db") as database:
+            database.execute(f"update {table} set {column} = x'ff00'")
+        with pytest.raises(StoreError, match=cell):
+            repository.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
 
 
 @contextmanager
