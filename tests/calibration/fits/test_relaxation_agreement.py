@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from simulated_runs import simulated_run
+from simulated_runs import observed_run, simulated_run
 from test_relaxation_common import TIME_S, _traces
-from test_run_analysis import _observed
 
 from cbsr_qa.calibration.fits.agreement import Agreement, MeasuredRelaxation, compare_relaxations
 from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
@@ -80,7 +79,7 @@ def test_what_cannot_be_compared_is_undecided_and_says_why(traces, why):
 
 
 def test_runs_compare_blobs_with_the_whole_image():
-    run = _observed(simulated_run(NINE_LOCATIONS_MM, noise=5e-5))
+    run = observed_run(simulated_run(NINE_LOCATIONS_MM, noise=5e-5))
     found = {(m.name, m.qualifier): m for m in BlobAndImageRelaxation().measure_run(run)}
     assert len(found) == 4
     loading = found["relaxation_shape_difference", "image against conductance, loading"]

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_runs import simulated_run
+from simulated_runs import observed_run, simulated_run
 from strip_samples import Truth, readings, specimen
-from test_run_analysis import _observed
 
 from cbsr_qa.analysis.run import sheet_against_strip
 from cbsr_qa.calibration.fits.agreement import Agreement, compare_relaxations
@@ -35,7 +34,7 @@ def alike(strip):
 
 
 def observed(material, **options):
-    return _observed(simulated_run(PLACES, material=material, **options), calibrate_phases=("grid",))
+    return observed_run(simulated_run(PLACES, material=material, **options), calibrate_phases=("grid",))
 
 
 def exponentials(kernel, time_s):
@@ -173,7 +172,7 @@ def test_without_a_strip_there_is_no_value_and_the_reason(alike, strip, missing,
 
 def test_without_a_force_model_there_is_no_value_and_the_reason(strip):
     material = replace(MATERIAL, strip_relaxation=strip)
-    run = _observed(simulated_run(PLACES[:1], material=material, hold_s=20.0, rest_s=5.0), calibrate_phases=())
+    run = observed_run(simulated_run(PLACES[:1], material=material, hold_s=20.0, rest_s=5.0), calibrate_phases=())
     assert {m.value for m in SheetAndStripRelaxation().measure_run(run)} == {None}
     assert all("the sheet has no relaxation: " in m.how for m in SheetAndStripRelaxation().measure_run(run))
 
