@@ -235,7 +235,7 @@ class ShownCalibration:
     ----------
     digest, record_digest : SHA-256 of the file's content, and of what the database keeps of it.
     values : every single number of the calibration itself, by its path in the file.
-    no_force_model : why there is none.
+    no_force_model : the reason why there is no model.
     """
 
     file: Path

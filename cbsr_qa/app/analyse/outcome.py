@@ -234,7 +234,7 @@ class Analysed:
     compute_s : by stage.
     report : None where none was asked for.
     refused : only where it was.
-    result, error : of the analysis; None where there is none.
+    result, error : of the analysis; None if it has no such thing.
     """
 
     file: Path

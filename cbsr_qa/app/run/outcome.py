@@ -190,7 +190,7 @@ class RunOutcome:
 
         Parameters
         ----------
-        material : file, and why there is none.
+        material : the file, and the reason if there is no file.
         """
         record, verdict, version = result.record, result.verdict, result.limits_version
         return cls(
