@@ -12,39 +12,42 @@ from cbsr_qa.cli.output import announce, emit_json, note, show
 def analyse(
     files: Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE...")],
     format_: Annotated[
-        str | None, typer.Option("--format", help="Format of the files; by default each file is recognised.")
+        str | None, typer.Option("--format", help="File format; by default detected for each file.")
     ] = None,
     sensor_type: Annotated[
         str | None,
-        typer.Option(help="Sensor type recorded; without it, lengths are in units of the radius."),
+        typer.Option(help="Sensor type that was recorded; without it, lengths are in units of the radius."),
     ] = None,
-    dataset: Annotated[str | None, typer.Option(help="Name of the data set, in a file of several.")] = None,
+    dataset: Annotated[str | None, typer.Option(help="Data set to read, if a file holds several.")] = None,
     reference: Annotated[
-        str | None, typer.Option(help="Recording of the unloaded or empty domain, FILE[:NAME].")
+        str | None,
+        typer.Option(
+            help="Recording of the unloaded sensor or empty tank: FILE, or FILE:NAME for one of its data sets."
+        ),
     ] = None,
     memory_correction: Annotated[
         bool | None,
         typer.Option(
             "--memory-correction/--no-memory-correction",
-            help="Subtract what a reading carries over from the one before; by default if it clearly does.",
+            help="Subtract what each reading carries over from the previous one; by default only if it clearly does.",
         ),
     ] = None,
     reconstruction: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Method that images the events (`cbsr-qa plugins list --kind reconstruction`); by default"
-            " gauss-newton-noser. Events are found without it.",
+            help="Method that images the events (see `cbsr-qa plugins list --kind reconstruction`); by default"
+            " gauss-newton-noser. It does not affect which events are found.",
         ),
     ] = None,
     option: Annotated[
         list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="Option of the reconstruction, as in a recipe; may be repeated."),
+        typer.Option(metavar="KEY=VALUE", help="Option of the reconstruction, as in a recipe; repeatable."),
     ] = None,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     as_json: AsJson = False,
 ) -> int:
-    """Find channels, noise and presses in recordings, without being told where or when."""
+    """Find faulty channels, noise and presses in recordings; nothing about the presses need be known."""
     from cbsr_qa.app.analyse import AnalysedFiles, AnalyseRequest, analyse_file, analyse_outcome
     from cbsr_qa.report import json_document
 

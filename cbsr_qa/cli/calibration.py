@@ -1,4 +1,4 @@
-"""``cbsr-qa calibration``: look at an issued calibration file, check it, convert it, turn frames into force."""
+"""``cbsr-qa calibration``: show, check and convert issued calibration files, turn frames into force."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,15 +8,15 @@ import typer
 from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import announce, note, say, show as show_outcome
 
-app = typer.Typer(help="Look at calibration files, check, convert and apply them.", no_args_is_help=True)
+app = typer.Typer(help="Show, check, convert and apply calibration files.", no_args_is_help=True)
 
 _STDOUT = Path("-")
-_File = Annotated[Path, typer.Argument(help="The calibration file (HDF5).")]
+_File = Annotated[Path, typer.Argument(help="Calibration file (HDF5).")]
 
 
 @app.command("show")
 def show(file: _File, as_json: AsJson = False) -> None:
-    """Print the contents of a calibration: identity, range of use, baseline conductance, what was assumed."""
+    """Print the contents of a calibration: identity, range of use, baseline conductance, assumptions."""
     from cbsr_qa.app import show_calibration
 
     show_outcome(show_calibration(file), as_json=as_json)
@@ -24,7 +24,7 @@ def show(file: _File, as_json: AsJson = False) -> None:
 
 @app.command("verify")
 def verify(file: _File, as_json: AsJson = False) -> None:
-    """Check that a calibration file is complete, unchanged and of a known version."""
+    """Check that a calibration file is complete, unaltered and of a known version."""
     from cbsr_qa.app import verify_file
 
     show_outcome(verify_file(file), as_json=as_json)
@@ -32,14 +32,14 @@ def verify(file: _File, as_json: AsJson = False) -> None:
 
 @app.command("export")
 def export(
-    file: Annotated[Path, typer.Argument(help="The calibration file, .h5 or .json.")],
+    file: Annotated[Path, typer.Argument(help="Calibration file, .h5 or .json.")],
     output: Annotated[Path, typer.Option(help="File to write, .json or .h5; must not exist yet.")],
     firmware: Annotated[
-        bool, typer.Option("--firmware", help="Small JSON for a microcontroller; it states what it loses.")
+        bool, typer.Option("--firmware", help="Small JSON for a microcontroller; it states what is lost.")
     ] = False,
     stride: Annotated[
         int | None,
-        typer.Option(min=1, help="Keep every Nth node of the lattice; by default as few as lose little."),
+        typer.Option(min=1, help="Keep every Nth node of the lattice; by default the largest N that loses little."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -54,35 +54,37 @@ def export(
 @app.command("apply")
 def apply(
     file: _File,
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings, in any format known here.")],
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings, in any supported format.")],
     place: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="X Y", help="Where the head presses [mm from the centre]; by default it is found."),
+        typer.Option(
+            metavar="X Y", help="Where the head presses [mm from the centre]; by default estimated for each frame."
+        ),
     ] = None,
     format_: Annotated[
-        str | None, typer.Option("--format", help="Format of the recordings; by default each is recognised.")
+        str | None, typer.Option("--format", help="Format of the recordings; by default detected for each.")
     ] = None,
-    dataset: Annotated[str | None, typer.Option(help="One of several data sets in a file.")] = None,
+    dataset: Annotated[str | None, typer.Option(help="Data set to read, if a file holds several.")] = None,
     reference: Annotated[
         int | None,
         typer.Option(
             metavar="N",
-            help="The first N frames are of the unloaded sheet: changes are counted against them, and their scale is"
-            " taken from the calibration's reference. Needed where a recording is in counts or states no current.",
+            help="The first N frames are of the unloaded sheet: changes are relative to them, and their scale is"
+            " taken from the calibration's reference. Required if a recording is in counts or states no current.",
         ),
     ] = None,
     serial: Annotated[
         str | None,
-        typer.Option(help="Serial number of the sensor that was recorded, which must be the calibration's."),
+        typer.Option(help="Serial number of the recorded sensor; must match the calibration."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option(help="CSV file to write, which must not exist yet; - for the terminal.")
+        Path | None, typer.Option(help="CSV file to write; must not exist yet. - writes to the terminal.")
     ] = None,
     as_json: AsJson = False,
 ) -> int:
     """Turn the frames of recordings into force with its standard error, place and flags.
 
-    Shows a short table of each recording; --output writes a row for each frame.
+    Shows a short table for each recording; --output writes one row per frame.
     """
     from cbsr_qa.app import ApplyRequest, apply_calibration, apply_outcome, as_csv, write_table
 

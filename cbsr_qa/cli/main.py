@@ -192,9 +192,18 @@ def _ended(arguments: list[str]) -> int:
     except (typer.Abort, KeyboardInterrupt):
         return _aborted(arguments)
     except BaseException as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
-        # Help that is piped into a program which has gone; an instrument's broken pipe is another thing.
-        return 0 if isinstance(error, BrokenPipeError) and reader_has_gone() else _unexpected(error, arguments)
+        return 0 if _help_unread(error) else _unexpected(error, arguments)
     return result if isinstance(result, int) else 0
+
+
+def _help_unread(error: BaseException) -> bool:
+    """Whether help was piped into a program that has gone; a broken pipe of an instrument is another thing.
+
+    Rich raises SystemExit for it, with stdout redirected to nowhere; no command has begun then.
+    """
+    if isinstance(error, SystemExit):
+        return not _asked_for_json and isinstance(error.__context__, BrokenPipeError)
+    return isinstance(error, BrokenPipeError) and reader_has_gone()
 
 
 def _aborted(arguments: list[str]) -> int:

@@ -11,21 +11,21 @@ if TYPE_CHECKING:
     from cbsr_qa.domain.results import Section
     from cbsr_qa.plugin import PluginReference
 
-app = typer.Typer(help="List what is installed, and from where.", no_args_is_help=True)
+app = typer.Typer(help="List and describe installed plugins.", no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    """List what is installed, and from where."""
+    """List and describe installed plugins."""
 
 
 @app.command("list")
 def list_plugins(
-    kind: Annotated[str | None, typer.Option(help="Only this kind, e.g. metric.")] = None,
-    options: Annotated[bool, typer.Option("--options", help="Name the options of each.")] = False,
+    kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
+    options: Annotated[bool, typer.Option("--options", help="List the options of each plugin.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """List every plugin by kind and name; name those that could not be loaded, with the reason."""
+    """List plugins by kind and name, and those that could not be loaded, with the reason."""
     from dataclasses import replace
 
     from cbsr_qa.domain.results import Section
@@ -51,10 +51,10 @@ def list_plugins(
 @app.command("show")
 def show_plugin(
     name: Annotated[str, typer.Argument(help="Name of the plugin.")],
-    kind: Annotated[str | None, typer.Option(help="Only of this kind, e.g. metric.")] = None,
+    kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print the options of a plugin with unit, default and range, and what it measures."""
+    """Show the options of a plugin, with unit, default and range, and what it measures."""
     from dataclasses import replace
 
     from cbsr_qa.plugin import Kind, ShownPlugins, discover, kind_named, plugin_reference

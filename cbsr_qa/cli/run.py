@@ -21,22 +21,22 @@ def run(
     batch: Annotated[str, typer.Option(help="Material batch of the sensor.")] = "",
     operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
     why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for a changed recipe or station file.")] = "",
-    sensor_type: Annotated[str | None, typer.Option(help="Sensor type, instead of the station's.")] = None,
-    material: Annotated[str | None, typer.Option(help="Material, instead of the station's.")] = None,
+    sensor_type: Annotated[str | None, typer.Option(help="Sensor type; by default the station's.")] = None,
+    material: Annotated[str | None, typer.Option(help="Material; by default the station's.")] = None,
     seed: Annotated[
         int | None,
-        typer.Option(help="Seed of random loads and simulations; by default from serial number and try."),
+        typer.Option(help="Seed for random loads and simulations; by default derived from serial number and try."),
     ] = None,
     database: Database = None,
     resume: Annotated[
-        str | None, typer.Option(metavar="RUN", help="Continue an interrupted run, as it was begun.")
+        str | None, typer.Option(metavar="RUN", help="Resume an interrupted run with its original settings.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only show what would happen; nothing moves.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what the run would do; nothing moves.")] = False,
     as_json: AsJson = False,
 ) -> int:
-    """Test one sensor: verdict, stored run, report and, if it passed, its calibration file.
+    """Test one sensor: store the run, give a verdict, write a report and, if it passed, its calibration file.
 
-    Takes --station, --recipe and --serial, or --resume alone (with --operator, --database and --json at most).
+    Requires --station, --recipe and --serial, or else --resume, which allows only --operator, --database and --json.
     """
     _check_given(context, resuming=resume is not None)
     from cbsr_qa.app.run import RunRequest, plan_outcome, plan_run, resume_run, run_outcome, run_sensor

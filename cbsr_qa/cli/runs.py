@@ -1,4 +1,4 @@
-"""``cbsr-qa verdict``: decisions of people about verdicts.
+"""``cbsr-qa verdict``: overrides of verdicts.
 
 ``cbsr-qa report``: renders a report again from the store.
 
@@ -13,7 +13,7 @@ import typer
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import show
 
-_Run = Annotated[str, typer.Argument(help="A run, or a serial number for its latest run.")]
+_Run = Annotated[str, typer.Argument(help="Run, or a serial number for the latest run of that sensor.")]
 
 
 def report(
@@ -22,9 +22,9 @@ def report(
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Render the report of a stored run again, from its stored frames and verdict.
+    """Write the report of a stored run again, from its stored frames and verdict.
 
-    A verdict that does not follow from the stored measurements is refused.
+    Refuses a verdict that does not follow from the stored measurements.
     """
     from cbsr_qa.app.run import render_stored, rendered_outcome
 
@@ -34,7 +34,7 @@ def report(
 def export(
     run: _Run,
     to: Annotated[Path, typer.Option("--to", help="File to write; must not exist yet.")],
-    phase: Annotated[str | None, typer.Option(help="Only this phase.")] = None,
+    phase: Annotated[str | None, typer.Option(help="Export this phase only.")] = None,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
@@ -44,24 +44,24 @@ def export(
     show(export_run(run, to, phase=phase, database=database), as_json=as_json)
 
 
-app = typer.Typer(help="Decide against a verdict.", no_args_is_help=True)
+app = typer.Typer(help="Override verdicts.", no_args_is_help=True)
 
 
 @app.callback()
 def _verdict() -> None:
-    """Decide against a verdict."""
+    """Override verdicts."""
 
 
 @app.command()
 def override(
-    run: Annotated[str, typer.Argument(help="The run; a serial number is not enough.")],
-    outcome: Annotated[str, typer.Option(help="pass or fail.")],
+    run: Annotated[str, typer.Argument(help="Run; a serial number is not accepted.")],
+    outcome: Annotated[str, typer.Option(help="New outcome: pass or fail.")],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who decides.")],
-    why: Annotated[str, typer.Option(metavar="TEXT", help="The reason.")],
+    why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for the override.")],
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Store a decision against a run's verdict, with who, when and why; the verdict itself stays beside it."""
+    """Override the verdict of a run, recording who, when and why; the original verdict is kept."""
     from cbsr_qa.app import override_verdict
 
     show(override_verdict(run, outcome, by=by, why=why, database=database), as_json=as_json)

@@ -65,7 +65,7 @@ def results() -> dict[str, type]:
 
 def schema(
     command: Annotated[
-        list[str] | None, typer.Argument(help="For example gauge, or db status; by default list them.")
+        list[str] | None, typer.Argument(help="Command, e.g. gauge or db status; without it, list all.")
     ] = None,
 ) -> None:
     """Print the JSON Schema (draft 2020-12) of what a command prints with --json."""

@@ -7,38 +7,38 @@ import typer
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import announce, operator_at_terminal, show
 
-app = typer.Typer(help="Look after a station.", no_args_is_help=True)
+app = typer.Typer(help="Check stations.", no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    """Look after a station."""
+    """Check stations."""
 
 
 @app.command()
 def check(
     station: Annotated[str, typer.Argument(help="Station file, or the name of a shipped one.")],
     golden: Annotated[
-        str | None, typer.Option(metavar="SERIAL", help="Golden sensor to run and compare with its history.")
+        str | None, typer.Option(metavar="SERIAL", help="Golden sensor to run and compare with its earlier runs.")
     ] = None,
     operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
     ring_ohm: Annotated[
         float | None,
-        typer.Option(help="Each resistor of the reference ring [ohm]; by default the station file's."),
+        typer.Option(help="Resistance of each resistor of the reference ring [ohm]; by default the station file's."),
     ] = None,
-    ring: Annotated[bool, typer.Option(help="Measure the reference ring, if its resistors are known.")] = True,
+    ring: Annotated[bool, typer.Option(help="Measure the reference ring, if its resistances are known.")] = True,
     ring_connected: Annotated[
-        bool, typer.Option("--ring-connected", help="The ring is connected already; do not ask.")
+        bool, typer.Option("--ring-connected", help="The ring is already connected; do not ask.")
     ] = False,
-    sensor_type: Annotated[str | None, typer.Option(help="Sensor type, instead of the station's.")] = None,
-    material: Annotated[str | None, typer.Option(help="Material, instead of the station's.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of anything simulated.", min=0, max=2**31 - 1)] = 0,
+    sensor_type: Annotated[str | None, typer.Option(help="Sensor type; by default the station's.")] = None,
+    material: Annotated[str | None, typer.Option(help="Material; by default the station's.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed for simulated instruments.", min=0, max=2**31 - 1)] = 0,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Ask every instrument, measure a reference ring, run a golden sensor; store and show the result.
+    """Test every instrument, measure a reference ring, run a golden sensor; store and show the result.
 
-    Exit code 1 if something failed, 3 if no instrument answered.
+    Exit code 1 if a check failed, 3 if no instrument answered.
     """
     from cbsr_qa.app.station_check import CheckRequest, check_station
 

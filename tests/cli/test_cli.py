@@ -151,3 +151,18 @@ def test_a_broken_pipe_of_an_instrument_is_not_a_reader_that_has_gone(monkeypatc
     monkeypatch.setattr(main, "app", _raising(BrokenPipeError(32, "Broken pipe")))
     assert main.guarded(["run"]) == 3
     assert "Broken pipe" in capsys.readouterr().err
+
+
+def test_help_that_nobody_reads_ends_quietly():
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [Path(sys.executable).with_name("cbsr-qa"), "run", "--help"],
+        check=False,
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
