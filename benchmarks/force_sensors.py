@@ -39,7 +39,7 @@ from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_s
 from cbsr_qa.domain.results import EndReason, RunObservation
 from cbsr_qa.domain.run import Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import Material, SensorIdentity
-from cbsr_qa.plugin import Kind, discover, made
+from cbsr_qa.plugin import Kind, create_plugin, discover
 from cbsr_qa.station import Bench, Plan, PlannedPhase, open_station, plan_of, station_clock
 from cbsr_qa.system import Clock
 
@@ -123,7 +123,9 @@ def observed(sensors: Sensors, seed: int) -> Observed:
         design: SheetDesign = bench.frame_source.world.sheet.design  # type: ignore[attr-defined]
     finally:
         bench.close()
-    reconstruction = made(plugins, Kind.RECONSTRUCTION, configuration.recipe.reconstruction, "[reconstruction]")
+    reconstruction = create_plugin(
+        plugins, Kind.RECONSTRUCTION, configuration.recipe.reconstruction, "[reconstruction]"
+    )
     stated = replace(record, material=_material(sensors, 0.0).value)
     return Observed(observe_run(stated, reconstruction, configuration.recipe.analysis, over_time=False), design)
 

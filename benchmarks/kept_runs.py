@@ -21,7 +21,7 @@ from cbsr_qa.domain.plan import AnalysisSettings, PluginChoice
 from cbsr_qa.domain.results import EndReason, Measurement
 from cbsr_qa.domain.run import RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Kind, discover, made
+from cbsr_qa.plugin import Kind, create_plugin, discover
 from cbsr_qa.station import MemoryJournal, execute, open_station, plan_of, station_clock
 
 Settings = Mapping[str, Any]
@@ -112,8 +112,8 @@ def measured(
     over_time : whether relaxations are fitted, which takes most of the time.
     """
     recipe, plugins = load_recipe(RECIPE).value, discover()
-    reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     calibrated = replace(settings or recipe.analysis, calibrate_phases=(record.phases[0].name,))
     run = observe_run(record, reconstruction, calibrated, over_time=over_time)
-    asked = [made(plugins, Kind.METRIC, PluginChoice(name, {}), "[metrics]") for name in metrics]
+    asked = [create_plugin(plugins, Kind.METRIC, PluginChoice(name, {}), "[metrics]") for name in metrics]
     return Figures(tuple(measurement for metric in asked for measurement in ask(metric, run)))

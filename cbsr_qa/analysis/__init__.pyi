@@ -2,7 +2,7 @@ from .evaluate import (
     Conclusion as Conclusion,
     ask as ask,
     calibrated as calibrated,
-    conclude as conclude,
+    evaluate_run as evaluate_run,
     judge as judge,
 )
 from .recording_files import (

@@ -33,7 +33,7 @@ from cbsr_qa.domain.results import (
     decide,
 )
 from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.plugin import Kind, LoadMetric, Plugins, RunMetric, failure, made
+from cbsr_qa.plugin import Kind, LoadMetric, Plugins, RunMetric, create_plugin, failure
 from cbsr_qa.system import Stages
 
 #: More measurements of one question are refused: a generator may have no end.
@@ -65,7 +65,7 @@ class Conclusion:
     characterisation: Characterisation | None = None
 
 
-def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages) -> Conclusion:
+def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages) -> Conclusion:
     """Analyse and judge a stored run.
 
     Parameters
@@ -88,8 +88,8 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
         return _not_measured(why)
     if recipe.characterisation is not None:
         return _characterised(record, recipe.characterisation, recipe.limits, stages)
-    reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
-    metrics = {choice.name: made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
+    reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    metrics = {choice.name: create_plugin(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
     try:
         with stages.stage("imaging"):
             observation = observe_run(record, reconstruction, recipe.analysis)

@@ -1,4 +1,9 @@
-from .discovery import Plugins as Plugins, discover as discover, left_running as left_running, made as made
+from .discovery import (
+    Plugins as Plugins,
+    create_plugin as create_plugin,
+    discover as discover,
+    left_running as left_running,
+)
 from .failures import Interruption as Interruption, contained as contained, failure as failure, said as said
 from .hooks import Kind as Kind, Register as Register, hookimpl as hookimpl
 from .instruments import (

@@ -174,8 +174,8 @@ def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None 
     return plugins
 
 
-def made(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
-    """Make the object a plugin stands for, with its options.
+def create_plugin(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
+    """Create an instance of a plugin with its options.
 
     Raises
     ------

@@ -19,7 +19,7 @@ from cbsr_qa.domain import ConfigError, PluginError
 from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
 from cbsr_qa.domain.readings import Recording
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.plugin import Instrument, Kind, Plugins, StationContext, contained, made
+from cbsr_qa.plugin import Instrument, Kind, Plugins, StationContext, contained, create_plugin
 from cbsr_qa.simulate import SimulatedWorld
 from cbsr_qa.simulate.instruments import EmulatedRig, Emulation, WatchedClock
 from cbsr_qa.station.bench import Action, Bench, open_bench
@@ -73,7 +73,9 @@ def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
         PlannedPhase(
             phase.name,
             phase.sequence,
-            made(plugins, Kind.SEQUENCE, PluginChoice(phase.sequence, phase.options), f"phase {phase.name!r}"),
+            create_plugin(
+                plugins, Kind.SEQUENCE, PluginChoice(phase.sequence, phase.options), f"phase {phase.name!r}"
+            ),
         )
         for phase in recipe.phases
     )

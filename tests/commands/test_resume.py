@@ -176,8 +176,8 @@ def test_a_run_whose_limit_was_loosened_is_not_resumed(cut_off, whole, tmp_path_
 @pytest.mark.parametrize(
     ("at", "again", "stop", "database"),
     [
-        ("conclude", "cbsr-qa run --resume", signal.SIGINT, None),
-        ("conclude", "cbsr-qa run --resume", signal.SIGTERM, "of another line.db"),
+        ("evaluate_run", "cbsr-qa run --resume", signal.SIGINT, None),
+        ("evaluate_run", "cbsr-qa run --resume", signal.SIGTERM, "of another line.db"),
         ("write_outputs", "cbsr-qa report", signal.SIGQUIT, "of another line.db"),
     ],
 )

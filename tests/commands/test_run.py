@@ -274,12 +274,12 @@ import shutil, sys
 from pathlib import Path
 import cbsr_qa.app.run.session as session
 
-real = session.conclude
-def conclude(*arguments):
+real = session.evaluate_run
+def evaluate_run(*arguments):
     shutil.rmtree({str(blocked)!r})
     Path({str(blocked)!r}).write_text("in the way")
     return real(*arguments)
-session.conclude = conclude
+session.evaluate_run = evaluate_run
 from cbsr_qa.cli.main import guarded
 sys.exit(guarded(sys.argv[1:]))
 """

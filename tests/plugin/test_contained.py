@@ -10,7 +10,7 @@ from cbsr_qa.domain import PluginError, RefusedError
 from cbsr_qa.domain.plan import Moment, PluginChoice, Press, Release, SceneSetting
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import Load
-from cbsr_qa.plugin.discovery import Plugins, discover, made
+from cbsr_qa.plugin.discovery import Plugins, create_plugin, discover
 from cbsr_qa.plugin.failures import contained, said
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.simulate import build_chain
@@ -32,7 +32,7 @@ def _raiser(error):
 
 def _factory(act):
     plugins = SimpleNamespace(factory=lambda kind, name: act)
-    made(plugins, Kind.METRIC, PluginChoice("theirs"), "[metrics]")
+    create_plugin(plugins, Kind.METRIC, PluginChoice("theirs"), "[metrics]")
 
 
 def _sequence(act):

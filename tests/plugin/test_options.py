@@ -8,7 +8,7 @@ from pydantic import Field
 
 from cbsr_qa.domain import ConfigError, RefusedError
 from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.plugin import Kind, PluginOptions, Problem, WithOptions, discover, made
+from cbsr_qa.plugin import Kind, PluginOptions, Problem, WithOptions, create_plugin, discover
 from cbsr_qa.plugin.options import Array, options_of
 from cbsr_qa.plugin.problems import allowed
 
@@ -115,5 +115,5 @@ PLUGINS = discover()
 )
 def test_every_plugin_refuses_an_option_it_does_not_have_by_its_name(kind, name):
     with pytest.raises(RefusedError, match=rf"somewhere: {kind} '{name}'.*phase_of_the_moon") as refused:
-        made(PLUGINS, kind, PluginChoice(name, {"phase_of_the_moon": 1}), "somewhere")
+        create_plugin(PLUGINS, kind, PluginChoice(name, {"phase_of_the_moon": 1}), "somewhere")
     assert refused.value.remedy

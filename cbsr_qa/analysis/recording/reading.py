@@ -7,7 +7,7 @@ from typing import TypeVar
 from cbsr_qa.domain import CbsrError, PluginError, RecordingError, RefusedError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import ReadOptions, Recording
-from cbsr_qa.plugin import Kind, Plugins, RecordingFormat, made
+from cbsr_qa.plugin import Kind, Plugins, RecordingFormat, create_plugin
 from cbsr_qa.system import read_untrusted
 
 _HEAD_BYTES = 4096
@@ -48,7 +48,7 @@ def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[R
     """
     head = _head(path)
     if format_name is not None:
-        return made(plugins, Kind.RECORDING, PluginChoice(format_name), "--format"), format_name
+        return create_plugin(plugins, Kind.RECORDING, PluginChoice(format_name), "--format"), format_name
     failed: list[str] = []
     for name in plugins.in_order(Kind.RECORDING):
         try:

@@ -20,7 +20,7 @@ from cbsr_qa.domain import CbsrError, ConfigError, NumericsError, RecordingError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, RecordingResult, ScanKind
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.plugin import Kind, Plugins, Reconstruction, RecordingFormat, discover, echo, made
+from cbsr_qa.plugin import Kind, Plugins, Reconstruction, RecordingFormat, create_plugin, discover, echo
 from cbsr_qa.report import render_recording, report_name, write_report
 
 #: Ratio of the readings' sizes. Rods in a tank change it by 8 %, a sheet measured again differs by 16 %.
@@ -182,7 +182,7 @@ def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction
     """Make the reconstruction before anything is read: what is wrong with it is wrong for every file."""
     where = "--option" if request.options else "--reconstruction"
     try:
-        reconstruction: Reconstruction = made(plugins, Kind.RECONSTRUCTION, request.chosen, where)
+        reconstruction: Reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, request.chosen, where)
     except NumericsError as error:
         raise ConfigError(f"{where}: {request.chosen.name}: {error.reason}", remedy=error.remedy) from error
     return reconstruction

@@ -13,7 +13,7 @@ from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse import FEWEST_FRAMES, imaging_problem
 from cbsr_qa.eit.loads import check_strip
-from cbsr_qa.plugin import Kind, Plugins, contained, made
+from cbsr_qa.plugin import Kind, Plugins, contained, create_plugin
 from cbsr_qa.station import Plan
 
 _WEIGHING: Final = 'analysis.noise_weighting = "measured" needs'
@@ -36,9 +36,9 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
             check_strip(sensor_type)
             _check_named(recipe.limits, STRIP_MEASURES)
             return
-        reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+        reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
         check_weighing(reconstruction, recipe.reconstruction.name, recipe.analysis)
-        metrics = {choice.name: made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
+        metrics = {choice.name: create_plugin(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
         _check_limits(recipe.limits, metrics)
         problem = imaging_problem(sensor_type)
         with contained(f"reconstruction {recipe.reconstruction.name!r}"):

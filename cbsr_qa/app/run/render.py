@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.analysis import characterise_run, conclude
+from cbsr_qa.analysis import characterise_run, evaluate_run
 from cbsr_qa.analysis.run import observe_run
 from cbsr_qa.app.run.decided_again import check_decided
 from cbsr_qa.app.run.material_output import material_path, why_no_material, write_material
@@ -29,7 +29,7 @@ from cbsr_qa.domain.results import (
     RunResult,
 )
 from cbsr_qa.domain.run import ChainState, RunRecord, VerdictOverride
-from cbsr_qa.plugin import Kind, Plugins, discover, made
+from cbsr_qa.plugin import Kind, Plugins, create_plugin, discover
 from cbsr_qa.report import render_run, report_name, run_named, run_page, write_report
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.results import StoredAnalysis
@@ -174,7 +174,7 @@ def _observed(record: RunRecord, recipe: Recipe, plugins: Plugins) -> tuple[RunO
         return None, ""
     if all(phase.frames is None for phase in record.phases):
         return None, "the run holds no frames, so that there are no images"
-    reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     try:
         return observe_run(record, reconstruction, recipe.analysis), ""
     except NumericsError as error:
@@ -213,7 +213,7 @@ def _calibration(
 
 def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunResult:
     stages = Stages()
-    found = conclude(record, recipe, plugins, stages)
+    found = evaluate_run(record, recipe, plugins, stages)
     return RunResult(
         record=record,
         observation=found.observation,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Self
 
-from cbsr_qa.analysis import calibrated, conclude
+from cbsr_qa.analysis import calibrated, evaluate_run
 from cbsr_qa.app.changes import unexplained
 from cbsr_qa.app.command_hints import report_command, resume_command
 from cbsr_qa.app.run.outcome import RunOutcome
@@ -300,7 +300,7 @@ def _concluded(
         record = store.whole_run(run)
     recipe, history, threads = configuration.recipe, store.change_history(record), threading.enumerate()
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
-    conclusion = conclude(record, recipe, plugins, stages)
+    conclusion = evaluate_run(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
     charts = charts_after(store, record.identity, conclusion.measurements)
     calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)

@@ -23,7 +23,7 @@ from cbsr_qa.domain.plan import AcquireFrames, AnalysisSettings, Hold, Press, Ro
 from cbsr_qa.domain.results import EndReason, RunObservation
 from cbsr_qa.domain.run import RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Kind, Reconstruction, Sequence as LoadSequence, SequenceContext, discover, made
+from cbsr_qa.plugin import Kind, Reconstruction, Sequence as LoadSequence, SequenceContext, create_plugin, discover
 from cbsr_qa.station import MemoryJournal, dry_run, execute, open_station, plan_of, station_clock
 from cbsr_qa.studies.frontier.setting import BASE, GRID, HELD_OUT
 
@@ -113,7 +113,7 @@ def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
 @lru_cache(maxsize=1)
 def _reconstruction() -> Reconstruction:
     choice = load_recipe(BASE).value.reconstruction
-    method: Reconstruction = made(discover(), Kind.RECONSTRUCTION, choice, "[reconstruction]")
+    method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, choice, "[reconstruction]")
     return method
 
 

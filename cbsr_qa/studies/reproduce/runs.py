@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.analysis import conclude
+from cbsr_qa.analysis import evaluate_run
 from cbsr_qa.analysis.run import run_force
 from cbsr_qa.config import (
     Configuration,
@@ -113,7 +113,7 @@ def simulate(job: Job) -> SheetValues | StripValues:
     started, plugins = time.perf_counter(), discover()
     configuration = configuration_of(job)
     record = _record(configuration, plugins)
-    conclusion = conclude(record, configuration.recipe, plugins, Stages())
+    conclusion = evaluate_run(record, configuration.recipe, plugins, Stages())
     if conclusion.characterisation is not None:
         return strip_values(conclusion.characterisation, record.station_s, time.perf_counter() - started)
     if conclusion.observation is None:

@@ -11,7 +11,7 @@ from typing import Any
 from cbsr_qa.config import scenes_folder, writable_folder
 from cbsr_qa.domain import CbsrError, ConfigError, PluginError, RefusedError
 from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.plugin import Kind, Plugins, RecordingWriter, made
+from cbsr_qa.plugin import Kind, Plugins, RecordingWriter, create_plugin
 from cbsr_qa.simulate import RecordedScene
 
 #: Format every scene is written in.
@@ -128,7 +128,7 @@ def _failed(target: Target, why: str) -> PluginError:
 
 
 def _writer(name: str, plugins: Plugins) -> RecordingWriter:
-    format_: Any = made(plugins, Kind.RECORDING, PluginChoice(name), "--format")
+    format_: Any = create_plugin(plugins, Kind.RECORDING, PluginChoice(name), "--format")
     if not isinstance(format_, RecordingWriter):
         raise PluginError(f"format {name!r} is read-only", remedy=f"writable: {', '.join(_writable(plugins))}")
     return format_
@@ -138,7 +138,7 @@ def _writable(plugins: Plugins) -> list[str]:
     names = []
     for name in plugins.in_order(Kind.RECORDING):
         try:
-            if isinstance(made(plugins, Kind.RECORDING, PluginChoice(name), "--format"), RecordingWriter):
+            if isinstance(create_plugin(plugins, Kind.RECORDING, PluginChoice(name), "--format"), RecordingWriter):
                 names.append(name)
         except Exception:  # noqa: BLE001 - a stranger's code may raise anything; it is no help here
             continue

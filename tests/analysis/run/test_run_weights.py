@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_runs import observed_run, simulated_run
 
-from cbsr_qa.analysis.evaluate import conclude
+from cbsr_qa.analysis.evaluate import evaluate_run
 from cbsr_qa.analysis.run.reference import check_weighing
 from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import NumericsError
@@ -138,7 +138,7 @@ def _few(record):
 @pytest.mark.parametrize(("edit", "said"), [(_flat, "the same in all 20"), (_few, "5 unloaded frames are too few")])
 def test_a_run_that_cannot_be_weighed_is_not_measured_and_says_what_to_do(quiet_run, edit, said):
     settings = replace(_RECIPE.analysis, noise_weighting="measured", noise_floor_frames=2)
-    conclusion = conclude(edit(quiet_run), replace(_RECIPE, analysis=settings), discover(), Stages())
+    conclusion = evaluate_run(edit(quiet_run), replace(_RECIPE, analysis=settings), discover(), Stages())
     assert conclusion.verdict.outcome is Outcome.NOT_MEASURED
     assert said in conclusion.verdict.reason
     assert 'noise_weighting = "equal"' in " ".join(conclusion.warnings)
@@ -150,6 +150,6 @@ def test_a_method_that_does_not_weigh_readings_is_refused_where_they_are_to_be_w
         check_weighing(LinearBackProjection(), "linear-back-projection", settings)
     check_weighing(LinearBackProjection(), "linear-back-projection", _RECIPE.analysis)
     recipe = replace(_RECIPE, analysis=settings, reconstruction=PluginChoice("linear-back-projection"))
-    conclusion = conclude(quiet_run, recipe, discover(), Stages())
+    conclusion = evaluate_run(quiet_run, recipe, discover(), Stages())
     assert conclusion.verdict.outcome is Outcome.NOT_MEASURED
     assert "weights all readings equally" in conclusion.verdict.reason

@@ -5,7 +5,7 @@ import pytest
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.results import Bound, Measurement
-from cbsr_qa.plugin import Kind, discover, made
+from cbsr_qa.plugin import Kind, create_plugin, discover
 from cbsr_qa_plugins.metrics import relaxation as event_rate
 from cbsr_qa_plugins.metrics.relaxation import EventRate
 
@@ -59,4 +59,4 @@ def test_other_signals_do_not_count(rates):
 
 def test_it_has_no_options():
     with pytest.raises(ConfigError, match="held"):
-        made(discover(), Kind.METRIC, PluginChoice("event-rate", {"held": 1}), "[metrics]")
+        create_plugin(discover(), Kind.METRIC, PluginChoice("event-rate", {"held": 1}), "[metrics]")

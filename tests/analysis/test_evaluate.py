@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cbsr_qa.analysis.evaluate import conclude
+from cbsr_qa.analysis.evaluate import evaluate_run
 from cbsr_qa.config import load_recipe
 from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.plugin import discover
@@ -17,7 +17,7 @@ _RECIPE = load_recipe("nine-locations").value
 @pytest.mark.parametrize(("end", "said"), [(EndReason.ABORTED, "aborted: by Anna"), (EndReason.BROKEN, "broken")])
 def test_a_run_that_did_not_finish_is_not_measured(end, said):
     record = SimpleNamespace(end=end, end_detail="by Anna")
-    conclusion = conclude(record, _RECIPE, discover(), Stages())
+    conclusion = evaluate_run(record, _RECIPE, discover(), Stages())
     assert conclusion.verdict.outcome is Outcome.NOT_MEASURED
     assert said in conclusion.verdict.reason
     assert conclusion.measurements == ()
@@ -29,7 +29,7 @@ def test_whatever_a_reconstruction_raises_the_run_is_not_measured_and_says_why(m
 
     monkeypatch.setattr("cbsr_qa.analysis.evaluate.observe_run", broken)
     record = SimpleNamespace(end=EndReason.FINISHED, end_detail="")
-    conclusion = conclude(record, _RECIPE, discover(), Stages())
+    conclusion = evaluate_run(record, _RECIPE, discover(), Stages())
     assert conclusion.verdict.outcome.exit_code == 3
     assert "ValueError: a stranger's mistake" in conclusion.verdict.reason
 
