@@ -21,7 +21,7 @@ def _printable(text: str) -> str:
 
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
-Line = Annotated[str, AfterValidator(_printable)]
+PrintableLine = Annotated[str, AfterValidator(_printable)]
 #: From a picoampere to ten amperes: readings and their squares stay numbers.
 Current = Annotated[float, Field(ge=1e-9, le=1e4)]
 #: From a microsecond; force is sampled 8 times a second, so that a frame and a recording have a number of samples
@@ -51,7 +51,7 @@ class SceneTable(Table):
     current_mA: Current
     frame_period_s: Period
     sheet_mesh_size_mm: Positive
-    not_modelled: list[Line] = Field(default_factory=list)
+    not_modelled: list[PrintableLine] = Field(default_factory=list)
     reference_ring_ohm: Annotated[list[Resistance] | None, Field(min_length=3)] = None
 
 

@@ -28,7 +28,7 @@ from cbsr_qa.station.limits import (
     strain_violations,
 )
 from cbsr_qa.station.plan import (
-    Kind,
+    Activity,
     LoadKey,
     Plan,
     ScheduledPhase,
@@ -194,7 +194,7 @@ class _Walk:
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 yield from place_violations(x_mm, y_mm, self.plan)
                 self._travel(x_mm, y_mm)
-                self.spent.add(Kind.SURFACE, kinematics.surface_search_s(self.plan.motion))
+                self.spent.add(Activity.SURFACE, kinematics.surface_search_s(self.plan.motion))
             case Release():
                 if self.depth_mm is None:
                     yield Violation("order", "the head is not down")
@@ -207,12 +207,14 @@ class _Walk:
     def _other(self, step: Step) -> Iterator[Violation]:
         match step:
             case Home():
-                self.spent.add(Kind.HOME, kinematics.homing_s(self.plan.motion, self.plan.safety.travel_radius_mm))
+                self.spent.add(
+                    Activity.HOME, kinematics.homing_s(self.plan.motion, self.plan.safety.travel_radius_mm)
+                )
                 self.place_mm = (0.0, 0.0)
             case AcquireFrames(count=count):
                 if count < 1:
                     yield Violation("order", f"{count} frames; at least 1 is needed")
-                self._take(count, Kind.FRAMES)
+                self._take(count, Activity.FRAMES)
             case MarkUnloaded():
                 if self.depth_mm is not None:
                     yield Violation("order", "the head is down, so the sheet is not unloaded")
@@ -232,7 +234,7 @@ class _Walk:
     def _press(self, load: Load) -> None:
         depth_mm = load.strain * self.plan.sensor_type.thickness_mm
         self._travel(load.x_mm, load.y_mm)
-        self.spent.add(Kind.PRESS, kinematics.stroke_s(self.plan.motion, depth_mm))
+        self.spent.add(Activity.PRESS, kinematics.stroke_s(self.plan.motion, depth_mm))
         self.load = load
         self._down(load.strain)
         self.down_s, self.dwelt = self.spent.total_s(), False
@@ -243,7 +245,7 @@ class _Walk:
             return
         yield from strain_violations(strain, self.plan)  # its place was looked at when it was pressed
         to_mm = strain * self.plan.sensor_type.thickness_mm
-        self.spent.add(Kind.PRESS, kinematics.ease_s(self.plan.motion, self.depth_mm, to_mm))
+        self.spent.add(Activity.PRESS, kinematics.ease_s(self.plan.motion, self.depth_mm, to_mm))
         self._down(strain)
 
     def _down(self, strain: float) -> None:
@@ -252,11 +254,11 @@ class _Walk:
         self.peak_force_N = max(self.peak_force_N, expected_force_N(strain, self.plan))
 
     def _release(self) -> None:
-        self.spent.add(Kind.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))
+        self.spent.add(Activity.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))
         self.depth_mm = None
 
     def _hold(self, step: Hold) -> Iterator[Violation]:
-        kind = Kind.REST if self.depth_mm is None else Kind.HOLD
+        kind = Activity.REST if self.depth_mm is None else Activity.HOLD
         if not 0 <= step.hold_s < float("inf"):
             yield Violation("order", f"hold_s is {step.hold_s}; it must be finite and at least 0")
         elif not step.acquire:
@@ -266,12 +268,12 @@ class _Walk:
             self.frames += count
             self.spent.add(kind, max(step.hold_s, count * self.frame_period_s))
 
-    def _take(self, count: int, kind: Kind) -> None:
+    def _take(self, count: int, kind: Activity) -> None:
         self.frames += max(count, 0)
         self.spent.add(kind, max(count, 0) * self.frame_period_s)
 
     def _travel(self, x_mm: float, y_mm: float) -> None:
         distance_mm = kinematics.distance_mm(self.place_mm, (x_mm, y_mm))
         self.travel_mm += distance_mm
-        self.spent.add(Kind.TRAVEL, kinematics.travel_s(self.plan.motion, distance_mm))
+        self.spent.add(Activity.TRAVEL, kinematics.travel_s(self.plan.motion, distance_mm))
         self.place_mm = (x_mm, y_mm)

@@ -26,7 +26,7 @@ from cbsr_qa.station.bench import FRAME_SOURCE, Bench
 from cbsr_qa.station.documents import Documents
 from cbsr_qa.station.interrupts import Interrupts
 from cbsr_qa.station.limits import Limits
-from cbsr_qa.station.plan import Kind, Plan, ScheduledStep, Spent, another_frame, ends_rest
+from cbsr_qa.station.plan import Activity, Plan, ScheduledStep, Spent, another_frame, ends_rest
 from cbsr_qa.station.safety import Interlock, State, Watch
 from cbsr_qa.station.watchdog import Watchdog
 from cbsr_qa.system import Clock, in_ticks
@@ -158,7 +158,7 @@ class Performer:
             case Release():
                 self._release()
             case AcquireFrames(count=count):
-                with self.spent.on(Kind.FRAMES, self._clock):
+                with self.spent.on(Activity.FRAMES, self._clock):
                     for _ in range(count):
                         self._take_frame()
             case MarkUnloaded():
@@ -170,7 +170,7 @@ class Performer:
     def retreat(self) -> None:
         """Lift a head that is down and still as after any press, before the bench is made safe."""
         if self._interlock.state is State.PRESSED:
-            with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
+            with self.spent.on(Activity.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
                 self._lift()
 
     def finish_load(self) -> None:
@@ -184,14 +184,14 @@ class Performer:
         match scheduled.step:
             case Home():
                 reach_mm = self._plan.safety.travel_radius_mm
-                with self.spent.on(Kind.HOME, self._clock):
+                with self.spent.on(Activity.HOME, self._clock):
                     self._move(applicator.home, "homing", kinematics.homing_s(self._plan.motion, reach_mm))
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 self._travel(x_mm, y_mm)
                 self._feel(partial(applicator.find_surface, x_mm, y_mm))
             case Prompt(text=text):
                 assert self._ask is not None  # the dry run refuses prompts that nobody can answer
-                with self.spent.on(Kind.PROMPT, self._clock), self._interrupts.idle():
+                with self.spent.on(Activity.PROMPT, self._clock), self._interrupts.idle():
                     self._ask(text)
 
     def _press(self, load: Load) -> None:
@@ -221,12 +221,15 @@ class Performer:
     def _go_down(self, depth_mm: float) -> None:
         """Press, or ease; a failure is not retried, because the head's depth is then unknown."""
         motion = self._plan.motion
-        with self.spent.on(Kind.PRESS, self._clock), self._expect("pressing", kinematics.stroke_s(motion, depth_mm)):
+        with (
+            self.spent.on(Activity.PRESS, self._clock),
+            self._expect("pressing", kinematics.stroke_s(motion, depth_mm)),
+        ):
             self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
 
     def _release(self) -> None:
         self._loads.mark(self._clock.now())
-        with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
+        with self.spent.on(Activity.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
             # Going up is safe however often.
             self._attempt(self._lift, before_another=self._loads.lose_track)
         self._loads.mark(self._clock.now())
@@ -239,7 +242,7 @@ class Performer:
     def _travel(self, x_mm: float, y_mm: float) -> None:
         self._limits.check_place(x_mm, y_mm)
         across_mm = 2 * self._plan.safety.travel_radius_mm
-        with self.spent.on(Kind.TRAVEL, self._clock):
+        with self.spent.on(Activity.TRAVEL, self._clock):
             there = partial(self._bench.force_applicator.move_to, x_mm, y_mm)
             self._move(there, "travelling", kinematics.travel_s(self._plan.motion, across_mm))
         self._interrupts.poll()  # what comes next goes down
@@ -255,7 +258,7 @@ class Performer:
         The search is one call: while it lasts the driver watches over force and its freshness, and the runner
         checks before and right after it.
         """
-        with self.spent.on(Kind.SURFACE, self._clock), self._interlock.passing(State.FEELING, State.ARMED):
+        with self.spent.on(Activity.SURFACE, self._clock), self._interlock.passing(State.FEELING, State.ARMED):
             self._look()
             work_s = kinematics.surface_search_s(self._plan.motion)
             self._attempt(self._expected(search, "feeling for the surface", work_s), before_another=self._lift)
@@ -263,7 +266,7 @@ class Performer:
 
     def _hold(self, hold: Hold) -> None:
         end_s = self._clock.now() + hold.hold_s
-        kind = Kind.HOLD if self._interlock.touching else Kind.REST
+        kind = Activity.HOLD if self._interlock.touching else Activity.REST
         with self.spent.on(kind, self._clock):
             if hold.acquire:
                 self._take_frame()

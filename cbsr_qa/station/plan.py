@@ -55,7 +55,7 @@ def frames_in_hold(hold_s: float, frame_period_s: float) -> int:
     return max(1, math.ceil(hold_s / frame_period_s - WORTHWHILE))
 
 
-class Kind(StrEnum):
+class Activity(StrEnum):
     """Kinds of activity, in report order."""
 
     HOME = "home"
@@ -73,14 +73,14 @@ class Spent:
     """Seconds by kind of activity."""
 
     def __init__(self) -> None:
-        self._seconds = dict.fromkeys(Kind, 0.0)
+        self._seconds = dict.fromkeys(Activity, 0.0)
 
-    def add(self, kind: Kind, seconds: float) -> None:
+    def add(self, kind: Activity, seconds: float) -> None:
         """Add seconds to one kind."""
         self._seconds[kind] += seconds
 
     @contextmanager
-    def on(self, kind: Kind, clock: Clock) -> Iterator[None]:
+    def on(self, kind: Activity, clock: Clock) -> Iterator[None]:
         """Charge the clock time of the body to one kind, also after an error."""
         start_s = clock.now()
         try:

@@ -13,12 +13,12 @@ from cbsr_qa.domain.results import (
     Bound,
     EndReason,
     FleetTable,
-    Kind,
     MetricKey,
     Outcome,
     RunLine,
     RunSelection,
     State,
+    ValueKind,
 )
 from cbsr_qa.store.chain import (
     AT_ONCE,
@@ -205,14 +205,14 @@ def _run(
 
 def _values(
     connection: Connection, chosen: Conditions, places: dict[str, int], known: list[Known | None]
-) -> tuple[tuple[Kind, ...], tuple[Any, ...]]:
+) -> tuple[tuple[ValueKind, ...], tuple[Any, ...]]:
     """Kinds, and the columns of :class:`FleetTable`; chained runs are verified."""
     query = figures_query()
     if chosen:
         analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
         query = query.where(MeasurementRow.analysis.in_(analysed))
     figures = Figures(connection, query, places)
-    kinds: dict[Kind, int] = {}
+    kinds: dict[ValueKind, int] = {}
     meant = [_meant(connection, saying, kinds) for saying in figures.sayings]
     if any(known):
         check_figures(connection, chosen, known, figures)
@@ -220,7 +220,7 @@ def _values(
     return tuple(kinds), (figures.place, kind, figures.value, state.astype(np.uint8))
 
 
-def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, int]) -> tuple[int, int]:
+def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[ValueKind, int]) -> tuple[int, int]:
     """Kind and state for joined words and limits; new kinds are added."""
     said, lower, upper = saying
     parts = said.split(BETWEEN)
@@ -235,7 +235,7 @@ def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, in
         row = _first(connection, said)
         stored(Outcome, outcome, "measurements.outcome", row)
         stored(Bound, bound, "measurements.bound", row)
-    kind = Kind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
+    kind = ValueKind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
     return kinds.setdefault(kind, len(kinds)), _STATES[outcome, bound]
 
 

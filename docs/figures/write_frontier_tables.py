@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.studies.frontier import Accuracy, Clock, Point, station_svg, stored, table_of, worth_the_station
+from cbsr_qa.studies.frontier import Accuracy, Point, TimeBasis, station_svg, stored, table_of, worth_the_station
 from cbsr_qa.studies.frontier.computer import computer_tasks, measured, worth_their_time
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
@@ -53,7 +53,7 @@ def written(page: str, points: Sequence[Point]) -> str:
         chosen = [point for point in own if _shown(point)]
         if not chosen:
             return found[0]
-        if chosen[0].clock is Clock.STATION:
+        if chosen[0].clock is TimeBasis.STATION:
             return f"{found[1]}\n{_rows(*table_of(chosen))}\n\n{found[3]}"
         return f"{found[1]}\n{_table(chosen)}\n\n{found[3]}"
 
@@ -132,12 +132,12 @@ def main(arguments: Sequence[str]) -> None:
         points = list(measured(computer_tasks(), _tell))
     points = [
         replace(point, pareto=on)
-        for clock, worth in ((Clock.COMPUTER, worth_their_time), (Clock.STATION, worth_the_station))
+        for clock, worth in ((TimeBasis.COMPUTER, worth_their_time), (TimeBasis.STATION, worth_the_station))
         for own in ([point for point in points if point.clock is clock],)
         for point, on in zip(own, worth(own), strict=True)
     ]
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), points), encoding="utf-8")
-    if any(point.clock is Clock.STATION for point in points):
+    if any(point.clock is TimeBasis.STATION for point in points):
         FIGURE.parent.mkdir(exist_ok=True)
         FIGURE.write_text(station_svg(points, None) + "\n", encoding="utf-8")
 

@@ -8,7 +8,7 @@ import numpy as np
 from filled_databases import filled
 from stored_lots import judged, measured
 
-from cbsr_qa.domain.results import EndReason, FleetTable, Kind, MetricKey, Outcome, RunLine, RunSelection
+from cbsr_qa.domain.results import EndReason, FleetTable, MetricKey, Outcome, RunLine, RunSelection, ValueKind
 from cbsr_qa.report import json_document, render_sections
 from cbsr_qa.studies.compare import By, Terms, compare_groups, compare_outcome
 
@@ -64,7 +64,7 @@ def run_of(number, batch, station="A", began=NOW, **changes):
 def table_of(runs, values, names=("gap",)):
     """Runs with one value of each metric: (R,) or (R, metrics)."""
     values = np.asarray(values, dtype=float).reshape(len(runs), len(names))
-    kinds = tuple(Kind(MetricKey(name), "mm", "", None, None) for name in names)
+    kinds = tuple(ValueKind(MetricKey(name), "mm", "", None, None) for name in names)
     run, kind = np.divmod(np.arange(values.size, dtype=np.int32), np.int32(len(names)))
     return FleetTable(tuple(runs), kinds, run, kind, values.ravel(), np.zeros(values.size, np.uint8))
 

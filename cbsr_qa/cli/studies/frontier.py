@@ -9,9 +9,13 @@ import typer
 
 from cbsr_qa.cli.output import Counting, note, show
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.studies.frontier import Clock
+from cbsr_qa.studies.frontier import TimeBasis
 
-_CLOCKS: Final = {"station": (Clock.STATION,), "computer": (Clock.COMPUTER,), "both": (Clock.STATION, Clock.COMPUTER)}
+_CLOCKS: Final = {
+    "station": (TimeBasis.STATION,),
+    "computer": (TimeBasis.COMPUTER,),
+    "both": (TimeBasis.STATION, TimeBasis.COMPUTER),
+}
 _NEWTONS: Final = {"N": 1.0, "mN": 1e-3}
 _SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
 

@@ -23,12 +23,12 @@ from .characterisation import (
 )
 from .fleet import (
     FleetTable as FleetTable,
-    Kind as Kind,
     MetricKey as MetricKey,
     RunFigure as RunFigure,
     RunLine as RunLine,
     RunSelection as RunSelection,
     State as State,
+    ValueKind as ValueKind,
 )
 from .image import (
     Blob as Blob,

@@ -166,7 +166,7 @@ class State(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class ValueKind:
     """Common attributes of values of one kind.
 
     Parameters
@@ -198,7 +198,7 @@ class FleetTable:
     """
 
     runs: tuple[RunLine, ...]
-    kinds: tuple[Kind, ...]
+    kinds: tuple[ValueKind, ...]
     run: NDArray[np.int32]
     kind: NDArray[np.int32]
     value: NDArray[np.float64]

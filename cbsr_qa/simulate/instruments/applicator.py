@@ -19,7 +19,7 @@ LONGEST_LINE: Final = 96
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class NumberedLine:
     """One line: number, command, and the firmware's error message if it is wrong."""
 
     number: int | None
@@ -32,7 +32,7 @@ def checksum(text: str) -> int:
     return reduce(xor, text.encode("ascii", "replace"), 0)
 
 
-def read_line(raw: bytes, last: int) -> Line:
+def read_line(raw: bytes, last: int) -> NumberedLine:
     """Parse one line as Marlin's queue does.
 
     Parameters
@@ -43,18 +43,18 @@ def read_line(raw: bytes, last: int) -> Line:
     text = raw[: LONGEST_LINE - 1].decode("ascii", "replace").split(";")[0].strip()
     body, star, given = text.partition("*")
     if not text.startswith("N"):
-        return Line(None, body.strip(), "No Line Number with checksum" if star else "")
+        return NumberedLine(None, body.strip(), "No Line Number with checksum" if star else "")
     digits, _, command = body[1:].partition(" ")
     if not digits.lstrip("-").isdigit():
-        return Line(None, command, "Line Number is not Last Line Number+1")
+        return NumberedLine(None, command, "Line Number is not Last Line Number+1")
     number = int(digits)
     if not star:
-        return Line(number, command, "No Checksum with line number")
+        return NumberedLine(number, command, "No Checksum with line number")
     if not given.isdigit() or int(given) != checksum(body):
-        return Line(number, command, "checksum mismatch")
+        return NumberedLine(number, command, "checksum mismatch")
     if number != last + 1 and "M110" not in command:
-        return Line(number, command, "Line Number is not Last Line Number+1")
-    return Line(number, command.strip())
+        return NumberedLine(number, command, "Line Number is not Last Line Number+1")
+    return NumberedLine(number, command.strip())
 
 
 def words(command: str) -> tuple[str, dict[str, float | None]]:

@@ -27,7 +27,7 @@ from cbsr_qa.stats.samples import LEAST_SPREAD, centred, constant, sample, summa
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class RegressionLine:
     """A fitted line.
 
     Parameters
@@ -60,7 +60,7 @@ class Line:
         return Contrast(self.slope, self.residual / sqrt(self.squares), self.count - 2)
 
 
-def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") -> Line:
+def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") -> RegressionLine:
     """Fit a line.
 
     Parameters
@@ -86,7 +86,7 @@ def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") ->
     if residual <= LEAST_SPREAD * max(abs(level), sqrt(total)):
         raise NumericsError(f"{what}: the points lie on a line of slope {slope:.6g}, so there is no variance")
     checked(slope, residual / sqrt(squares), len(xs) - 2, what)
-    return Line(len(xs), centre, level, slope, residual, squares, 1 - rest / total)
+    return RegressionLine(len(xs), centre, level, slope, residual, squares, 1 - rest / total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class Linearity:
     known : (readings, value, standard uncertainty) of each reference whose uncertainty was stated.
     """
 
-    line: Line
+    line: RegressionLine
     references: tuple[float, ...]
     known: tuple[tuple[int, float, float], ...] = ()
 

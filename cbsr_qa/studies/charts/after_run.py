@@ -10,7 +10,6 @@ from cbsr_qa.domain.results import (
     Bound,
     EndReason,
     FleetTable,
-    Kind,
     Measurement,
     MetricKey,
     Outcome,
@@ -18,6 +17,7 @@ from cbsr_qa.domain.results import (
     RunLine,
     RunSelection,
     State,
+    ValueKind,
 )
 from cbsr_qa.domain.run import ChartKind, ChartReference, RunIdentity, StandingSignal, StationCharts
 from cbsr_qa.stats import Standard
@@ -89,7 +89,7 @@ def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> Fle
     return FleetTable(
         runs=(line,),
         kinds=tuple(
-            Kind(MetricKey(m.name, m.phase, m.qualifier), m.unit, m.location, None, None) for m in measurements
+            ValueKind(MetricKey(m.name, m.phase, m.qualifier), m.unit, m.location, None, None) for m in measurements
         ),
         run=np.zeros(count, dtype=np.int32),
         kind=np.arange(count, dtype=np.int32),

@@ -12,7 +12,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.report.draw import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, svg_of
-from cbsr_qa.studies.frontier.point import Clock, Point
+from cbsr_qa.studies.frontier.point import Point, TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommended
 from cbsr_qa.studies.frontier.station import PAPER
 
@@ -31,7 +31,7 @@ def _canvas(points: Sequence[Point], chosen: Recommended | None) -> Canvas:
     axes.set_xscale("log")
     axes.set_yscale("log")
     light_grid(axes, "both")
-    members = [point for point in points if point.clock is Clock.STATION]
+    members = [point for point in points if point.clock is TimeBasis.STATION]
     names = list(dict.fromkeys(point.series for point in members))
     for point in members:
         if "force_error" in point.accuracy:

@@ -9,7 +9,7 @@ from typing import Final
 import cbsr_qa
 from cbsr_qa.config import toml_document
 from cbsr_qa.domain import RefusedError, check_encodable
-from cbsr_qa.studies.frontier.point import Clock
+from cbsr_qa.studies.frontier.point import TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommended
 from cbsr_qa.system import written_whole
 
@@ -31,7 +31,7 @@ class Files:
     output: Path | None = None
     png: Path | None = None
 
-    def check(self, clocks: Sequence[Clock]) -> None:
+    def check(self, clocks: Sequence[TimeBasis]) -> None:
         """Make sure that all can be written, and that nothing of somebody else's is written over.
 
         Raises
@@ -50,7 +50,7 @@ class Files:
         if len({path.absolute() for path in wanted.values()}) < len(wanted):
             raise RefusedError(f"{', '.join(wanted)} name the same file", remedy="give each a name of its own")
         for option in ("--recipe", "--png"):
-            if option in wanted and Clock.STATION not in clocks:
+            if option in wanted and TimeBasis.STATION not in clocks:
                 what = "recipe to write" if option == "--recipe" else "force error to draw"
                 raise RefusedError(f"{option}: there is no {what}", remedy="sweep the station's clock")
 

@@ -20,7 +20,7 @@ T = TypeVar("T")
 _LATER: Final = {"pareto": None}
 
 
-class Clock(StrEnum):
+class TimeBasis(StrEnum):
     """Which time a setting costs."""
 
     COMPUTER = "computer"  #: seconds of one core
@@ -77,7 +77,7 @@ class Point:
     pareto : whether it is worth its time: no other setting dominates it; None before points are compared.
     """
 
-    clock: Clock
+    clock: TimeBasis
     series: str
     knobs: Mapping[str, Knob]
     accuracy: Mapping[str, Accuracy]

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 from cbsr_qa.studies.frontier.recommend import undominated_within_errors
 from cbsr_qa.studies.frontier.setting import Setting
 from cbsr_qa.studies.frontier.station import Tried
@@ -57,7 +57,7 @@ def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: flo
         if missing[name]
     ]
     return Point(
-        Clock.STATION,
+        TimeBasis.STATION,
         series,
         setting.knobs,
         {

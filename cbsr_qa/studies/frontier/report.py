@@ -5,7 +5,7 @@ from typing import Final
 
 from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
 from cbsr_qa.report import plural, text_table, unit_column
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Knob, Point
+from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point, TimeBasis
 from cbsr_qa.studies.frontier.setting import Setting
 from cbsr_qa.studies.frontier.study import Frontier
 
@@ -79,14 +79,14 @@ def _page(frontier: Frontier) -> Page:
         force, minutes = _shown(chosen.point.accuracy["force_error"]), (chosen.point.station_s or 0) / 60
         banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", chosen.why)
         facts = [("Recommended", _setting(chosen.setting))]
-    counts = {clock: sum(point.clock is clock for point in points) for clock in Clock}
+    counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
     facts += [
-        ("Settings of the station", str(counts[Clock.STATION])),
-        ("Settings of the computer", str(counts[Clock.COMPUTER])),
+        ("Settings of the station", str(counts[TimeBasis.STATION])),
+        ("Settings of the computer", str(counts[TimeBasis.COMPUTER])),
         ("Worth their time", str(sum(bool(point.pareto) for point in points))),
         ("Sweep", "quick: few settings, one sensor" if frontier.quick else "whole"),
     ]
-    simulated = ("sensors, station and readings",) if counts[Clock.STATION] else ()
+    simulated = ("sensors, station and readings",) if counts[TimeBasis.STATION] else ()
     return Page("Frontier", "What accuracy costs in time", banner, tuple(facts), simulated, ())
 
 
@@ -103,8 +103,8 @@ def _setting(setting: Setting) -> str:
 
 def _how_to_read(frontier: Frontier) -> Iterator[Block]:
     clocks = {point.clock for point in frontier.points}
-    yield from map(Paragraph, _READING if Clock.STATION in clocks else _READING[:1])
-    yield from map(Paragraph, _OF_COMPUTER if Clock.COMPUTER in clocks else ())
+    yield from map(Paragraph, _READING if TimeBasis.STATION in clocks else _READING[:1])
+    yield from map(Paragraph, _OF_COMPUTER if TimeBasis.COMPUTER in clocks else ())
     if any("force_error" in point.accuracy for point in frontier.points):
 
         def draw() -> str:
@@ -115,7 +115,7 @@ def _how_to_read(frontier: Frontier) -> Iterator[Block]:
         yield Figure(_PLOT, _PLOT_ALTERNATIVE, draw)
 
 
-def _series(frontier: Frontier, clock: Clock, series: str) -> Iterator[Block]:
+def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block]:
     points = [point for point in frontier.points if point.clock is clock and point.series == series]
     columns, rows = table_of(points)
     texts = {knob for knob in points[0].knobs if any(isinstance(point.knobs.get(knob), str) for point in points)}

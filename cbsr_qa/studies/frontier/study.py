@@ -15,7 +15,7 @@ from cbsr_qa.domain import RefusedError
 from cbsr_qa.report import json_document
 from cbsr_qa.studies.frontier.computer import computer_tasks, worth_their_time
 from cbsr_qa.studies.frontier.files import Files, write_recipe
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Knob, Point, Task, stored
+from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point, Task, TimeBasis, stored
 from cbsr_qa.studies.frontier.points import station_points, worth_the_station
 from cbsr_qa.studies.frontier.recommend import Recommended, Wish, recommend
 from cbsr_qa.studies.frontier.sensors import station_seconds
@@ -67,7 +67,7 @@ class Frontier:
 
 
 def frontier(
-    clocks: Sequence[Clock],
+    clocks: Sequence[TimeBasis],
     wish: Wish,
     files: Files,
     *,
@@ -97,10 +97,10 @@ def frontier(
     where = writable_folder((folder or var_folder()) / "frontier")
     tried: list[tuple[Setting, Point]] = []
     points: list[Point] = []
-    if Clock.STATION in clocks:
+    if TimeBasis.STATION in clocks:
         tried = _station(_kept(where / "station.jsonl", fresh), quick, tell, processes)
         points += _compared([point for _, point in tried], worth_the_station)
-    if Clock.COMPUTER in clocks:
+    if TimeBasis.COMPUTER in clocks:
         points += _compared(_computer(_kept(where / "computer.jsonl", fresh), quick, tell), worth_their_time)
     chosen, why_not = _chosen(tried, wish)
     if files.recipe is not None:

@@ -23,7 +23,7 @@ class Rule(StrEnum):
     NONE = "not compared"
 
 
-class Kind(StrEnum):
+class ValueOrigin(StrEnum):
     """Where a number of ours comes from."""
 
     INPUT = "input"  #: the simulation is given it, and measures it back
@@ -98,7 +98,7 @@ class ComparedRow:
     group: str
     name: str
     unit: str
-    kind: Kind
+    kind: ValueOrigin
     rule: Rule
     paper: Printed
     ours: Ours
@@ -166,7 +166,7 @@ def compared(
     group: str,
     name: str,
     unit: str,
-    kind: Kind,
+    kind: ValueOrigin,
     rule: Rule,
     paper: Printed,
     simulated: Sequence[Ours],
@@ -204,7 +204,7 @@ def compared(
 
 def not_compared(group: str, name: str, unit: str, paper: Printed, ours: Ours, why: str) -> ComparedRow:
     """Show a number beside a printed one that means something else, and say why."""
-    return ComparedRow(group, name, unit, Kind.OUTCOME, Rule.NONE, paper, ours, reason=why)
+    return ComparedRow(group, name, unit, ValueOrigin.OUTCOME, Rule.NONE, paper, ours, reason=why)
 
 
 def mean_of_deviations(sheet: str, errors: NDArray[np.float64]) -> Ours:

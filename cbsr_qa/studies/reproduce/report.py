@@ -5,7 +5,7 @@ from typing import Final
 
 from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
 from cbsr_qa.report import number, text_table, with_uncertainty
-from cbsr_qa.studies.reproduce.compare import ComparedRow, ComparedTable, Kind, Ours, Printed, Rule
+from cbsr_qa.studies.reproduce.compare import ComparedRow, ComparedTable, Ours, Printed, Rule, ValueOrigin
 from cbsr_qa.studies.reproduce.reproduce import Reproduction
 
 _NONE: Final = "–"
@@ -97,7 +97,7 @@ def _letter(place: int) -> str:
 
 def _cells(row: ComparedRow, reasons: Sequence[str]) -> tuple[str, ...]:
     name = row.name if row.unit == "1" else f"{row.name} [{row.unit}]"
-    name += ", an input" if row.kind is Kind.INPUT else ""
+    name += ", an input" if row.kind is ValueOrigin.INPUT else ""
     beside = _ours_text(row.beside[0]) if row.beside else _NONE
     agrees = "not compared" if row.rule is Rule.NONE else _AGREES[row.agrees]
     why = _letter(reasons.index(row.reason)) if row.reason else ""

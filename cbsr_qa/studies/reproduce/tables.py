@@ -8,11 +8,11 @@ import numpy as np
 from cbsr_qa.studies.reproduce.compare import (
     ComparedRow,
     ComparedTable,
-    Kind,
     Ours,
     Printed,
     PrintedRange,
     Rule,
+    ValueOrigin,
     compared,
     compared_table,
     mean_of_deviations,
@@ -70,12 +70,12 @@ def _table1(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[ComparedR
         modulus = Printed(row["E_kPa"], None, 0.05)
         factor = Printed(paper["gauge_factor"][str(percent)], None, 0.05)
         yield compared(
-            group, "R_int", "kΩ", Kind.INPUT, Rule.DEVIATION, Printed(*row["R_int_kohm"]),
+            group, "R_int", "kΩ", ValueOrigin.INPUT, Rule.DEVIATION, Printed(*row["R_int_kohm"]),
             [sheet.resistance for sheet in both],
         )  # fmt: skip
-        yield compared(group, "E", "kPa", Kind.INPUT, Rule.DIGITS, modulus, [strip.modulus])
+        yield compared(group, "E", "kPa", ValueOrigin.INPUT, Rule.DIGITS, modulus, [strip.modulus])
         yield not_compared(group, "E on the sheet, 60 s held", "kPa", modulus, both[0].modulus, WHY["modulus sheet"])
-        yield compared(group, "gauge factor", "1", Kind.INPUT, Rule.DIGITS, factor, [strip.local_gauge_factor])
+        yield compared(group, "gauge factor", "1", ValueOrigin.INPUT, Rule.DIGITS, factor, [strip.local_gauge_factor])
         yield not_compared(
             group, "gauge factor between the pins", "1", factor, strip.gauge_factor, WHY["gauge factor pins"]
         )
@@ -85,12 +85,12 @@ def _table2(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for percent in _PERCENTS:
         group, both, row = f"{percent} wt%", _both(sheets, percent), paper["table2_noise"][str(percent)]
         yield compared(
-            group, "NF", "1", Kind.INPUT, Rule.DEVIATION, Printed(*row["NF"]),
+            group, "NF", "1", ValueOrigin.INPUT, Rule.DEVIATION, Printed(*row["NF"]),
             [sheet.noise_figure for sheet in both], why=WHY["noise figure"],
         )  # fmt: skip
         floor = Printed(paper["relative_noise_floor"][str(percent)], None, 5e-6)
         yield compared(
-            group, "noise floor, relative (3.3.2)", "1", Kind.INPUT, Rule.DIGITS, floor,
+            group, "noise floor, relative (3.3.2)", "1", ValueOrigin.INPUT, Rule.DIGITS, floor,
             [sheet.noise_floor for sheet in both], why=WHY["noise floor"],
         )  # fmt: skip
         yield not_compared(
@@ -109,7 +109,7 @@ def _table3(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
                 rule, why = Rule.BAND, f"{why} Our mean A_b/A_FA is {both[0].size_ratio[number][1]:.1f}."
             ours = [sheet.by_mask[number][1][0][column] for sheet in both]
             group = f"mask {100 * mask:g} %"
-            yield compared(group, name, unit, Kind.OUTCOME, rule, Printed(*row[column]), ours, why=why)
+            yield compared(group, name, unit, ValueOrigin.OUTCOME, rule, Printed(*row[column]), ours, why=why)
 
 
 def _table4(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
@@ -120,7 +120,7 @@ def _table4(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
             ours = [sheet.by_place[number][1][0][column] for sheet in both]
             why = WHY["contradiction"] if place in ("L0", "L1", "L8") and name == "SD" else WHY[f"{name} place"]
             printed = Printed(*row[column])
-            yield compared(place, name, unit, Kind.OUTCOME, Rule.DEVIATION, printed, ours, why=why)
+            yield compared(place, name, unit, ValueOrigin.OUTCOME, Rule.DEVIATION, printed, ours, why=why)
 
 
 def _random(paper: Tables, sheets: Sheets, key: str, column: int) -> Iterator[ComparedRow]:
@@ -129,7 +129,7 @@ def _random(paper: Tables, sheets: Sheets, key: str, column: int) -> Iterator[Co
         group = f"({radius_mm:g} mm, {angle_deg:g}°) {strain_percent:g} %"
         for percent, pair in zip(_PERCENTS, printed, strict=True):
             yield compared(
-                group, f"{name}, {percent} wt%", unit, Kind.OUTCOME, Rule.DEVIATION, Printed(*pair),
+                group, f"{name}, {percent} wt%", unit, ValueOrigin.OUTCOME, Rule.DEVIATION, Printed(*pair),
                 [sheet.random[number][column] for sheet in _both(sheets, percent)], why=WHY[f"{name} random"],
             )  # fmt: skip
 
@@ -157,19 +157,21 @@ def _settling_row(group: str, settling: SettlingOf, printed: Printed, beside: li
     direction = "loading" if settling.loading else "unloading"
     name = "all strains in one fit" if settling.strain is None else f"{100 * settling.strain:g} % strain"
     ours = [settling.ours, *beside]
-    return compared(f"{group}, {direction}", name, "s", Kind.OUTCOME, Rule.RANGE, printed, ours, why=WHY["settling"])
+    return compared(
+        f"{group}, {direction}", name, "s", ValueOrigin.OUTCOME, Rule.RANGE, printed, ours, why=WHY["settling"]
+    )
 
 
 def _force(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for percent in _PERCENTS:
         group, key, both = f"{percent} wt%", str(percent), _both(sheets, percent)
         yield compared(
-            group, "force error at L0, one ρ̄₀", "N", Kind.OUTCOME, Rule.SCATTER,
+            group, "force error at L0, one ρ̄₀", "N", ValueOrigin.OUTCOME, Rule.SCATTER,
             Printed(paper["force_error_sd_N_at_L0"][key], None, 0.005), [force_error(sheet) for sheet in both],
             why=WHY["force"], printed_count=_PAPER_PRESSES,
         )  # fmt: skip
         yield compared(
-            group, "least force, from the noise floor", "N", Kind.OUTCOME, Rule.DIGITS,
+            group, "least force, from the noise floor", "N", ValueOrigin.OUTCOME, Rule.DIGITS,
             Printed(paper["min_force_N_as_printed"][key], None, 0.005), [least_force(sheet) for sheet in both],
             why=WHY[f"least force {percent}"],
         )  # fmt: skip

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain import RowProblem
 from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Assembly, Line, LineKind, Rows
+from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Assembly, BoardLine, LineKind, Rows
 
 #: Standard gravity [m/s²] turns the load cell's grams into newtons; compression is negative grams on this rig.
 NEWTON_PER_GRAM = 9.80665e-3
@@ -22,7 +22,7 @@ _NOTEWORTHY_GAP_MS = 1000
 
 
 @dataclass(slots=True)
-class Clock:
+class RowClock:
     """Times of the rows.
 
     Parameters
@@ -45,7 +45,7 @@ class Clock:
         return (self.row_s[rows[0].number] + self.row_s[rows[-1].number]) / 2
 
 
-def board_clock(lines: list[Line], width: int) -> Clock:
+def board_clock(lines: list[BoardLine], width: int) -> RowClock:
     """Set up the clock of a file: the board's where rows carry it, the computer's otherwise."""
     rows = [line for line in lines if line.kind is LineKind.ROW]
     offsets = _session_offsets(lines)
@@ -54,7 +54,7 @@ def board_clock(lines: list[Line], width: int) -> Clock:
     }
     stands = width > PAIRS and _stands_still(rows)
     if width == PAIRS or stands:
-        clock = Clock("computer", _rising(rows, computer), sessions=offsets)
+        clock = RowClock("computer", _rising(rows, computer), sessions=offsets)
         if stands:
             what = f"the board's clock stands still (at {rows[0].numbers[0]} ms here): the computer's clock is used"
             clock.problems.append(RowProblem(rows[0].number, what, False))
@@ -62,7 +62,7 @@ def board_clock(lines: list[Line], width: int) -> Clock:
         if len({clock.row_s[row.number] for row in rows}) < len(rows) / 4:
             _spread_repeated(clock, rows)
         return clock
-    clock = Clock("board", {}, sessions=offsets)
+    clock = RowClock("board", {}, sessions=offsets)
     _follow_board(clock, rows, computer)
     lags = np.array([computer[row.number] - clock.row_s[row.number] for row in rows])
     # A line can only be read after it was sent: the least delayed row tells how the clocks lie to each other.
@@ -76,14 +76,16 @@ def board_clock(lines: list[Line], width: int) -> Clock:
     return clock
 
 
-def frame_times(assembly: Assembly, clock: Clock) -> NDArray[np.float64]:
+def frame_times(assembly: Assembly, clock: RowClock) -> NDArray[np.float64]:
     """Middles of the frames [s] from the first one's, (frames,) float64."""
     middles = np.array([clock.at(rows) for rows in assembly.frames], dtype=np.float64)
     times: NDArray[np.float64] = middles - middles[0]
     return times
 
 
-def force_samples(lines: list[Line], clock: Clock, zero_s: float) -> tuple[tuple[SampleBlock, ...], list[str]]:
+def force_samples(
+    lines: list[BoardLine], clock: RowClock, zero_s: float
+) -> tuple[tuple[SampleBlock, ...], list[str]]:
     """Force from the load cell's column, compression positive, on the frames' clock.
 
     Parameters
@@ -116,7 +118,7 @@ def force_samples(lines: list[Line], clock: Clock, zero_s: float) -> tuple[tuple
     return (SampleBlock("force", "N", times[order], -mass_g[order] * NEWTON_PER_GRAM),), notes
 
 
-def _follow_board(clock: Clock, rows: list[Line], computer: dict[int, float]) -> None:
+def _follow_board(clock: RowClock, rows: list[BoardLine], computer: dict[int, float]) -> None:
     """Add up the board's steps; a step back (the board restarted) takes the computer's step instead."""
     now_s = rows[0].numbers[0] / 1000
     clock.row_s[rows[0].number] = now_s
@@ -134,17 +136,17 @@ def _follow_board(clock: Clock, rows: list[Line], computer: dict[int, float]) ->
         clock.row_s[row.number] = now_s
 
 
-def _stands_still(rows: list[Line]) -> bool:
+def _stands_still(rows: list[BoardLine]) -> bool:
     """Whether the board's clock cannot tell frames apart: less than one step a frame."""
     return len(rows) > 1 and len({row.numbers[0] for row in rows}) < max(2.0, len(rows) / PAIRS)
 
 
-def _rising(rows: list[Line], computer: dict[int, float]) -> dict[int, float]:
+def _rising(rows: list[BoardLine], computer: dict[int, float]) -> dict[int, float]:
     times = np.maximum.accumulate([computer[row.number] for row in rows])
     return {row.number: float(time) for row, time in zip(rows, times, strict=True)}
 
 
-def _spread_repeated(clock: Clock, rows: list[Line]) -> None:
+def _spread_repeated(clock: RowClock, rows: list[BoardLine]) -> None:
     """A spreadsheet rounds Unix time to whole seconds: rows are spread evenly from the first second to the last.
 
     Second by second would be worse: the serial buffer delivers rows in bursts.
@@ -158,7 +160,7 @@ def _spread_repeated(clock: Clock, rows: list[Line]) -> None:
     )
 
 
-def _session_offsets(lines: list[Line]) -> dict[int, float]:
+def _session_offsets(lines: list[BoardLine]) -> dict[int, float]:
     """Seconds to add to the computer's time so that appended recordings follow each other on one clock."""
     offsets: dict[int, float] = {}
     offset, last_s, first_utc, pending = 0.0, 0.0, None, False

@@ -14,7 +14,15 @@ from cbsr_qa.domain import RecordingError, RowProblem
 from cbsr_qa.domain.plan import Transcript
 from cbsr_qa.domain.readings import FrameBlock, ReadOptions, Recording, ScanKind, VoltageUnit
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
-from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Assembly, Line, LineKind, assemble, complaint, parse_line
+from cbsr_qa_plugins.recordings.ert_board_rows import (
+    PAIRS,
+    Assembly,
+    BoardLine,
+    LineKind,
+    assemble,
+    complaint,
+    parse_line,
+)
 from cbsr_qa_plugins.recordings.ert_board_writer import write_ert_board
 from cbsr_qa_plugins.recordings.lab_files import MOST_BAD_IN_A_ROW, marked, refuse_dataset, text_lines
 
@@ -77,9 +85,9 @@ class ErtBoardCsv:
         return write_ert_board(path, recording, transcript)
 
 
-def _lines(path: Path) -> tuple[list[Line], list[RowProblem]]:
+def _lines(path: Path) -> tuple[list[BoardLine], list[RowProblem]]:
     """Take the lines apart; give up, and say so, where thousands in a row hold no reading."""
-    kept: list[Line] = []
+    kept: list[BoardLine] = []
     bad = 0
     for line in _parsed(path):
         kept.append(line)
@@ -91,7 +99,7 @@ def _lines(path: Path) -> tuple[list[Line], list[RowProblem]]:
     return kept, []
 
 
-def _parsed(path: Path) -> Iterator[Line]:
+def _parsed(path: Path) -> Iterator[BoardLine]:
     raw = text_lines(path)
     top = list(islice(raw, _TOP))
     title = next((line.text for line in top if line.text.lower().lstrip().startswith("time")), "")
@@ -100,14 +108,14 @@ def _parsed(path: Path) -> Iterator[Line]:
         line = parse_line(text.number, text.text, with_mass=with_mass)
         if text.too_long:
             said = f"a line of more than {len(text.text)} characters"
-            line = Line(text.number, LineKind.GARBLED, line.computer_s, said=said)
+            line = BoardLine(text.number, LineKind.GARBLED, line.computer_s, said=said)
         elif line.kind is LineKind.ROW and not text.ended and not line.closed:
             line = replace(line, kind=LineKind.GARBLED, said="cut row: the file ends in the middle of it")
         if line.kind is not LineKind.BLANK:
             yield line
 
 
-def _refuse_without_rows(path: Path, lines: list[Line]) -> None:
+def _refuse_without_rows(path: Path, lines: list[BoardLine]) -> None:
     if not lines:
         raise RecordingError(f"{path.name} is empty", remedy="record again, or analyse another file")
     kinds = Counter(line.kind for line in lines)
@@ -120,15 +128,15 @@ def _refuse_without_rows(path: Path, lines: list[Line]) -> None:
         )
 
 
-def _row_width(lines: list[Line]) -> int:
+def _row_width(lines: list[BoardLine]) -> int:
     """Numbers of a good row: 17 where the board's clock is in front; the titles say so always, and are wrong."""
     widths = Counter(len(line.numbers) for line in lines if line.kind is LineKind.ROW)
     return PAIRS + 1 if widths[PAIRS + 1] >= widths[PAIRS] and widths[PAIRS + 1] else PAIRS
 
 
-def _judged(lines: list[Line], width: int) -> tuple[list[Line], list[RowProblem]]:
+def _judged(lines: list[BoardLine], width: int) -> tuple[list[BoardLine], list[RowProblem]]:
     """Turn bad rows into garbled ones and say what is wrong with each."""
-    judged: list[Line] = []
+    judged: list[BoardLine] = []
     # The board prints a comma behind each number; a spreadsheet that saved the file again took the last one away.
     closed = [line.closed for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
     commas = sum(closed) > len(closed) / 2
@@ -147,7 +155,7 @@ def _judged(lines: list[Line], width: int) -> tuple[list[Line], list[RowProblem]
     return judged, problems
 
 
-def _clock_outliers(lines: list[Line]) -> list[Line]:
+def _clock_outliers(lines: list[BoardLine]) -> list[BoardLine]:
     """A row whose board time does not lie between its neighbours', which agree, is not a row of this board."""
     rows = [k for k, line in enumerate(lines) if line.kind is LineKind.ROW]
     out = list(lines)
@@ -159,7 +167,7 @@ def _clock_outliers(lines: list[Line]) -> list[Line]:
     return out
 
 
-def _scan_kind(lines: list[Line]) -> ScanKind:
+def _scan_kind(lines: list[BoardLine]) -> ScanKind:
     """One row a mark is the board's calibration mode. What the log says about the mode is not reliable."""
     counts: list[int] = []
     for line in lines:
@@ -172,7 +180,7 @@ def _scan_kind(lines: list[Line]) -> ScanKind:
     return ScanKind.DRIVEN_PAIRS if len(counts) > 1 and 2 * ones > len(whole) else ScanKind.FULL
 
 
-def _inventory(lines: list[Line], problems: list[RowProblem]) -> str:
+def _inventory(lines: list[BoardLine], problems: list[RowProblem]) -> str:
     kinds = Counter(line.kind for line in lines)
     said = f"{kinds[LineKind.ROW]} good rows, {len(problems)} rejected, {kinds[LineKind.MARK]} frame marks"
     worst = "; ".join(f"line {problem.line}: {problem.what}" for problem in problems[:3])
@@ -184,7 +192,7 @@ def _needed(scan: ScanKind) -> str:
 
 
 def _recording(
-    path: Path, lines: list[Line], width: int, scan: ScanKind, assembly: Assembly, problems: list[RowProblem]
+    path: Path, lines: list[BoardLine], width: int, scan: ScanKind, assembly: Assembly, problems: list[RowProblem]
 ) -> Recording:
     clock = board_clock(lines, width)
     counts, unwrapped = _unsigned(assembly.counts(), scan)
@@ -235,7 +243,7 @@ def _unsigned(counts: np.ndarray, scan: ScanKind) -> tuple[np.ndarray, bool]:
     return counts, False
 
 
-def _current(lines: list[Line]) -> tuple[float | None, list[str]]:
+def _current(lines: list[BoardLine]) -> tuple[float | None, list[str]]:
     """Drive current [A] from ``Isrc:`` in µA; it was typed in by hand and may be text such as ``100plus``."""
     stated = [line.said for line in lines if line.kind is LineKind.HEADER and line.said.lower().startswith("isrc")]
     texts = {said.partition(",")[2].partition(",")[0].strip() for said in stated}

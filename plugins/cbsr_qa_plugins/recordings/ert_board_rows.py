@@ -53,7 +53,7 @@ class LineKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class BoardLine:
     """One line of a file, taken apart.
 
     Parameters
@@ -108,7 +108,7 @@ def _without_empty_end(fields: list[str]) -> bool:
     return len(fields) < count
 
 
-def parse_line(number: int, text: str, *, with_mass: bool) -> Line:
+def parse_line(number: int, text: str, *, with_mass: bool) -> BoardLine:
     """Take a line apart.
 
     Parameters
@@ -118,18 +118,18 @@ def parse_line(number: int, text: str, *, with_mass: bool) -> Line:
     """
     fields, whole_line, closed = split_fields(text)
     if not fields:
-        return Line(number, LineKind.BLANK)
+        return BoardLine(number, LineKind.BLANK)
     key = fields[0].lower()
     if key in ("utc:", "isrc:") or key.startswith("time"):
-        return Line(number, LineKind.HEADER, said=",".join(fields))
+        return BoardLine(number, LineKind.HEADER, said=",".join(fields))
     computer_s = _float(fields[0])
     if computer_s is None or abs(computer_s) > _LAST_COMPUTER_S:
-        return Line(number, LineKind.GARBLED, said=f"it does not start with a time but with {fields[0][:20]!r}")
+        return BoardLine(number, LineKind.GARBLED, said=f"it does not start with a time but with {fields[0][:20]!r}")
     with_mass = with_mass and not whole_line
     mass_g = _float(fields[1]) if with_mass and len(fields) > 1 else None
     payload = fields[2:] if with_mass else fields[1:]
     kind, numbers, said = _payload(payload)
-    return Line(number, kind, computer_s, mass_g, numbers, said, closed)
+    return BoardLine(number, kind, computer_s, mass_g, numbers, said, closed)
 
 
 def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
@@ -186,7 +186,7 @@ def _shape(count: int, width: int) -> str:
     return "cut row"
 
 
-Rows = tuple[Line, ...]
+Rows = tuple[BoardLine, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +232,7 @@ class Assembly:
         return np.array([[row.numbers[-PAIRS:] for row in rows] for rows in self.frames], dtype=np.float64)
 
 
-def assemble(lines: list[Line], scan: ScanKind) -> Assembly:
+def assemble(lines: list[BoardLine], scan: ScanKind) -> Assembly:
     """Put frames together.
 
     Parameters
@@ -245,15 +245,15 @@ def assemble(lines: list[Line], scan: ScanKind) -> Assembly:
         assembly.frames = [(line,) for line in lines if line.kind is LineKind.ROW]
         return assembly
     sessions = _sessions(lines)
-    nothing: list[Line] = []
+    nothing: list[BoardLine] = []
     for session, following in zip_longest(sessions, sessions[1:], fillvalue=nothing):
         _assemble_session(session, following, assembly)
     return assembly
 
 
-def _sessions(lines: list[Line]) -> list[list[Line]]:
+def _sessions(lines: list[BoardLine]) -> list[list[BoardLine]]:
     """Split at repeated headers: a file opened in append mode holds several recordings behind each other."""
-    stretches: list[list[Line]] = [[]]
+    stretches: list[list[BoardLine]] = [[]]
     for line in lines:
         if line.kind is LineKind.HEADER:
             if stretches[-1]:
@@ -263,7 +263,7 @@ def _sessions(lines: list[Line]) -> list[list[Line]]:
     return [stretch for stretch in stretches if stretch]
 
 
-def _assemble_session(lines: list[Line], following: list[Line], assembly: Assembly) -> None:
+def _assemble_session(lines: list[BoardLine], following: list[BoardLine], assembly: Assembly) -> None:
     """Put the frames of a session together; headers and then ``following`` may stand behind it."""
     marks = [k for k, line in enumerate(lines) if line.kind is LineKind.MARK]
     for begin, end in zip_longest(marks, marks[1:]):
@@ -279,16 +279,16 @@ def _assemble_session(lines: list[Line], following: list[Line], assembly: Assemb
             assembly.dropped.append(DroppedFrame(lines[begin].number, lines[begin:end][-1].number, bad, why))
 
 
-def _begins_with_a_frame(lines: list[Line]) -> bool:
+def _begins_with_a_frame(lines: list[BoardLine]) -> bool:
     """Whether a whole frame's rows stand before the first mark: then headers were put between it and its mark."""
     before = list(takewhile(lambda line: line.kind is not LineKind.MARK, lines))
     return sum(line.kind is LineKind.ROW for line in before) == PAIRS
 
 
-def _dumps(lines: list[Line]) -> list[RowProblem]:
+def _dumps(lines: list[BoardLine]) -> list[RowProblem]:
     """Name each stretch of log lines once, by its first line."""
     found: list[RowProblem] = []
-    stretch: list[Line] = []
+    stretch: list[BoardLine] = []
     rows_before = False
     for line in [*lines, None]:
         if line is not None and line.kind in (LineKind.LOG, LineKind.TORN):
@@ -301,7 +301,7 @@ def _dumps(lines: list[Line]) -> list[RowProblem]:
     return found
 
 
-def _dump(stretch: list[Line], rows_before: bool) -> RowProblem:
+def _dump(stretch: list[BoardLine], rows_before: bool) -> RowProblem:
     text = " ".join(line.said for line in stretch)
     if "task_wdt" in text or "Backtrace" in text:
         what = "watchdog dump"

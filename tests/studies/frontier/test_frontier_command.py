@@ -7,7 +7,7 @@ import pytest
 from cbsr_qa.cli import guarded
 from cbsr_qa.config import load_recipe
 from cbsr_qa.studies.frontier import study as app
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point, Task
+from cbsr_qa.studies.frontier.point import Accuracy, Point, Task, TimeBasis
 from cbsr_qa.studies.frontier.report import alike_in, notes_of
 from cbsr_qa.studies.frontier.setting import FARTHEST, Setting
 from cbsr_qa.studies.frontier.station import PAPER, Tried
@@ -26,7 +26,7 @@ def trials():
 
 
 def measured():
-    return Point(Clock.COMPUTER, "images", {"size_mm": 3.0}, {"E_CoM": Accuracy(0.5, 0.1, "mm")}, 1e-3, None, 3)
+    return Point(TimeBasis.COMPUTER, "images", {"size_mm": 3.0}, {"E_CoM": Accuracy(0.5, 0.1, "mm")}, 1e-3, None, 3)
 
 
 @pytest.fixture
@@ -170,7 +170,7 @@ def test_one_table_alone_has_nothing_else_to_be_told_from(sweeps, capsys):
 
 def test_knobs_that_one_row_hides_are_those_that_other_tables_set_otherwise():
     def point(series, **knobs):
-        return Point(Clock.STATION, series, knobs, {}, None, 60.0, 1)
+        return Point(TimeBasis.STATION, series, knobs, {}, None, 60.0, 1)
 
     rest = [point("rest", places=16, hold_s=15.0, frames=4)]
     hold = [point("hold", places=16, hold_s=60.0, frames=4), point("hold", places=16, hold_s=15.0, frames=4)]
@@ -181,7 +181,7 @@ def test_knobs_that_one_row_hides_are_those_that_other_tables_set_otherwise():
 def test_notes_name_the_row_they_are_on():
     def point(size, note, method="a"):
         knobs = {"method": method, "size_mm": size}
-        return Point(Clock.COMPUTER, "mesh", knobs, {}, 1.0, None, 1, note)
+        return Point(TimeBasis.COMPUTER, "mesh", knobs, {}, 1.0, None, 1, note)
 
     assert notes_of([point(6, "527 elements"), point(3, "2025 elements"), point(2, "")]) == [
         "size 6 mm: 527 elements",

@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError, StoreError
 from cbsr_qa.report import json_document
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point, stored
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, stored
 from cbsr_qa.studies.frontier.recommend import joint_stderr, undominated_within_errors
 
 numbers = st.floats(-1e6, 1e6)
@@ -20,7 +20,7 @@ figures = st.builds(
 )
 points = st.builds(
     Point,
-    st.sampled_from(list(Clock)),
+    st.sampled_from(list(TimeBasis)),
     st.text(max_size=5),
     st.dictionaries(
         st.text(max_size=5), st.text(max_size=5) | numbers | st.integers(-100, 100) | st.booleans(), max_size=3
@@ -48,7 +48,7 @@ measured = st.lists(
 
 def _point(cost: float, figures: dict[str, tuple[float, float | None]], *, better: str = "less") -> Point:
     accuracy = {name: Accuracy(value, stderr, "mm", better) for name, (value, stderr) in figures.items()}
-    return Point(Clock.COMPUTER, "made up", {"cost": cost}, accuracy, float(cost), None, 1)
+    return Point(TimeBasis.COMPUTER, "made up", {"cost": cost}, accuracy, float(cost), None, 1)
 
 
 def _cost(point: Point) -> float | None:
@@ -170,4 +170,6 @@ def test_only_the_accuracies_asked_for_count():
 
 def test_a_setting_without_a_cost_is_refused():
     with pytest.raises(NumericsError, match="costs None"):
-        undominated_within_errors([Point(Clock.STATION, "x", {}, {}, None, None, 1)], lambda point: point.station_s)
+        undominated_within_errors(
+            [Point(TimeBasis.STATION, "x", {}, {}, None, None, 1)], lambda point: point.station_s
+        )

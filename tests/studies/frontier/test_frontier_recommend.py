@@ -4,14 +4,14 @@ import pytest
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 from cbsr_qa.studies.frontier.recommend import USUAL_BUDGET_S, Wish, recommend
 from cbsr_qa.studies.frontier.setting import Setting
 
 
 def way(minutes, force_N, stderr=None, places=9):
     accuracy = {} if force_N is None else {"force_error": Accuracy(force_N, stderr, "N")}
-    return Setting(places), Point(Clock.STATION, "a", {}, accuracy, None, 60.0 * minutes, 4)
+    return Setting(places), Point(TimeBasis.STATION, "a", {}, accuracy, None, 60.0 * minutes, 4)
 
 
 QUICK, MIDDLE, SLOW = way(12, 0.2, 0.02, 10), way(22, 0.1, 0.01, 16), way(90, 0.05, 0.005, 30)

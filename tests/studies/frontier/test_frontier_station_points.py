@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.report import json_document
-from cbsr_qa.studies.frontier.point import Clock, stored
+from cbsr_qa.studies.frontier.point import TimeBasis, stored
 from cbsr_qa.studies.frontier.points import station_points, worth_the_station
 from cbsr_qa.studies.frontier.setting import FARTHEST, LEAST_SURE, SUNFLOWER, Setting
 from cbsr_qa.studies.frontier.station import Tried
@@ -72,7 +72,7 @@ def test_a_damaged_trial_is_refused(change):
 def test_figures_are_root_mean_squares_whatever_their_sign():
     point = only_point(tried(1, gauge_factor_error=0.03), tried(2, gauge_factor_error=-0.04))
     assert point.accuracy["gauge_factor_error"].value == pytest.approx(math.sqrt(0.0025 / 2))
-    assert (point.clock, point.station_s, point.compute_s, point.seeds) == (Clock.STATION, 600.0, None, 2)
+    assert (point.clock, point.station_s, point.compute_s, point.seeds) == (TimeBasis.STATION, 600.0, None, 2)
     assert point.knobs == SETTING.knobs
 
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from cbsr_qa.studies.reproduce.compare import (
-    Kind,
     Ours,
     Printed,
     PrintedRange,
     Rule,
+    ValueOrigin,
     compared,
     compared_table,
     deviations_agree,
@@ -22,7 +22,7 @@ _RANGES = Printed(ranges=(PrintedRange("abstract", 22.5, 36.0), PrintedRange("4.
 
 
 def _row(rule, printed, ours, **options):
-    return compared("8 wt%", "x", "1", Kind.OUTCOME, rule, printed, [ours], why="because", **options)
+    return compared("8 wt%", "x", "1", ValueOrigin.OUTCOME, rule, printed, [ours], why="because", **options)
 
 
 @pytest.mark.parametrize(("value", "agrees"), [(18.1, True), (8.3, True), (27.9, True), (8.2, False), (28.0, False)])

@@ -15,7 +15,7 @@ from cbsr_qa.cli import guarded
 from cbsr_qa.domain import NotReproducedError
 from cbsr_qa.report import json_document, render_sections
 from cbsr_qa.studies.reproduce import reproduce, reproduction_outcome, runs as reproduce_runs
-from cbsr_qa.studies.reproduce.compare import Kind, Ours, Rule
+from cbsr_qa.studies.reproduce.compare import Ours, Rule, ValueOrigin
 from cbsr_qa.studies.reproduce.reproduce import published, reproduction
 from cbsr_qa.studies.reproduce.runs import all_jobs, configuration_of, not_reproduced
 from cbsr_qa.studies.reproduce.values import ForcePress, SettlingOf, SheetValues, StripValues
@@ -126,7 +126,7 @@ def test_the_document_has_every_row_of_every_table(exact):
 
 def test_inputs_of_the_simulation_are_told_from_outcomes(exact):
     kinds = {row.name: row.kind for table in exact.tables[:2] for row in table.rows}
-    assert [name for name, kind in kinds.items() if kind is Kind.INPUT] == [
+    assert [name for name, kind in kinds.items() if kind is ValueOrigin.INPUT] == [
         "R_int",
         "E",
         "gauge factor",

@@ -21,7 +21,7 @@ from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, SensorType
 from cbsr_qa.eit.forward import ConcentricSheet, FiniteElements, ForwardModel, arc_transfer_impedance, cover
 from cbsr_qa.eit.loads import LocalUpdate, PinnedDisc, RoundLoadModel, RoundLoads
 from cbsr_qa.eit.mesh import sheet_mesh
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
     model, setup_s = timed(partial(_model, sensor, contact_mm, order, size_mm))
     accuracy = _arc_errors(model) if electrodes == "arc" else _pin_errors(model)
     return Point(
-        Clock.COMPUTER,
+        TimeBasis.COMPUTER,
         SERIES_ARCS if electrodes == "arc" else SERIES_PINS,
         {"element_order": order, "element_size_mm": size_mm},
         {name: Accuracy(error, None, "1") for name, error in accuracy.items()},

@@ -20,7 +20,7 @@ from cbsr_qa.eit.mesh import image_mesh
 from cbsr_qa.plugin import Kind, Reconstruction, discover, options_of
 from cbsr_qa.studies.frontier.computer.forward import fastest_s, timed
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Knob, Point
+from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point, TimeBasis
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
@@ -148,14 +148,14 @@ def _imaged(
         readings = base_scene_readings(seeds)
         accuracy = figures_of_merit(prepared, readings)
     except CbsrError as refusal:
-        return Point(Clock.COMPUTER, series, knobs, {}, None, None, seeds, refusal.reason, {**unknowns, **costs})
+        return Point(TimeBasis.COMPUTER, series, knobs, {}, None, None, seeds, refusal.reason, {**unknowns, **costs})
     frame, choice = sensor_changes(readings, 0, prepared)[1][:1], prepared.choice
     note = f"{choice.name} {choice.value:.3g}, noise figure {choice.noise_figure:.2f}"
     costs = {**unknowns, **costs, "setup_s": setup_s + costs.get("setup_s", 0.0)}
     if isinstance(prepared, LinearReconstruction):
         costs["memory_bytes"] = float(prepared.matrix.nbytes)
     frame_s = fastest_s(lambda: prepared.images(frame), _repeats(prepared))
-    return Point(Clock.COMPUTER, series, knobs, accuracy, frame_s, None, seeds, note, costs)
+    return Point(TimeBasis.COMPUTER, series, knobs, accuracy, frame_s, None, seeds, note, costs)
 
 
 def _unseen(problem: ImagingProblem, knobs: Mapping[str, Knob]) -> ImagingProblem:
@@ -225,7 +225,7 @@ def precision_point(precision: str, batch: int) -> Point:
     images = [apply(np.resize(part, (batch, changes.shape[1])))[: len(part)] for part in parts]
     size = np.dtype(precision).itemsize
     return Point(
-        Clock.COMPUTER,
+        TimeBasis.COMPUTER,
         SERIES,
         {"precision": precision, "batch": batch},
         {"image_error": Accuracy(relative_error(np.concatenate(images), exact), None, "1")},

@@ -33,7 +33,7 @@ from cbsr_qa.studies.frontier.computer.imaging import (
 )
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
 from cbsr_qa.studies.frontier.computer.sweeps import computer_tasks, measured, worth_their_time
-from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point, stored
+from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, stored
 from cbsr_qa.studies.frontier.station import choices_of_even, simulated_alone, subsets_of_even, subsets_of_paper
 from cbsr_qa.testing import assert_expected_order
 
@@ -308,7 +308,7 @@ def test_progress_is_told_before_each_task_and_at_the_end():
 def test_settings_of_the_same_arithmetic_are_not_told_apart_by_the_clock():
     def point(series, error, compute_s, size):
         accuracy = {"E_CoM": Accuracy(error, 0.1, "mm")}
-        return Point(Clock.COMPUTER, series, {}, accuracy, compute_s, None, 3, "", {"memory_bytes": size})
+        return Point(TimeBasis.COMPUTER, series, {}, accuracy, compute_s, None, 3, "", {"memory_bytes": size})
 
     one, other = point("reconstruction", 1.0, 1.0e-4, 8.0), point("reconstruction", 0.95, 1.1e-4, 8.0)
     assert worth_their_time([one, other]) == (False, True)
