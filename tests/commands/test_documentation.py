@@ -20,6 +20,7 @@ from cbsr_qa.studies import SAID, build_fleet
 _PAGES = sorted([TOP / "README.md", *(TOP / "docs").rglob("*.md")])
 
 
+@pytest.mark.rest
 def test_the_tour_of_the_readme_runs_as_printed(tmp_path):
     export, first, *others = commands(TOP / "README.md")
     assert len(others) >= 8

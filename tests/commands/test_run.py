@@ -100,6 +100,7 @@ def test_the_calibration_is_in_the_database_and_superseded_by_the_next(twice):
     assert baselines == 2
 
 
+@pytest.mark.rest
 def test_report_renders_the_same_bytes_again(finished):
     folder, run = finished
     before = (folder / run["report"]).read_bytes()
@@ -143,6 +144,7 @@ def test_weights_from_the_measured_noise_reach_report_database_and_calibration_f
     assert sound["sound"] is True
 
 
+@pytest.mark.rest
 def test_an_exported_run_is_read_back_with_its_presses(finished):
     folder, run = finished
     exported = document(cbsr_qa(folder, "export", run["run"], "--to", "run.h5", "--json"))

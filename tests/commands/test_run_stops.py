@@ -72,6 +72,7 @@ def test_what_a_stations_limits_do_not_allow_is_refused_with_nothing_written(tmp
     assert not (tmp_path / "var").exists()
 
 
+@pytest.mark.rest
 def test_another_instrument_than_the_station_file_names_is_refused_with_nothing_written(tmp_path):
     text = open_document(DocumentKind.STATION, "simulated").text
     (tmp_path / "mine.toml").write_text(f'{text}model = "simulated bench"\nserial = "4031823"\n')

@@ -21,7 +21,10 @@ from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.plugin import Kind, discover
 from cbsr_qa_plugins.registry import BUILT_IN
 
-SCENES = shipped_names(DocumentKind.SCENE)
+#: Shipped scenes; one of them is in ``make test``.
+SCENES = [
+    pytest.param(name, marks=[] if name == "base" else pytest.mark.rest) for name in shipped_names(DocumentKind.SCENE)
+]
 SHORT = """[scene]
 name = "short one"
 current_mA = 0.4
@@ -90,9 +93,7 @@ def _sha(path):
 # --- run ---
 
 
-@pytest.fixture(
-    scope="module", params=[pytest.param(name, marks=[] if name == "base" else pytest.mark.rest) for name in SCENES]
-)
+@pytest.fixture(scope="module", params=SCENES)
 def shipped(request, tmp_path_factory):
     def make(folder):
         folder.with_suffix(".json").write_text(cbsr_qa(folder, "scene", "run", request.param, "--json").stdout)
@@ -152,6 +153,7 @@ def test_the_same_scene_and_seed_give_the_same_bytes(folder):
     assert _sha(folder / "var/scenes/short-one-seed8.h5") != _sha(folder / "one.h5")
 
 
+@pytest.mark.rest
 def test_what_a_run_prints_ends_with_what_to_try(folder):
     done = cbsr_qa(folder, "scene", "run", "short.toml", "--format", "ert-board-csv", fresh=True)
     printed = " ".join(done.stdout.split())
@@ -162,6 +164,7 @@ def test_what_a_run_prints_ends_with_what_to_try(folder):
     assert "simulating 20 frames" in done.stderr
 
 
+@pytest.mark.rest
 def test_a_sensor_of_ones_own_is_found_beside_the_scene_and_named_to_analyse(folder):
     shipped = open_document(DocumentKind.SENSOR_TYPE, "patch-120x80mm").text
     (folder / "my own.toml").write_text(shipped.replace("patch-120x80mm", "disc-100mm"))  # not the shipped one
@@ -172,9 +175,20 @@ def test_a_sensor_of_ones_own_is_found_beside_the_scene_and_named_to_analyse(fol
     assert found["recording"]["frames"] > 0
 
 
-def test_the_document_of_a_run_has_the_truth_of_every_load(folder):
-    done = cbsr_qa(folder, "scene", "run", "short.toml", "--json")
-    said = document(done)
+@pytest.fixture(scope="module")
+def short():
+    """A folder with the short scene and its recording, and the document of the run; nobody may write into it."""
+
+    def make(folder):
+        (folder / "short.toml").write_text(SHORT)
+        (folder / "run.json").write_text(cbsr_qa(folder, "scene", "run", "short.toml", "--json").stdout)
+
+    folder = made_once("short scene", make)
+    return folder, json.loads((folder / "run.json").read_text())
+
+
+def test_the_document_of_a_run_has_the_truth_of_every_load(short):
+    folder, said = short
     assert set(said) == {
         "scene", "seed", "sensor_type", "material", "frames", "frames_lost", "dumps", "duration_s", "loads", "files",
         "effects", "not_modelled", "analyse",
@@ -191,6 +205,7 @@ def test_the_document_of_a_run_has_the_truth_of_every_load(folder):
     assert said["dumps"] > 0
 
 
+@pytest.mark.rest
 def test_only_effects_that_are_on_are_imported(folder):
     code = (
         "import sys\n"
@@ -225,8 +240,8 @@ def test_a_file_that_cannot_be_written_is_refused_before_anything_is_simulated(f
     assert not (folder / "var").exists() or not list((folder / "var").rglob("*.h5"))
 
 
-def test_a_recording_is_never_overwritten(folder):
-    cbsr_qa(folder, "scene", "run", "short.toml")
+def test_a_recording_is_never_overwritten(short):
+    folder, _ = short
     before = _sha(folder / "var/scenes/short-one-seed7.h5")
     again = cbsr_qa(folder, "scene", "run", "short.toml", "--json", check=False)
     assert again.returncode == 2
@@ -302,6 +317,7 @@ def test_explain_measures_what_effects_cost(folder):
     assert (skew["needs"], skew["perturbs"], skew["on"]) == (["time-skew"], "voltages", False)
 
 
+@pytest.mark.rest
 def test_explain_prints_parameters_costs_and_what_is_off(folder):
     lines = cbsr_qa(folder, "scene", "explain", "short.toml").stdout.splitlines()
     assert max(map(len, lines)) <= 100

@@ -5,7 +5,7 @@ import os
 from hypothesis import settings
 
 #: Examples of each tier, in parts of the number that a test states; a test that states none has hypothesis's 100.
-SHARES = {"test": 0.4, "rest": 1.0, "soak": 10.0}
+SHARES = {"test": 0.2, "rest": 1.0, "soak": 10.0}
 #: Few enough to be quick, and enough that a property which is broken everywhere is seen.
 LEAST = 5
 

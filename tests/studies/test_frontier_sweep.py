@@ -190,8 +190,10 @@ def test_ctrl_c_ends_a_sweep_in_the_middle_of_a_piece(tmp_path, path):
 
 @pytest.mark.parametrize(
     ("command", "at_work_s"),
-    [(["stability"], 1.5), (["reproduce", "paper", "--quick"], 0.0)],
-    ids=["while workers work", "while they start"],
+    [
+        pytest.param(["stability"], 1.5, id="while workers work", marks=pytest.mark.rest),
+        pytest.param(["reproduce", "paper", "--quick"], 0.0, id="while they start"),
+    ],
 )
 def test_ctrl_c_ends_a_command_with_workers_without_their_tracebacks(tmp_path, command, at_work_s):
     started = subprocess.Popen(

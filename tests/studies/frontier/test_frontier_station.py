@@ -16,6 +16,7 @@ SHORT = Setting(6, hold_s=15.0, rest_s=10.0, first_rest_s=60.0)
 SEED = 5
 
 
+@pytest.mark.rest
 def test_short_holds_are_worth_something_only_where_they_are_predicted(monkeypatch):
     monkeypatch.setattr(station, "TEST_LOADS", 6)
     ((averaged,), (predicted,)) = (

@@ -5,8 +5,14 @@ import pytest
 from cbsr_qa.studies.hard_cases.case import Ending, examine
 from cbsr_qa.studies.hard_cases.stability import CASES
 
+#: Cases that take seconds; others of their areas are in ``make test``.
+_SLOW = ("smooth-image-of-a-small-parameter", "smooth-image-of-next-to-no-parameter")
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, id=case.name, marks=[pytest.mark.rest] * (case.name in _SLOW)) for case in CASES],
+)
 def test_hard_case(case):
     result = examine(case)
     expected = Ending.OK if case.refuses is None else Ending.REFUSED

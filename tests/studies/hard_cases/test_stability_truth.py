@@ -33,6 +33,7 @@ def test_a_load_known_far_better_than_the_others_does_not_make_a_line_ill_condit
     assert line_condition(1e6 + X, Y, np.ones(6)) > 1e5
 
 
+@pytest.mark.rest
 def test_loads_far_apart_do_not_make_a_map_ill_conditioned_however_well_one_is_known():
     places = np.array(NINE_LOCATIONS_MM)
     variance = np.full(9, 1e-2)

@@ -194,6 +194,7 @@ def _killed(job):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.rest
 def test_a_process_that_is_killed_is_said_to_be(monkeypatch):
     monkeypatch.setattr(reproduce, "simulate", _killed)
     with pytest.raises(NotReproducedError, match=r"wt% .* gave no figures: its process was killed"):

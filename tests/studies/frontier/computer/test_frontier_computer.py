@@ -80,6 +80,7 @@ def test_errors_fall_with_the_mesh_and_unknowns_are_what_they_cost(electrodes, o
     assert per_unknown[0] < per_unknown[2]
 
 
+@pytest.mark.rest
 def test_second_order_is_the_better_buy_of_unknowns():
     first, second = forward("pin", 1, 2.0), forward("pin", 2, 7.5)
     assert second.costs["unknowns"] < 1.5 * first.costs["unknowns"]
