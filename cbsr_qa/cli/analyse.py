@@ -64,7 +64,7 @@ def analyse(
     analysed = [analyse_file(path, request, tell=announce) for path in files]
     for file in analysed:
         if file.error is not None:
-            named = file.file.name in file.error.reason
+            named = file.error.reason.startswith("--") or file.file.name in file.error.reason
             note(f"cbsr-qa: {'' if named else f'{file.file.name}: '}{file.error}")
     if as_json:
         emit_json(json_document(analysed[0] if len(analysed) == 1 else AnalysedFiles(tuple(analysed))))

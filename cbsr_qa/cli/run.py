@@ -84,18 +84,18 @@ def _check_given(context: typer.Context, *, resuming: bool) -> None:
 
     Raises
     ------
-    typer.BadParameter
+    click.UsageError
         Naming them.
     """
     given = given_options(context)
     if resuming:
         extra = [name for name in context.params if name in given and name not in _WITH_RESUME]
         if extra:
-            raise typer.BadParameter(
+            context.fail(
                 f"a run is resumed as it was begun: {option_names(extra)} cannot be given with --resume"
                 " (--operator, --database and --json can)"
             )
         return
     missing = [name for name in _NEEDED if name not in given]
     if missing:
-        raise typer.BadParameter(f"Missing option '--{missing[0]}'; or go on with a run: --resume RUN")
+        context.fail(f"Missing option '--{missing[0]}'. To resume a run, give --resume RUN instead.")

@@ -144,7 +144,7 @@ class Plugins:
         known = sorted({registration.name for registration in self.registrations(kind)})
         near = get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        parts = [f"installed: {', '.join(known) or 'none'}"]
+        parts = ["cbsr-qa plugins list lists them" if kind is None else f"installed: {', '.join(known) or 'none'}"]
         parts += [f"{f.distribution} failed to load: {f.reason}" for f in self.failures]
         of_kind = "plugin" if kind is None else f"{kind} plugin"
         return PluginError(f"there is no {of_kind} named {name!r}", remedy=hint + "; ".join(parts))

@@ -132,7 +132,10 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
                 remedy="use another database",
             )
         case _:
-            return StoreError(f"{shown(engine.url)} does not exist or is empty", remedy="test a sensor first")
+            return StoreError(
+                f"{shown(engine.url)} does not exist or is empty",
+                remedy="test a sensor first, or name another database with --database",
+            )
 
 
 def _upgradable(engine: Engine, version: SchemaVersion) -> SchemaVersion:

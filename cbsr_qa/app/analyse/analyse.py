@@ -16,7 +16,7 @@ from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION, AnalysisChoices, 
 from cbsr_qa.app.analyse.outcome import Analysed, ReadRecording
 from cbsr_qa.app.run import report_sections
 from cbsr_qa.config import DocumentKind, load_sensor_type, reports_folder, shipped_names
-from cbsr_qa.domain import CbsrError, ConfigError, NumericsError, RecordingError, RowProblem
+from cbsr_qa.domain import CbsrError, ConfigError, NumericsError, PluginError, RecordingError, RowProblem
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, RecordingResult, ScanKind
 from cbsr_qa.domain.sensor import SensorType
@@ -183,6 +183,10 @@ def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction
     where = "--option" if request.options else "--reconstruction"
     try:
         reconstruction: Reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, request.chosen, where)
+    except PluginError as error:
+        raise PluginError(
+            f"--reconstruction: {error.reason.removeprefix(f'{where}: ')}", remedy=error.remedy
+        ) from error
     except NumericsError as error:
         raise ConfigError(f"{where}: {request.chosen.name}: {error.reason}", remedy=error.remedy) from error
     return reconstruction

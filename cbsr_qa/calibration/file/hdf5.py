@@ -290,7 +290,7 @@ def check_is_file(path: Path) -> None:
     except OSError as error:
         raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
     if not there:
-        raise CalibrationError("there is no such file")
+        raise CalibrationError("there is no such file", remedy="check its name and folder")
     if not usual:
         raise CalibrationError("a folder or a device, not a file")
 
