@@ -133,6 +133,7 @@ def test_an_even_sheet_is_even_and_linear(quiet):
     assert "nothing was pressed twice" in refused.how
 
 
+@pytest.mark.rest
 def test_an_uneven_response_is_found_where_it_is():
     places = [(20.0 * np.cos(a), 20.0 * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 6, endpoint=False)]
     places = [(0.0, 0.0), *((round(x, 2), round(y, 2)) for x, y in places)]
@@ -155,6 +156,7 @@ def test_an_uneven_response_is_found_where_it_is():
     assert _one(Uniformity(), run).value == pytest.approx(spread, rel=0.15)
 
 
+@pytest.mark.rest
 def test_repeatability_is_the_noise_of_the_sensed_change():
     """Three presses of each place under the material's own noise: the scatter is that of the unloaded images."""
     run = _observed(simulated_run((), loads=_loads((0.2,), trials=3)))
@@ -203,6 +205,7 @@ def test_a_load_that_was_sensed_elsewhere_says_nothing_about_its_place(quiet):
     assert "2 of them gave a value" in refused.how
 
 
+@pytest.mark.rest
 def test_a_sheet_that_conducts_less_under_load_has_the_same_data_sheet():
     """At 3 % strain: readings are not quite odd in the conductance, and small strain makes them so."""
 
