@@ -1,9 +1,5 @@
-"""A sensor's calibration applied to recordings: a row of force for every frame.
+"""A sensor's calibration applied to recordings: a row of force for every frame."""
 
-Frames of a recording as the volts a calibration is of, or why they are not.
-"""
-
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
@@ -14,15 +10,16 @@ from numpy.typing import NDArray
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.recording import read_recording_file
+from cbsr_qa.app.calibration_file import check_free, write_text
 from cbsr_qa.calibration.file import read_contained
 from cbsr_qa.calibration.runtime import Calibration, Flag
 from cbsr_qa.config import validate_serial
-from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError, RefusedError
+from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.results import CommandOutcome, Section, Table
 from cbsr_qa.plugin import discover
 from cbsr_qa.report import IF_GIVEN, Refusal, answer, filled, fixed, plural, text_table, with_uncertainty
-from cbsr_qa.system import csv_text, written_whole
+from cbsr_qa.system import csv_text
 
 Array = NDArray[np.float64]
 
@@ -36,27 +33,19 @@ _REFERENCE: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedFrames:
-    """Frames that a calibration can be applied to.
-
-    Parameters
-    ----------
-    voltages : (n, drives, measures) [V] at the calibration's current; NaN where a reading was flagged.
-    remarks : what was done to them, in words.
-    """
-
-    voltages: Array
-    remarks: tuple[str, ...]
-
-
-def recorded_frames(calibration: Calibration, recording: Recording, reference: int | None) -> RecordedFrames:
+def recorded_frames(
+    calibration: Calibration, recording: Recording, reference: int | None
+) -> tuple[Array, tuple[str, ...]]:
     """Bring the frames of a recording to the calibration's scale.
 
     Parameters
     ----------
     reference : how many of the first frames are of the unloaded sheet; their mean takes the place of the
         calibration's reference, scaled to it by least squares. None where changes are against the calibration's own.
+
+    Returns
+    -------
+    (n, drives, measures) voltages at the calibration's current [V], NaN where flagged; and remarks.
 
     Raises
     ------
@@ -76,7 +65,7 @@ def recorded_frames(calibration: Calibration, recording: Recording, reference: i
             remedy=_REFERENCE,
         )
     ratio, remarks = _current_ratio(calibration, recording, frames)
-    return RecordedFrames(voltages * ratio, remarks)
+    return voltages * ratio, remarks
 
 
 def _check(calibration: Calibration, recording: Recording) -> None:
@@ -111,11 +100,13 @@ def _current_ratio(
         raise RecordingError(f"{recording.path.name} states a drive current of {current_A:g} A")
     if np.isclose(current_A, own_A, rtol=1e-9):
         return 1.0, ()
-    said = f"readings at {1e3 * current_A:.4g} mA were scaled to the calibration's {1e3 * own_A:.4g} mA"
-    return own_A / current_A, (said,)
+    remark = f"readings at {1e3 * current_A:.4g} mA were scaled to the calibration's {1e3 * own_A:.4g} mA"
+    return own_A / current_A, (remark,)
 
 
-def _against_own(calibration: Calibration, recording: Recording, voltages: Array, count: int) -> RecordedFrames:
+def _against_own(
+    calibration: Calibration, recording: Recording, voltages: Array, count: int
+) -> tuple[Array, tuple[str, ...]]:
     name, frames = recording.path.name, len(voltages)
     if not 1 <= count <= frames:
         raise RecordingError(f"--reference {count} of {name}, which holds {frames} frames; 1 to {frames} are allowed")
@@ -134,12 +125,12 @@ def _against_own(calibration: Calibration, recording: Recording, voltages: Array
             remedy="check the sensor, the order of its electrodes, and that nothing pressed",
         )
     unit = recording.frames.unit.value
-    said = (
+    remark = (
         f"changes are against the first {count} frames, of which 1 {unit} is {ratio:.6g} V of the calibration;"
         f" unloaded they differ from its reference by {apart:.2%}, and their own noise (1/{count} of a frame's"
         " variance) is not in the standard errors"
     )
-    return RecordedFrames((voltages - own) * ratio + reference, (said,))
+    return (voltages - own) * ratio + reference, (remark,)
 
 
 #: Told of each step, in words.
@@ -164,12 +155,7 @@ _SAID: Final = {
 
 @dataclass(frozen=True, slots=True)
 class FrameForce:
-    """Force in one frame; what is no number is None.
-
-    Parameters
-    ----------
-    flags : what is to be said of it, in words; empty where nothing is.
-    """
+    """Force in one frame, None where there is none; ``flags`` in words."""
 
     time_s: float | None
     force_N: float | None
@@ -186,16 +172,7 @@ COLUMNS: Final = tuple(field.name for field in fields(FrameForce))
 
 @dataclass(frozen=True, slots=True)
 class ApplyRequest:
-    """How a calibration is applied.
-
-    Parameters
-    ----------
-    place_mm : where the head presses; None to find it in every frame.
-    format, dataset : of the recordings, as for ``analyse``.
-    reference : how many of the first frames are of the unloaded sheet; None to count changes against the
-        calibration's own reference.
-    serial : of the sensor the recordings were taken of; None where nobody says. No format carries it.
-    """
+    """How a calibration is applied; see the options of ``cbsr-qa calibration apply``."""
 
     place_mm: tuple[float, float] | None = None
     format: str | None = None
@@ -206,12 +183,7 @@ class ApplyRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Applied:
-    """Forces of one recording, or why it was refused.
-
-    Parameters
-    ----------
-    remarks : what was done to its readings, in words.
-    """
+    """Forces of one recording, what was done to its readings (``remarks``), or why it was refused."""
 
     file: Path
     frames: tuple[FrameForce, ...] = ()
@@ -252,9 +224,9 @@ def apply_calibration(
         try:
             tell(f"reading {path.name}")
             recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
-            frames = recorded_frames(sensor, recording, request.reference)
-            forces = tuple(_forces(sensor, recording, frames.voltages, request, tell))
-            applied.append(Applied(path, forces, (*frames.remarks, *remarks)))
+            voltages, scaled = recorded_frames(sensor, recording, request.reference)
+            forces = tuple(_forces(sensor, recording, voltages, request, tell))
+            applied.append(Applied(path, forces, (*scaled, *remarks)))
         except CbsrError as error:
             applied.append(Applied(path, refused=filled(Refusal, error), error=error))
     return AppliedCalibration(calibration, tuple(applied))
@@ -290,12 +262,12 @@ def _forces(
 
 
 def flag_words(flags: int) -> str:
-    """Say what is to be said of a frame; empty where nothing is."""
+    """Return the flags of a frame in words."""
     return "; ".join(words for flag, words in _SAID.items() if flags & flag)
 
 
 def as_csv(applied: AppliedCalibration) -> str:
-    """Return all rows as one CSV table; a column names the recording."""
+    """Return all rows as one CSV table whose first column names the recording."""
     rows = ((recording.file.name, *astuple(frame)) for recording in applied.recordings for frame in recording.frames)
     return csv_text([("recording", *COLUMNS), *rows])
 
@@ -334,17 +306,6 @@ def _table(recording: Applied) -> Table:
 
 
 def write_table(path: Path, table: str) -> None:
-    """Write a table.
-
-    Raises
-    ------
-    RefusedError
-        If the file exists already, or its folder cannot be written to.
-    """
-    try:
-        if os.path.lexists(path):
-            raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first")
-        with written_whole(path) as file:
-            file.write(table.encode())
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
+    """Write a table to a new file. RefusedError if the file exists already, or cannot be written."""
+    check_free(path)
+    write_text(path, table)

@@ -29,8 +29,8 @@ class Converted:
 
     Parameters
     ----------
-    digest : of the content; for firmware that of the calibration it is from.
-    loss : what a firmware file loses, as it says itself; None for a conversion without loss.
+    digest : SHA-256 of the content; of a firmware file that of its calibration.
+    loss : what a firmware file loses; None for a conversion without loss.
     """
 
     file: Path
@@ -47,9 +47,8 @@ def export_calibration(
 
     Parameters
     ----------
-    source, output : files; what they are is said by their suffixes, .h5 (or .hdf5) and .json.
-    firmware : write the small JSON.
-    stride : of its lattice, see :func:`~cbsr_qa.calibration.file.firmware_document`.
+    source, output : files; the suffix, .h5, .hdf5 or .json, says which kind.
+    stride : of the lattice for firmware, see :func:`~cbsr_qa.calibration.file.firmware_document`.
 
     Raises
     ------
@@ -63,7 +62,7 @@ def export_calibration(
         raise RefusedError(f"{output} has an unknown suffix", remedy="use .json or .h5")
     if firmware and kind != _JSON:
         raise RefusedError(f"firmware takes JSON, not {output.suffix}", remedy="use .json")
-    _check_free(output)
+    check_free(output)
     calibration = read_any(source)
     loss = None
     if kind in _HDF5:
@@ -71,9 +70,9 @@ def export_calibration(
     elif firmware:
         document = firmware_document(calibration, stride=stride)
         loss = {"lattice_stride": document["lattice_stride"], **document["loss"]}
-        _write_json(output, document)
+        write_text(output, _json(document))
     else:
-        _write_json(output, json_document(calibration))
+        write_text(output, _json(json_document(calibration)))
     converted = Converted(source, output, output.stat().st_size, calibration.digest, loss)
     if loss is None:
         facts = [("SHA-256", f"{converted.digest}, as before")]
@@ -97,7 +96,12 @@ def read_any(path: Path) -> Calibration:
     return read_untrusted(path, lambda: read(path), refusal=CalibrationError)
 
 
-def _check_free(output: Path) -> None:
+def _json(document: dict[str, Any]) -> str:
+    return json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def check_free(output: Path) -> None:
+    """Make sure that a file does not exist yet. RefusedError if it does, or its path cannot be used."""
     try:
         taken = output.is_symlink() or output.exists()
     except OSError as error:
@@ -106,8 +110,8 @@ def _check_free(output: Path) -> None:
         raise RefusedError(f"{output} exists already", remedy="name another file, or remove it first")
 
 
-def _write_json(path: Path, document: dict[str, Any]) -> None:
-    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all. RefusedError if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:

@@ -54,21 +54,21 @@ def _recording(voltages=None, *, flags=None, unit=VoltageUnit.VOLT, current_A=4e
 
 
 def _force(calibration, recording, reference=None):
-    return calibration.force(recorded_frames(calibration, recording, reference).voltages, place_mm=_PLACE)
+    return calibration.force(recorded_frames(calibration, recording, reference)[0], place_mm=_PLACE)
 
 
 def test_frames_of_the_calibrations_own_scale_are_taken_as_they_are(calibration):
     recording = _recording()
-    found = recorded_frames(calibration, recording, None)
-    np.testing.assert_array_equal(found.voltages, recording.frames.voltages)
-    assert found.remarks == ()
+    voltages, remarks = recorded_frames(calibration, recording, None)
+    np.testing.assert_array_equal(voltages, recording.frames.voltages)
+    assert remarks == ()
     error = _force(calibration, recording).force_N[4:] - _FORCE[4:]
     assert np.abs(error).max() < 0.3
 
 
 def test_another_current_is_scaled_and_said(calibration):
     half = _recording(frames(np.tile(_PLACE, (7, 1)), _FORCE) / 2, current_A=2e-4)
-    (said,) = recorded_frames(calibration, half, None).remarks
+    (said,) = recorded_frames(calibration, half, None)[1]
     assert said == "readings at 0.2 mA were scaled to the calibration's 0.4 mA"
     np.testing.assert_allclose(
         _force(calibration, half).force_N, _force(calibration, _recording()).force_N, rtol=1e-9
@@ -82,9 +82,9 @@ def test_counts_have_a_scale_only_where_first_frames_are_of_the_unloaded_sheet(c
     with pytest.raises(RecordingError, match=r"press.h5 holds readings in count without their scale") as caught:
         recorded_frames(calibration, counts, None)
     assert "--reference N" in caught.value.remedy
-    found = recorded_frames(calibration, counts, 4)
-    assert "1 count is 0.05 V of the calibration" in found.remarks[0]
-    np.testing.assert_allclose(found.voltages, volts, rtol=1e-9, atol=1e-12 * SCALE)
+    voltages, remarks = recorded_frames(calibration, counts, 4)
+    assert "1 count is 0.05 V of the calibration" in remarks[0]
+    np.testing.assert_allclose(voltages, volts, rtol=1e-9, atol=1e-12 * SCALE)
     drifted = _recording(1.03 * volts, current_A=None)
     plain = _force(calibration, _recording(volts)).force_N
     np.testing.assert_allclose(_force(calibration, drifted, 4).force_N[4:], plain[4:], rtol=1e-9)

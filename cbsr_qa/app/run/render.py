@@ -30,7 +30,7 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.run import ChainState, RunRecord, VerdictOverride
 from cbsr_qa.plugin import Kind, Plugins, create_plugin, discover
-from cbsr_qa.report import render_run, report_name, run_named, run_page, write_report
+from cbsr_qa.report import filled, render_run, report_name, run_named, run_page, write_report
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.results import StoredAnalysis
 from cbsr_qa.studies.charts import charts_after
@@ -53,7 +53,7 @@ class Rendered:
 
 
 def render_stored(run_or_serial: str, *, database: str | None = None, folder: Path | None = None) -> Rendered:
-    """Render the report of a stored run again, and write its calibration file if that is gone.
+    """Render the report of a stored run again, and write its calibration and material files if they are gone.
 
     Parameters
     ----------
@@ -72,22 +72,12 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     with open_store(database_url(database), create=False) as store:
         run = store.resolve(run_or_serial)
         result, names = rebuilt(run, store, plugins)
-    _calibration_again(result)
-    _material_again(result)
-    return render_result(result, names, plugins, folder or reports_folder())
-
-
-def _calibration_again(result: RunResult) -> None:
-    """Write the calibration file of a run where it is not there: it is an export of what is stored."""
     path = calibration_path(result.record.identity)
     if result.calibration is not None and not path.exists():
         write_calibration(path, result.calibration)
-
-
-def _material_again(result: RunResult) -> None:
-    """Write the material file of a characterisation where it is not there."""
     if not why_no_material(result) and not material_path(result).exists():
         write_material(result)
+    return render_result(result, names, plugins, folder or reports_folder())
 
 
 def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins, folder: Path) -> Rendered:
@@ -126,12 +116,10 @@ def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
 
 
 def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:
-    """Put a run's result together again.
+    """Rebuild the result of a stored run.
 
-    Measurements, verdict and calibration are those that were stored with the latest analysis; a verdict that does
-    not follow from the stored measurements and limits is refused. Images, which are not stored, are worked out from
-    the stored frames with the stored configuration. A run that was never analysed (cut off before it) is analysed
-    here, and nothing of that is stored.
+    Measurements, verdict and calibration are those of the latest stored analysis; images are computed again from the
+    stored frames and configuration. A run that was never analysed is analysed here, and nothing of that is stored.
 
     Returns
     -------
@@ -146,8 +134,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         now = _analysed_now(record, recipe, plugins)
         return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
-    observation, why = _observed(record, recipe, plugins)
-    characterisation, why = _characterised(record, recipe) if recipe.characterisation else (None, why)
+    observation, characterisation, why = _computed(record, recipe, plugins)
     calibration, unseen = _calibration(store, stored, observation)
     result = RunResult(
         record=record,
@@ -169,26 +156,24 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     return result, recipe.sections
 
 
-def _observed(record: RunRecord, recipe: Recipe, plugins: Plugins) -> tuple[RunObservation | None, str]:
-    if record.end is not EndReason.FINISHED or recipe.characterisation is not None:
-        return None, ""
+def _computed(
+    record: RunRecord, recipe: Recipe, plugins: Plugins
+) -> tuple[RunObservation | None, Characterisation | None, str]:
+    """Compute images, or the material of a strip, from the stored frames; a text says why there is neither."""
+    if record.end is not EndReason.FINISHED:
+        return None, None, ""
+    try:
+        if recipe.characterisation is not None:
+            return None, characterise_run(record, recipe.characterisation), ""
+    except NumericsError as error:
+        return None, None, f"the material cannot be characterised: {error.reason}"
     if all(phase.frames is None for phase in record.phases):
-        return None, "the run holds no frames, so that there are no images"
+        return None, None, "the run holds no frames, so that there are no images"
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     try:
-        return observe_run(record, reconstruction, recipe.analysis), ""
+        return observe_run(record, reconstruction, recipe.analysis), None, ""
     except NumericsError as error:
-        return None, f"the frames cannot be imaged: {error.reason}"
-
-
-def _characterised(record: RunRecord, recipe: Recipe) -> tuple[Characterisation | None, str]:
-    """What the stored cycles of a strip come to; its measurements are those that were stored."""
-    if record.end is not EndReason.FINISHED or recipe.characterisation is None:
-        return None, ""
-    try:
-        return characterise_run(record, recipe.characterisation), ""
-    except NumericsError as error:
-        return None, f"the material cannot be characterised: {error.reason}"
+        return None, None, f"the frames cannot be imaged: {error.reason}"
 
 
 def _calibration(
@@ -212,19 +197,16 @@ def _calibration(
 
 
 def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunResult:
-    stages = Stages()
-    found = evaluate_run(record, recipe, plugins, stages)
-    return RunResult(
+    evaluated = evaluate_run(record, recipe, plugins, Stages())
+    return filled(
+        RunResult,
+        evaluated,
         record=record,
-        observation=found.observation,
-        measurements=found.measurements,
-        verdict=found.verdict,
         calibration=None,
         calibration_why="this run was never concluded at the station",
         limits_version=recipe.limits_version,
-        characterisation=found.characterisation,
         warnings=(
-            *found.warnings,
+            *evaluated.warnings,
             *record.chain.warnings,
             "this run was analysed for this report alone; no analysis of it is stored",
         ),

@@ -30,6 +30,7 @@ from cbsr_qa.domain.run import (
     RunStarted,
 )
 from cbsr_qa.plugin import Plugins, left_running
+from cbsr_qa.report import filled
 from cbsr_qa.station import (
     DryRun,
     LoadKey,
@@ -304,11 +305,10 @@ def _concluded(
     issued_at = RealClock().wall().isoformat()
     charts = charts_after(store, record.identity, conclusion.measurements)
     calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
-    result = RunResult(
+    result = filled(
+        RunResult,
+        conclusion,
         record=record,
-        observation=conclusion.observation,
-        measurements=conclusion.measurements,
-        verdict=conclusion.verdict,
         calibration=calibration,
         calibration_why=why,
         compute_s=stages.table(),
@@ -323,7 +323,6 @@ def _concluded(
             *earlier.warnings,
         ),
         limits_version=recipe.limits_version,
-        characterisation=conclusion.characterisation,
         station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
         station_charts=charts,
         history=history,
