@@ -22,6 +22,8 @@ from cbsr_qa.report import IF_GIVEN, Refusal, answer, filled, fixed, plural, tex
 from cbsr_qa.system import csv_text
 
 Array = NDArray[np.float64]
+#: (n, drives, measures) voltages at the calibration's current [V], NaN where flagged; and what was done to them.
+_Scaled = tuple[Array, tuple[str, ...]]
 
 #: Readings of the same sheet, unloaded, differ from the calibration's by this share of their size at most once they
 #: are scaled: more than a sensor drifts by, and far less than another order of electrodes makes. Chosen by us.
@@ -33,19 +35,13 @@ _REFERENCE: Final = (
 )
 
 
-def recorded_frames(
-    calibration: Calibration, recording: Recording, reference: int | None
-) -> tuple[Array, tuple[str, ...]]:
+def recorded_frames(calibration: Calibration, recording: Recording, reference: int | None) -> _Scaled:
     """Bring the frames of a recording to the calibration's scale.
 
     Parameters
     ----------
     reference : how many of the first frames are of the unloaded sheet; their mean takes the place of the
         calibration's reference, scaled to it by least squares. None where changes are against the calibration's own.
-
-    Returns
-    -------
-    (n, drives, measures) voltages at the calibration's current [V], NaN where flagged; and remarks.
 
     Raises
     ------
@@ -104,9 +100,7 @@ def _current_ratio(
     return own_A / current_A, (remark,)
 
 
-def _against_own(
-    calibration: Calibration, recording: Recording, voltages: Array, count: int
-) -> tuple[Array, tuple[str, ...]]:
+def _against_own(calibration: Calibration, recording: Recording, voltages: Array, count: int) -> _Scaled:
     name, frames = recording.path.name, len(voltages)
     if not 1 <= count <= frames:
         raise RecordingError(f"--reference {count} of {name}, which holds {frames} frames; 1 to {frames} are allowed")

@@ -216,6 +216,11 @@ def add_checks(store, run):
     store.save_chart_references([ChartReference(reference=store.new_id(), **of, **period, **made)])
 
 
+@pytest.mark.parametrize(
+    "stored",
+    [pytest.param("", id="not signed"), pytest.param(KEY, id="signed", marks=pytest.mark.rest)],
+    indirect=True,
+)
 @pytest.mark.parametrize("table", sorted({*Base.metadata.tables} - {*EMPTY}))
 def test_bytes_in_any_column_are_refused_with_table_and_column(copied, table):
     path, run = copied
@@ -229,8 +234,8 @@ def test_bytes_in_any_column_are_refused_with_table_and_column(copied, table):
         with closing(sqlite3.connect(path)) as database, database:
             database.execute(f"update {table} set {column.name} = x'ff006a' where rowid = 1")
         with open_store(f"sqlite:///{path}") as store:
-            refused = list(refusals(store, run))
-        assert any(f"{table}.{column.name} (" in reason for reason in refused), (column.name, refused)
+            named = any(f"{table}.{column.name} (" in reason for reason in refusals(store, run))
+        assert named, column.name
 
 
 def refusals(store, run):
