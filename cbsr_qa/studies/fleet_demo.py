@@ -1,10 +1,5 @@
-"""A fleet to try comparisons on: figures are drawn from a statistical model whose truth is known, and say so.
+"""A fleet to try comparisons on: figures of batch + station + sensor + run + place, drawn from a known truth."""
 
-Sheets whose figures differ by a stated number of deviations cannot be ordered from a simulation of their physics, and
-160 of its runs would take half an hour. So nothing is drawn but the figures: batch + station + sensor + run + place.
-"""
-
-import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -14,17 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.config import (
-    Configuration,
-    DocumentKind,
-    load_material,
-    load_recipe,
-    load_sensor_type,
-    load_station,
-    merge,
-    open_document,
-    var_folder,
-)
+from cbsr_qa.config import Configuration, DocumentKind, var_folder
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import EndReason, Measurement, RunResult, decide
@@ -43,6 +28,7 @@ from cbsr_qa.domain.run import (
 )
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store import Repository, open_store
+from cbsr_qa.studies.simulated import configuration_of, shipped
 
 #: Of everything that is drawn; the first there is, not chosen for what comes out.
 SEED: Final = 1
@@ -76,8 +62,7 @@ class Drawn:
     Parameters
     ----------
     mean : of batch 41 on station A, in the unit.
-    sensor, run, place : standard deviations between sensors, between runs of a sensor, and between places of a run;
-        ``place`` is 0 for what has one value a run.
+    sensor, run, place : standard deviations between sensors, runs of a sensor, and places of a run (or 0).
     batch, station : what batch 43 and station B add, in deviations between sensors.
     """
 
@@ -118,12 +103,7 @@ def fleet_demo_path() -> Path:
 
 
 def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, path: Path | None = None) -> Path:
-    """Build the fleet anew.
-
-    Parameters
-    ----------
-    count : told how many runs are stored, of how many.
-    path : of the database; None for ``fleet-demo.db`` in ``var/``. An earlier fleet is replaced.
+    """Build the fleet anew, by default in ``fleet-demo.db`` in ``var/``; an earlier one is replaced.
 
     Raises
     ------
@@ -196,18 +176,15 @@ def _figures(run: _Run, sensor: np.ndarray, random: np.random.Generator) -> dict
 
 def _configuration(run: _Run) -> Configuration:
     """The shipped files the figures would be of, with limits on what is drawn alone."""
-    station = copy.deepcopy(dict(open_document(DocumentKind.STATION, "simulated").data))
+    station, recipe = shipped(DocumentKind.STATION, "simulated"), shipped(DocumentKind.RECIPE, "nine-locations")
     station["station"]["name"] = f"station-{STATIONS[run.station]}"
-    recipe = copy.deepcopy(dict(open_document(DocumentKind.RECIPE, "nine-locations").data))
     recipe["recipe"] = {"name": run.recipe, "calibrate_phases": []}
     recipe["phases"] = [phase for phase in recipe["phases"] if phase["name"] == _PHASE]
     names = [metric.name for metric in DRAWN]
     recipe["limits"] = [
         limit for limit in recipe["limits"] if limit["measurement"] in names and limit.get("phase", _PHASE) == _PHASE
     ]
-    at = load_station(station)
-    sensor_type, material = load_sensor_type(at.value.sensor_type), load_material(at.value.material)
-    return merge(at, load_recipe(recipe), sensor_type, material, seed=SEED)
+    return configuration_of(station, recipe, seed=SEED)
 
 
 def _store(

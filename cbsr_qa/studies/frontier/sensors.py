@@ -1,31 +1,20 @@
 """Simulated sensors that the frontier's settings are tried on, and what a setting costs the station."""
 
-import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Any, Final
 
 from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.config import (
-    Configuration,
-    DocumentKind,
-    load_material,
-    load_recipe,
-    load_sensor_type,
-    load_station,
-    merge,
-    open_document,
-)
+from cbsr_qa.config import Configuration, DocumentKind, load_recipe
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import AcquireFrames, AnalysisSettings, Hold, Press, Role, SheetDesign, Step
 from cbsr_qa.domain.results import EndReason, RunObservation
-from cbsr_qa.domain.run import RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.plugin import Kind, Reconstruction, Sequence as LoadSequence, SequenceContext, create_plugin, discover
-from cbsr_qa.station import MemoryJournal, dry_run, execute, open_station, plan_of, station_clock
+from cbsr_qa.station import Plan, dry_run, plan_of
 from cbsr_qa.studies.frontier.setting import BASE, GRID, HELD_OUT
+from cbsr_qa.studies.simulated import configuration_of, shipped, simulated_run
 
 #: What is uneven or slow about a simulated sensor, beside the scene ``base``: its response by 20 % over 20 mm, and a
 #: residue of 3 % that fades in five minutes.
@@ -39,13 +28,7 @@ _FRAMES_BEFORE: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSensor:
-    """A sensor that went through a recipe.
-
-    Parameters
-    ----------
-    record : the run.
-    design : the sheet it was simulated with: the truth.
-    """
+    """A sensor that went through a recipe, and the sheet it was simulated with: the truth."""
 
     record: RunRecord
     design: SheetDesign
@@ -62,13 +45,11 @@ def simulated_sensor(
 ) -> SimulatedSensor:
     """Put one sensor through a recipe at the simulated station, kept in memory.
 
-    Of rests, and of held-out loads, only the last frames are taken: nothing of the frontier looks at the others, and
-    all times stay the same.
+    Of rests, and of held-out loads, only the last frames are taken; all times stay the same.
 
     Parameters
     ----------
-    frame_period_s : of a frame; the noise of a reading falls with its square root from that of the shipped 2.5 s,
-        as white noise does.
+    frame_period_s : of a frame; the noise of a reading falls with its square root, as white noise does.
     whole_holds : False takes only the last frames of the grid's holds too.
 
     Raises
@@ -76,33 +57,21 @@ def simulated_sensor(
     NumericsError
         If the run did not finish; says why.
     """
-    plugins = discover()
-    configuration = _configuration(recipe, seed, frame_period_s)
-    plan = plan_of(configuration, plugins)
     sparse_holds = {HELD_OUT} if whole_holds else {HELD_OUT, GRID}
-    sparse = replace(
-        plan,
-        phases=tuple(
+
+    def sparse(plan: Plan) -> Plan:
+        phases = (
             replace(phase, sequence=_Sparse(phase.sequence, frame_period_s, phase.name not in sparse_holds))
             for phase in plan.phases
-        ),
-    )
-    clock = station_clock(configuration)
-    bench = open_station(configuration, plugins, clock)
-    try:
-        identity = RunIdentity(
-            "frontier", SensorIdentity(f"SIMULATED-{seed}", "", configuration.sensor_type.name), "simulated",
-            configuration.recipe.name, "", datetime(2026, 1, 1, tzinfo=UTC), configuration.digest, (),
-            bench.identities(),
-        )  # fmt: skip
-        journal = MemoryJournal(sparse)
-        ended = execute(sparse, identity, bench, clock, [journal])
-        if ended.end is not EndReason.FINISHED:
-            raise NumericsError(f"the simulated run was {ended.end}: {ended.detail}")
-        design: SheetDesign = bench.frame_source.world.sheet.design  # type: ignore[attr-defined]
-        return SimulatedSensor(journal.record(identity, ended), design)
-    finally:
-        bench.close()
+        )
+        return replace(plan, phases=tuple(phases))
+
+    configuration = _configuration(recipe, seed, frame_period_s)
+    record, bench = simulated_run(configuration, f"SIMULATED-{seed}", discover(), sparse)
+    if record.end is not EndReason.FINISHED:
+        raise NumericsError(f"the simulated run was {record.end}: {record.end_detail}")
+    design: SheetDesign = bench.frame_source.world.sheet.design  # type: ignore[attr-defined]
+    return SimulatedSensor(record, design)
 
 
 def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
@@ -137,23 +106,14 @@ class _Sparse:
 
 
 def _configuration(recipe: Mapping[str, Any], seed: int, frame_period_s: float) -> Configuration:
-    station, scene, data = (
-        copy.deepcopy(dict(open_document(kind, name).data))
-        for kind, name in (
-            (DocumentKind.STATION, "simulated"),
-            (DocumentKind.SCENE, "base"),
-            (DocumentKind.MATERIAL, MATERIAL),
-        )
-    )
+    station, scene = shipped(DocumentKind.STATION, "simulated"), shipped(DocumentKind.SCENE, "base")
     scene["effects"] = [*scene["effects"], *(dict(effect) for effect in SHEET)]
     usual_s = scene["scene"]["frame_period_s"]
     scene["scene"]["frame_period_s"] = frame_period_s
-    data["material"]["relative_noise"]["value"] *= (usual_s / frame_period_s) ** 0.5
+    material = shipped(DocumentKind.MATERIAL, MATERIAL)
+    material["material"]["relative_noise"]["value"] *= (usual_s / frame_period_s) ** 0.5
     station["instruments"]["bench"]["scene"] = scene
-    at = load_station(station)
-    return merge(
-        at, load_recipe(dict(recipe)), load_sensor_type(at.value.sensor_type), load_material(data), seed=seed
-    )
+    return configuration_of(station, recipe, material, seed=seed)
 
 
 def analysis_of(recipe: Mapping[str, Any]) -> AnalysisSettings:

@@ -1,15 +1,15 @@
 """A way to calibrate a sensor on the station: what is pressed, for how long, how it is looked at."""
 
-import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.config import DocumentKind, open_document
+from cbsr_qa.config import DocumentKind
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.studies.frontier.point import Knob
+from cbsr_qa.studies.simulated import shipped
 
 #: Shipped recipe whose imaging, metrics and limits the settings take over.
 BASE: Final = "campaign"
@@ -86,7 +86,7 @@ class Setting:
 
     def recipe(self, name: str = "frontier") -> dict[str, Any]:
         """Return a recipe document, with imaging, metrics and limits of the shipped recipe ``campaign``."""
-        recipe = copy.deepcopy(dict(open_document(DocumentKind.RECIPE, BASE).data))
+        recipe = shipped(DocumentKind.RECIPE, BASE)
         recipe["recipe"] = {"name": name, "calibrate_phases": [GRID]}
         recipe["phases"] = self._phases()
         recipe["limits"] = [limit for limit in recipe["limits"] if self._measures(limit)]

@@ -1,33 +1,18 @@
 """Simulated runs of the reproduction: shipped recipes on the simulated bench, reduced to values."""
 
-import copy
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.analysis import evaluate_run
 from cbsr_qa.analysis.run import run_force
-from cbsr_qa.config import (
-    Configuration,
-    DocumentKind,
-    load_material,
-    load_recipe,
-    load_sensor_type,
-    load_station,
-    merge,
-    open_document,
-)
+from cbsr_qa.config import Configuration, DocumentKind
 from cbsr_qa.domain import NotReproducedError
-from cbsr_qa.domain.run import RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.station import execute, open_station, plan_of, station_clock
-from cbsr_qa.store import open_store
+from cbsr_qa.plugin import discover
+from cbsr_qa.studies import simulated
 from cbsr_qa.studies.reproduce.values import SheetValues, StripValues, sheet_values, strip_values
+from cbsr_qa.studies.simulated import shipped
 from cbsr_qa.system import Stages
 
 #: Of every simulated sensor; the first there is, not chosen for what comes out.
@@ -75,15 +60,7 @@ QUICK_WORDS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One simulated sensor.
-
-    Parameters
-    ----------
-    sheet : ``"uniform"``, ``"bench"`` or ``"strip"``.
-    percent : carbon black by weight, 8 or 9.
-    quick : fewer trials and strains.
-    seed : of everything that is random.
-    """
+    """One simulated sensor: ``"uniform"``, ``"bench"`` or ``"strip"``, of 8 or 9 % carbon black by weight."""
 
     sheet: str
     percent: int
@@ -103,7 +80,7 @@ def all_jobs(*, quick: bool) -> tuple[Job, ...]:
 
 
 def simulate(job: Job) -> SheetValues | StripValues:
-    """Simulate one sensor as ``cbsr-qa run`` does, in a temporary database, and reduce it to values.
+    """Simulate one sensor as ``cbsr-qa run`` does, without a database, and reduce it to values.
 
     Raises
     ------
@@ -112,7 +89,7 @@ def simulate(job: Job) -> SheetValues | StripValues:
     """
     started, plugins = time.perf_counter(), discover()
     configuration = configuration_of(job)
-    record = _record(configuration, plugins)
+    record, _ = simulated.simulated_run(configuration, "REPRODUCED", plugins)
     conclusion = evaluate_run(record, configuration.recipe, plugins, Stages())
     if conclusion.characterisation is not None:
         return strip_values(conclusion.characterisation, record.station_s, time.perf_counter() - started)
@@ -140,53 +117,11 @@ def not_reproduced(job: Job, why: str) -> NotReproducedError:
 
 
 def configuration_of(job: Job) -> Configuration:
-    """Shipped station, recipe, sensor type and material of a sensor, with its scene."""
+    """Return shipped station, recipe, sensor type and material of a sensor, with its scene."""
     station_name, recipe_name, scene = _SETTINGS[job.sheet]
-    station = copy.deepcopy(dict(open_document(DocumentKind.STATION, station_name).data))
+    station, recipe = shipped(DocumentKind.STATION, station_name), shipped(DocumentKind.RECIPE, recipe_name)
     station["instruments"]["bench"]["scene"] = scene
-    recipe = copy.deepcopy(dict(open_document(DocumentKind.RECIPE, recipe_name).data))
     replaced = (_QUICK if job.quick else _SHORTER).get(job.sheet, {})
     for phase in recipe["phases"]:
         phase.update(replaced.get(phase["name"], {}))
-    at = load_station(station)
-    return merge(
-        at,
-        load_recipe(recipe),
-        load_sensor_type(at.value.sensor_type),
-        load_material(f"cbsr-{job.percent}wt"),
-        seed=job.seed,
-    )
-
-
-def _record(configuration: Configuration, plugins: Plugins) -> RunRecord:
-    """Run the recipe on the station; the database is in a temporary folder, never the user's."""
-    clock = station_clock(configuration)
-    bench = open_station(configuration, plugins, clock)
-    try:
-        with (
-            tempfile.TemporaryDirectory(prefix="cbsr-qa-reproduce-") as folder,
-            open_store(f"sqlite:///{Path(folder) / 'runs.db'}", durable=False) as store,
-        ):
-            instruments = bench.identities()
-            identity = RunIdentity(
-                run=store.new_id(),
-                sensor=SensorIdentity("REPRODUCED", "", configuration.sensor_type.name),
-                station=configuration.station.name,
-                recipe=configuration.recipe.name,
-                operator="",
-                started_at=datetime(2026, 1, 1, tzinfo=UTC),
-                configuration_digest=configuration.digest,
-                software=software_versions(plugins),
-                instruments=instruments,
-                simulated=tuple(f"{each.role}: {each.model}" for each in instruments if each.simulated),
-            )
-            journal = store.journal(
-                configuration=configuration.canonical,
-                sensor_type=configuration.sensor_type,
-                material=configuration.material,
-                indenter=configuration.station.indenter,
-            )
-            execute(plan_of(configuration, plugins), identity, bench, clock, [journal])
-            return store.load_run(identity.run)
-    finally:
-        bench.close()
+    return simulated.configuration_of(station, recipe, f"cbsr-{job.percent}wt", seed=job.seed)

@@ -8,16 +8,7 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa.config import (
-    DocumentKind,
-    load_material,
-    load_recipe,
-    load_sensor_type,
-    load_station,
-    merge,
-    open_document,
-    toml_document,
-)
+from cbsr_qa.config import DocumentKind, open_document, toml_document
 from cbsr_qa.plugin import discover
 from cbsr_qa.station import dry_run, plan_of
 from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, held_out_phase, sunflower_mm
@@ -29,6 +20,7 @@ from cbsr_qa.studies.frontier.station import (
     subsets_of_even,
     subsets_of_paper,
 )
+from cbsr_qa.studies.simulated import configuration_of
 
 BASE = open_document(DocumentKind.RECIPE, "campaign").data
 discovered = lru_cache(discover)
@@ -48,15 +40,9 @@ ways = st.builds(
 )
 
 
-@lru_cache
-def _at():
-    station = load_station("simulated")
-    return station, load_sensor_type(station.value.sensor_type), load_material("cbsr-8wt")
-
-
 def planned(document):
-    station, sensor_type, material = _at()
-    return plan_of(merge(station, load_recipe(document), sensor_type, material, seed=1), discovered())
+    station = open_document(DocumentKind.STATION, "simulated").data
+    return plan_of(configuration_of(station, document, "cbsr-8wt", seed=1), discovered())
 
 
 def dry(setting):
@@ -109,14 +95,8 @@ def test_what_needs_more_presses_is_not_judged():
     assert measured(everything) == {(limit["measurement"], limit.get("qualifier")) for limit in BASE["limits"]}
     short = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
     gone = {name for name, _ in measured(everything) - measured(short)}
-    assert gone == {
-        "repeatability",
-        "nonlinearity",
-        "force_error_sd",
-        "force_error_bias",
-        "force_coverage_68",
-        "common_settling_time",
-    }
+    of_force = {"force_error_sd", "force_error_bias", "force_coverage_68"}
+    assert gone == {"repeatability", "nonlinearity", "common_settling_time", *of_force}
     assert ("common_settling_time", "conductance, loading") in measured(short)
 
 

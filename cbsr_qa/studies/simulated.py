@@ -1,0 +1,75 @@
+"""Simulated sensors of studies: shipped documents that a study changes, and whole runs that are kept in memory."""
+
+import copy
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from cbsr_qa.config import (
+    Configuration,
+    DocumentKind,
+    load_material,
+    load_recipe,
+    load_sensor_type,
+    load_station,
+    merge,
+    open_document,
+)
+from cbsr_qa.domain.run import RunIdentity, RunRecord
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.plugin import Plugins, software_versions
+from cbsr_qa.station import Bench, MemoryJournal, Plan, execute, open_station, plan_of, station_clock
+
+
+def shipped(kind: DocumentKind, name: str) -> dict[str, Any]:
+    """Return a shipped document that may be changed."""
+    return copy.deepcopy(dict(open_document(kind, name).data))
+
+
+def configuration_of(
+    station: Mapping[str, Any],
+    recipe: Mapping[str, Any],
+    material: str | Mapping[str, Any] | None = None,
+    *,
+    seed: int,
+) -> Configuration:
+    """Merge documents of a simulated station; the material is the station's where none is given."""
+    at = load_station(dict(station))
+    chosen = at.value.material if material is None else material
+    loaded = load_material(chosen if isinstance(chosen, str) else dict(chosen))
+    return merge(at, load_recipe(dict(recipe)), load_sensor_type(at.value.sensor_type), loaded, seed=seed)
+
+
+def simulated_run(
+    configuration: Configuration, serial: str, plugins: Plugins, change: Callable[[Plan], Plan] = lambda plan: plan
+) -> tuple[RunRecord, Bench]:
+    """Run a recipe at its simulated station; nothing is stored.
+
+    Parameters
+    ----------
+    change : of the plan, before it is run.
+
+    Returns
+    -------
+    The run, finished or not, and its bench, which is closed.
+    """
+    plan, clock = change(plan_of(configuration, plugins)), station_clock(configuration)
+    bench = open_station(configuration, plugins, clock)
+    try:
+        instruments = bench.identities()
+        identity = RunIdentity(
+            run=serial,
+            sensor=SensorIdentity(serial, "", configuration.sensor_type.name),
+            station=configuration.station.name,
+            recipe=configuration.recipe.name,
+            operator="",
+            started_at=datetime(2026, 1, 1, tzinfo=UTC),
+            configuration_digest=configuration.digest,
+            software=software_versions(plugins),
+            instruments=instruments,
+            simulated=tuple(f"{each.role}: {each.model}" for each in instruments if each.simulated),
+        )
+        journal = MemoryJournal(plan)
+        return journal.record(identity, execute(plan, identity, bench, clock, [journal])), bench
+    finally:
+        bench.close()
