@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from time import perf_counter
 from types import FrameType
-from typing import Final
+from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -39,10 +39,8 @@ class Answer:
     Parameters
     ----------
     error : against truth, not negative; relative where nothing else is said.
-    bound : it may have.
     condition : number of what was solved; None where nothing is solved.
     unit : of error and bound; ``"1"`` for relative ones.
-    note : what an engineer should know of the number; may be empty.
     """
 
     error: float
@@ -54,15 +52,10 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class HardCase:
-    """A case that is hard for numbers.
+    """A case that is hard for numbers: what makes it hard, for an engineer, and what it is held against.
 
     Parameters
     ----------
-    name : of the case, words joined by hyphens, unique.
-    area : what it belongs to: ``"forward model"``, ``"readings"``, ``"reconstruction"``, ``"imaging"``,
-        ``"relaxation"``, ``"calibration"``, ``"time"`` or ``"statistics"``.
-    hard : what makes it hard, in a sentence for an engineer who has not read the paper.
-    truth : what it is held against.
     run : gives the answer, or raises the refusal.
     refuses : the error that is the right end of this case; None where an answer is.
     """
@@ -75,43 +68,33 @@ class HardCase:
     refuses: type[CbsrError] | None = None
 
 
+_Answers: TypeAlias = Callable[[], Answer]
+_Refused: TypeAlias = Callable[[], None]
+_Run = TypeVar("_Run", _Answers, _Refused)
+
+
 class Area:
     """Cases that belong together, in the order their functions are defined.
 
-    A case has the name of its function, with hyphens. The first paragraph of the docstring says what makes it hard.
-
-    Parameters
-    ----------
-    name : of the area, see :class:`HardCase`.
+    A case has the name of its function, with hyphens. The docstring says what makes it hard.
     """
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.cases: list[HardCase] = []
 
-    def against(self, truth: str) -> Callable[[Callable[[], Answer]], Callable[[], Answer]]:
+    def against(self, truth: str) -> Callable[[_Answers], _Answers]:
         """Add a case whose answer is compared with a truth."""
+        return lambda run: self._added(run, truth, None)
 
-        def add(run: Callable[[], Answer]) -> Callable[[], Answer]:
-            self._add(run, truth, None)
-            return run
-
-        return add
-
-    def refused(
-        self, error: type[CbsrError], truth: str = "refusal"
-    ) -> Callable[[Callable[[], None]], Callable[[], None]]:
+    def refused(self, error: type[CbsrError], truth: str = "refusal") -> Callable[[_Refused], _Refused]:
         """Add a case whose right end is an error."""
+        return lambda run: self._added(run, truth, error)
 
-        def add(run: Callable[[], None]) -> Callable[[], None]:
-            self._add(run, truth, error)
-            return run
-
-        return add
-
-    def _add(self, run: Callable[[], Answer | None], truth: str, refuses: type[CbsrError] | None) -> None:
-        hard = " ".join((inspect.getdoc(run) or "").partition("\n\n")[0].split())
+    def _added(self, run: _Run, truth: str, refuses: type[CbsrError] | None) -> _Run:
+        hard = " ".join((inspect.getdoc(run) or "").split())
         self.cases.append(HardCase(run.__name__.replace("_", "-"), self.name, hard, truth, run, refuses))
+        return run
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +103,10 @@ class CaseResult:
 
     Parameters
     ----------
-    name, area, hard, truth : of the case.
     outcome : within its bound, refused as it should be, or broken.
     error, bound, unit, condition, note : of the answer; None where it was refused or failed, or is no finite number.
     reason : of the refusal, or why it is broken; None where it is in its bound.
     remedy : what the user can do; None where there is no advice.
-    seconds : it took.
     """
 
     name: str

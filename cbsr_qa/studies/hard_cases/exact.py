@@ -1,10 +1,8 @@
 """Truth in fifty digits, worked out with mpmath from the very doubles a case was given.
 
-Areas of polygons, images of linear problems, least squares and Gaussian processes by their textbook formulas.
-
-Images are of sensors of any size. The usual one has 104 readings and 2025 elements; twenty million products are too
-many for mpmath. Products of matrices are therefore split into slices of 21 bits, whose products and sums are exact in
-doubles (Ozaki et al. 2012), and only the small system is solved in fifty digits.
+Images are of sensors of any size: twenty million products are too many for mpmath. Products of matrices are split
+into slices of 21 bits, whose products and sums are exact in doubles (Ozaki et al. 2012), and only the small system is
+solved in fifty digits.
 """
 
 from collections.abc import Iterable, Sequence
@@ -89,13 +87,11 @@ def _angle(start: Any, end: Any) -> Any:
 def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance: Array, readings: Array) -> Array:
     """Image (JᵀWJ + λ²R)⁻¹ JᵀWy with diagonal R, by its dual form in fifty digits.
 
+    Right to some 1e-19 times κ, the condition number of W^½JR^−½ with λ among its singular values.
+
     Parameters
     ----------
     jacobian : (m, e). weights : (e,) diagonal of R. variance : (m,) diagonal of W⁻¹. readings : (m,) y.
-
-    Returns
-    -------
-    (e,) float64, right to some 1e-19 times κ, the condition number of W^½JR^−½ with λ among its singular values.
     """
     root = np.sqrt(weights.astype(np.longdouble))
     scaled = jacobian.astype(np.longdouble) / root
@@ -182,14 +178,9 @@ def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> fl
 def exact_map(
     learned: ResponseMap, places_mm: Array, values: Array, variance: Array, wanted_mm: Array
 ) -> tuple[list[Any], list[Any]]:
-    """Mean and variance at places (w, 2) of the mixture of Gaussian processes with an unknown mean.
+    """Mean and variance at places (w, 2) of the mixture of Gaussian processes with an unknown mean, from all n loads.
 
-    Rasmussen & Williams 2006, equations 2.25, 2.26, 2.42 and 2.45, on all loads by themselves.
-
-    Parameters
-    ----------
-    learned : says which processes were kept; nothing else is taken from it.
-    places_mm, values, variance : (n, 2), (n,), (n,) of the loads.
+    Rasmussen & Williams 2006, equations 2.25, 2.26, 2.42 and 2.45; ``learned`` only says which processes were kept.
     """
     with mp.workdps(DIGITS):
         y = [mp.mpf(float(value)) for value in values]

@@ -5,7 +5,7 @@ order, the electrodes' potentials among the unknowns, stiffness from the corners
 :mod:`cbsr_qa.eit.forward`, which eliminates those potentials in doubles.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Final
 
@@ -70,6 +70,8 @@ def without_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArr
 
 
 Array = NDArray[np.float64]
+#: Of mpmath numbers.
+_Exact = NDArray[np.object_]
 
 ELECTRODES: Final = 8
 RADIUS_MM: Final = 50.0
@@ -78,23 +80,13 @@ _SPOKES: Final = 2 * ELECTRODES
 
 
 def small_mesh(radii_mm: Array | None = None) -> Mesh:
-    """A disc with eight electrodes of one edge each on its rim, 81 nodes.
-
-    Parameters
-    ----------
-    radii_mm : (5,) of the rings, rising; evenly spaced by default.
-    """
+    """A disc with eight electrodes of one edge each on its rim, 81 nodes, rings (5,) evenly spaced by default."""
     radii = RADIUS_MM * np.arange(1, _RINGS + 1) / _RINGS if radii_mm is None else radii_mm
     return ring_mesh(radii, _SPOKES, ELECTRODES, 1)
 
 
 def ring_mesh(radii_mm: Array, spokes: int, electrodes: int, edges_each: int) -> Mesh:
-    """A disc of rings of triangles, as many on each ring, with electrodes on its rim.
-
-    Parameters
-    ----------
-    radii_mm : of the rings, rising. spokes : nodes on each. edges_each : of an electrode.
-    """
+    """A disc of rings of triangles, as many on each ring, with electrodes of some edges each on its rim."""
     angle = 2 * np.pi * np.arange(spokes) / spokes
     around = np.stack([np.outer(radii_mm, np.cos(angle)), np.outer(radii_mm, np.sin(angle))], axis=-1).reshape(-1, 2)
     here = np.arange(spokes)
@@ -146,12 +138,8 @@ def relative_error(computed: Array, exact: Array, pattern: DrivePattern) -> floa
 def reading_condition(model: ForwardModel, before: Array | None = None) -> float:
     """Relative condition number of the readings for small relative changes of every conductance and contact.
 
-    ‖Σ_e |∂V/∂γ_e| γ_e + Σ_l |∂V/∂z_l| z_l‖ / ‖V‖ (Skeel 1979): what one rounding of the data does at worst.
-
-    Parameters
-    ----------
-    model : of the readings.
-    before : (e,) where conductances are given as these and a change of them; both are data then.
+    ‖Σ_e |∂V/∂γ_e| γ_e + Σ_l |∂V/∂z_l| z_l‖ / ‖V‖ (Skeel 1979): what one rounding of the data does at worst. Where
+    conductances are given as those ``before`` and a change of them, both are data.
     """
     used = model.pattern.usable()
     given = model.conductance if before is None else before + np.abs(model.conductance - before)
@@ -160,167 +148,87 @@ def reading_condition(model: ForwardModel, before: Array | None = None) -> float
     return float(np.linalg.norm(felt) / np.linalg.norm(model.voltages()[used]))
 
 
-#: Symmetric matrix as rows of its entries, both triangles.
-_Rows = list[dict[int, Any]]
-
-
 def exact_readings(
     mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Sequence[float] | Array
 ) -> Array:
-    """Readings per unit current, solved in fifty digits and rounded once.
+    """Readings per unit current (drives, measures) [V/A], solved in fifty digits and rounded once.
 
     Parameters
     ----------
     mesh : of some hundred nodes at most: a second of time.
     conductance : (e,) [S]. contact_impedance : (electrodes,) [Ω·mm].
-
-    Returns
-    -------
-    (drives, measures) float64 [V/A].
     """
     with mp.workdps(DIGITS):
-        potentials, places = _potentials(mesh, pattern, conductance, contact_impedance), len(mesh.nodes_mm)
-        measured = pattern.measure_matrix()
-        readings = np.zeros(pattern.shape)
-        for drive, potential in enumerate(potentials):
-            for measure in range(measured.shape[1]):
-                touched = np.flatnonzero(measured[:, measure])
-                readings[drive, measure] = float(
-                    mp.fsum(mp.mpf(measured[k, measure]) * potential[places + int(k)] for k in touched)
-                )
-    return readings
+        potentials = _potentials(mesh, pattern, conductance, contact_impedance)[:, len(mesh.nodes_mm) :]
+        readings: Array = (potentials @ pattern.measure_matrix().astype(object)).astype(np.float64)
+        return readings
 
 
 def exact_derivatives(
     mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Sequence[float] | Array
 ) -> tuple[Array, Array]:
-    """Change of readings per relative change of every conductance and every contact impedance, rounded once.
+    """Change of readings [V/A] per relative change of every conductance and every contact impedance, rounded once.
 
-    γ ∂V_kl/∂γ = −γ ∫∇u_k·∇u_l and z ∂V_kl/∂z = ∫ (U_k − u_k)(U_l − u_l)/z, for patterns that measure at the pairs
-    they drive.
-
-    Returns
-    -------
-    (drives, drives, e) and (drives, drives, electrodes) float64 [V/A].
+    γ ∂V_kl/∂γ = −γ ∫∇u_k·∇u_l (drives, drives, e) and z ∂V_kl/∂z = ∫ (U_k − u_k)(U_l − u_l)/z (drives, drives,
+    electrodes), for patterns that measure at the pairs they drive.
     """
-    count = len(mesh.nodes_mm)
     with mp.workdps(DIGITS):
         potentials = _potentials(mesh, pattern, conductance, contact_impedance)
-        pairs = [(drive, measure) for drive in range(len(potentials)) for measure in range(drive + 1)]
-        places = [[mp.mpf(float(value)) for value in node] for node in mesh.nodes_mm]
-        by_element = np.zeros((len(potentials), len(potentials), len(mesh.elements)))
-        for number, (corners, gamma) in enumerate(zip(mesh.elements.tolist(), conductance.tolist(), strict=True)):
-            fields = [
-                _gradient([places[c] for c in corners], [potential[c] for c in corners]) for potential in potentials
-            ]
-            for drive, measure in pairs:
-                (ax, ay, area), (bx, by, _) = fields[drive], fields[measure]
-                by_element[drive, measure, number] = by_element[measure, drive, number] = float(
-                    -mp.mpf(gamma) * (ax * bx + ay * by) * area
-                )
-        by_contact = np.zeros((len(potentials), len(potentials), len(mesh.electrode_edges)))
-        for number, edges in enumerate(mesh.electrode_edges):
-            for ends in edges.tolist():
-                (ax, ay), (bx, by) = (places[end] for end in ends)
-                length = mp.sqrt((ax - bx) ** 2 + (ay - by) ** 2) / mp.mpf(float(contact_impedance[number]))
-                drops = [[potential[count + number] - potential[end] for end in ends] for potential in potentials]
-                for drive, measure in pairs:
-                    (a, b), (c, d) = drops[drive], drops[measure]
-                    by_contact[drive, measure, number] += float(length * (2 * a * c + 2 * b * d + a * d + b * c) / 6)
-                    by_contact[measure, drive, number] = by_contact[drive, measure, number]
-    return by_element, by_contact
+        changes = []
+        for unknowns, own in _pieces(mesh, conductance, contact_impedance):
+            drops = potentials[:, unknowns] - potentials[:, unknowns[-1:]]  # faint beside the potentials
+            changes.append((unknowns, (drops @ own @ drops.T).astype(np.float64)))
+    count, elements = len(mesh.nodes_mm), len(mesh.elements)
+    by_contact = np.zeros((len(potentials), len(potentials), len(mesh.electrode_edges)))
+    for unknowns, change in changes[elements:]:
+        by_contact[:, :, unknowns[-1] - count] += change
+    return -np.stack([change for _, change in changes[:elements]], axis=-1), by_contact
 
 
 def _potentials(
     mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Sequence[float] | Array
-) -> list[list[Any]]:
-    """Potentials of nodes, then electrodes, for a unit current through each drive pair."""
-    rows = _assembled(mesh, conductance, contact_impedance)
-    count, electrodes = len(mesh.nodes_mm), len(mesh.electrode_edges)
-    ground = count + electrodes - 1  # the last electrode's potential is zero
-    _drop(rows, ground)
-    driven = pattern.drive_currents()
-    loads = [{count + k: mp.mpf(driven[k, d]) for k in range(electrodes - 1)} for d in range(driven.shape[1])]
-    return [
-        [solution.get(unknown, mp.zero) for unknown in range(ground + 1)] for solution in _solved(rows, loads, ground)
-    ]
+) -> _Exact:
+    """Potentials (drives, nodes, then electrodes) of a unit current through each pair; the last electrode has 0."""
+    count, driven = len(mesh.nodes_mm), pattern.drive_currents()
+    system = np.full((count + len(driven), count + len(driven)), mp.zero, dtype=object)
+    for unknowns, own in _pieces(mesh, conductance, contact_impedance):
+        system[np.ix_(unknowns, unknowns)] += own
+    potentials = np.full((count + len(driven), driven.shape[1]), mp.zero, dtype=object)
+    potentials[count:] += driven
+    _solve(system[:-1, :-1], potentials[:-1])
+    potentials[-1] = mp.zero
+    return potentials.T
 
 
-def _gradient(places: Sequence[Sequence[Any]], values: Sequence[Any]) -> tuple[Any, Any, Any]:
-    """Gradient of a linear function on a triangle, and the triangle's area."""
-    (ax, ay), (bx, by) = ([places[k][axis] - places[0][axis] for axis in (0, 1)] for k in (1, 2))
-    along, across, twice = values[1] - values[0], values[2] - values[0], ax * by - ay * bx
-    return (along * by - across * ay) / twice, (across * ax - along * bx) / twice, twice / 2
+#: ∫ (u − U)² along an edge over a sixth of its length, in the potentials of its ends and its electrode.
+_EDGE: Final = np.array([[2, 1, -3], [1, 2, -3], [-3, -3, 6]], dtype=object)
 
 
-def _assembled(mesh: Mesh, conductance: Array, contact_impedance: Sequence[float] | Array) -> _Rows:
-    count = len(mesh.nodes_mm)
-    rows: _Rows = [{} for _ in range(count + len(mesh.electrode_edges))]
-    places = [[mp.mpf(float(value)) for value in node] for node in mesh.nodes_mm]
+def _pieces(
+    mesh: Mesh, conductance: Array, contact_impedance: Sequence[float] | Array
+) -> Iterator[tuple[list[int], _Exact]]:
+    """Yield unknowns and matrix of each triangle, then of each electrode's edges.
+
+    A triangle's is γ ∫ ∇φ_i·∇φ_j = γ e_i·e_j / 4A, with e_i the edge opposite corner i.
+    """
+    places = np.array([[mp.mpf(value) for value in node] for node in mesh.nodes_mm.tolist()], dtype=object)
     for corners, gamma in zip(mesh.elements.tolist(), conductance.tolist(), strict=True):
-        _add_element(rows, corners, [places[corner] for corner in corners], mp.mpf(gamma))
+        opposite = np.roll(places[corners], -2, axis=0) - np.roll(places[corners], -1, axis=0)
+        twice = opposite[1, 0] * opposite[2, 1] - opposite[1, 1] * opposite[2, 0]
+        yield corners, opposite @ opposite.T * (mp.mpf(gamma) / (2 * twice))
     for number, edges in enumerate(mesh.electrode_edges):
-        impedance = mp.mpf(float(contact_impedance[number]))
         for first, second in edges.tolist():
-            (ax, ay), (bx, by) = places[first], places[second]
-            _add_contact(rows, first, second, count + number, mp.sqrt((ax - bx) ** 2 + (ay - by) ** 2) / impedance)
-    return rows
+            admittance = mp.hypot(*(places[second] - places[first])) / mp.mpf(float(contact_impedance[number]))
+            yield [first, second, len(places) + number], _EDGE * (admittance / 6)
 
 
-def _add_element(rows: _Rows, corners: Sequence[int], places: Sequence[Sequence[Any]], gamma: Any) -> None:
-    """γ ∫ ∇φ_i·∇φ_j = γ e_i·e_j / 4A with e_i the edge opposite corner i."""
-    opposite = [[places[(i + 2) % 3][axis] - places[(i + 1) % 3][axis] for axis in (0, 1)] for i in range(3)]
-    twice = opposite[1][0] * opposite[2][1] - opposite[1][1] * opposite[2][0]
-    for i in range(3):
-        for j in range(3):
-            dot = opposite[i][0] * opposite[j][0] + opposite[i][1] * opposite[j][1]
-            _add(rows, corners[i], corners[j], gamma * dot / (2 * twice))
-
-
-def _add_contact(rows: _Rows, first: int, second: int, electrode: int, admittance: Any) -> None:
-    """∫ (u − U)² / z along an edge, where ``admittance`` is its length over z."""
-    for row, column, share in (
-        (first, first, 3), (second, second, 3), (first, second, 6), (second, first, 6),
-        (first, electrode, -2), (electrode, first, -2), (second, electrode, -2), (electrode, second, -2),
-        (electrode, electrode, 1),
-    ):  # fmt: skip
-        _add(rows, row, column, admittance / share)
-
-
-def _add(rows: _Rows, row: int, column: int, value: Any) -> None:
-    rows[row][column] = rows[row].get(column, mp.zero) + value
-
-
-def _drop(rows: _Rows, unknown: int) -> None:
-    for other in rows[unknown]:
-        if other != unknown:
-            del rows[other][unknown]
-    rows[unknown] = {}
-
-
-def _solved(rows: _Rows, loads: list[dict[int, Any]], ground: int) -> list[dict[int, Any]]:
-    """Eliminate by least degree, without pivots: the matrix is positive definite."""
-    left = set(range(len(rows))) - {ground}
-    steps: list[tuple[int, dict[int, Any], Any]] = []
-    while left:
-        pivot = min(left, key=lambda unknown: (len(rows[unknown]), unknown))
-        left.discard(pivot)
-        row = rows[pivot]
-        diagonal = row.pop(pivot)
-        for other in row:
-            del rows[other][pivot]
-        for one, value in row.items():
-            factor = value / diagonal
-            target = rows[one]
-            for other, entry in row.items():
-                target[other] = target.get(other, mp.zero) - factor * entry
-            for load in loads:
-                if load.get(pivot):
-                    load[one] = load.get(one, mp.zero) - factor * load[pivot]
-        steps.append((pivot, row, diagonal))
-    solutions: list[dict[int, Any]] = [{} for _ in loads]
-    for pivot, row, diagonal in reversed(steps):
-        for load, answer in zip(loads, solutions, strict=True):
-            rest = mp.fsum(entry * answer[other] for other, entry in row.items())
-            answer[pivot] = (load.get(pivot, mp.zero) - rest) / diagonal
-    return solutions
+def _solve(system: _Exact, right: _Exact) -> None:
+    """Put the solution in the place of the right sides (n, k); no pivots, as the system is positive definite."""
+    for pivot in range(len(system)):
+        rows, columns = (pivot + 1 + np.flatnonzero(line[pivot + 1 :]) for line in (system[:, pivot], system[pivot]))
+        factors = system[rows, pivot] / system[pivot, pivot]
+        system[np.ix_(rows, columns)] -= np.multiply.outer(factors, system[pivot, columns])
+        right[rows] -= np.multiply.outer(factors, right[pivot])
+    for pivot in reversed(range(len(system))):
+        columns = pivot + 1 + np.flatnonzero(system[pivot, pivot + 1 :])
+        right[pivot] = (right[pivot] - system[pivot, columns] @ right[columns]) / system[pivot, pivot]

@@ -40,13 +40,7 @@ _FEW: Final = 10
 
 
 def chosen_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[HardCase, ...]:
-    """Return the cases of some areas or with some names; all where neither is given.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such area or name.
-    """
+    """Return the cases of some areas or with some names; all where neither is given. ConfigError for unknown ones."""
     for what, wanted, known in (("area", areas, AREAS), ("case", names, [case.name for case in CASES])):
         for name in wanted:
             if name not in known:
@@ -80,11 +74,10 @@ def examine_cases(
     progress: Callable[[int, int], None] = lambda done, of: None,
     processes: int | None = None,
 ) -> Stability:
-    """Run hard cases.
+    """Run the cases of some areas or names; all where neither is given.
 
     Parameters
     ----------
-    areas, names : of the cases to run; all where neither is given.
     progress : called with the number of cases done and of all.
     processes : how many work at once; by default two, or one where there is one core.
 

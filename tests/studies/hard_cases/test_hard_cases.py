@@ -19,3 +19,7 @@ def test_hard_case(case):
     assert result.outcome is expected, result.reason
     if expected is Ending.REFUSED:
         assert result.remedy
+
+
+def test_names_of_cases_are_unique():
+    assert len({case.name for case in CASES}) == len(CASES)

@@ -50,12 +50,9 @@ def readings_of(conductance: Array | None = None, ratio: float | None = None) ->
 def against_fifty_digits(
     model: ForwardModel, computed: Array | None = None, *, condition: float | None = None
 ) -> Answer:
-    """Readings of a model of the first order against fifty digits.
+    """Readings of a model of the first order, or others (drives, measures) in their place, against fifty digits.
 
-    Parameters
-    ----------
-    found : (drives, measures) another way to the same readings; by default the model's own.
-    condition : number of them; by default for small changes of conductances and contacts.
+    Their condition number is, by default, that for small changes of conductances and contacts.
     """
     exact = exact_readings(model.mesh, model.pattern, model.conductance, model.contact_impedance)
     error = relative_error(model.voltages() if computed is None else computed, exact, model.pattern)
@@ -144,10 +141,7 @@ def contacts_next_to_open() -> Answer:
 
 @AREA.against(FIFTY)
 def slivers_of_a_millionth() -> Answer:
-    """A ring of triangles a million times as long as they are high.
-
-    Two rings a millionth of the radius apart; the condition number is of the places, a corner over a height.
-    """
+    """A ring of triangles a million times as long as they are high."""
     gap = 1e-6 * RADIUS_MM
     mesh = small_mesh(np.array([10.0, 20.0, 20.0 + gap, 35.0, RADIUS_MM]))
     model = ForwardModel(mesh, small_model().pattern, np.ones(len(mesh.elements)), np.full(ELECTRODES, _USUAL_MM))
@@ -204,10 +198,7 @@ def sensitivity_to_perfect_contacts() -> Answer:
 
 @AREA.against("Σ γ ∂V/∂γ − Σ z ∂V/∂z = −V, exactly")
 def derivatives_over_8_decades() -> Answer:
-    """Sensitivities of elements whose conductances lie eight decades apart.
-
-    Σ γ ∂V/∂γ − Σ z ∂V/∂z = −V, because V(cγ, z/c) = V/c (Euler): the adjoint fields against the voltages.
-    """
+    """Sensitivities of elements whose conductances lie eight decades apart."""
     model = small_model().changed(conductance=scattered(8.0))
     used = model.pattern.usable()
     voltages = model.voltages()[used]

@@ -55,7 +55,7 @@ def _against_series(
 
     Parameters
     ----------
-    model_of : gives the sheet of a plain disc. contact : z γ over the radius. modes : of a contact's current.
+    contact : z γ over the radius. modes : of a contact's current.
     """
     errors = []
     for fineness in _MESHES:
@@ -94,10 +94,7 @@ def disc_with_inclusion_of_1e_8() -> Answer:
 
 @AREA.against("Fourier series of the gap model")
 def contacts_next_to_open_on_a_disc() -> Answer:
-    """Contacts ten million times poorer than the sheet, against the limit in which they let current in evenly.
-
-    The gap model's series has no contact impedance.
-    """
+    """Contacts ten million times poorer than the sheet, against the limit in which they let current in evenly."""
 
     def model_of(disc: ForwardModel) -> ForwardModel:
         return disc.changed(contact_impedance=np.full(_ELECTRODES, 1e7))

@@ -30,13 +30,7 @@ def _under_a_head() -> NDArray[np.int64]:
 
 
 def loaded(before: Array, factor: float) -> Answer:
-    """A load that changes conductance by a factor, by local update, against fifty digits.
-
-    Parameters
-    ----------
-    before : conductances (e,) of the sheet [S].
-    factor : what the load leaves of them.
-    """
+    """A load that leaves a factor of the sheet's conductances (e,) [S], by local update, against fifty digits."""
     model, elements = small_model().changed(conductance=before), _under_a_head()
     change = (factor - 1) * before[elements]
     pressed = model.changed_on(elements, change)
@@ -59,10 +53,7 @@ def load_of_1e_7_by_local_update() -> Answer:
 
 @AREA.against(FIFTY)
 def load_where_the_mesh_begins_in_an_insulator() -> Answer:
-    """A load on a sheet whose first element is an insulator, at which potentials would be held.
-
-    A fixed potential there would swamp the inverse.
-    """
+    """A load on a sheet whose first element is an insulator, at which potentials would be held."""
     conductance = np.ones(len(small_model().mesh.elements))
     conductance[0] = 2e-8
     return loaded(conductance, 2.0)
@@ -85,10 +76,7 @@ def load_beside_perfect_contacts() -> Answer:
 
 @AREA.against(FIFTY)
 def loads_a_nanometre_apart() -> Answer:
-    """Two simultaneous loads a nanometre apart.
-
-    Columns of their coupling matrix are nearly equal.
-    """
+    """Two simultaneous loads a nanometre apart."""
     model = small_model()
     loads = [disc_coverage(model.mesh, x, -3.0, 9.0) for x in (8.0, 8.0 + 1e-6)]
     elements = np.concatenate([covered for covered, _ in loads])

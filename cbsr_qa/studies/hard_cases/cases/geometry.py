@@ -132,10 +132,7 @@ def rim_at_the_indenter() -> Answer:
 
 @AREA.against("area by Green's theorem along the outline = sum of the pieces")
 def contour_over_needles() -> Answer:
-    """Elements a millionth as wide as long.
-
-    The contour is what a plane cuts off.
-    """
+    """Elements a millionth as wide as long."""
     columns, width = 40, 1e-6
     x = np.repeat(np.linspace(0.0, 1.0, columns + 1), 2)
     nodes = np.column_stack([x, np.tile([0.0, width], columns + 1)])
@@ -150,10 +147,7 @@ def contour_over_needles() -> Answer:
 
 @AREA.against("area of the diamond round one pixel, wherever it is")
 def pixels_in_the_corners() -> Answer:
-    """A pixel in the corner of a raster, where its outline needs neighbours that are not there.
-
-    Closed beyond the edge, it is that of a pixel in the middle.
-    """
+    """A pixel in the corner of a raster, where its outline needs neighbours that are not there."""
     areas = []
     for row, column in ((0, 0), (4, 4), (0, 8), (8, 0), (8, 8)):
         values = np.zeros((9, 9))

@@ -67,10 +67,7 @@ def _mesh_image(values: Array) -> Image:
 
 @AREA.against("whole numbers compared as fractions")
 def values_on_the_mask() -> Answer:
-    """A mask at p % of the maximum is a comparison, and values that lie exactly on it round to either side.
-
-    Elements kept or dropped against the exact fraction: values n/1000 of a maximum, masks of 25, 50, 75, 85 %.
-    """
+    """A mask at p % of the maximum is a comparison, and values that lie exactly on it round to either side."""
     steps = np.arange(1, 1001)
     wrong = 0
     for scale in (0.1, 1 / 3, np.pi, 1e-9, 7e8):
@@ -82,10 +79,7 @@ def values_on_the_mask() -> Answer:
 
 @AREA.against("the whole sheet is in the set: resolution 1")
 def values_on_the_quarter_of_greit() -> Answer:
-    """Elements at exactly a quarter of the maximum count for GREIT; 0.25 × (3 × 0.1) rounds to more than 0.075.
-
-    Area of GREIT's set q of an image whose outer ring has exactly a quarter of its maximum.
-    """
+    """Elements at exactly a quarter of the maximum count for GREIT; 0.25 × (3 × 0.1) rounds to more than 0.075."""
     values = np.full((_SIDE, _SIDE), 0.075)
     values[3:-3, 3:-3] = 0.1 * 3
     figures = greit_figures(_mesh_image(values), RoundFootprint(5.5, 5.5, 3.0))
@@ -95,10 +89,7 @@ def values_on_the_quarter_of_greit() -> Answer:
 
 @AREA.against("one region of all pixels")
 def flat_raster_parted() -> Answer:
-    """Where all pixels are equal there is no peak that a watershed could start from.
-
-    Area of the regions of a raster of equal values, parted into loads: all of it in one piece.
-    """
+    """Where all pixels are equal there is no peak that a watershed could start from."""
     regions = split_touching(Raster(np.full((_SIDE, _SIDE), 0.3), 1.0, (0.0, 0.0)), 0.85, 4.0)
     pixels = sum(int(region.pixels.sum()) for region in regions)
     return Answer(float(abs(pixels - _SIDE**2) + abs(len(regions) - 1)), 0.0, unit="pixels and regions")
@@ -106,10 +97,7 @@ def flat_raster_parted() -> Answer:
 
 @AREA.against("the whole sheet and its middle")
 def flat_image_contour() -> Answer:
-    """A field without slope has no place where it passes a level.
-
-    Area and centre of the 85 % contour of an image of equal values: the whole sheet.
-    """
+    """A field without slope has no place where it passes a level."""
     regions = contour_regions(_mesh_image(np.full((_SIDE, _SIDE), 0.3)), 0.85)
     figures = [float(len(regions)), regions[0].area_mm2, *regions[0].centre_mm().tolist()]
     middle = (_SIDE - 1) / 2
@@ -144,10 +132,7 @@ def blob_on_the_rim() -> Answer:
 
 @AREA.against("two loads, mirror images of each other")
 def touching_blobs() -> Answer:
-    """Two equal loads that touch in a corner, or whose slopes overlap: ties in every comparison.
-
-    Loads counted where two equal ones meet in a corner, and where their slopes run into each other.
-    """
+    """Two equal loads that touch in a corner, or whose slopes overlap: ties in every comparison."""
     squares = np.zeros((_SIDE, _SIDE))
     squares[2:5, 2:5] = squares[5:8, 5:8] = 1.0
     corners = len(masked_blobs(_mesh_image(squares), (0.85,))[0])
@@ -179,10 +164,7 @@ def nan_image() -> None:
 
 @AREA.against("area of the diamond round one pixel")
 def outline_far_from_the_origin() -> Answer:
-    """The area of 0.05 mm² is a difference of products of places, a kilometre from the origin.
-
-    Area of one pixel's outline, a million pixels from the origin: 0.045 pixels at 85 %.
-    """
+    """The area of 0.05 mm² is a difference of products of places, a kilometre from the origin."""
     values = np.zeros((_SIDE, _SIDE))
     values[3, 3] = 1.0
     first = 1e6
@@ -193,10 +175,7 @@ def outline_far_from_the_origin() -> Answer:
 
 @AREA.against("the same image at the origin")
 def centre_of_mass_far_from_the_origin() -> Answer:
-    """A sheet with an origin a kilometre away.
-
-    Centre of mass of a blob a million millimetres from the origin, from the corner of its mesh.
-    """
+    """A sheet with an origin a kilometre away."""
     y, x = np.mgrid[:_SIDE, :_SIDE]
     values = 1.0 + 0.01 * x + 0.02 * y
     first = 1e6

@@ -103,10 +103,7 @@ def offset_of_1e10_signals() -> Answer:
 
 @AREA.against("the run warns where there is an offset, and only there")
 def scale_from_an_offset_of_1e6_signals() -> Answer:
-    """The unloaded frame lies on such an offset, and changes are to be taken over its scale.
-
-    Whether references on an offset, and only these, are said to have a scale that means little.
-    """
+    """The unloaded frame lies on such an offset, and changes are to be taken over its scale."""
     problem, reference, _ = _frames()
     offset = 1e6 * _SIGNAL * float(np.abs(reference).max())
     wrong = [bool(scale_doubts(reference, problem)), bool(scale_doubts(-reference, problem))]
@@ -140,10 +137,7 @@ def volts_of_1e12() -> Answer:
 
 @AREA.against(_WHOLE)
 def single_precision_frames() -> Answer:
-    """Frames stored in single precision: the change must be taken in double.
-
-    Frames of single precision against the same numbers, subtracted as whole fractions.
-    """
+    """Frames stored in single precision: the change must be taken in double."""
     problem, reference, changed = _frames()
     single: NDArray[Any] = changed.astype(np.float32)
     single_reference: NDArray[Any] = reference.astype(np.float32)
@@ -157,10 +151,7 @@ def single_precision_frames() -> Answer:
 
 @AREA.against("the difference of whole numbers")
 def counts_at_both_ends_of_16_bits() -> Answer:
-    """Integer counts whose difference does not fit the type they come in.
-
-    Counts at both ends of a converter of 16 bits, as the integers they come as.
-    """
+    """Integer counts whose difference does not fit the type they come in."""
     problem = usual_problem()
     low, high = np.iinfo(np.int16).min, np.iinfo(np.int16).max
     reference: NDArray[Any] = np.full(problem.used.shape, low, dtype=np.int16)
@@ -172,10 +163,7 @@ def counts_at_both_ends_of_16_bits() -> Answer:
 
 @AREA.against(_WHOLE)
 def frame_of_zeros() -> Answer:
-    """A frame that is all zero, as when the source is off.
-
-    A frame of nothing but zeros, as of a board that has lost its source, against −V_ref/s.
-    """
+    """A frame that is all zero, as when the source is off."""
     problem, reference, _ = _frames()
     scale = scale_of(reference, problem)
     computed = changes(np.zeros((1, *reference.shape)), reference, problem, scale)[0]
@@ -185,10 +173,7 @@ def frame_of_zeros() -> Answer:
 
 @AREA.against("the image with zeros in these channels")
 def nonsense_in_masked_channels() -> Answer:
-    """The channels of an open electrode hold NaN, infinity and 1e300, and are masked.
-
-    Image where masked channels hold NaN, infinity and 1e300, against that where they hold zeros.
-    """
+    """The channels of an open electrode hold NaN, infinity and 1e300, and are masked."""
     sensor = usual_sensor()
     used = without_electrodes(sensor, (5,))
     problem = imaging_problem(sensor, used=used, image_size_mm=IMAGE_MM)
@@ -206,10 +191,7 @@ def nonsense_in_masked_channels() -> Answer:
 
 @AREA.against("weighted means as whole fractions")
 def reciprocal_readings_twelve_decades_apart() -> Answer:
-    """Reciprocal readings with noise variances up to twelve decades apart.
-
-    Means of reciprocal readings of which one is a million times noisier, against whole fractions.
-    """
+    """Reciprocal readings with noise variances up to twelve decades apart."""
     plain = usual_problem()
     decades = np.random.default_rng(_SEED).permutation(np.linspace(-5.9, 5.9, len(plain.reference)))
     problem = replace(plain, noise_variance=10**decades)
@@ -232,10 +214,7 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
 
 @AREA.against("the channels that were made so")
 def saturated_stuck_and_missing() -> Answer:
-    """One channel at the source's limit in every tenth frame, one that never changes, one not recorded.
-
-    Channels found saturated, stuck and missing among noisy ones, against those that were made so.
-    """
+    """One channel at the source's limit in every tenth frame, one that never changes, one not recorded."""
     sensor = usual_sensor()
     random = np.random.default_rng(_SEED)
     voltages = 1.0 + 1e-3 * random.standard_normal((60, *sensor.pattern.shape))

@@ -35,7 +35,7 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
 
     Parameters
     ----------
-    name : of the plugin. kind : of :func:`usual_problem`.
+    kind : of :func:`usual_problem`.
     relative : λ over the largest singular value of W^½JR^−½.
     """
     problem = usual_problem(kind)
@@ -62,11 +62,9 @@ def _weights(name: str, problem: ImagingProblem) -> Array:
 
 
 def ridge_condition(sizes: Array, value: float) -> float:
-    """Relative change of (AᵀA + λ²)⁻¹Aᵀ for a small relative one of A: σ₁ ‖(AAᵀ + λ²)⁻¹‖ / ‖(AAᵀ + λ²)⁻¹A‖.
+    """Relative change of (AᵀA + λ²)⁻¹Aᵀ for a small relative one of A, by singular values, the largest first.
 
-    Parameters
-    ----------
-    sizes : singular values of A, the largest first. value : λ.
+    σ₁ ‖(AAᵀ + λ²)⁻¹‖ / ‖(AAᵀ + λ²)⁻¹A‖
     """
     squares = sizes**2 + value**2
     return float(sizes[0] * (1 / squares).max() / (sizes / squares).max())
@@ -155,10 +153,7 @@ def three_electrodes_off() -> Answer:
 
 @AREA.against("λ²x = R⁻¹JᵀWy in the limit, to 1e-18")
 def nothing_but_regularisation() -> Answer:
-    """λ a thousand million times the largest singular value: the image vanishes.
-
-    λ → ∞: λ² x → R⁻¹Jᵀy, with a remainder of σ₁²/λ².
-    """
+    """λ a thousand million times the largest singular value: the image vanishes."""
     problem = usual_problem()
     weights = noser(problem.jacobian, 0.5)
     readings = _changes(problem)
@@ -172,10 +167,7 @@ def nothing_but_regularisation() -> Answer:
 
 @AREA.against("the image at λ = 10²⁰: the limit")
 def greit_of_nothing_but_regularisation() -> Answer:
-    """GREIT with λ = 10¹⁰: its rows vanish and are scaled back to the target's amplitude.
-
-    They no longer depend on λ then, to 1/λ².
-    """
+    """GREIT with λ = 10¹⁰: its rows vanish and are scaled back to the target's amplitude."""
     problem, readings = usual_problem(), _changes(usual_problem())
     large, larger = (
         prepared("greit", problem, {"hyperparameter": value}).images(readings[None])[0] for value in (1e10, 1e20)
@@ -186,10 +178,7 @@ def greit_of_nothing_but_regularisation() -> Answer:
 
 @AREA.against("the constant that explains the readings best, in fifty digits")
 def total_variation_of_nothing_but_smoothness() -> Answer:
-    """Total variation with α = 10²⁰⁰: no jump is worth its price.
-
-    That constant is (J1)·y / |J1|².
-    """
+    """Total variation with α = 10²⁰⁰: no jump is worth its price."""
     problem = usual_problem()
     readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
     image = prepared("total-variation", problem, {"hyperparameter": 1e200}).images(readings[None])[0]
@@ -202,10 +191,7 @@ def total_variation_of_nothing_but_smoothness() -> Answer:
 
 @AREA.against("R(cJ, cλ) = R(J, λ)/c, exactly")
 def sensor_in_picovolts() -> Answer:
-    """A model whose voltages are 1e12 times those of another.
-
-    A sensor in other units gives the same image of readings in these.
-    """
+    """A model whose voltages are 1e12 times those of another."""
     problem, scale = usual_problem(), 1e12
     other = replace(problem, jacobian=scale * problem.jacobian, reference=scale * problem.reference)
     readings = _changes(problem)
@@ -218,10 +204,7 @@ def sensor_in_picovolts() -> Answer:
 
 @AREA.against("an image of zeros, exactly")
 def frame_equal_to_its_reference() -> Answer:
-    """Nothing has changed: an image of rounding errors would show a load.
-
-    Of all methods that image differences, but for GREIT.
-    """
+    """Nothing has changed: an image of rounding errors would show a load."""
     problem = usual_problem()
     names = (
         "gauss-newton-noser", "gauss-newton-tikhonov", "gauss-newton-laplace", "gauss-newton-indenter",

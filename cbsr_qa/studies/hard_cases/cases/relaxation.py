@@ -55,8 +55,7 @@ def recovered(
 
     Parameters
     ----------
-    unit : what the values are multiplied by.
-    second : how many units of time a second has.
+    unit, second : what the values are multiplied by, and how many units of time a second has.
     single : whether the values are rounded to single precision first.
     """
     values = curve(offset, amplitudes, taus_s)
@@ -169,10 +168,7 @@ def single_precision_trace() -> Answer:
 
 @AREA.against("the exponential of their mean, settled where 0.5 e^(−t/τ) = 0.15")
 def time_constants_alike() -> Answer:
-    """Two time constants that differ by 1e-8 make the exponentials linearly dependent.
-
-    One of them is kept.
-    """
+    """Two time constants that differ by 1e-8 make the exponentials linearly dependent."""
     taus_s = (20.0, 20.0 * (1 + 1e-8))
     fit = fit_relaxation(_TIME_S, curve(1.0, (0.3, 0.2), taus_s))
     settled = settling_time(fit, window_s=_WINDOW_S).value_s
@@ -185,10 +181,7 @@ def time_constants_alike() -> Answer:
 
 @AREA.against("it settles later than the trace")
 def trace_shorter_than_its_time_constant() -> Answer:
-    """One minute of a 1000 s exponential is a straight line that does not show its end.
-
-    The time constant is seventeen times the trace: it does not settle before its end.
-    """
+    """One minute of a 1000 s exponential is a straight line that does not show its end."""
     fit = fit_relaxation(_TIME_S, curve(1.0, (0.2,), (1000.0,)))
     settled = settling_time(fit, window_s=_WINDOW_S)
     wrong = 0.0 if fit.status is FitStatus.DRIFTING and settled.censored else 1.0

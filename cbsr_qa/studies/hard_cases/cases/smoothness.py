@@ -38,9 +38,7 @@ def _sheet() -> tuple[Mesh, Array]:
 def smooth(relative: float) -> Answer:
     """Image with the Laplace prior against (JᵀJ + λ²R)⁻¹Jᵀy in fifty digits.
 
-    Parameters
-    ----------
-    relative : λ over the largest singular value of JR^−½, without what a constant image explains.
+    λ is over the largest singular value of JR^−½, without what a constant image explains.
     """
     mesh, jacobian = _sheet()
     differences = _differences(mesh)

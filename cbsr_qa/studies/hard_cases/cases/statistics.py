@@ -59,7 +59,7 @@ def two_sided(coverage: float, confidence: float, count: int) -> Answer:
 
 
 def limits_of(values: list[float]) -> Answer:
-    """Upper limit of a lot, mean + k s, against the same in fifty digits; rounded outwards by at most 1 %."""
+    """Upper limit of a lot, mean + k s, against fifty digits; it is rounded outwards by at most 1 %."""
     runs = [[value] for value in values]
     limits = lot_limits(runs, runs, 1, Ask(0.95, 0.95, False, True, Distribution.NORMAL))
     if limits.upper is None:
@@ -76,10 +76,7 @@ def limits_of(values: list[float]) -> Answer:
 
 @AREA.against("the same variances in fifty digits")
 def variance_of_huge_values() -> Answer:
-    """Values of 1e9 that differ by tenths: their squares have no digit of the difference.
-
-    Variances between and within sensors of values of 1e9 that differ by tenths.
-    """
+    """Values of 1e9 that differ by tenths: their squares have no digit of the difference."""
     runs = [[1e9 + 0.5 * k, 1e9 + 0.5 * k + 0.1 * (k % 3)] for k in range(8)]
     variance = components(runs)
     with mpmath.workdps(DIGITS):
@@ -113,10 +110,7 @@ def two_sided_tolerance_factors() -> Answer:
 
 @AREA.against("the binomial law in fifty digits")
 def sensors_for_rare_failures() -> Answer:
-    """All but 1e-12 of sensors: billions are needed, and one minus the share has four digits left.
-
-    Sensors needed so that two extremes hold all but a millionth of a millionth of them.
-    """
+    """All but 1e-12 of sensors: billions are needed, and one minus the share has four digits left."""
     needed = count_needed(1 - 1e-12, 0.95, 2)
     with mpmath.workdps(DIGITS):
         outside = 1 - mpmath.mpf(1 - 1e-12)
@@ -187,10 +181,7 @@ def readings_without_noise() -> None:
 
 @AREA.against("equal is equivalent, unequal is different")
 def equivalence_without_noise() -> Answer:
-    """A test of equivalence whose standard errors are rounding.
-
-    Two relaxations without noise: equal ones are equivalent, ones a third apart differ.
-    """
+    """A test of equivalence whose standard errors are rounding."""
     time_s: Array = 2.5 * np.arange(25.0)
     first, same, other = (
         MeasuredRelaxation(fit_common_relaxation([(time_s, 1 + share * np.exp(-time_s / 20))]), 60.0)
