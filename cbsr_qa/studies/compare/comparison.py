@@ -20,6 +20,7 @@ from cbsr_qa.studies.compare.cautions import cautions
 from cbsr_qa.studies.compare.describe import Distribution, Group, distribution, groups_of
 from cbsr_qa.studies.compare.differences import (
     Difference,
+    Estimated,
     Fitted,
     StationDifference,
     by_place,
@@ -50,9 +51,8 @@ class MetricComparison:
 
     Parameters
     ----------
-    differences : of each group but the reference, against it; empty where the metric is the station's alone.
-    stations : of each station but the first, against it; empty where there is one, or stations are the groups.
-    distributions : one of each group.
+    differences : of each other group from the reference; empty where the metric is the station's alone.
+    stations : of each other station from the first; empty where there is one, or stations are the groups.
     samples : (group, station, values of sensors), for plots.
     notes : weaknesses of design and fit, and what was left out.
     """
@@ -71,12 +71,10 @@ class Comparison:
 
     Parameters
     ----------
-    reference : the group the others are compared with.
     compared : whether any difference could be told.
-    headline, sentences, rules : in words; see :func:`cbsr_qa.studies.compare.compare_outcome`.
-    metrics : of each metric and each group but the reference; one without group where a metric is not compared.
-    warnings : of the whole comparison.
+    metrics : of each metric and each other group; one without a group where a metric is not compared.
     of_metrics : the same, metric by metric, with what is drawn.
+    headline, sentences, rules : filled in by :func:`cbsr_qa.studies.compare.compare_outcome`.
     """
 
     by: By
@@ -98,6 +96,41 @@ class Comparison:
     headline: str = ""
     sentences: tuple[str, ...] = ()
     rules: tuple[str, ...] = ()
+
+    @property
+    def pairs(self) -> Iterator[tuple[MetricComparison, Difference]]:
+        """All differences with their metrics."""
+        return ((metric, difference) for metric in self.of_metrics for difference in metric.differences)
+
+    @property
+    def all_stations(self) -> list[str]:
+        """Stations of all groups, sorted."""
+        return sorted({name for group in self.groups for name in group.stations})
+
+    @property
+    def all_batches(self) -> list[str]:
+        """Batches of all groups, sorted."""
+        return sorted({name for group in self.groups for name in group.batches})
+
+    @property
+    def others(self) -> str:
+        """What must not be taken for a group: batches too, where periods or software versions are compared."""
+        if self.by is By.STATION:
+            return "batches"
+        mixed = self.by in (By.PERIOD, By.SOFTWARE) and len(self.all_batches) > 1
+        return "stations and batches" if mixed else "stations"
+
+    def significant(self, difference: Estimated) -> bool:
+        """Whether an adjusted p value is below the level."""
+        return difference.p is not None and difference.p < self.terms.level
+
+    def side(self, metric: MetricComparison, difference: Estimated) -> str:
+        """Say on which side of its reference a group lies; better or worse where one limit says which that is."""
+        above, values = (difference.difference or 0.0) > 0, metric.values
+        one_limit = (values.lower is None) != (values.upper is None)
+        if one_limit and isinstance(difference, Difference) and self.by is not By.STATION:
+            return "worse than" if above is (values.lower is None) else "better than"
+        return "above" if above else "below"
 
 
 def compare_groups(selection: RunSelection, terms: Terms, *, database: str | None, now: datetime) -> Comparison:
@@ -134,7 +167,6 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
 
     Parameters
     ----------
-    table : runs and their values.
     now : by the computer's clock, for times that are still to come.
 
     Raises
@@ -201,12 +233,7 @@ def _wanted(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
 def _compared(
     metric: MetricValues, table: FleetTable, grouping: Grouping, deciding: Mapping[str, IntArray], design: Design
 ) -> MetricComparison:
-    """Compare groups and stations in one metric; p values are not adjusted yet.
-
-    Parameters
-    ----------
-    deciding : group → indices of the runs that decide its sensors.
-    """
+    """Compare groups and stations in one metric by the runs that decide; p values are not adjusted yet."""
     model = fitted(design.crossing, metric.mean[design.rows], metric.key.label, of_stations=design.of_stations)
     of_station = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
     known = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}

@@ -13,7 +13,7 @@ from cbsr_qa.domain.results import Banner, CommandOutcome, Page
 from cbsr_qa.report import capital, named, number, plural
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.differences import Estimated
-from cbsr_qa.studies.compare.tables import all_stations, amount, each, others, sections, side, significant
+from cbsr_qa.studies.compare.tables import amount, sections
 from cbsr_qa.studies.compare.terms import By
 
 _NOTHING: Final = 3
@@ -67,7 +67,7 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
         ("Reference", comparison.reference),
         ("Sensors", str(sum(group.n for group in comparison.groups))),
         ("Runs", str(sum(group.runs for group in comparison.groups))),
-        ("Stations", ", ".join(all_stations(comparison))),
+        ("Stations", ", ".join(comparison.all_stations)),
         ("Recipes", ", ".join(comparison.recipes)),
     )
     banner = Banner("plain", "●" if comparison.compared else _NONE, worded.headline, "")
@@ -82,7 +82,7 @@ def _headline(comparison: Comparison) -> str:
     if not comparison.compared:
         return _NO_COMPARISON.format(groups=_listed(everyone))
     differ = sorted(
-        ((metric, difference) for metric, difference in each(comparison) if significant(difference, comparison)),
+        ((metric, difference) for metric, difference in comparison.pairs if comparison.significant(difference)),
         key=lambda pair: -abs(pair[1].effect_size or 0.0),
     )
     shown: list[tuple[MetricComparison, Estimated, str]] = [
@@ -91,7 +91,7 @@ def _headline(comparison: Comparison) -> str:
     ]
     titles = {metric.values.title for metric, *_ in shown}
     drifted = sorted(
-        ((m, station) for m in comparison.of_metrics for station in m.stations if significant(station, comparison)),
+        ((m, station) for m in comparison.of_metrics for station in m.stations if comparison.significant(station)),
         key=lambda pair: (pair[0].values.title not in titles, pair[1].p),
     )
     shown += [(metric, difference, of_kind("station", difference.station)) for metric, difference in drifted[:1]]
@@ -117,7 +117,7 @@ def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparis
             size=amount(size, metric.values.unit, 2),
             low=number(low, 2),
             high=number(high, 2),
-            side=side(metric, difference, comparison),
+            side=comparison.side(metric, difference),
             reference=difference.reference,
             metric="" if metric.values.title == before else f" in {metric.values.title}",
         )
@@ -164,11 +164,11 @@ def _important(comparison: Comparison) -> Iterator[str]:
     claims = [
         f"{pair.group} − {pair.reference} in {metric.values.title} "
         f"({amount(pair.naive.difference, metric.values.unit)})"
-        for metric, pair in each(comparison)
-        if pair.naive is not None and pair.naive.p < comparison.terms.level and not significant(pair, comparison)
+        for metric, pair in comparison.pairs
+        if pair.naive is not None and pair.naive.p < comparison.terms.level and not comparison.significant(pair)
     ]
     if claims:
-        yield _T_TEST.format(others=others(comparison), claims=named(claims, 5))
+        yield _T_TEST.format(others=comparison.others, claims=named(claims, 5))
 
 
 def _remarks(comparison: Comparison) -> Iterator[str]:
@@ -176,7 +176,7 @@ def _remarks(comparison: Comparison) -> Iterator[str]:
     if (
         comparison.compared
         and not comparison.terms.margins
-        and not all(significant(difference, comparison) for _, difference in each(comparison))
+        and not all(comparison.significant(difference) for _, difference in comparison.pairs)
     ):
         yield _NOT_ALIKE
     yield from _refusals(comparison, of_idle=True)
@@ -184,15 +184,10 @@ def _remarks(comparison: Comparison) -> Iterator[str]:
 
 
 def _refusals(comparison: Comparison, *, of_idle: bool) -> Iterator[str]:
-    """Say why pairs were not compared, each reason once.
-
-    Parameters
-    ----------
-    of_idle : of metrics in which all sensors read the same, which matter least; else of all others.
-    """
+    """Say why pairs were not compared, each reason once: of metrics in which all sensors read alike, or of others."""
     refused = (
         (difference.warnings[0].removeprefix(f"{metric.values.key.label}: "), metric)
-        for metric, difference in each(comparison)
+        for metric, difference in comparison.pairs
         if not difference.known and _idle(metric) is of_idle
     )
     return _by_text(_REFUSED, refused, comparison)

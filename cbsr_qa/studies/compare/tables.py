@@ -70,10 +70,10 @@ def _difference_tables(comparison: Comparison) -> Iterator[Table]:
     decides, power = 100 - 200 * terms.level, f"{100 * terms.power:g} %"
     of_likeness = ("metric", "margin", "difference", f"{decides:g} % interval", "p", "alike", f"sensors for {power}")
     for group in comparison.groups[1:]:
-        pairs = [(metric, difference) for metric, difference in each(comparison) if difference.group == group.name]
+        pairs = [(metric, difference) for metric, difference in comparison.pairs if difference.group == group.name]
         words = {
             "pair": f"{group.name} − {comparison.reference}",
-            "others": others(comparison),
+            "others": comparison.others,
             "taken_out": _taken_out(comparison),
         }
         models = ", ".join(dict.fromkeys(one.model.partition(":")[0] for _, one in pairs))
@@ -144,7 +144,7 @@ def _stations_table(comparison: Comparison) -> Iterator[Table]:
         for metric in comparison.of_metrics
         for station in metric.stations
     ]
-    mixed = comparison.by in (By.MATERIAL, By.PERIOD, By.SOFTWARE) and len(_all_batches(comparison)) > 1
+    mixed = comparison.by in (By.MATERIAL, By.PERIOD, By.SOFTWARE) and len(comparison.all_batches) > 1
     caption = _STATIONS.format(others="batches" if mixed else "groups")
     columns = ("metric", "stations", "difference", f"{100 * comparison.confidence:g} % interval", "p", "result")
     return _table(caption, columns, rows, (2, 3, 4))
@@ -177,7 +177,7 @@ def _group_tables(comparison: Comparison) -> Iterator[Table]:
 
 def _drawn(comparison: Comparison) -> list[MetricComparison]:
     def rank(metric: MetricComparison) -> tuple[float, bool]:
-        p_values = [difference.p or 0.0 for difference in metric.differences if significant(difference, comparison)]
+        p_values = [difference.p or 0.0 for difference in metric.differences if comparison.significant(difference)]
         return min(p_values, default=1.0), not metric.values.limited
 
     members = [metric for metric in comparison.of_metrics if any(len(values) for *_, values in metric.samples)]
@@ -208,7 +208,7 @@ def _maps(metric: MetricComparison, comparison: Comparison) -> Iterator[Block]:
         known = [(p.x_mm, p.y_mm, p) for p in difference.places if p.x_mm is not None and p.y_mm is not None]
         if known:
             words = "; ".join(f"{place.location}: {number(place.difference)}" for *_, place in known)
-            caption = _MAP.format(metric=title, pair=pair, others=others(comparison))
+            caption = _MAP.format(metric=title, pair=pair, others=comparison.others)
             yield Figure(caption, words, partial(_draw_map, metric.values.unit, known, comparison.terms.level))
         rows = [(p.location, number(p.difference), _range(p.low, p.high), _p(p.p)) for p in difference.places]
         columns = (
@@ -267,60 +267,18 @@ def _table(
         yield replace(text_table(caption, [columns[k] for k in kept], cells, right), folded=folded)
 
 
-def each(comparison: Comparison) -> Iterator[tuple[MetricComparison, Difference]]:
-    """Go through all differences with their metrics."""
-    return ((metric, difference) for metric in comparison.of_metrics for difference in metric.differences)
-
-
-def significant(difference: Estimated, comparison: Comparison) -> bool:
-    """Whether an adjusted p value is below the level."""
-    return difference.p is not None and difference.p < comparison.terms.level
-
-
-def side(metric: MetricComparison, difference: Estimated, comparison: Comparison) -> str:
-    """Say on which side of its reference a group lies; better or worse where one limit says which that is."""
-    above, values = (difference.difference or 0.0) > 0, metric.values
-    if (
-        isinstance(difference, Difference)
-        and comparison.by is not By.STATION
-        and (values.lower is None) != (values.upper is None)
-    ):
-        return "worse than" if above is (values.lower is None) else "better than"
-    return "above" if above else "below"
-
-
 def _result(metric: MetricComparison, difference: Estimated, comparison: Comparison) -> str:
     if difference.difference is None:
         return "not compared"
-    return (
-        side(metric, difference, comparison).removesuffix(" than")
-        if significant(difference, comparison)
-        else "not shown"
-    )
-
-
-def others(comparison: Comparison) -> str:
-    """Return what must not be taken for a group: batches too, where periods or software versions are compared."""
-    if comparison.by is By.STATION:
-        return "batches"
-    mixed = comparison.by in (By.PERIOD, By.SOFTWARE) and len(_all_batches(comparison)) > 1
-    return "stations and batches" if mixed else "stations"
+    if not comparison.significant(difference):
+        return "not shown"
+    return comparison.side(metric, difference).removesuffix(" than")
 
 
 def _taken_out(comparison: Comparison) -> str:
-    kind, members = others(comparison), {"stations": all_stations(comparison), "batches": _all_batches(comparison)}
-    if len(members.get(kind, ())) == 1:
-        return f"all of {of_kind('station' if kind == 'stations' else 'batch', members[kind][0])}"
-    return f"differences of {kind} taken out"
-
-
-def all_stations(comparison: Comparison) -> list[str]:
-    """Return the stations of all groups, sorted."""
-    return sorted({name for group in comparison.groups for name in group.stations})
-
-
-def _all_batches(comparison: Comparison) -> list[str]:
-    return sorted({name for group in comparison.groups for name in group.batches})
+    kinds = {"stations": ("station", comparison.all_stations), "batches": ("batch", comparison.all_batches)}
+    kind, names = kinds.get(comparison.others, ("", []))
+    return f"all of {of_kind(kind, names[0])}" if len(names) == 1 else f"differences of {comparison.others} taken out"
 
 
 def _label(metric: MetricComparison) -> str:
