@@ -14,8 +14,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.studies.frontier import Accuracy, Point, TimeBasis, station_svg, stored, table_of, worth_the_station
-from cbsr_qa.studies.frontier.computer import computer_tasks, measured, worth_their_time
+from cbsr_qa.studies.frontier import (
+    Accuracy,
+    Point,
+    Task,
+    TimeBasis,
+    station_svg,
+    stored,
+    table_of,
+    worth_the_station,
+)
+from cbsr_qa.studies.frontier.computer import computer_tasks, worth_their_time
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
 FIGURE: Final = PAGE.parent / "figures" / "frontier" / "station.svg"
@@ -129,7 +138,8 @@ def main(arguments: Sequence[str]) -> None:
         documents = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))["points"]
         points = [stored(Point, document) for document in documents]
     else:
-        points = list(measured(computer_tasks(), _tell))
+        tasks = computer_tasks()
+        points = [_measured(task, f"{done} of {len(tasks)}") for done, task in enumerate(tasks)]
     points = [
         replace(point, pareto=on)
         for clock, worth in ((TimeBasis.COMPUTER, worth_their_time), (TimeBasis.STATION, worth_the_station))
@@ -142,8 +152,9 @@ def main(arguments: Sequence[str]) -> None:
         FIGURE.write_text(station_svg(points, None) + "\n", encoding="utf-8")
 
 
-def _tell(done: int, of: int, what: str) -> None:
-    sys.stderr.write(f"{done}/{of} {what}\n")
+def _measured(task: Task, counted: str) -> Point:
+    sys.stderr.write(f"{counted}: {task.what}\n")
+    return task.run()
 
 
 if __name__ == "__main__":

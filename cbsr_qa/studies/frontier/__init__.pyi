@@ -1,6 +1,12 @@
 from .figures import station_svg as station_svg, write_png as write_png
 from .files import Files as Files
-from .point import Accuracy as Accuracy, Point as Point, TimeBasis as TimeBasis, stored as stored
+from .point import (
+    Accuracy as Accuracy,
+    Point as Point,
+    Task as Task,
+    TimeBasis as TimeBasis,
+    stored as stored,
+)
 from .points import worth_the_station as worth_the_station
 from .recommend import Wish as Wish
 from .report import frontier_outcome as frontier_outcome, table_of as table_of

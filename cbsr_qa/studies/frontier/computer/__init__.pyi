@@ -1,1 +1,1 @@
-from .sweeps import computer_tasks as computer_tasks, measured as measured, worth_their_time as worth_their_time
+from .sweeps import computer_tasks as computer_tasks, worth_their_time as worth_their_time

@@ -47,35 +47,13 @@ _QUICK_BATCHES: Final = (1, 256)
 
 
 def computer_tasks(*, quick: bool = False) -> list[Task]:
-    """Return every point of the computer's clock, still to be measured.
-
-    Reconstructions are all that are registered and image single frames, and the shipped recipes' own.
-
-    Parameters
-    ----------
-    quick : a few points of each series, in seconds instead of minutes.
-    """
+    """Return every point of the computer's clock, still to be measured; a few of each series if it is to be quick."""
     return [
         *_forward(_QUICK_SIZES_MM if quick else SIZES_MM),
         *_precision(_QUICK_BATCHES if quick else BATCHES),
         *_methods(quick),
         *_meshes(quick),
     ]
-
-
-def measured(
-    tasks: Sequence[Task], tell: Callable[[int, int, str], None] = lambda done, of, what: None
-) -> Iterator[Point]:
-    """Measure tasks one after the other in this process.
-
-    Parameters
-    ----------
-    tell : called before each with the number done, of all, and what comes next.
-    """
-    for done, task in enumerate(tasks):
-        tell(done, len(tasks), task.what)
-        yield task.run()
-    tell(len(tasks), len(tasks), "done")
 
 
 def worth_their_time(points: Sequence[Point]) -> tuple[bool, ...]:

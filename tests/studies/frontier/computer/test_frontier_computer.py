@@ -32,7 +32,7 @@ from cbsr_qa.studies.frontier.computer.imaging import (
     relative_error,
 )
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
-from cbsr_qa.studies.frontier.computer.sweeps import computer_tasks, measured, worth_their_time
+from cbsr_qa.studies.frontier.computer.sweeps import computer_tasks, worth_their_time
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, stored
 from cbsr_qa.studies.frontier.station import choices_of_even, simulated_alone, subsets_of_even, subsets_of_paper
 from cbsr_qa.testing import assert_expected_order
@@ -296,14 +296,6 @@ def test_a_task_is_the_same_point_in_another_process_and_out_of_a_file():
     assert there.accuracy == here.accuracy
     assert there.knobs == here.knobs
     assert stored(Point, json_document(here)) == here
-
-
-def test_progress_is_told_before_each_task_and_at_the_end():
-    tasks = [task for task in computer_tasks(quick=True) if "float" in task.what][:2]
-    told = []
-    points = list(measured(tasks, lambda done, of, what: told.append((done, of, what))))
-    assert [point.knobs["batch"] for point in points] == [1, 256]
-    assert told == [(0, 2, tasks[0].what), (1, 2, tasks[1].what), (2, 2, "done")]
 
 
 def test_settings_of_the_same_arithmetic_are_not_told_apart_by_the_clock():
