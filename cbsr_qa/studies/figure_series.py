@@ -18,14 +18,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One metric over runs, in the order of the runs' names.
-
-    Parameters
-    ----------
-    lines, values : of the runs that have it, alike in length.
-    lower, upper : limits of the latest run; None where there was none on that side.
-    notes : what was left out and why, in sentences.
-    """
+    """One metric over runs, in the order of the runs' names; limits are those of the latest run, None without."""
 
     key: MetricKey
     unit: str

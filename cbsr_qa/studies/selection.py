@@ -54,16 +54,11 @@ def absent_names(selection: RunSelection, runs: Sequence[RunLine]) -> Iterator[t
 
 
 def check_names(store: Repository, selection: RunSelection, at: Callable[[str], str] = lambda field: "") -> None:
-    """Refuse names of a selection that no stored run has.
+    """Refuse names of a selection that no stored run has: all of them, with the name nearest to the first.
 
     Parameters
     ----------
     at : where a field of the selection stands in a file, to begin the sentence with.
-
-    Raises
-    ------
-    RefusedError
-        Naming all of them, with the name that is nearest to the first.
     """
     absent = list(absent_names(selection, store.run_lines()))
     if absent:
@@ -127,12 +122,7 @@ def several_recipes(recipes: Collection[str]) -> str:
 
 
 def measuring_digest(configuration: str) -> str:
-    """SHA-256 of all that decides a run's numbers: not of its limits, nor of the seed of a simulation.
-
-    Parameters
-    ----------
-    configuration : canonical JSON, as stored with a run.
-    """
+    """SHA-256 of what in a stored configuration decides numbers: not limits, nor the seed of a simulation."""
     content = json.loads(configuration)
     recipe = _table(content, "recipe")
     measuring = {

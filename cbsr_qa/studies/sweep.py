@@ -31,8 +31,7 @@ class Work:
 
     Parameters
     ----------
-    key : says what is worked out and with what; the same in every process and every sweep.
-    what : the same for people.
+    key, what : what is worked out and with what, the same in every process and every sweep; and for people.
     run : gives documents of plain numbers and text; can be pickled.
     """
 
@@ -42,13 +41,9 @@ class Work:
 
 
 class Kept:
-    """Finished pieces of work in a file, a line of JSON each.
+    """Finished pieces of work in a file, a line of JSON each; None keeps nothing.
 
     A line that was cut off while it was written ends the file; it is written over by the next piece.
-
-    Parameters
-    ----------
-    path : of the file; None keeps nothing.
 
     Raises
     ------
@@ -87,13 +82,7 @@ class Kept:
         self.found[key] = documents
 
     def keep(self, key: str, documents: Documents) -> None:
-        """Keep a finished piece, in its file before anything else is done.
-
-        Raises
-        ------
-        StoreError
-            If the file cannot be written to.
-        """
+        """Keep a finished piece, in its file before anything else is done. StoreError if it cannot be written."""
         if self._path is not None:
             line = json.dumps({"key": key, "documents": documents}, allow_nan=False).encode() + b"\n"
             try:
@@ -108,18 +97,10 @@ class Kept:
 
 
 def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) -> Mapping[str, Documents]:
-    """Work everything out that is not kept yet, the pieces in order handed to whichever process is free.
+    """Work everything out that is not kept yet, the pieces in order handed to whichever process is free; by key.
 
     What comes out does not depend on the number of processes. Where a piece raises, none is begun any more, those
     that have begun are finished and kept, and its error is raised. Ctrl-C ends at once; what is finished is kept.
-
-    Parameters
-    ----------
-    processes : at once; 1 works in this one, and what a piece raises is raised at once.
-
-    Returns
-    -------
-    Documents by key.
     """
     left = [piece for piece in work if piece.key not in kept.found]
     done = len(work) - len(left)
@@ -146,8 +127,7 @@ def finished(
 
     Parameters
     ----------
-    jobs, run : can be pickled where there are several processes.
-    processes : at once; 1 works in this one, and what a job raises is raised at once.
+    processes : at once, to which jobs are pickled; 1 works in this one, and what a job raises is raised at once.
 
     Raises
     ------

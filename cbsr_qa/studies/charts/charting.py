@@ -41,12 +41,7 @@ RULES: Final = dict(enumerate(Rule, start=1))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Charted:
-    """A chart, and which value is the last of each of its points.
-
-    Parameters
-    ----------
-    ends : (points,) index of a value.
-    """
+    """A chart, and the index of the last value of each of its points (``ends``)."""
 
     chart: Chart
     ends: tuple[int, ...]
@@ -89,13 +84,7 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
 
 
 def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
-    """Return mean and short-term deviation of a reference period.
-
-    Raises
-    ------
-    NumericsError
-        Too few values, or none that differ.
-    """
+    """Return mean and short-term deviation of a reference period. NumericsError for too few values, or all alike."""
     first = charts_of(values, settings, None)[0].chart
     centre = first.centre
     if settings.chart is ChartKind.CUSUM:
@@ -106,15 +95,10 @@ def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
 def standing(
     charts: Sequence[Charted], lines: Sequence[RunLine], reference: ChartReference, *, cut: bool
 ) -> StandingSignal | None:
-    """Return the signal that stands at the last run, or None.
+    """Return the signal that stands at the last run, or None; ``cut``: earlier runs were not looked at.
 
-    A signal stands until so many points in a row gave none (:data:`STANDS`); it began with the first that is joined
-    to the latest by others, none further apart than :data:`JOINED`.
-
-    Parameters
-    ----------
-    charts : of the values of ``lines``.
-    cut : whether there were earlier runs that were not looked at.
+    A signal stands until :data:`STANDS` points in a row gave none; it began with the first that is joined to the
+    latest by others, none further apart than :data:`JOINED`.
     """
     found = [_standing(chart) for chart in charts if chart.chart.name != UNCOUNTED]
     begun = sorted(filter(None, found), key=lambda one: one[0])
@@ -184,13 +168,11 @@ class PointSignal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChartPhase:
-    """One chart of one phase.
+    """One chart of one phase, ``"reference"`` or ``"monitored"``; points and limits in the unit of the values.
 
     Parameters
     ----------
-    phase : ``"reference"`` or ``"monitored"``.
     runs : of each point; of a group the last.
-    points, lower, upper : alike in length, in the unit of the values.
     """
 
     name: str
@@ -209,12 +191,9 @@ class MetricChart:
 
     Parameters
     ----------
-    why : why there is no reference and no chart; empty where there is.
-    reference : what the limits rest on.
-    reference_days : on which its first and its last run began (UTC).
-    signal : that stands at the latest run.
-    runs, values : from the reference's first run on.
-    reference_runs : how many of them are the reference's.
+    why : why there is no reference and no chart.
+    reference_days : on which the reference's first and last run began (UTC).
+    runs, values : from the reference's first run on, of which ``reference_runs`` are the reference's.
     charts : of the reference period, then of the runs since, which have the same limits.
     """
 

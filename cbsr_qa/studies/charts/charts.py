@@ -30,14 +30,11 @@ _LEFT: Final = "the last {runs} of the reference period do not fill a group of {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Charts:
-    """Charts of a station.
+    """Charts of a station's production runs, or of one golden sensor.
 
     Parameters
     ----------
-    golden : sensor that is charted; None for production runs.
-    in_control : whether no signal stands.
     stored : whether new references were stored.
-    notes : of all charts alike.
     """
 
     station: str
@@ -58,10 +55,6 @@ class Charts:
 
 def control_charts(request: ChartsRequest, *, database: str | None = None) -> Charts:
     """Chart a station's metrics, and store the reference period where a new one is given.
-
-    Parameters
-    ----------
-    database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
 
     Raises
     ------

@@ -13,12 +13,7 @@ from cbsr_qa.studies.charts.charting import MOST_DRAWN, ChartPhase, MetricChart
 
 
 def control_charts_svg(chart: MetricChart) -> str:
-    """Draw charts below each other: one row a name (individuals above their moving range), both phases side by side.
-
-    Returns
-    -------
-    The ``<svg>`` element.
-    """
+    """Draw charts below each other: a row each (individuals above their moving range), both phases side by side."""
     rows = list(dict.fromkeys(part.name for part in chart.charts))
     numbers = {run: number for number, run in enumerate(chart.runs, start=1)}
     first = max(0, len(chart.runs) - MOST_DRAWN) + 1

@@ -48,13 +48,7 @@ _PERIODS: Final = "Periods are taken from these clocks: compare by batch, or lea
 def cautions(
     members: Sequence[RunLine], grouping: Grouping, design: Design, terms: Terms, now: datetime
 ) -> Iterator[str]:
-    """Say what is to be kept in mind.
-
-    Parameters
-    ----------
-    members : the runs that count, in the order they were made in.
-    now : by the computer's clock.
-    """
+    """Say what is to be kept in mind of the runs that count, in the order they were made in."""
     for why, count in sorted(grouping.left_out.items()):
         yield _LEFT_OUT.format(runs=plural(count, "run"), why=why)
     yield from _of_groups(members, grouping, terms)

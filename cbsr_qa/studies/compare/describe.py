@@ -45,8 +45,6 @@ class Group:
     n, runs : sensors and runs that count.
     passed, first_pass_yield : shares of sensors, 0 to 1, with Wilson's intervals; None where no sensor was judged.
     not_measured, not_judged : sensors whose deciding run could not measure a limited quantity, or had no limits.
-    stations, batches : names, sorted.
-    failures : most first.
     """
 
     name: str
@@ -134,12 +132,7 @@ def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> tuple[float | No
 def distribution(
     metric: MetricValues, runs: Sequence[RunLine], name: str, indices: IntArray, terms: Terms
 ) -> Distribution:
-    """Describe one metric of a group.
-
-    Parameters
-    ----------
-    indices : of the runs that decide and have a value, one a sensor of the group.
-    """
+    """Describe one metric of a group by the runs that decide and have a value, one a sensor."""
     values = metric.mean[indices]
     if not len(values):
         return Distribution(*metric.identity, name, 0, no_capability="nothing was measured")

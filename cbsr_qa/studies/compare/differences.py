@@ -1,9 +1,4 @@
-"""Differences of groups and of stations in one metric, by the mixed model and by plain tests beside it.
-
-Of a metric the runs of all compared groups are fitted together: group and station fixed, sensor random
-(:mod:`cbsr_qa.stats.mixed_model`). A design that cannot tell a group from a station is not fitted; what can still be
-said (the plain difference of means, what a t test claims) is said, under its own name.
-"""
+"""Differences of groups and of stations in one metric, by the mixed model and by plain tests beside it."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -54,10 +49,7 @@ class Naive:
 class Robust:
     """Hodges and Lehmann's shift and Brunner and Munzel's test, the model's station differences taken out.
 
-    Parameters
-    ----------
-    interval, p : None where the sample is too small, or the groups do not overlap.
-    method : of the p value.
+    Interval and p are None where the sample is too small, or the groups do not overlap.
     """
 
     shift: float
@@ -81,13 +73,11 @@ class PlaceDifference:
 
 @dataclass(frozen=True, slots=True)
 class Estimated(OfMetric):
-    """A difference from a reference by the model.
+    """A difference from a reference by the model, in ``unit``; None where refused, the first warning then says why.
 
     Parameters
     ----------
-    difference, low, high : in ``unit``; None where refused, the first of ``warnings`` then says why.
-    p : adjusted for all tests of the comparison; None until it is.
-    p_unadjusted : of this test alone.
+    p, p_unadjusted : adjusted for all tests of the comparison (None until it is), and of this test alone.
     """
 
     reference: str | None
@@ -119,14 +109,12 @@ class Difference(Estimated):
     ----------
     group : None where the metric is not compared between groups.
     model : what was fitted, :data:`REFUSED`, or ``"none"``.
-    deviation : √(sensor² + run²) of the model, in the metric's unit.
-    effect_size, effect_size_interval : difference over the deviation, taken as known.
-    margin, equivalence_interval : that does not matter, and the interval of two one-sided tests; None without one.
-    equivalent : whether the difference is shown to be within the margin, by ``equivalence_p``.
-    equivalence_p, equivalence_p_unadjusted : adjusted for all such tests of the comparison, and of this one alone.
+    deviation : √(sensor² + run²) of the model, in the metric's unit; the effect size is in it, taken as known.
+    equivalent : whether two one-sided tests show the difference to be within ``margin``, by ``equivalence_p``, which
+        is adjusted for all such tests of the comparison.
     sensors_to_show_alike : of each of two groups on one station, to show them alike within the margin with 80 % where
         they do not differ, by one test of the comparison's level; None where 10⁹ do not do.
-    detect, sensors_needed : a difference, and how many sensors of each find it, likewise.
+    sensors_needed : of each group to find the difference ``detect``, likewise.
     """
 
     group: str | None = None
@@ -149,12 +137,7 @@ class Difference(Estimated):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """The model of one metric, or the reason for none.
-
-    Parameters
-    ----------
-    of_stations : whether the compared groups are the model's stations.
-    """
+    """The model of one metric, or why there is none; ``of_stations``: its stations are the compared groups."""
 
     fit: Fit | None
     why: str
@@ -177,13 +160,7 @@ class Fitted:
 
 
 def fitted(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
-    """Fit the model to the runs that have a value.
-
-    Parameters
-    ----------
-    design : of N runs.
-    values : (N,) NaN where missing.
-    """
+    """Fit the model to the runs (N,) that have a value; NaN where missing."""
     known = ~np.isnan(values)
     if not known.any():
         return Fitted(None, "nothing was measured", of_stations)

@@ -37,33 +37,18 @@ _LEAST_LEFT_IN: Final = 0.05
 
 
 def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequence[str]) -> str:
-    """Draw sensors by group and station: one row each, the mean as a line, quartiles as a bar.
+    """Draw sensors by group and station as ``<svg>``: a row each, the mean as a line, quartiles as a bar.
 
     Parameters
     ----------
-    label : of the axis, with its unit.
     samples : group, station, and one value a sensor.
     groups : in their order, which decides the colours.
-
-    Returns
-    -------
-    The ``<svg>`` element.
     """
     return svg_of(lambda: _strips(label, samples, groups))
 
 
 def difference_map(unit: str, places: Sequence[tuple[float, float, PlaceDifference]], level: float) -> str:
-    """Draw differences where they are on the sheet, ringed where they are more than chance.
-
-    Parameters
-    ----------
-    places : x and y [mm] of each.
-    level : of p values.
-
-    Returns
-    -------
-    The ``<svg>`` element.
-    """
+    """Draw differences (x and y [mm] of each) on the sheet as ``<svg>``, ringed where p is below the level."""
     return svg_of(lambda: _map(unit_column("difference", unit), places, level))
 
 

@@ -32,8 +32,7 @@ class Grouping:
     Parameters
     ----------
     names : of the groups, the reference first.
-    labels : (R,) group of each run; empty where it is left out.
-    used : (R,) whether a run counts.
+    labels, used : (R,) group of each run, empty where it is left out; and whether it counts.
     tests : group → sensor → indices of its runs that count, in the order they were made in.
     left_out : why runs do not count → how many.
     """
@@ -291,15 +290,11 @@ def _joined(design: Design, crossed: Crossing, side: int) -> Crossing:
 
 
 def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: Terms) -> tuple[Grouping, list[str]]:
-    """Put a group first that most others can be compared with, unless groups were named; and say so.
+    """Put a group first that most others can be compared with, unless groups were named; and say so in sentences.
 
     Parameters
     ----------
     measured : (R,) whether a run has a value of anything.
-
-    Returns
-    -------
-    Groups, the reference first, and what is to be said of the choice, in sentences.
     """
     part_of = _parts(grouping, design, measured)
     sizes = Counter(part_of.values())

@@ -56,12 +56,9 @@ class Terms:
 
     Parameters
     ----------
-    groups : names to compare, the reference first; empty for all, with the earliest period or the group with most
-        sensors as reference.
+    groups : names to compare, the reference first; empty for all, the earliest period or the largest group first.
     names : metrics to compare; empty for all.
-    margins : name of a metric → difference that does not matter, in its unit.
-    detect : name of a metric → difference whose number of sensors is asked for, in its unit.
-    confidence : of every interval.
+    margins, detect : name of a metric → difference that does not matter, or whose number of sensors is asked for.
     power : that numbers of sensors are for.
     """
 

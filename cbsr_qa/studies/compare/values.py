@@ -46,14 +46,12 @@ class MetricValues:
     Parameters
     ----------
     title : its name in words, with phase and qualifier where another metric has the same name.
-    unit : of all values that were taken.
     lower, upper : limit of the latest run that had one, or None.
     mean, least, most : (R,) of each run's values; NaN where it has none, or where one is only a lower bound, infinite
         or beyond what can be squared.
     per_run : values of the run that has most.
     at : location → (R,) mean of the values there; empty where values have no location.
     failed : (R,) whether a value was outside its limit or, though limited, could not be measured.
-    warnings : what was left out, and what is not alike, in sentences.
     """
 
     key: MetricKey
@@ -81,12 +79,7 @@ class MetricValues:
 
 
 def values_of(table: FleetTable, used: BoolArray) -> Iterator[MetricValues]:
-    """Return the values of each metric, in the order the metrics were measured in.
-
-    Parameters
-    ----------
-    used : (R,) runs that count; values of the others are left out.
-    """
+    """Yield the values of each metric in the runs that count (R,), in the order the metrics were measured in."""
     keys = list(dict.fromkeys(kind.key for kind in table.kinds))
     if not keys:  # no run holds a measurement
         return

@@ -68,13 +68,7 @@ def _plain(axis: Axis, ticks: Sequence[float]) -> None:
 
 
 def write_png(points: Sequence[Point], chosen: Recommended | None, path: Path) -> None:
-    """Write the station's plot as a picture.
-
-    Raises
-    ------
-    RefusedError
-        If there is nothing to draw, or the file cannot be written.
-    """
+    """Draw the station's frontier as a PNG picture. RefusedError if the file cannot be written."""
     if not any("force_error" in point.accuracy for point in points):
         raise RefusedError("there is no force error to draw", remedy="sweep the station's clock")
     try:

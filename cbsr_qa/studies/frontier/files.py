@@ -19,13 +19,7 @@ WRITTEN_BY: Final = "Written by cbsr-qa frontier"
 
 @dataclass(frozen=True, slots=True)
 class Files:
-    """Where to write; None for what is not wanted.
-
-    Parameters
-    ----------
-    recipe : the recommended setting, TOML.
-    output, png : page, and picture of the station's frontier.
-    """
+    """Where to write the recommended recipe, the page and the picture; None for what is not wanted."""
 
     recipe: Path | None = None
     output: Path | None = None
@@ -98,13 +92,7 @@ def _check_place(option: str, path: Path) -> None:
 
 
 def write_recipe(recommended: Recommended, path: Path) -> None:
-    """Write a recommended setting as a recipe that ``cbsr-qa run`` takes.
-
-    Raises
-    ------
-    RefusedError
-        If the file cannot be written, or one is there that was not written so.
-    """
+    """Write a setting as a recipe. RefusedError if the file cannot be written, or was not written so."""
     check_recipe(path)
     name = path.stem[:64] or "frontier"
     check_encodable("the recipe's name", name)

@@ -29,13 +29,11 @@ class TimeBasis(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """One value of a setting against known truth.
+    """One value of a setting against known truth, or its mean over seeds.
 
     Parameters
     ----------
-    value : in ``unit``; a mean over seeds where there are several.
-    stderr : standard error of that mean; None where the value is exact, or one seed says nothing about it.
-    unit : ``"1"`` for relative values.
+    stderr : of that mean; None where the value is exact, or one seed says nothing about it.
     better : whether more is more accurate (an overlap) or less (an error).
     """
 
@@ -64,17 +62,13 @@ class Point:
 
     Parameters
     ----------
-    clock : whose time the series is about.
-    series : sweep it belongs to, e.g. ``"forward-model"``; points are compared within one.
-    knobs : what was set.
+    series : sweep it belongs to; points are compared within one.
     accuracy : values against known truth by name; one that could not be determined is absent.
-    compute_s : time of the computer [s]: of one frame or one solution for imaging and forward models; None where it
-        was not measured.
+    compute_s : time of the computer [s], of one frame or one solution; None where it was not measured.
     station_s : time a sensor occupies the rig [s]; None for settings of the computer alone.
-    seeds : number of repetitions with other random numbers that values are means of; 1 where nothing is random.
-    note : what an engineer should know of it; may be empty.
+    seeds : repetitions with other random numbers; 1 where nothing is random.
     costs : what it costs besides, by name with the unit in it (``setup_s``, ``memory_bytes``, ``unknowns``).
-    pareto : whether it is worth its time: no other setting dominates it; None before points are compared.
+    pareto : whether no other setting dominates it; None before points are compared.
     """
 
     clock: TimeBasis
@@ -99,15 +93,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A point that is still to be measured, on its own and in any process.
-
-    Parameters
-    ----------
-    key : says what is measured and with which versions; the same in every process, so that a finished point is found
-        again.
-    what : the same for people.
-    run : measures it; can be pickled.
-    """
+    """A point that is still to be measured in any process; its key says what is measured and by which versions."""
 
     key: str
     what: str

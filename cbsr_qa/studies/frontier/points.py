@@ -17,13 +17,9 @@ DECIDES: Final = ("force_error",)
 
 
 def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
-    """Put the trials of each setting together.
+    """Put the trials of each setting together, with the time of the station [s] that the setting takes.
 
     Figures are root mean squares over the sensors; their standard error is that of the mean square, to first order.
-
-    Parameters
-    ----------
-    seconds : of the station that a setting takes.
     """
     groups: dict[tuple[str, Setting], list[Tried]] = {}
     for tried in trials:

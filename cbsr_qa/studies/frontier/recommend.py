@@ -96,13 +96,7 @@ _FORCE: Final = "force_error"
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What somebody wants; both may be given.
-
-    Parameters
-    ----------
-    force_error_N : at most.
-    budget_s : at most.
-    """
+    """What somebody wants: a force error [N] and a station time [s], at most."""
 
     force_error_N: float | None = None
     budget_s: float | None = None
@@ -110,12 +104,7 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class Recommended:
-    """The setting to take.
-
-    Parameters
-    ----------
-    why : in words, with the numbers it was chosen by.
-    """
+    """The setting to take, and why, with the numbers it was chosen by."""
 
     setting: Setting
     point: Point

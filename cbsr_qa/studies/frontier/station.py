@@ -35,14 +35,7 @@ QUICK_EVEN: Final = Setting(16)
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """A setting on one sensor.
-
-    Parameters
-    ----------
-    series : of the sweep.
-    errors : by name, see :func:`~cbsr_qa.studies.frontier.trial.errors_of`; empty where nothing could be learned.
-    why : that is; empty otherwise.
-    """
+    """A setting on one sensor: its errors by name (:data:`.trial.UNITS`), or why nothing could be learned."""
 
     series: str
     setting: Setting

@@ -33,14 +33,7 @@ Tell = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The setting to take.
-
-    Parameters
-    ----------
-    setting, accuracy, station_s : of it; None where none is recommended.
-    why : in words, with the numbers it was chosen by, or why none is recommended.
-    recipe : file that the setting was written to; None without one.
-    """
+    """The setting to take (None without one), why or why not, and the file its recipe was written to."""
 
     setting: Mapping[str, Knob] | None
     accuracy: Mapping[str, Accuracy] | None
@@ -51,14 +44,7 @@ class Recommendation:
 
 @dataclass(frozen=True, slots=True)
 class Frontier:
-    """What a sweep came to.
-
-    Parameters
-    ----------
-    quick : few settings and sensors.
-    chosen : what is recommended, as a setting; None where only the computer's clock was asked for, or nothing met
-        the wish.
-    """
+    """What a sweep came to; nothing is chosen if only the computer was swept, or nothing met the wish."""
 
     quick: bool
     points: tuple[Point, ...]

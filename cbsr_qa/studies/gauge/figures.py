@@ -21,12 +21,7 @@ _LEGEND_ROW_IN: Final = 0.15
 
 
 def six_panels(study: Study, components: Components, unit: str) -> str:
-    """Draw components, values by sensor and by appraiser, their interaction, and charts of ranges and means.
-
-    Returns
-    -------
-    The ``<svg>`` element.
-    """
+    """Draw components, values by sensor and appraiser, interaction, and charts of ranges and means (``<svg>``)."""
     shown, who = unit_shown(unit), study.appraiser
 
     def axis(of: str) -> str:

@@ -14,14 +14,7 @@ from cbsr_qa.studies.selection import not_measured
 
 @dataclass(frozen=True, slots=True)
 class Toleranced:
-    """One metric over the runs of a study, with its tolerance.
-
-    Parameters
-    ----------
-    series : its limits are those of the study where it states some, else those of the latest run's recipe.
-    tolerance : width, in the metric's unit, or None.
-    of : whose tolerance it is, ``"study"`` or ``"recipe"``; empty without a tolerance.
-    """
+    """One metric over the runs of a study, with its tolerance: that of the ``study`` or the ``recipe``, or None."""
 
     series: Series
     tolerance: float | None

@@ -181,17 +181,7 @@ def _of_text(text: str) -> ReferenceValue:
 def against_references(
     series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue], confidence: float
 ) -> AgainstReferences | None:
-    """Compare the runs of one metric with its reference values.
-
-    Parameters
-    ----------
-    appraisers : of each run of the series.
-    confidence : of intervals.
-
-    Returns
-    -------
-    None where no reference value is of this metric.
-    """
+    """Compare the runs of one metric with its reference values; None where there are none."""
     own = [one for one in references if one.metric == series.key.name]
     if not own:
         return None

@@ -26,15 +26,7 @@ _EVERY: Final = RunSelection()
 
 @dataclass(frozen=True, slots=True)
 class StudySource:
-    """The file a study was read from.
-
-    Parameters
-    ----------
-    name : what the study calls itself.
-    file : its path as it was given.
-    sha256 : of the file's text.
-    text : to find lines in.
-    """
+    """The file a study was read from, with the digest of its text, in which lines are found."""
 
     name: str
     file: str

@@ -95,12 +95,10 @@ class MetricGauge:
 
     Parameters
     ----------
-    lower, upper, tolerance : limits of the metric and the width that the gauge is compared with, in ``unit``.
-    tolerance_of : whose tolerance it is, ``"study"`` or ``"recipe"``; None without one.
+    tolerance, tolerance_of : the width that the gauge is compared with, of the ``"study"`` or the ``"recipe"``.
     runs : that have a value.
     missing : runs that a complete crossing lacks or has too many of, in words.
     why : why there is no study; ``sensors`` to ``average_range`` are None then.
-    references : None where no reference value is of this metric.
     crossing : the values that were studied, for the figure.
     """
 
@@ -139,9 +137,6 @@ class GaugeStudy:
     ----------
     study : the file that asked for it; None for options.
     since, until : first and last day of the runs, UTC, as asked for.
-    runs : identities of those that were studied.
-    simulated : whether any of them was.
-    notes : of all metrics alike, in sentences.
     """
 
     study: StudySource | None
@@ -163,10 +158,6 @@ class GaugeStudy:
 
 def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
     """Study a gauge on stored runs.
-
-    Parameters
-    ----------
-    database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
 
     Raises
     ------

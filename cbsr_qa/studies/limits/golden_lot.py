@@ -26,8 +26,6 @@ class LotChoice:
 
     Parameters
     ----------
-    runs : in which sensors, batch, recipe or days are named.
-    without : sensors that are left out, by name.
     include_failed : take runs that failed, or in which something could not be measured.
     allow_mixed : take runs of several recipes or software versions.
     """
@@ -61,12 +59,9 @@ class Lot:
 
     Parameters
     ----------
-    chosen : how, in words.
     sensors : serial → its runs, oldest first; sensors by serial.
     software : (distribution, version) of the first run's analysis.
-    left_out : sensors left out by name.
     not_good, mixed : what was accepted although it is not good, or not alike; in words.
-    simulated : what was simulated; empty for real benches.
     analysed : the same runs with their analyses.
     """
 

@@ -13,13 +13,7 @@ Taken = Mapping[MetricKey, tuple[Measurement, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """What one limit judges, in every run of a lot.
-
-    Parameters
-    ----------
-    sensors : serial → one tuple of measurements per run.
-    present : the limit it had in the latest run; None where it had none.
-    """
+    """What one limit judges in every run of a lot (one tuple a run), and the limit of the latest run, if any."""
 
     key: MetricKey
     unit: str
@@ -54,12 +48,7 @@ def _censored(run: Iterable[Measurement]) -> bool:
 
 
 def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, ...]:
-    """Group a lot's measurements.
-
-    Parameters
-    ----------
-    names : measurements wanted; none for those the lot's recipe limits, or all where it limits none.
-    everything : take all.
+    """Group a lot's measurements: the named ones, all, or those the recipe limits (all where it limits none).
 
     Raises
     ------

@@ -133,12 +133,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class NoLimit(Judged):
-    """A measurement without a proposed limit, and why.
-
-    Parameters
-    ----------
-    far_out : serials that lie far from the others.
-    """
+    """A measurement without a proposed limit, why, and the serials far from the others."""
 
     why: str
     far_out: tuple[str, ...] = ()
@@ -151,15 +146,13 @@ class ProposedLimit(Judged):
     Parameters
     ----------
     sensors, values : how many sensors have it, and how many values a run has.
-    sides : which are limited, in words.
     mean : of all values, every sensor alike.
-    lower, upper, marginal : the limit and its guard band, in ``unit``.
+    marginal : width of the guard band, in ``unit``.
     bounds : what each side rests on.
     positive : whether no value of the lot is zero or negative.
     risks : None where ``no_risks`` says why nobody can tell.
-    far_out : serials that lie far from the others; they are in the lot all the same.
-    without_far_out : what the limits would be without them; None where none lies far out.
-    present : the limit that the recipe has now; None where it has none.
+    far_out, without_far_out : serials far from the others, which are in the lot all the same; limits without them.
+    present : the limit that the recipe has now.
     lot_fails_present, lot_fails, lot_marginal : serials of the lot that fail the present limit, that fail the
         proposed one, and that pass it marginally.
     """

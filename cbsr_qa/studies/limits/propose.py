@@ -73,19 +73,15 @@ def propose_limits(
 
     Parameters
     ----------
-    choice, terms : which runs, and what is asked of the limits.
-    names : measurements; none for those the recipe limits now (all where it limits none).
-    everything : all measurements.
-    version : name of the version; by default the day and the first digits of the data's digest.
+    names, everything : measurements; by default those the recipe limits now (all where it limits none).
+    version : of the limits; by default the day and the first digits of the data's digest.
     output : must not exist yet.
-    database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
-    made : the day.
 
     Raises
     ------
     RefusedError
-        If the lot or what is asked of it cannot be used, or nothing can be proposed for a measurement that was
-        named, or for any; nothing is written then.
+        If the lot or what is asked of it cannot be used, or nothing can be proposed for a measurement that was named,
+        or for any; nothing is written then.
     """
     if version is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", version):
         raise RefusedError(
@@ -210,13 +206,7 @@ def _keys(table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a file that is not there yet, whole or not at all.
-
-    Raises
-    ------
-    RefusedError
-        If it exists, or its folder cannot be written to.
-    """
+    """Write a file, whole or not at all. RefusedError if it exists, or its folder cannot be written to."""
     refuse_existing(path)
     try:
         with written_whole(path) as file:

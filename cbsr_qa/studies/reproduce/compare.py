@@ -41,14 +41,11 @@ class PrintedRange:
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """What a publication prints of one quantity.
+    """What a publication prints of one quantity: a value with a deviation, or ranges alone.
 
     Parameters
     ----------
-    value : None where only ranges are printed.
-    deviation : printed behind ±; None where nothing is.
     half_digit : half a unit of the last printed digit.
-    band : of the value, where bands are compared.
     """
 
     value: float | None = None
@@ -60,15 +57,13 @@ class Printed:
 
 @dataclass(frozen=True, slots=True)
 class Ours:
-    """The same quantity of a simulated sensor.
+    """The same quantity of a simulated sensor (``"uniform"``, ``"bench"`` or ``"strip"``).
 
     Parameters
     ----------
-    simulated_on : ``"uniform"``, ``"bench"`` or ``"strip"``.
     value : None where it could not be determined; ``uncertainty_is`` then says why.
     count : number of values it is of.
     at_least : the value is a lower bound.
-    band : of the value, where bands are compared.
     """
 
     simulated_on: str
@@ -86,10 +81,6 @@ class ComparedRow:
 
     Parameters
     ----------
-    group : rows of one group stand together, e.g. ``"8 wt%"``.
-    name, unit : of the quantity.
-    kind : whether our number is an input of the simulation or follows from it.
-    paper, ours : the two that are compared.
     beside : further simulated ones, only shown.
     agrees : None where the two are not compared, or cannot be.
     reason : why they differ, or a remark if they do not.
@@ -109,14 +100,7 @@ class ComparedRow:
 
 @dataclass(frozen=True, slots=True)
 class ComparedTable:
-    """All rows of one printed table or figure.
-
-    Parameters
-    ----------
-    title : says that ours is a simulation.
-    notes : misprints and contradictions, and what holds for all rows.
-    agreeing, compared : how many rows agree, of how many that are compared.
-    """
+    """All rows of one printed table or figure; ``agreeing`` of the ``compared`` ones agree."""
 
     title: str
     notes: tuple[str, ...]
@@ -133,24 +117,14 @@ def compared_table(title: str, notes: tuple[str, ...], rows: Iterable[ComparedRo
 
 
 def within_digits(value: float, printed: float, half_digit: float, uncertainty: float) -> bool:
-    """Say whether a value agrees with one that is printed without a deviation.
-
-    Parameters
-    ----------
-    half_digit : half a unit of the last printed digit: the printed number may be rounded by as much.
-    uncertainty : standard deviation of our value; two of them are allowed.
-    """
+    """Say whether a value is within half a printed digit and two of our standard deviations of a printed one."""
     return abs(value - printed) <= half_digit + 2 * uncertainty
 
 
 def deviations_agree(ours: float, count: int, printed: float, printed_count: int) -> bool:
     """Say whether two standard deviations are within two standard errors of their difference.
 
-    The standard error of a deviation s of n normal values is s / √(2 (n − 1)).
-
-    Parameters
-    ----------
-    count, printed_count : numbers of values n, at least 2.
+    That of a deviation s of n ≥ 2 normal values is s / √(2 (n − 1)).
 
     Raises
     ------
@@ -174,17 +148,14 @@ def compared(
     why: str = "",
     printed_count: int = 0,
 ) -> ComparedRow:
-    """Compare by a rule.
+    """Compare by a rule the first of our values; the others are shown beside it.
+
+    ``agrees`` is None where we have no value, or only a lower bound that does not decide.
 
     Parameters
     ----------
-    simulated : the value to compare, then those shown beside it.
     why : the reason given where the two do not agree.
     printed_count : values behind a printed deviation, for ``Rule.SCATTER``.
-
-    Returns
-    -------
-    A row whose ``agrees`` is None where we have no value, or only a lower bound that does not decide.
     """
     ours, *beside = simulated
     agrees, note, printed, value = None, "", paper.value, ours.value

@@ -33,15 +33,7 @@ Values = SheetValues | StripValues
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What was simulated.
-
-    Parameters
-    ----------
-    source : the publication.
-    simulated, simulated_words : sensors, and the runs they went through.
-    quick : fewer trials and strains.
-    station_s : time the simulated station was at work.
-    """
+    """What was simulated: sensors, the runs they went through, and the time the simulated station was at work."""
 
     source: str
     simulated: tuple[str, ...]
@@ -63,12 +55,7 @@ class CentreForces:
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """The paper's tables beside ours.
-
-    Parameters
-    ----------
-    presses : what the force figure shows.
-    """
+    """The paper's tables beside ours; ``presses`` are what the force figure shows."""
 
     about: About
     table1: ComparedTable
@@ -98,9 +85,7 @@ def published() -> dict[str, Any]:
 def reproduce_paper(
     *, quick: bool = False, tell: Callable[[str], None] = lambda words: None, processes: int | None = None
 ) -> Reproduction:
-    """Simulate the paper's measurements on shipped recipes, and compare.
-
-    Nothing is stored: runs lie in temporary databases, and the user's is not opened.
+    """Simulate the paper's measurements on shipped recipes, and compare; nothing is stored.
 
     Parameters
     ----------

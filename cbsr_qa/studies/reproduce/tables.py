@@ -33,17 +33,7 @@ _SPATIAL: Final = (("E_CoM", "mm"), ("A_OL", "%"), ("SD", "mm²"))
 
 
 def compared_tables(paper: Tables, sheets: Sheets, strips: Strips) -> dict[str, ComparedTable]:
-    """Compare everything.
-
-    Parameters
-    ----------
-    paper : the printed numbers, as in the shipped file ``published/ellingham.toml``.
-    sheets : the uniform sheet of both materials, and the bench sheet where it was simulated.
-
-    Returns
-    -------
-    By the key of each table.
-    """
+    """Compare the printed numbers of the shipped ``published/ellingham.toml`` with ours, table by table."""
     rows: dict[str, Iterator[ComparedRow]] = {
         "table1": _table1(paper, sheets, strips),
         "table2": _table2(paper, sheets),

@@ -69,9 +69,7 @@ def explain_scene(
 
     Parameters
     ----------
-    scene : path or shipped name.
     measure : whether frames are taken to measure costs.
-    tell, progress : called with what the computer is busy with, and with measurements done and of all.
 
     Raises
     ------

@@ -31,13 +31,11 @@ class SceneRunRequest:
 
 @dataclass(frozen=True, slots=True)
 class RecordedLoad:
-    """A load as it was commanded and timed, and where and to which strain it truly pressed.
+    """A load as it was commanded and timed, and where it truly pressed, and how far (no place if it never touched).
 
     Parameters
     ----------
-    touch_s : when the head reaches the nominal surface. clear_s : when it leaves it.
-    true_x_mm, true_y_mm : None where it never touched.
-    remark : what to know of it, e.g. that the head is partly over the sheet's edge.
+    touch_s, clear_s : when the head reaches the nominal surface, and leaves it.
     """
 
     label: str
@@ -63,8 +61,7 @@ class SceneRun:
 
     Parameters
     ----------
-    sensor_type, material : names of what was simulated.
-    frames, frames_lost : taken, and of these cut by lost rows. dumps : pauses of a board.
+    frames_lost, dumps : frames cut by lost rows, and pauses of a board.
     duration_s : when the last frame is over, pauses included.
     files : the HDF5 recording first.
     analyse : the command to try with the recording.
@@ -92,11 +89,6 @@ def run_scene(
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> SceneRun:
     """Simulate a scene and write what its station would have recorded.
-
-    Parameters
-    ----------
-    tell : called with what the computer is busy with.
-    progress : called with the number of frames taken and of all.
 
     Raises
     ------

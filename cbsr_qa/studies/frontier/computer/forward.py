@@ -114,8 +114,7 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
 def memory_bytes(elements: FiniteElements, electrodes: int) -> float:
     """What a prepared sheet holds [bytes]: factors, matrix, element matrices, potentials of its electrodes.
 
-    The factors' entries are counted by factorising a homogeneous sheet with the order of elimination that the forward
-    model uses; that of contacts is left out, which is a part in a thousand.
+    The factors of contacts are left out: a part in a thousand.
     """
     cells, stiffness = elements.cells, elements.stiffness
     k = cells.shape[1]

@@ -50,14 +50,7 @@ Prepare = Callable[[ImagingProblem], PreparedReconstruction]
 
 @dataclass(frozen=True, slots=True)
 class MethodSetting:
-    """A registered reconstruction with options.
-
-    Parameters
-    ----------
-    name : of the plugin.
-    options : that differ from its defaults.
-    smoothing : name of the option by which λ, or what stands for it, is given; empty where there is none.
-    """
+    """A registered reconstruction, its options that are not default, and the option that gives λ (empty if none)."""
 
     name: str
     options: Options = ()
@@ -73,10 +66,8 @@ RECIPES_METHOD: Final = MethodSetting(
 def registered_methods() -> Iterator[MethodSetting]:
     """Registered reconstructions that image single frames as differences, with what they are given λ by.
 
-    Those that want the frames beside a frame, or a sensor's own readings, are left out, and those that say when they
-    are made that something they need is not installed. A method is tried with other λ than its own only where its
-    ``prepare`` declares to return one matrix (:class:`~cbsr_qa.domain.results.LinearReconstruction`): images
-    of the others take so long that a sweep of λ would be minutes.
+    Left out are those that want neighbouring frames or a sensor's own readings, or that are not installed. λ is
+    varied only where ``prepare`` declares to return one matrix: images of others take too long.
     """
     plugins = discover()
     for name in plugins.names(Kind.RECONSTRUCTION):
@@ -98,14 +89,13 @@ def _smoothing_of(factory: Callable[..., Any]) -> str:
 
 
 def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
-    """Measure one method with one λ on the base scene's nine loads.
+    """Measure one method with one λ on the base scene's nine loads; a refusal is a point with the reason as its note.
 
     ``compute_s`` is the image of one frame, ``setup_s`` preparing the method for a problem that is there already.
-    A setting that the method refuses is a point without figures, with the reason as its note.
 
     Parameters
     ----------
-    factor : λ, or the number of components, over the method's own choice; 1 for the choice itself.
+    factor : λ, or the number of components, over the method's own choice.
     seeds : simulated sensors; methods that are not one matrix get two.
     """
     knobs: dict[str, Knob] = {"method": method.name, **dict(method.options), "smoothing_over_own": factor}
@@ -120,11 +110,7 @@ def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
 
 
 def mesh_point(method: MethodSetting, image_size_mm: float, seeds: int) -> Point:
-    """Measure one density of the image's mesh.
-
-    ``setup_s`` is everything from the voltages' model on: the mesh, its Jacobian, and preparing the method with its
-    own choice of λ.
-    """
+    """Measure one density of the image's mesh; ``setup_s`` is mesh, Jacobian, and the method with its own λ."""
     readings = base_scene_readings(seeds)
     knobs: dict[str, Knob] = {"method": method.name, **dict(method.options), "image_size_mm": image_size_mm}
     problem = imaging_problem(readings.sensor_type, image_size_mm=image_size_mm)
@@ -206,16 +192,10 @@ def _smoothed(method: MethodSetting, value: float, problem: ImagingProblem) -> P
 
 
 def precision_point(precision: str, batch: int) -> Point:
-    """Measure the matrix of the shipped recipes on blocks of simulated changes.
+    """Measure the matrix of the shipped recipes on blocks of simulated changes, in float32 or float64.
 
-    ``compute_s`` is the time of one frame of a block, rounding of the readings to the precision included. The error
-    is the largest ‖x − x₀‖/‖x₀‖ of nine loads' images, made in blocks of this size, with x₀ computed in the longest
-    floating-point numbers of the machine.
-
-    Parameters
-    ----------
-    precision : ``"float32"`` or ``"float64"``, of matrix, readings and sums.
-    batch : frames in a block.
+    ``compute_s`` is the time of one frame of a block, rounding of the readings included. The error is the largest
+    ‖x − x₀‖/‖x₀‖ of nine loads' images, with x₀ computed in the longest floating-point numbers of the machine.
     """
     matrix, changes = _matrix(), _changes()
     block = np.resize(changes, (batch, changes.shape[1]))

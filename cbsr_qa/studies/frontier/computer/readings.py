@@ -36,11 +36,9 @@ class SimulatedReadings:
 
     Parameters
     ----------
-    sensor_type : that was simulated.
-    heads : where its indenter pressed, n places.
     unloaded : (seeds, frames, drives, measures) [V], of the rested sheet: those of the noise floor, then those of
         the reference.
-    loaded : (seeds, n, drives, measures) [V], each the mean of the last frames of a hold.
+    loaded : (seeds, n, drives, measures) [V] under n heads, each the mean of the last frames of a hold.
     """
 
     sensor_type: SensorType
@@ -53,8 +51,7 @@ class SimulatedReadings:
 def base_scene_readings(seeds: int) -> SimulatedReadings:
     """Simulate the shipped base scene's nine loads of 20 % strain, with seeds from 1 on; once per process.
 
-    The scene's loads press one at a time with so long a rest between them that nothing of the one before is left;
-    everything else is as in the scene: its sheet, material, noise and error of the sheet's seat.
+    Loads press so far apart in time that nothing of the one before is left; all else is as in the scene.
 
     Raises
     ------
@@ -122,14 +119,10 @@ _FIGURES: Final[dict[str, tuple[str, Literal["more", "less"]]]] = {
 
 
 def figures_of_merit(prepared: PreparedReconstruction, readings: SimulatedReadings) -> dict[str, Accuracy]:
-    """Return mean E_CoM, A_OL and SD over the nine places, and the share of loads that leave no blob.
+    """Return mean E_CoM, A_OL and SD over the nine places with standard errors, and the share of loads missed.
 
     As a run of the shipped recipes does: changes against the mean of the reference frames, the noise floor of the
     unloaded images subtracted, the 85 % mask bounded by a contour, the region nearest to the head.
-
-    Returns
-    -------
-    By name, with the standard error of the mean over sensors; ``missed`` always, the others where a load was seen.
     """
     seen = np.array([_sensor(prepared, readings, number) for number in range(len(readings.loaded))])
     figures = {"missed": _mean(np.isnan(seen[:, :, 0]).mean(axis=1), "1")}
