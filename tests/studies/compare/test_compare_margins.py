@@ -1,23 +1,19 @@
 """Margins and differences to be found: what is adjusted, which interval decides, and how many sensors it takes."""
 
 import re
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
+from compared_fleets import ERROR, compared, json_of
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.domain.results import RunSelection
-from cbsr_qa.report import json_document, number, render_sections, terminal_lines
+from cbsr_qa.report import number, render_sections, terminal_lines
 from cbsr_qa.stats import power, power_of_equivalence
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare import Adjustment, By, Terms, compare_groups, compare_outcome
+from cbsr_qa.studies.compare import Adjustment, By
 
 pytestmark = pytest.mark.rest
-
-NOW = datetime(2026, 12, 24, tzinfo=UTC)
-ERROR = "centre_of_mass_error"
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +26,6 @@ def url(tmp_path_factory):
             values = judged(measured(random, random.standard_normal(3)))
             store_run(store, f"S-{number:02d}", values, batch=("41", "42", "43")[number % 3], station="A")
     return found
-
-
-def compared(url, by=By.BATCH, **terms):
-    return compare_outcome(compare_groups(RunSelection(), Terms(by, **terms), database=url, now=NOW))
-
-
-def json_of(made):
-    return json_document(made.result)
 
 
 def printed(made):
@@ -94,14 +82,10 @@ def test_sensors_to_find_are_of_the_stated_difference_and_those_to_show_of_the_m
     ):
         by, fewer = (succeeds(size / one["deviation"], n, n) for n in (count, count - 1))
         assert fewer < 0.8 <= by
-    assert printed(made)[find(made, "that would find a difference with 80 %") + 2].split()[-1] == str(
-        one["sensors_needed"]
-    )
+    lines = printed(made)
+    heading = next(number for number, line in enumerate(lines) if "that would find a difference with 80 %" in line)
+    assert lines[heading + 2].split()[-1] == str(one["sensors_needed"])
     assert any("one test at the level 0.05 succeeds with 80 %" in rule for rule in made.result.rules)
-
-
-def find(made, words):
-    return next(number for number, line in enumerate(printed(made)) if words in line)
 
 
 def test_a_margin_below_the_estimate_is_shown_by_no_number_of_sensors(url):

@@ -87,6 +87,9 @@ def test_a_load_that_cannot_be_is_refused_by_its_key(tmp_path, table, key, found
     assert allowed in line
 
 
+_OUTLINE = "outline_mm = [[0, 0], [9, 0], [0, 9]]"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -97,11 +100,7 @@ def test_a_load_that_cannot_be_is_refused_by_its_key(tmp_path, table, key, found
         ("seed = 7", "seed = -7", "recording.seed is -7"),
         ("seed = 7", "seed = 2147483648", "recording.seed is 2147483648"),
         ("[recording]", "[head]\nhover_mm = 0.1\n\n[recording]", "head.hover_mm is 0.1"),
-        (
-            "[recording]",
-            "[head]\ndiameter_mm = 9.0\noutline_mm = [[0, 0], [9, 0], [0, 9]]\n\n[recording]",
-            "head.diameter",
-        ),
+        ("[recording]", f"[head]\ndiameter_mm = 9.0\n{_OUTLINE}\n\n[recording]", "head.diameter"),
         ("sheet_mesh_size_mm = 8.0", "sheet_mesh_size_mm = 0.1", "sheet_mesh_size_mm is 0.1; on this sheet it must"),
     ],
 )
