@@ -10,9 +10,8 @@ from cbsr_qa.analysis.run import run_force
 from cbsr_qa.config import Configuration, DocumentKind
 from cbsr_qa.domain import NotReproducedError
 from cbsr_qa.plugin import discover
-from cbsr_qa.studies import simulated
 from cbsr_qa.studies.reproduce.values import SheetValues, StripValues, sheet_values, strip_values
-from cbsr_qa.studies.simulated import shipped
+from cbsr_qa.studies.simulated import configuration_of as merged, shipped, simulated_run
 from cbsr_qa.system import Stages
 
 #: Of every simulated sensor; the first there is, not chosen for what comes out.
@@ -89,7 +88,7 @@ def simulate(job: Job) -> SheetValues | StripValues:
     """
     started, plugins = time.perf_counter(), discover()
     configuration = configuration_of(job)
-    record, _ = simulated.simulated_run(configuration, "REPRODUCED", plugins)
+    record, _ = simulated_run(configuration, "REPRODUCED", plugins)
     conclusion = evaluate_run(record, configuration.recipe, plugins, Stages())
     if conclusion.characterisation is not None:
         return strip_values(conclusion.characterisation, record.station_s, time.perf_counter() - started)
@@ -124,4 +123,4 @@ def configuration_of(job: Job) -> Configuration:
     replaced = (_QUICK if job.quick else _SHORTER).get(job.sheet, {})
     for phase in recipe["phases"]:
         phase.update(replaced.get(phase["name"], {}))
-    return simulated.configuration_of(station, recipe, f"cbsr-{job.percent}wt", seed=job.seed)
+    return merged(station, recipe, f"cbsr-{job.percent}wt", seed=job.seed)

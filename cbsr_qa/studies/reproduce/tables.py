@@ -97,7 +97,7 @@ def _table3(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
             rule, why = Rule.DEVIATION, WHY[f"{name} mask"]
             if name == "A_OL":
                 rule, why = Rule.BAND, f"{why} Our mean A_b/A_FA is {both[0].size_ratio[number][1]:.1f}."
-            ours = [sheet.by_mask[number][1][0][column] for sheet in both]
+            ours = [sheet.by_mask[number][1][column] for sheet in both]
             group = f"mask {100 * mask:g} %"
             yield compared(group, name, unit, ValueOrigin.OUTCOME, rule, Printed(*row[column]), ours, why=why)
 
@@ -107,7 +107,7 @@ def _table4(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for number, (place, _) in enumerate(both[0].by_place):
         row = paper["table4_8wt_20pct_85"][place]
         for column, (name, unit) in enumerate(_SPATIAL):
-            ours = [sheet.by_place[number][1][0][column] for sheet in both]
+            ours = [sheet.by_place[number][1][column] for sheet in both]
             why = WHY["contradiction"] if place in ("L0", "L1", "L8") and name == "SD" else WHY[f"{name} place"]
             printed = Printed(*row[column])
             yield compared(place, name, unit, ValueOrigin.OUTCOME, Rule.DEVIATION, printed, ours, why=why)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run import ForceTest, RunForce
+from cbsr_qa.analysis.run import RunForce
 from cbsr_qa.calibration.fits import restricted_mean
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Characterisation, FittedLine, LoadObservation, Measurement, RunObservation
@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 _FLOOR_FRAMES: Final = 8
 #: Strain of Tables 3 and 4.
 _TABLE_STRAIN: Final = 0.2
-#: (mean, deviation) of error [mm], overlap [%], deviation [mm²], and the number of frames.
-Spatial = tuple[tuple[Ours, Ours, Ours], int]
+#: Mean and deviation of error [mm], overlap [%] and deviation [mm²] over frames.
+Spatial = tuple[Ours, Ours, Ours]
 _METRICS: Final = ("centre_of_mass_error", "area_overlap", "shape_deviation")
 
 
@@ -30,11 +30,8 @@ class ForcePress:
     """Force of one press, by the load cell and by one response for the whole sheet [N]."""
 
     place: str
-    strain: float
-    trial: int
     measured_N: float
     global_N: float
-    mapped_N: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +111,9 @@ def sheet_values(
         random=_random(run, measurements, sheet),
         size_ratio=tuple((mask, _size_ratio(run, mask)) for mask in run.settings.masks),
         settlings=tuple(_settlings(run, measurements, sheet)),
-        presses=tuple(_press(test) for test in force.tests),
+        presses=tuple(
+            ForcePress(test.load.record.load.label, test.measured_N, test.global_N) for test in force.tests
+        ),
         stress_slope_per_kPa=slope,
         head_mm2=run.record.indenter.area_mm2,
         station_s=station_s,
@@ -216,13 +215,13 @@ def _spatial(run: RunObservation, mask: float, sheet: str, place: str = "") -> S
     seen = np.isfinite(taken[0])
     if seen.sum() < 2:
         nothing = Ours(sheet, None, uncertainty_is="no blob was seen")
-        return (nothing, nothing, nothing), 0
+        return nothing, nothing, nothing
     lost = int((~seen).sum())
     of_words = f"deviation over {int(seen.sum())} held frames" + (f"; {lost} without a blob" if lost else "")
     error, overlap, deviation = (
         Ours(sheet, float(one[seen].mean()), float(one[seen].std(ddof=1)), of_words, int(seen.sum())) for one in taken
     )
-    return (error, overlap, deviation), int(seen.sum())
+    return error, overlap, deviation
 
 
 def _size_ratio(run: RunObservation, mask: float) -> float:
@@ -278,8 +277,3 @@ def _mean_settling(loads: Sequence[LoadObservation], loading: bool, sheet: str) 
     mean_s, deviation_s = restricted_mean([time_s for time_s, _ in known], [censored for _, censored in known])
     of = f"standard error; {counted}" + (f", {late} not settled" if late else "")
     return Ours(sheet, mean_s, deviation_s / len(known) ** 0.5, of, len(known), late > 0)
-
-
-def _press(test: ForceTest) -> ForcePress:
-    load = test.load.record.load
-    return ForcePress(load.label, load.strain, load.trial, test.measured_N, test.global_N, test.known_N)

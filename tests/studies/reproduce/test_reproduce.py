@@ -32,7 +32,7 @@ def _sheet(paper, sheet, percent):
         return Ours(sheet, value, spread, "by hand", 18)
 
     def spatial(rows):
-        return tuple(ours(*row) for row in rows), 72
+        return tuple(ours(*row) for row in rows)
 
     masks, places = paper["table3_8wt_20pct_by_threshold"], paper["table4_8wt_20pct_85"]
     errors, deviations = (paper[name]["rows"] for name in ("table5_random_E_CoM_mm", "tableF6_random_SD"))
@@ -50,7 +50,7 @@ def _sheet(paper, sheet, percent):
         random=tuple((ours(*a[column]), ours(*b[column])) for a, b in zip(errors, deviations, strict=True)),
         size_ratio=tuple((p, 1.0) for p in (0.25, 0.5, 0.75, 0.85)),
         settlings=tuple(SettlingOf(0.2, loading, ours(30.0, 1.0)) for loading in (True, False)),
-        presses=tuple(ForcePress("L0", 0.2, k, 3.0, 3.0 + sign * spread, 3.0) for k, sign in enumerate(signs)),
+        presses=tuple(ForcePress("L0", 3.0, 3.0 + sign * spread) for sign in signs),
         stress_slope_per_kPa=paper["gauge_factor"][key] / material["E_kPa"],
         head_mm2=132.7,
         station_s=60.0,

@@ -46,11 +46,11 @@ def test_a_uniform_sheet_has_the_resistance_it_was_given_and_the_noise_figure_it
 def test_loads_are_seen_where_they_were_pressed_at_every_mask_place_and_random_load(sheet):
     assert [mask for mask, _ in sheet.by_mask] == [0.25, 0.5, 0.75, 0.85]
     assert [place for place, _ in sheet.by_place] == [f"L{k}" for k in range(9)]
-    for _, ((error, overlap, deviation), frames) in (*sheet.by_mask, *sheet.by_place):
+    for _, (error, overlap, deviation) in (*sheet.by_mask, *sheet.by_place):
         assert error.value < 6.5  # the head's radius
         assert 50 < overlap.value <= 100
         assert deviation.value > 0
-        assert frames >= 20
+        assert error.count >= 20
     assert len(sheet.random) == 10
     assert sum(error.value is not None and error.value < 6.5 for error, _ in sheet.random) >= 8
 
