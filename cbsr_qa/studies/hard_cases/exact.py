@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.sheet import ResponseMap
 
 Array = NDArray[np.float64]
+#: Of mpmath numbers.
+_Exact = NDArray[np.object_]
 #: In extended precision, 64 bits of mantissa.
 Long = NDArray[np.longdouble]
 
@@ -137,31 +139,22 @@ def _in_parts(value: Any) -> tuple[float, float, float]:
 def exact_line(x: Array, y: Array, stderr: Array) -> tuple[Any, Any]:
     """Slope and intercept of weighted least squares."""
     with mp.workdps(DIGITS):
-        points = [
-            (mp.mpf(float(a)), mp.mpf(float(b)), 1 / mp.mpf(float(s)) ** 2)
-            for a, b, s in zip(x, y, stderr, strict=True)
-        ]
-        total = mp.fsum(w for _, _, w in points)
-        x_mean = mp.fsum(w * a for a, _, w in points) / total
-        y_mean = mp.fsum(w * b for _, b, w in points) / total
-        size = mp.fsum(w * (a - x_mean) ** 2 for a, _, w in points)
-        slope = mp.fsum(w * (a - x_mean) * (b - y_mean) for a, b, w in points) / size
-        return slope, y_mean - slope * x_mean
+        a, b, errors = (_exact(values) for values in (x, y, stderr))
+        w = 1 / errors**2
+        a_mean, b_mean = (w @ a) / w.sum(), (w @ b) / w.sum()
+        slope = w @ ((a - a_mean) * (b - b_mean)) / (w @ (a - a_mean) ** 2)
+        return slope, b_mean - slope * a_mean
 
 
 def line_condition(x: Array, y: Array, stderr: Array) -> float:
     """Σ |x ∂s/∂x| + Σ |y ∂s/∂y| over |s|: what small relative changes of every place and value make of a slope s."""
     slope, intercept = exact_line(x, y, stderr)
     with mp.workdps(DIGITS):
-        weight = [1 / mp.mpf(float(value)) ** 2 for value in stderr]
-        places, values = ([mp.mpf(float(value)) for value in some] for some in (x, y))
-        middle = mp.fsum(w * a for w, a in zip(weight, places, strict=True)) / mp.fsum(weight)
-        size = mp.fsum(w * (a - middle) ** 2 for w, a in zip(weight, places, strict=True))
-        moved = mp.fsum(
-            w * (abs(a * (b - intercept - slope * a - slope * (a - middle))) + abs(b * (a - middle)))
-            for w, a, b in zip(weight, places, values, strict=True)
-        )
-        return float(moved / size / abs(slope))
+        a, b, errors = (_exact(values) for values in (x, y, stderr))
+        w = 1 / errors**2
+        away = a - (w @ a) / w.sum()
+        moved = w @ (np.abs(a * (b - intercept - slope * a - slope * away)) + np.abs(b * away))
+        return float(moved / (w @ away**2) / abs(slope))
 
 
 def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> float:
@@ -169,7 +162,7 @@ def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> fl
     conditions = []
     for process in learned.members:
         with mp.workdps(DIGITS):
-            alike = np.array(_correlations(places_mm, places_mm, process.smooth, process.length_mm), dtype=np.float64)
+            alike = _correlations(places_mm, places_mm, process.smooth, process.length_mm).astype(np.float64)
         noise = variance + process.scatter**2 + _LEAST_VARIANCE
         conditions.append(float(np.linalg.cond(process.deviation**2 * alike + np.diag(noise))))
     return max(conditions)
@@ -183,77 +176,59 @@ def exact_map(
     Rasmussen & Williams 2006, equations 2.25, 2.26, 2.42 and 2.45; ``learned`` only says which processes were kept.
     """
     with mp.workdps(DIGITS):
-        y = [mp.mpf(float(value)) for value in values]
         kinds = {(process.smooth, process.length_mm) for process in learned.members}
         alike = {kind: _correlations(places_mm, np.vstack([places_mm, wanted_mm]), *kind) for kind in kinds}
-        processes = []
+        scores, means, variances = [], [], []
         for process in learned.members:
-            noise = [mp.mpf(float(v)) + mp.mpf(process.scatter) ** 2 + _LEAST_VARIANCE for v in variance]
-            processes.append(_process(alike[process.smooth, process.length_mm], mp.mpf(process.deviation), noise, y))
-        scores = [
-            score
-            + mp.log(process.deviation)
-            - mp.log1p((mp.mpf(process.deviation) / _USUAL_DEVIATION) ** 2)
-            - mp.mpf(process.scatter) / _USUAL_SCATTER
-            for process, (score, _, _) in zip(learned.members, processes, strict=True)
-        ]
-        top = max(scores)
-        weights = [mp.exp(score - top) for score in scores]
-        return _mixed([weight / mp.fsum(weights) for weight in weights], processes)
+            deviation, scatter = mp.mpf(process.deviation), mp.mpf(process.scatter)
+            noise = _exact(variance) + scatter**2 + _LEAST_VARIANCE
+            score, mean, own = _process(alike[process.smooth, process.length_mm], deviation, noise, _exact(values))
+            usual = mp.log1p((deviation / _USUAL_DEVIATION) ** 2) + scatter / _USUAL_SCATTER
+            scores.append(score + mp.log(deviation) - usual)
+            means.append(mean)
+            variances.append(own)
+        weights = np.array([mp.exp(score - max(scores)) for score in scores], dtype=object)
+        weights /= weights.sum()
+        mean = weights @ np.array(means)
+        return mean.tolist(), (weights @ (np.array(variances) + (np.array(means) - mean) ** 2)).tolist()
 
 
-def _mixed(weights: list[Any], processes: Sequence[tuple[Any, list[Any], list[Any]]]) -> tuple[list[Any], list[Any]]:
-    means, variances = [], []
-    for place in range(len(processes[0][1])):
-        mean = mp.fsum(w * process[1][place] for w, process in zip(weights, processes, strict=True))
-        parts = (
-            w * (process[2][place] + (process[1][place] - mean) ** 2)
-            for w, process in zip(weights, processes, strict=True)
-        )
-        means.append(mean)
-        variances.append(mp.fsum(parts))
-    return means, variances
-
-
-def _process(
-    alike: list[list[Any]], deviation: Any, noise: list[Any], y: list[Any]
-) -> tuple[Any, list[Any], list[Any]]:
+def _process(alike: _Exact, deviation: Any, noise: _Exact, y: _Exact) -> tuple[Any, _Exact, _Exact]:
     """Logarithm of the marginal likelihood, and means and variances at the wanted places, of one process."""
     count, square = len(y), deviation**2
-    covariance = mp.matrix([[square * entry for entry in row[:count]] for row in alike]) + mp.diag(noise)
-    root = mp.cholesky(covariance)
-    ones, seen = (_forward(root, right) for right in ([mp.mpf(1)] * count, y))
-    information = mp.fdot(ones, ones)
-    level = mp.fdot(ones, seen) / information
-    left = [b - level * a for a, b in zip(ones, seen, strict=True)]
-    logarithms = mp.fsum(mp.log(root[i, i]) for i in range(count)) + mp.log(information) / 2
-    means, variances = [], []
-    for place in range(count, len(alike[0])):
-        towards = _forward(root, [square * row[place] for row in alike])
-        means.append(level + mp.fdot(towards, left))
-        free = 1 - mp.fdot(ones, towards)
-        variances.append(square - mp.fdot(towards, towards) + free**2 / information)
-    return -mp.fdot(left, left) / 2 - logarithms, means, variances
+    root = np.array(mp.cholesky(mp.matrix(square * alike[:, :count] + np.diag(noise))).tolist(), dtype=object)
+    solved = _forward(root, np.column_stack([np.full(count, mp.one), y, square * alike[:, count:]]))
+    ones, seen, towards = solved[:, 0], solved[:, 1], solved[:, 2:]
+    information = ones @ ones
+    level = ones @ seen / information
+    left = seen - level * ones
+    logarithms = mp.fsum(map(mp.log, root.diagonal())) + mp.log(information) / 2
+    free = 1 - ones @ towards
+    variances = square - (towards**2).sum(axis=0) + free**2 / information
+    return -(left @ left) / 2 - logarithms, level + left @ towards, variances
 
 
-def _correlations(places_mm: Array, others_mm: Array, smooth: bool, length_mm: float) -> list[list[Any]]:
-    """Gaussian or Matérn 5/2 correlations of places."""
-    length = mp.mpf(length_mm)
-    rows = []
-    for x, y in places_mm.tolist():
-        apart = [mp.hypot(mp.mpf(x) - u, mp.mpf(y) - v) / length for u, v in others_mm.tolist()]
-        far = [mp.sqrt(5) * r for r in apart]
-        matern = [(1 + f + f**2 / 3) * mp.exp(-f) for f in far]
-        rows.append([mp.exp(-(r**2) / 2) for r in apart] if smooth else matern)
-    return rows
+def _correlations(places_mm: Array, others_mm: Array, smooth: bool, length_mm: float) -> _Exact:
+    """Gaussian or Matérn 5/2 correlations of places (n, o)."""
+    steps = _exact(places_mm)[:, None] - _exact(others_mm)
+    apart = np.frompyfunc(mp.hypot, 2, 1)(steps[..., 0], steps[..., 1]) / mp.mpf(length_mm)
+    exponential, far = np.frompyfunc(mp.exp, 1, 1), mp.sqrt(5) * apart
+    correlations: _Exact = exponential(-(apart**2) / 2) if smooth else (1 + far + far**2 / 3) * exponential(-far)
+    return correlations
 
 
-def _forward(root: Any, right: list[Any]) -> list[Any]:
-    """Solve L z = b with an mpmath matrix L."""
-    solved: list[Any] = []
-    for i, value in enumerate(right):
-        solved.append((value - mp.fdot((root[i, j], known) for j, known in enumerate(solved))) / root[i, i])
+def _forward(root: _Exact, right: _Exact) -> _Exact:
+    """Solve L z = B of a lower triangle."""
+    solved = right.copy()
+    for row, line in enumerate(root):
+        solved[row] = (solved[row] - line[:row] @ solved[:row]) / line[row]
     return solved
+
+
+def _exact(values: Array) -> _Exact:
+    """The very doubles, as numbers of any precision."""
+    numbers: _Exact = np.frompyfunc(mp.mpf, 1, 1)(np.asarray(values, dtype=np.float64).astype(object))
+    return numbers
 
 
 def mean_exponential(time_s: float, tau_s: float, ramp_s: float, frame_s: float) -> tuple[Any, Any]:
