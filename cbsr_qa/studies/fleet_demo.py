@@ -137,7 +137,7 @@ def designed() -> Iterator[_Run]:
     """
     for recipe in (ONE_STATION, THIRD_ON_ALL):
         for batch in range(len(BATCHES)):
-            homes = [batch] * _AT_HOME + [(batch + 1 + one % 2) % len(STATIONS) for one in range(_SENSORS - _AT_HOME)]
+            homes = [batch] * _AT_HOME + [(batch + 1 + k % 2) % len(STATIONS) for k in range(_SENSORS - _AT_HOME)]
             for sensor in range(_SENSORS):
                 home = homes[3 * sensor % _SENSORS]
                 everywhere = recipe == THIRD_ON_ALL and sensor % 3 == 0
@@ -166,12 +166,12 @@ def _make_room(path: Path) -> None:
 
 def _figures(run: _Run, sensor: np.ndarray, random: np.random.Generator) -> dict[str, np.ndarray]:
     """Draw the figures of one run: (places,) of each metric, or (1,)."""
-    found = {}
+    figures = {}
     for metric, deviation in zip(DRAWN, sensor, strict=True):
         systematic = metric.batch * (BATCHES[run.batch] == "43") + metric.station * (STATIONS[run.station] == "B")
         level = metric.mean + metric.sensor * (systematic + deviation) + metric.run * random.standard_normal()
-        found[metric.name] = level + metric.place * random.standard_normal(9 if metric.place else 1)
-    return found
+        figures[metric.name] = level + metric.place * random.standard_normal(9 if metric.place else 1)
+    return figures
 
 
 def _configuration(run: _Run) -> Configuration:
@@ -238,11 +238,11 @@ def _documents(identity: RunIdentity) -> Iterator[RunEvent]:
 
 def _measurements(figures: dict[str, np.ndarray], configuration: Configuration) -> tuple[Measurement, ...]:
     limits = {limit.measurement: limit for limit in configuration.recipe.limits}
-    found = []
+    measurements = []
     for metric in DRAWN:
         for number, value in enumerate(figures[metric.name]):
-            one = Measurement(metric.name, float(value), metric.unit, how="drawn from a statistical model")
+            measured = Measurement(metric.name, float(value), metric.unit, how="drawn from a statistical model")
             if metric.place:
-                one = replace(one, phase=_PHASE, location=f"L{number}", trial=0, load=number, strain=0.2)
-            found.append(one.judged(limits[metric.name]))
-    return tuple(found)
+                measured = replace(measured, phase=_PHASE, location=f"L{number}", trial=0, load=number, strain=0.2)
+            measurements.append(measured.judged(limits[metric.name]))
+    return tuple(measurements)

@@ -73,8 +73,8 @@ def charts(
         why=why,
     )
     check_page(output)  # before anything is worked out or stored
-    found = charts_outcome(control_charts(request, database=database))
-    raise typer.Exit(show(found, output=output, as_json=as_json))
+    outcome = charts_outcome(control_charts(request, database=database))
+    raise typer.Exit(show(outcome, output=output, as_json=as_json))
 
 
 def _check_stored_holds(of_new: Mapping[str, object]) -> None:

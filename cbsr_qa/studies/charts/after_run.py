@@ -49,7 +49,7 @@ def charts_after(
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
-        members = [one for one in references if (one.recipe, one.golden) == (recipe, golden)]
+        members = [held for held in references if (held.recipe, held.golden) == (recipe, golden)]
         table = store.fleet(_looked_at(identity.station, members, until))
         figures = reference_figures(table, members)
         lines = tuple(run for run in table.runs if run.outcome is not None)
@@ -61,11 +61,11 @@ def charts_after(
             # A run that was resumed has an earlier name than some.
             others = (run for run in lines if run.run != identity.run)
             lines = tuple(sorted((*others, *own.runs), key=lambda run: run.run))
-        for one in members:
+        for reference in members:
             try:
-                signals += filter(None, [_signal(one, lines, figures)])
+                signals += filter(None, [_signal(reference, lines, figures)])
             except NumericsError as error:
-                notes[f"{one.label}: {error.reason}"] = None
+                notes[f"{reference.label}: {error.reason}"] = None
     return StationCharts(identity.station, len(references), tuple(signals), tuple(notes))
 
 
@@ -109,7 +109,7 @@ def _looked_at(station: str, members: Sequence[ChartReference], until: str) -> R
         stations=(station,),
         recipe=first.recipe,
         checks=bool(first.golden),
-        after=min(one.last_run for one in members),
+        after=min(held.last_run for held in members),
         up_to=until,
         latest=None if grouped else LOOK_BACK,  # groups are counted from the end of the reference
     )

@@ -75,12 +75,12 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
             ends = tuple(range(size - 1, len(groups) * size, size))
             if not groups:
                 raise NumericsError(f"{count} values make no group of {size}")
-            return tuple(Charted(one, ends) for one in means_and_ranges(groups, reference=reference, rules=rules))
+            return tuple(Charted(part, ends) for part in means_and_ranges(groups, reference=reference, rules=rules))
         case ChartKind.EWMA:
             return (Charted(ewma(values, weight=settings.weight, width=settings.width, reference=reference), single),)
         case ChartKind.CUSUM:
             both = cusum(values, slack=settings.slack, threshold=settings.threshold, reference=reference)
-            return tuple(Charted(one, single) for one in both)
+            return tuple(Charted(part, single) for part in both)
 
 
 def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
@@ -100,8 +100,8 @@ def standing(
     A signal stands until :data:`STANDS` points in a row gave none; it began with the first that is joined to the
     latest by others, none further apart than :data:`JOINED`.
     """
-    found = [_standing(chart) for chart in charts if chart.chart.name != UNCOUNTED]
-    begun = sorted(filter(None, found), key=lambda one: one[0])
+    signals = [_standing(chart) for chart in charts if chart.chart.name != UNCOUNTED]
+    begun = sorted(filter(None, signals), key=lambda signal: signal[0])
     if not begun:
         return None
     begin = begun[0][0]
@@ -124,8 +124,8 @@ def _sum_began(charts: Sequence[Charted], begin: int) -> int | None:
 
     It is the usual estimate of when a shift began (Montgomery 9.1.2): the sum grows from then on.
     """
-    for one in charts:
-        chart = one.chart
+    for charted in charts:
+        chart = charted.chart
         if chart.name.startswith(SUM) and any(signal.index == begin for signal in chart.signals):
             zeros = np.flatnonzero(chart.points[:begin] == 0.0)
             return int(zeros[-1]) + 1 if len(zeros) else 0
@@ -223,7 +223,7 @@ def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
     standard = Standard(reference.mean, reference.deviation)
     before = _charts(series.values[:count], reference, standard)
     after = _charts(series.values[count:], reference, standard)
-    doubtful = dict.fromkeys(signal.rule for one in before for signal in one.chart.signals)
+    doubtful = dict.fromkeys(signal.rule for charted in before for signal in charted.chart.signals)
     rest = (len(series.values) - count) % reference.subgroup
     notes = (
         _FEW.format(runs=reference.runs) if reference.runs < FEW_RUNS else "",
@@ -250,7 +250,7 @@ def _charts(values: Sequence[float], settings: ChartSettings, standard: Standard
 
 
 def _phases(charts: Sequence[Charted], lines: Sequence[RunLine], phase: str) -> Iterator[ChartPhase]:
-    for chart, runs in ((one.chart, _names([lines[end] for end in one.ends])) for one in charts):
+    for chart, runs in ((charted.chart, _names([lines[end] for end in charted.ends])) for charted in charts):
         limits = tuple(chart.lower.tolist()), tuple(chart.upper.tolist())
         signals = tuple(PointSignal(runs[signal.index], signal.rule) for signal in chart.signals)
         yield ChartPhase(chart.name, phase, runs, tuple(chart.points.tolist()), chart.centre, *limits, signals)

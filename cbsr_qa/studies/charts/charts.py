@@ -81,7 +81,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
             charts = () if empty else _against_stored(table, request, recipe, lines, held)
         stored = period is not None and not request.dry_run
         if stored:
-            store.save_chart_references([one.reference for one in charts if one.reference is not None])
+            store.save_chart_references([chart.reference for chart in charts if chart.reference is not None])
     in_control = all(chart.signal is None for chart in charts)
     golden = request.golden
     simulated = bool(lines[-1].simulated)
@@ -128,7 +128,7 @@ def _retired(store: Repository, request: ChartsRequest, held: Sequence[ChartRefe
         if reference.chart is request.retire
     ]
     if not rows:
-        kinds = ", ".join(sorted({str(one.chart) for one in held}))
+        kinds = ", ".join(sorted({str(reference.chart) for reference in held}))
         raise RefusedError(
             f"no chart {request.retire} of these metrics holds on this station",
             remedy=f"charts that hold are {kinds}" if kinds else "this station has no charts",
@@ -150,10 +150,10 @@ def _against_stored(
         )
     figures = reference_figures(table, held)
     charts: list[MetricChart] = []
-    for one in held:
-        own = [line for line in lines if line.run >= one.first_run]
-        found = series_of(own, {one.key: figures.get(one.key, {})}, [one.name])
-        charts += [metric_chart(series, one) for series in found]
+    for reference in held:
+        own = [line for line in lines if line.run >= reference.first_run]
+        members = series_of(own, {reference.key: figures.get(reference.key, {})}, [reference.name])
+        charts += [metric_chart(series, reference) for series in members]
     return tuple(charts)
 
 
@@ -171,11 +171,11 @@ def _with_period(
         of_locations = {key: of for key, of in figures.items() if key.location and key.name in wanted}
         figures = of_locations or figures_of(table)
     series = series_of(own, figures, request.metrics)
-    charts = tuple(_new_chart(store, one, request, period, own[0].recipe) for one in series)
+    charts = tuple(_new_chart(store, member, request, period, own[0].recipe) for member in series)
     if not charts:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     if all(chart.reference is None for chart in charts):
-        whys = "\n".join("; ".join((f"  {one.label}: {one.why}", *one.notes)) for one in charts[:10])
+        whys = "\n".join("; ".join((f"  {member.label}: {member.why}", *member.notes)) for member in charts[:10])
         raise RefusedError(
             f"no limits come of this reference period:\n{whys}", remedy="choose another or a longer one"
         )

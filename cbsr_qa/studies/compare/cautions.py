@@ -108,10 +108,10 @@ def _out_of_order(runs: Sequence[RunLine]) -> Iterator[str]:
             if run.started_at < latest.started_at - _DAY:
                 back.append(run)
             else:
-                latest = max(latest, run, key=lambda one: one.started_at)
+                latest = max(latest, run, key=lambda run: run.started_at)
         if back:
             first, last = (
-                f"{one.started_at:%Y-%m-%d}" for one in (min(back, key=lambda one: one.started_at), latest)
+                f"{run.started_at:%Y-%m-%d}" for run in (min(back, key=lambda run: run.started_at), latest)
             )
             yield _SET_BACK.format(station=station, runs=_runs(back), back=first, day=last)
 

@@ -195,8 +195,8 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         simulated=tuple(sorted({words for simulated in {run.simulated for run in members} for words in simulated})),
         groups=tuple(groups_of(table.runs, grouping, every, terms)),
         metrics=differences,
-        stations=tuple(chain.from_iterable(one.stations for one in metrics)),
-        distributions=tuple(chain.from_iterable(one.distributions for one in metrics)),
+        stations=tuple(chain.from_iterable(metric.stations for metric in metrics)),
+        distributions=tuple(chain.from_iterable(metric.distributions for metric in metrics)),
         warnings=(*referred, *cautions(members, grouping, design, terms, now)),
         terms=terms,
         of_metrics=tuple(metrics),
@@ -244,8 +244,8 @@ def _compared(
     return MetricComparison(
         values=metric,
         differences=tuple(
-            replace(one, places=places.get(str(one.group), ()), warnings=(*one.warnings, *notes))
-            for one in differences
+            replace(pair, places=places.get(str(pair.group), ()), warnings=(*pair.warnings, *notes))
+            for pair in differences
         ),
         stations=tuple(stations_above(_of_the_stations(model, metric, design), metric, design)),
         distributions=tuple(

@@ -125,8 +125,8 @@ def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> tuple[float | No
         count += outcomes.count(Outcome.NOT_MEASURED)
     if not count:
         return None, None
-    found = passed_share(passed, count, confidence=terms.confidence)
-    return found.value, found.wilson
+    share = passed_share(passed, count, confidence=terms.confidence)
+    return share.value, share.wilson
 
 
 def distribution(

@@ -170,13 +170,15 @@ def fitted(design: Crossing, values: Array, what: str, *, of_stations: bool) -> 
         return Fitted(None, _one_line(error), of_stations)
 
 
-_Told = TypeVar("_Told", Difference, StationDifference)
+_Estimate = TypeVar("_Estimate", Difference, StationDifference)
 
 
-def _told(bare: _Told, contrast: Contrast, terms: Terms) -> _Told:
+def _filled_in(estimated: _Estimate, contrast: Contrast, terms: Terms) -> _Estimate:
     """Fill in what an estimate says, before it is adjusted."""
     inside = contrast.interval(terms.confidence)
-    return replace(bare, difference=contrast.value, low=inside.low, high=inside.high, p_unadjusted=contrast.p_value())
+    return replace(
+        estimated, difference=contrast.value, low=inside.low, high=inside.high, p_unadjusted=contrast.p_value()
+    )
 
 
 def difference(
@@ -193,7 +195,7 @@ def difference(
         why = "" if model.fit is None else design.untold(model.fit.design, *names)
         return replace(bare, warnings=(why or _one_line(error),))
     assert model.fit is not None
-    estimated = _told(bare, contrast, terms)
+    estimated = _filled_in(bare, contrast, terms)
     deviation = sqrt(model.fit.run_deviation**2 + (model.fit.sensor_deviation or 0.0) ** 2)
     stations = [[design.sides[index] for index in known[name].tolist()] for name in names]
     detect, margin = (stated.get(metric.key.name) for stated in (terms.detect, terms.margins))
@@ -305,6 +307,6 @@ def stations_above(model: Fitted, metric: MetricValues, design: Design) -> Itera
         try:
             if model.fit is None:
                 raise NumericsError(model.why)
-            yield _told(bare, model.fit.station_difference(name, design.stations[0]), design.terms)
+            yield _filled_in(bare, model.fit.station_difference(name, design.stations[0]), design.terms)
         except NumericsError as error:
             yield replace(bare, warnings=(_one_line(error),))

@@ -209,9 +209,9 @@ class Design:
             return ""
         batches, stations = (self._apart(crossing, (first, second), side) for side in (1, 0))
         other = "batches" if batches and not stations else "stations" if stations and not batches else ""
-        told = f"and {other} cannot be told apart" if other else "cannot be told from batches and stations"
+        cannot = f"and {other} cannot be told apart" if other else "cannot be told from batches and stations"
         where = "; ".join(f"{name} is {self._words(crossing, name, other)}" for name in (first, second))
-        return f"{self.noun}s {told}: {where}; run some sensors of one batch at one station in both"
+        return f"{self.noun}s {cannot}: {where}; run some sensors of one batch at one station in both"
 
     def _apart(self, crossing: Crossing, names: tuple[str, str], side: int) -> bool:
         """Whether nothing connects two groups by batches (side 1) or stations (side 0) alone."""

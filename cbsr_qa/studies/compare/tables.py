@@ -98,13 +98,13 @@ def _difference_row(metric: MetricComparison, difference: Difference, comparison
 
 def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) -> tuple[str, ...]:
     margin = comparison.terms.margins[metric.values.key.name]
-    asked = _label(metric), f"± {number(margin)}"
+    stated = _label(metric), f"± {number(margin)}"
     pair = next((difference for difference in metric.differences if difference.group == group), None)
     if pair is None or pair.difference is None:
-        return *asked, _NONE, _NONE, _NONE, "not tested", _NONE
+        return *stated, _NONE, _NONE, _NONE, "not tested", _NONE
     hopeless = abs(pair.difference) >= margin
     return (
-        *asked,
+        *stated,
         number(pair.difference),
         _ends(pair.equivalence_interval),
         _p(pair.equivalence_p),

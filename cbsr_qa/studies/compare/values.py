@@ -107,15 +107,15 @@ def _values(key: MetricKey, title: str, table: FleetTable, rows: NDArray[np.intp
     huge = np.bincount(run, beyond, runs) > 0
     known = ~np.isnan(value) & ~(bounded | huge)[run]
     counts = np.bincount(run[known], minlength=runs)
-    asked = np.bincount(run, minlength=runs)
+    held = np.bincount(run, minlength=runs)
     lower, upper = _limits(table, rows)
     warnings = [
         *mixed,
         *absent,
         *_beyond(table, run[beyond], value[beyond]),
-        *_sensors(_NOT_MEASURED, table, np.flatnonzero((asked > 0) & (counts == 0) & ~bounded & ~huge)),
+        *_sensors(_NOT_MEASURED, table, np.flatnonzero((held > 0) & (counts == 0) & ~bounded & ~huge)),
         *_sensors(_LOWER_BOUND, table, np.flatnonzero(bounded)),
-        *_sensors(_FEWER, table, np.flatnonzero((counts > 0) & (counts < asked.max())), most=str(asked.max())),
+        *_sensors(_FEWER, table, np.flatnonzero((counts > 0) & (counts < held.max())), most=str(held.max())),
         *([_SEVERAL_LIMITS] if len({(kind.lower, kind.upper) for kind in kinds}) > 1 else []),
     ]
     return MetricValues(
@@ -127,7 +127,7 @@ def _values(key: MetricKey, title: str, table: FleetTable, rows: NDArray[np.intp
         mean=_means(run[known], value[known], runs),
         least=_extremes(np.minimum, run[known], value[known], runs),
         most=_extremes(np.maximum, run[known], value[known], runs),
-        per_run=int(asked.max()),
+        per_run=int(held.max()),
         at=_by_location(table, rows[known], runs),
         failed=np.bincount(run, state & (State.FAILED | State.UNMEASURED), runs) > 0,
         warnings=tuple(warnings),

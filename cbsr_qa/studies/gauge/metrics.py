@@ -33,7 +33,7 @@ def wanted_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunL
     _check_known(request, {kind.key for kind in table.kinds})
     figures = _of_locations(request, figures_of(table, by_location=request.by_location))
     series = series_of(runs, figures, tuple(dict.fromkeys(metric.name for metric in request.metrics)))
-    wanted = [one for of_metric in series for one in _toleranced(request, of_metric)]
+    wanted = [toleranced for of_metric in series for toleranced in _toleranced(request, of_metric)]
     if not wanted:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     _check_references(request, runs, wanted)

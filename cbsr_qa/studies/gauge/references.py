@@ -133,7 +133,7 @@ class _ReferenceFile(FileModel[tuple[ReferenceValue, ...]]):
     reference: Annotated[list[ReferenceTable], Field(min_length=1)]
 
     def to_domain(self) -> tuple[ReferenceValue, ...]:
-        return tuple(one.to_domain() for one in self.reference)
+        return tuple(table.to_domain() for table in self.reference)
 
 
 def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
@@ -147,7 +147,7 @@ def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
     references: list[ReferenceValue] = []
     for text in given:
         references += _of_file(text) if text.endswith(".toml") else [_of_text(text)]
-    keys = [(one.serial, one.metric) for one in references]
+    keys = [(reference.serial, reference.metric) for reference in references]
     for key in keys:
         if keys.count(key) > 1:
             raise RefusedError(
@@ -182,7 +182,7 @@ def against_references(
     series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue], confidence: float
 ) -> AgainstReferences | None:
     """Compare the runs of one metric with its reference values; None where there are none."""
-    own = [one for one in references if one.metric == series.key.name]
+    own = [reference for reference in references if reference.metric == series.key.name]
     if not own:
         return None
     rows = list(zip(series.lines, series.values, appraisers, strict=True))
@@ -195,7 +195,7 @@ def against_references(
             stabilities.append(_stability(reference, who, lines, values, confidence))
         if not of:
             biases.append(_bias(reference, series.unit, "", (), confidence))
-    measured = sorted({who for line, _, who in rows if line.serial in {one.serial for one in own}})
+    measured = sorted({who for line, _, who in rows if line.serial in {reference.serial for reference in own}})
     slopes = tuple(_linearity(own, [row for row in rows if row[2] == who], who, confidence) for who in measured)
     return AgainstReferences(tuple(biases), slopes, tuple(stabilities))
 
@@ -237,12 +237,12 @@ def _linearity(
     readings = {
         reference: [value for line, value, _ in rows if line.serial == reference.serial] for reference in references
     }
-    pairs = [(one.value, value) for one, values in readings.items() for value in values]
-    known = [(len(values), one.value, one.uncertainty) for one, values in readings.items() if values]
+    pairs = [(true.value, value) for true, values in readings.items() for value in values]
+    known = [(len(values), true.value, true.uncertainty) for true, values in readings.items() if values]
     try:
-        found = linearity([one for one, _ in pairs], [value for _, value in pairs], known=known)
+        fitted = linearity([true for true, _ in pairs], [value for _, value in pairs], known=known)
     except NumericsError as error:
         return BiasLinearity(who, why=f"{error.reason}; {error.remedy}" if error.remedy else error.reason)
-    slope, intercept = found.rise().estimate(confidence), found.intercept.estimate(confidence)
-    ends = found.references[0], found.references[-1]
-    return BiasLinearity(who, slope, intercept, ends, found.acceptable(confidence))
+    slope, intercept = fitted.rise().estimate(confidence), fitted.intercept.estimate(confidence)
+    ends = fitted.references[0], fitted.references[-1]
+    return BiasLinearity(who, slope, intercept, ends, fitted.acceptable(confidence))

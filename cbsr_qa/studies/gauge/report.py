@@ -234,7 +234,7 @@ def _table(
     whys = tuple(dict.fromkeys(row.why for row in rows if row.why))
     caption = f"{what}; {_NONE}: {named(whys)}." if whys else f"{what}."
     if rows:
-        yield text_table(caption, columns, [cells(one) for one in rows], numeric)
+        yield text_table(caption, columns, [cells(row) for row in rows], numeric)
 
 
 def _bias(bias: Bias) -> tuple[str, ...]:

@@ -75,11 +75,11 @@ def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLin
     remedy = f"choose other days, other names or another recipe{_days(of_names)}"
     # Without any run that fits, every name is absent, and it is no name that is wrong.
     if runs:
-        said = [
+        refusals = [
             f"{request.at('study', key)}{of_kind(noun, name)} has no analysed run that fits"
             for noun, key, name, _ in absent
         ]
-        raise RefusedError("\n".join(said), remedy=remedy)
+        raise RefusedError("\n".join(refusals), remedy=remedy)
     raise RefusedError(f"{request.at('study')}no analysed run fits this study", remedy=remedy)
 
 
@@ -169,7 +169,7 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
         table, lines, notes = chosen_runs(store, request)
         wanted = wanted_metrics(table, request, lines)
         notes += likeness_notes(store, lines)
-    metrics = tuple(_metric(one, request) for one in wanted)
+    metrics = tuple(_metric(toleranced, request) for toleranced in wanted)
     _check_any(metrics, largest_balanced=request.largest_balanced)
     return GaugeStudy(
         study=request.source,
@@ -264,13 +264,13 @@ def _check_any(metrics: Sequence[MetricGauge], *, largest_balanced: bool) -> Non
     if any(metric.anova is not None or metric.references is not None for metric in metrics):
         return
     first = metrics[0]
-    said = f"{first.label}: {first.why}"
-    said += f"; uneven: {named(first.missing)}" if first.missing else ""
-    said += "".join(f"; {note}" for note in first.notes)
-    said += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""
-    uneven = any(one.missing for one in metrics) and not largest_balanced
+    reason = f"{first.label}: {first.why}"
+    reason += f"; uneven: {named(first.missing)}" if first.missing else ""
+    reason += "".join(f"; {note}" for note in first.notes)
+    reason += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""
+    uneven = any(metric.missing for metric in metrics) and not largest_balanced
     raise RefusedError(
-        f"no gauge study can be made of these runs: {said}",
+        f"no gauge study can be made of these runs: {reason}",
         remedy="add the missing runs, or study the largest balanced part with --largest-balanced"
         if uneven
         else "a study needs two sensors, on two stations (or by two operators), twice each, that differ",

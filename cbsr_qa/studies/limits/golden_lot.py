@@ -152,7 +152,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
         raise RefusedError("no run of the lot has measurements", remedy="choose runs that were finished and analysed")
     mixed = _mixed(store, runs, choice)
     analysed: dict[str, tuple[LotRun, ...]] = {}
-    for run in sorted(runs, key=lambda one: one.line.serial):
+    for run in sorted(runs, key=lambda lot_run: lot_run.line.serial):
         analysed[run.line.serial] = (*analysed.get(run.line.serial, ()), run)
     return Lot(
         chosen=choice.words(),

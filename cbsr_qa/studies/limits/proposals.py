@@ -298,10 +298,10 @@ def _risks(bounds: Iterable[Bound], width: float, uncertainty: Uncertainty) -> P
     sums = [Risks(0.0, 0.0), Risks(0.0, 0.0)]
     for bound in bounds:
         for place, guard in enumerate((0.0, width)):
-            one = risks(bound, guard, uncertainty)
-            if one is None:
+            own = risks(bound, guard, uncertainty)
+            if own is None:
                 return None
-            sums[place] += one
+            sums[place] += own
     return ProposedRisks(*sums)
 
 

@@ -105,7 +105,7 @@ def propose_limits(
         data_sha256=digest,
         lot=lot,
         limits=limits,
-        not_proposed=tuple(one for one in proposals if isinstance(one, NoLimit)),
+        not_proposed=tuple(proposal for proposal in proposals if isinstance(proposal, NoLimit)),
         lot_fails_any=tuple(sorted({serial for limit in limits for serial in limit.lot_fails})),
         without_size=_without_size(limits),
         output=None if output is None else str(output),
@@ -121,7 +121,9 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
         members = [proposal for proposal in proposals if name in (None, proposal.measurement)]
         refused = [member for member in members if isinstance(member, NoLimit)]
         if len(refused) == len(members):
-            whys = "\n".join(f"  {one.label}: {one.why}{far_from_others(one)}" for one in refused[:10])
+            whys = "\n".join(
+                f"  {refusal.label}: {refusal.why}{far_from_others(refusal)}" for refusal in refused[:10]
+            )
             rest = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
             raise RefusedError(
                 f"no limit can be proposed from this lot:\n{whys}{rest}",
@@ -140,7 +142,7 @@ def _without_size(limits: tuple[ProposedLimit, ...]) -> tuple[str, ...]:
         for limit in limits
         if limit.measurement == "area_ratio" and (limit.lower or 0.0) > 0 and limit.upper is not None
     }
-    overlaps = [one for one in limits if one.measurement == "area_overlap"]
+    overlaps = [limit for limit in limits if limit.measurement == "area_overlap"]
     return tuple(overlap.label for overlap in overlaps if (overlap.phase, overlap.qualifier) not in sized)
 
 

@@ -67,15 +67,15 @@ def _sizes(jacobian: Array, differences: Array) -> Array:
 
 def _exact(jacobian: Array, differences: Array, value: float, readings: Array) -> Array:
     with mp.workdps(DIGITS):
-        columns = [[mp.mpf(one) for one in column] for column in jacobian.T.tolist()]
+        columns = [[mp.mpf(entry) for entry in column] for column in jacobian.T.tolist()]
         ridge2 = mp.mpf(value) ** 2
         penalty = (2 * differences.T @ differences).tolist()  # whole numbers
         system: Any = mp.matrix(len(columns), len(columns))
-        for i, one in enumerate(columns):
+        for i, column in enumerate(columns):
             for j in range(i + 1):
-                system[i, j] = system[j, i] = mp.fdot(one, columns[j]) + ridge2 * mp.mpf(penalty[i][j])
-        right = mp.matrix([mp.fdot(one, readings.tolist()) for one in columns])
-        return np.array([float(one) for one in mp.cholesky_solve(system, right)])
+                system[i, j] = system[j, i] = mp.fdot(column, columns[j]) + ridge2 * mp.mpf(penalty[i][j])
+        right = mp.matrix([mp.fdot(column, readings.tolist()) for column in columns])
+        return np.array([float(entry) for entry in mp.cholesky_solve(system, right)])
 
 
 @AREA.against(FIFTY)
