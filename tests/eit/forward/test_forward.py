@@ -54,6 +54,7 @@ def test_pins_converge_to_the_exact_solution(pin_sensor, model_of, contact):
     assert errors[-1] < 5e-3
 
 
+@pytest.mark.rest
 def test_a_concentric_inclusion_is_seen_as_it_is(arc_sensor, model_of):
     sensor = arc_sensor()
     sheet = ConcentricSheet(1.0, 1.0, 0.5, 3.0)

@@ -69,6 +69,7 @@ def _quiet_but_for_noise() -> Scene:
                  applicator_position_error={"error_mm": 0.1, "depth_error_mm": 0.01})  # fmt: skip
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("earlier_s", [0.1, 77.7777, 12345.678])
 def test_a_step_gives_the_same_numbers_whenever_it_is_done_and_wherever_the_head_came_from(earlier_s: float):
     _, bench = opened(_quiet_but_for_noise())

@@ -112,6 +112,7 @@ def test_zero_return_is_what_the_kernels_leave(quiet):
     assert _one(ZeroReturn(), quiet).value == pytest.approx(100 * left / held, abs=1.0)
 
 
+@pytest.mark.rest
 def test_a_residue_appears_as_zero_return_with_its_share(quiet):
     scene = _scene({"name": "residue", "share": 0.08, "decay_s": 900.0})
     run = _observed(simulated_run((), loads=_loads(_STRAINS[-1:]), noise=_QUIET, scene=scene))
@@ -180,6 +181,7 @@ def test_repeatability_is_the_noise_of_the_sensed_change():
     assert even.value < 3 * said
 
 
+@pytest.mark.rest
 def test_preconditioning_of_a_sheet_without_softening_changes_nothing_but_noise():
     record = simulated_run((), loads=_loads((0.3,), trials=3), hold_s=10.0, rest_s=30.0, noise=_QUIET)
     run = _observed(record, Role.PRECONDITIONING)

@@ -82,6 +82,7 @@ def test_a_long_pause_is_read_whole(station, cell):
     assert len(cell.samples_since(before)) == pytest.approx(480, abs=1)
 
 
+@pytest.mark.rest
 def test_what_was_an_hour_ago_is_forgotten(station, cell):
     for _ in range(180):
         station.clock.sleep(60.0)
