@@ -1,4 +1,4 @@
-"""The outcome of ``cbsr-qa calibration show``: what a calibration file says, without its arrays."""
+"""The outcome of ``cbsr-qa calibration show``: contents of a calibration file, without its arrays."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -104,7 +104,7 @@ class Settling:
 
     @classmethod
     def of(cls, summary: SettlingSummary) -> Self:
-        """Return what a document says of them."""
+        """Return the JSON fields of a summary."""
         return filled(cls, summary, direction="loading" if summary.loading else "unloading")
 
 
@@ -146,7 +146,7 @@ class Imaging:
 
     @classmethod
     def of(cls, calibration: Calibration) -> Self:
-        """Return what a document says of it."""
+        """Return the JSON fields of how a sensor is imaged."""
         choice, problem = calibration.reconstruction.choice, calibration.reconstruction.problem
         return filled(
             cls,
@@ -174,15 +174,14 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class ShownForceModel:
-    """The force model in numbers: its map over the calibrated places, and the least force it detects.
+    """The force model in numbers: its map over the calibrated places, and the least force that one frame detects.
 
     Parameters
     ----------
     places : nodes of the lattice where the head may be.
-    response_lowest, response_highest : of the sheet, over what its material would answer.
+    response_lowest, response_highest : response of the sheet relative to that of its material.
     scatter : of single loads, relative.
-    hold_s : after the press, when it was learned.
-    least_force_centre_N, least_force_worst_N : detected by one frame at the centre and at the worst place.
+    hold_s : how long after the press the map was learned.
     """
 
     places: int
@@ -229,13 +228,13 @@ class ShownForceModel:
 
 @dataclass(frozen=True, slots=True)
 class ShownCalibration:
-    """What a calibration file says.
+    """Contents of a calibration file.
 
     Parameters
     ----------
     digest, record_digest : SHA-256 of the file's content, and of what the database keeps of it.
     values : every single number of the calibration itself, by its path in the file.
-    no_force_model : the reason why there is no model.
+    no_force_model : why there is no force model.
     """
 
     file: Path
@@ -258,13 +257,7 @@ class ShownCalibration:
 
 
 def show_calibration(path: Path) -> CommandOutcome[ShownCalibration]:
-    """Return what a calibration file says.
-
-    Raises
-    ------
-    CalibrationError
-        If the file is not sound; nothing of an unsound file is shown.
-    """
+    """Return the contents of a calibration file. CalibrationError if it is damaged or altered."""
     verified, held = read_untrusted(
         path, lambda: (verify_calibration_file(path), read_calibration(path)), refusal=CalibrationError
     )

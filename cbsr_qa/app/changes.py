@@ -1,7 +1,4 @@
-"""What people changed: files that runs were configured by, limits of control charts, and verdicts.
-
-Override a verdict: a decision of a person, stored beside what was found.
-"""
+"""Changes of configuration files, control limits and verdicts; overriding a verdict."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -37,17 +34,7 @@ class Changes:
 
 
 def list_changes(database: str | None) -> CommandOutcome[Changes]:
-    """List changes of files, limits of control charts that were set, and overrides of verdicts.
-
-    Parameters
-    ----------
-    database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
-
-    Raises
-    ------
-    StoreError
-        If there is no such database, or it is of another version.
-    """
+    """List changes of files and control limits, and overrides of verdicts. StoreError if the database is unusable."""
     with open_store(database_url(database), create=False) as store:
         changes = Changes(store.changes(), tuple(_chart_changes(store.all_chart_references())), store.overrides())
         names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.find_runs()}
@@ -126,13 +113,7 @@ _OUTCOMES: Final = {"pass": Outcome.PASS, "fail": Outcome.FAIL}
 
 @dataclass(frozen=True, slots=True)
 class Overridden(VerdictOverride):
-    """The override that was stored.
-
-    Parameters
-    ----------
-    calibration : of the run, as it was issued; None where none was.
-    note : what becomes of it.
-    """
+    """The override that was stored, the calibration that the run issued, and what becomes of it (``note``)."""
 
     calibration: str | None
     note: str
@@ -149,7 +130,7 @@ def _about_calibration(calibration: str | None, outcome: Outcome) -> str:
 def override_verdict(
     run: str, outcome: str, *, by: str, why: str, database: str | None
 ) -> CommandOutcome[Overridden]:
-    """Store a decision against the verdict of a run; nothing that was found is changed.
+    """Override the verdict of a run; the verdict itself and its measurements stay as they are stored.
 
     Parameters
     ----------
@@ -182,7 +163,7 @@ def override_verdict(
 
 
 def _check_decided(store: Repository, run: str) -> None:
-    """Refuse to decide against a verdict that does not follow from what is stored."""
+    """Refuse to override a verdict that does not follow from what is stored."""
     analyses = store.analyses(run)
     if analyses:
         limits = restore(store.configuration(run)).recipe.limits

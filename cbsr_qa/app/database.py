@@ -1,4 +1,4 @@
-"""Looking after the database: bring it up to date, say how it stands."""
+"""Upgrading the database, and its status."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -17,7 +17,7 @@ _STOPPED: Final = (str(EndReason.ABORTED), str(EndReason.BROKEN))
 
 @dataclass(frozen=True, slots=True)
 class Upgrade:
-    """What bringing a database up to date came to; ``before`` is None where it was empty."""
+    """The upgrade of a database; ``before`` is None if it was empty."""
 
     url: str
     before: str | None
@@ -58,7 +58,7 @@ class UnconcludedRun:
 
 @dataclass(frozen=True, slots=True)
 class DatabaseStatus:
-    """How a database stands; nothing is counted or listed unless it is current.
+    """State of a database; nothing is counted or listed unless it is current.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def _state(run: IncompleteRun) -> str:
 
 
 def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun, ...]:
-    """Say what resuming would do next, where the recipe's plugins are there to tell; else what was under way."""
+    """Return runs with the step at which they would be resumed, or were interrupted if a plugin is missing."""
     from cbsr_qa.app.run import known_next  # it imports whatever a run needs
     from cbsr_qa.plugin import discover
 
@@ -99,7 +99,7 @@ def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun
 
 
 def upgrade_database(option: str | None) -> CommandOutcome[Upgrade]:
-    """Bring a database to this program's schema, making it where there is none.
+    """Upgrade a database to this program's schema; create it if there is none.
 
     Parameters
     ----------
@@ -121,13 +121,7 @@ def upgrade_database(option: str | None) -> CommandOutcome[Upgrade]:
 
 
 def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
-    """Say how a database stands, without changing it.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be opened or read.
-    """
+    """Return the state of a database without changing it. StoreError if it cannot be opened or read."""
     engine = open_engine(parsed_url(database_url(option)))
     try:
         version = found_version(engine)

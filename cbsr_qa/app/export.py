@@ -30,7 +30,6 @@ def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str
     Parameters
     ----------
     run_or_serial : a run, or a serial number for its latest run.
-    phase : only this one; None for all.
 
     Raises
     ------
@@ -56,13 +55,7 @@ def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str
 
 
 def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...]) -> Recording:
-    """Put phases of a run behind each other as one recording.
-
-    Raises
-    ------
-    RefusedError
-        If they hold no frame.
-    """
+    """Join phases of a run to one recording. RefusedError if they hold no frame."""
     blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not blocks:
         raise RefusedError(

@@ -1,4 +1,4 @@
-"""The command ``cbsr-qa``: puts the command groups together, and turns errors into messages and exit codes."""
+"""The command ``cbsr-qa``: its commands, and errors as messages and exit codes."""
 
 import gc
 import os
@@ -90,7 +90,7 @@ def _supervised(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _supervise_every_command(group: typer.Typer) -> None:
-    """Give every command a child of this process once it begins, and stdout to its document; help needs neither."""
+    """Run every command in a child process, with stdout kept for its document; help needs neither."""
     for one in group.registered_commands:
         assert one.callback is not None
         one.callback = _supervised(one.callback)
@@ -139,8 +139,8 @@ _COLLECTED = (200_000, 20, 20)
 def entry() -> None:
     """Run the command line: exit code 0 passed or done, 1 failed, 2 refused, 3 aborted, broken or not measured.
 
-    Numerical libraries are held to one thread: sums split over cores differ in their last digits from one number
-    of cores to another, and matrices of this size are slower with more. What runs in parallel are processes.
+    Numerical libraries are held to one thread: with more, last digits depend on the number of cores, and matrices of
+    this size are slower.
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     gc.set_threshold(*_COLLECTED)
@@ -148,7 +148,7 @@ def entry() -> None:
 
 
 def ended(arguments: list[str]) -> int:
-    """Run one command as the installed program does, in a child of this process; return its exit code."""
+    """Run one command in a child process, as the installed program does; return its exit code."""
     global _supervising
     _supervising, code = hasattr(os, "fork"), 3
     try:
@@ -159,10 +159,10 @@ def ended(arguments: list[str]) -> int:
 
 
 def guarded(arguments: list[str]) -> int:
-    """Run one command and return its exit code; every error becomes one clear message.
+    """Run one command and return its exit code; every error becomes one message.
 
-    Output that did not get where it was to go (a full disk, a closed terminal) is exit code 3, unless the command was
-    refused: whoever reads it has no outcome. A reader that has gone changes no exit code.
+    Output that could not be written (a full disk) gives exit code 3, unless the command was refused. A reader that
+    has gone does not change the exit code.
     """
     code, why = _ended(arguments), lost_output()
     if not why:
@@ -207,7 +207,7 @@ def _help_unread(error: BaseException) -> bool:
 
 
 def _aborted(arguments: list[str]) -> int:
-    """Say that somebody stopped a command that has no end of its own for that, as a run has."""
+    """Report that a command was stopped from the keyboard."""
     if _wants_json(arguments):
         emit_json({"aborted": {"reason": "stopped from the keyboard", "remedy": "start it again"}})
     note("cbsr-qa: aborted")
@@ -215,7 +215,7 @@ def _aborted(arguments: list[str]) -> int:
 
 
 def _unexpected(error: BaseException, arguments: list[str]) -> int:
-    """Say that the program is at fault, with where; exit code 3: nothing was decided."""
+    """Report an internal error and its place; exit code 3: nothing was decided."""
     where = traceback.extract_tb(error.__traceback__)[-1]
     reason = f"internal error: {said(error)} ({Path(where.filename).name}, line {where.lineno})"
     if _wants_json(arguments):
@@ -227,7 +227,7 @@ def _unexpected(error: BaseException, arguments: list[str]) -> int:
 
 
 def _misused(error: Any, arguments: list[str]) -> int:
-    """Say what is wrong with the command line."""
+    """Report what is wrong with the command line."""
     if not error.format_message():
         return 2  # a command without any argument: typer has printed its help
     if _wants_json(arguments):

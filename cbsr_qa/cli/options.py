@@ -1,7 +1,4 @@
-"""Options of a plugin on the command line: KEY=VALUE, each value as a recipe would hold it.
-
-Options that take one of a few words.
-"""
+"""Options that commands share, and those of a plugin: KEY=VALUE, each value as in a recipe."""
 
 import re
 import tomllib
@@ -29,13 +26,7 @@ PageOutput = Annotated[Path | None, typer.Option("--output", help="HTML page to 
 
 
 def one_of(words: type[_Word], given: str, option: str) -> _Word:
-    """Return the word meant.
-
-    Raises
-    ------
-    RefusedError
-        If it is none of them, with the nearest one.
-    """
+    """Return the word that was given. RefusedError, with the nearest one, if it is not allowed."""
     allowed = [str(word) for word in words]
     if given in allowed:
         return words(given)
@@ -57,7 +48,7 @@ def option_names(parameters: Iterable[str]) -> str:
 
 
 def to_day(moment: datetime | None) -> date | None:
-    """Return the day of an option that is one; None where it was not given."""
+    """Return the day of a date option; None if it was not given."""
     return None if moment is None else moment.date()
 
 
@@ -69,12 +60,12 @@ def plugin_options(given: Sequence[str]) -> dict[str, Any]:
 
     Parameters
     ----------
-    given : each ``KEY=VALUE``, the value in TOML. What is no TOML is text, so that a shell's quotes will do for text.
+    given : each ``KEY=VALUE``, the value in TOML; what is not TOML is text.
 
     Raises
     ------
     ConfigError
-        If one is not of that form, has no value or one that is not finite, or a key is given twice.
+        If one is not of that form, its value is missing or not finite, or a key is given twice.
     """
     options: dict[str, Any] = {}
     for text in given:

@@ -1,7 +1,4 @@
-"""The terminal: one JSON document or words on stdout; messages, progress and questions on stderr.
-
-Progress of counted work is a bar on a terminal, elsewhere one line a stage.
-"""
+"""The terminal: one JSON document or text on stdout; messages, progress and questions on stderr."""
 
 import json
 import os
@@ -18,13 +15,7 @@ if TYPE_CHECKING:
 
 
 def emit_json(document: Mapping[str, Any]) -> None:
-    """Print one document on stdout.
-
-    Raises
-    ------
-    ValueError
-        If a number in it is NaN or infinite: such a document is not JSON.
-    """
+    """Print one document on stdout. ValueError if a number in it is NaN or infinite."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     if _shown(text) != text:
         text = json.dumps(document, indent=2, allow_nan=False)
@@ -32,13 +23,7 @@ def emit_json(document: Mapping[str, Any]) -> None:
 
 
 def check_page(output: Path | None) -> None:
-    """Refuse a page that would replace something else, before anything is computed.
-
-    Raises
-    ------
-    RefusedError
-        See :func:`cbsr_qa.report.check_replaceable`.
-    """
+    """Refuse a page that would replace something else; see :func:`cbsr_qa.report.check_replaceable`."""
     if output is not None:
         from cbsr_qa.report import check_replaceable
 
@@ -46,7 +31,7 @@ def check_page(output: Path | None) -> None:
 
 
 def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json: bool = False) -> int:
-    """Write the page where one is asked for, print a command's outcome, and return its exit code."""
+    """Print a command's outcome, write its page if ``output`` is given, and return its exit code."""
     from cbsr_qa.report import json_document, render_sections, terminal_lines, write_report
 
     if output is not None:
@@ -61,12 +46,12 @@ def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json:
 
 
 def say(text: str = "") -> None:
-    """Print words for people on stdout (only where ``--json`` was not asked for)."""
+    """Print text on stdout, without ``--json``."""
     _print(text)
 
 
 def note(text: str) -> None:
-    """Print a message on stderr; where that is a full disk or a terminal that has gone, nothing stops for it."""
+    """Print a message on stderr; errors are ignored."""
     if sys.stderr is not None:
         with suppress(OSError, ValueError):
             sys.stderr.write(text + "\n")
@@ -74,22 +59,19 @@ def note(text: str) -> None:
 
 
 def announce(stage: str) -> None:
-    """Print on stderr what the computer is busy with."""
+    """Print the current stage on stderr."""
     note(f"{stage} …")
 
 
 def lost_output() -> str:
-    """Return why what was printed on stdout did not get there, and forget it; empty where it did.
-
-    A reader that has gone (``head``, a pager) wanted no more: that is no loss.
-    """
+    """Return why output on stdout was lost, and reset it; empty if none was, or its reader (``head``) has gone."""
     why = "; ".join(_lost)
     _lost.clear()
     return why
 
 
 def reader_has_gone() -> bool:
-    """Whether stdout is a pipe that nobody reads any more, with something left to write into it."""
+    """Whether stdout is a pipe without a reader, and output is left in its buffer."""
     stream = _stream()
     if stream is None:
         return False
@@ -102,14 +84,13 @@ def reader_has_gone() -> bool:
 
 
 def claim_stdout(stream: TextIO | None = None) -> None:
-    """Keep stdout for :func:`emit_json` and :func:`say`; what anybody else prints goes to stderr from here on.
+    """Keep stdout for :func:`emit_json` and :func:`say`; redirect all other output of this process to stderr.
 
-    That holds for ``print``, for code in C and for subprocesses, to the end of the process. Where ``sys.stdout`` is
-    not the process's own (a test's), or the process has none, nothing is done.
+    That includes C code and subprocesses. Does nothing if ``sys.stdout`` was replaced (by a test), or is None.
 
     Parameters
     ----------
-    stream : what they write to instead of the stdout there was.
+    stream : what they write to instead of stdout.
     """
     global _claimed
     stdout, stderr = sys.__stdout__, sys.__stderr__
@@ -149,13 +130,13 @@ def _print(text: str) -> None:
 
 
 def _shown(text: str) -> str:
-    """Escape what stdout cannot encode, as stderr does: a file's name, or µ where the terminal knows ASCII alone."""
+    """Escape what stdout cannot encode, as stderr does."""
     encoding = getattr(_stream(), "encoding", None) or "utf-8"
     return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def _discard_the_rest(stream: TextIO) -> None:
-    """Send the buffer and all that follows to nowhere, or the interpreter fails over it at its end."""
+    """Send the buffer and all that follows to nowhere: the interpreter would fail to flush it at exit."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
@@ -167,12 +148,12 @@ STOP: Final = ("stop", "abort")
 
 
 def operator_at_terminal() -> Callable[[str], str] | None:
-    """Return what asks the operator; None where no terminal is at the input."""
+    """Return the function that asks the operator; None if stdin is not a terminal."""
     return ask_operator if sys.stdin is not None and sys.stdin.isatty() else None
 
 
 def ask_operator(text: str) -> str:
-    """Show a text on stderr, so that ``--json`` prints one document only, and return the line that is typed.
+    """Show a text on stderr and return the answer.
 
     Raises
     ------
@@ -190,12 +171,12 @@ def ask_operator(text: str) -> str:
 
 
 class Counting:
-    """Shows stages, and how much of one is done. Use it as a context manager; leaving it takes the bar away.
+    """Context manager that shows stages, and the progress of one: a bar on a terminal, else a line per stage.
 
     Parameters
     ----------
     what : that is counted, e.g. ``"frames"``.
-    stream : where to; by default the process's stderr.
+    stream : by default the process's stderr.
     """
 
     def __init__(self, what: str, *, stream: TextIO | None = None) -> None:

@@ -80,13 +80,7 @@ def run(
 
 
 def _check_given(context: typer.Context, *, resuming: bool) -> None:
-    """Refuse options that a resumed run has from its beginning, and a new run that lacks what it needs.
-
-    Raises
-    ------
-    click.UsageError
-        Naming them.
-    """
+    """Refuse options that cannot change when a run is resumed, and a new run without those it needs."""
     given = given_options(context)
     if resuming:
         extra = [name for name in context.params if name in given and name not in _WITH_RESUME]

@@ -1,9 +1,4 @@
-"""``cbsr-qa verdict``: overrides of verdicts.
-
-``cbsr-qa report``: renders a report again from the store.
-
-``cbsr-qa export``: a stored run as a recording that ``analyse`` reads.
-"""
+"""``cbsr-qa report``, ``export`` and ``verdict``: reports, recordings and overrides of stored runs."""
 
 from pathlib import Path
 from typing import Annotated

@@ -77,13 +77,7 @@ def schema(
 
 
 def document_schema(command: str) -> dict[str, Any]:
-    """Return the JSON Schema of a command's document.
-
-    Raises
-    ------
-    RefusedError
-        If no schema is known for it.
-    """
+    """Return the JSON Schema of a command's document. RefusedError if the command has none."""
     from cbsr_qa.report import json_schema
 
     known = results()

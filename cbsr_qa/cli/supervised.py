@@ -1,8 +1,4 @@
-"""A command in a process of its own, and its parent, which believes no success that it was not told of.
-
-The parent is the process that was started. It parses the command line, forks before anything heavy is loaded and
-enters no plugin's code, so that no plugin can end it. See docs/decisions/0024.
-"""
+"""A command in a child process, and its parent, which enters no plugin's code; see docs/decisions/0024."""
 
 import errno
 import io
@@ -32,7 +28,7 @@ _Mask = set[int | signal.Signals]
 
 
 class BrokenProcessError(CbsrError):
-    """The process of a command ended in the middle; no run had begun (exit code 3)."""
+    """The process of a command ended unexpectedly; no run had begun (exit code 3)."""
 
     exit_code = 3
 
@@ -42,20 +38,20 @@ class BrokenProcessError(CbsrError):
 
 
 def begun(run: str, database: str | None) -> None:
-    """Tell the parent, where there is one, which run this is and in which database (None: the default one)."""
+    """Tell the parent, if any, which run this is and in which database (None: the default)."""
     _Child.tell(run=run, database=database)
 
 
 def supervise(*, judges: bool) -> int | None:
-    """Fork: the child goes on with the command, and the parent waits for its end and shows its output.
+    """Fork: the child carries out the command, the parent waits for its end and shows its output.
 
     Parameters
     ----------
-    judges : whether success means that a sensor has passed: the database must then hold that verdict.
+    judges : success means that a sensor has passed: the database must then hold that verdict.
 
     Returns
     -------
-    In the child None; it must call :func:`end_child`. In the parent the exit code that the child has reported.
+    None in the child, which must call :func:`end_child`; in the parent the exit code that the child has reported.
 
     Raises
     ------
@@ -83,7 +79,7 @@ def supervise(*, judges: bool) -> int | None:
 
 
 def end_child(code: int) -> None:
-    """Report the end to the parent and leave, with whatever a plugin has left running; nothing in other processes."""
+    """Report the exit code to the parent and end this process; does nothing in other processes."""
     _Child.end(code)
 
 
@@ -96,10 +92,7 @@ class _Child:
 
     @classmethod
     def tell(cls, **message: Any) -> None:
-        """Report to the parent; a process that a plugin has forked off reports as itself, and is not believed.
-
-        OSError if a plugin has closed the pipe; another file may have its number by now, and gets nothing.
-        """
+        """Report to the parent. OSError if a plugin has closed the pipe; another file may have its number by now."""
         if cls.report is None:
             return
         if not os.path.samestat(os.fstat(cls.report), cls.pipe):
@@ -138,7 +131,7 @@ class _Child:
 
 
 def _mark(child: int) -> str:
-    """Return what every message of a process begins with."""
+    """Return the beginning of every message of a process."""
     return f'{{"pid": {child}, '
 
 
@@ -152,17 +145,17 @@ def _name_what_runs() -> None:
 
 
 def _end_with_parent(alive: int) -> None:
-    """Stop in order once the parent has gone: nobody would hear how the run ends, or could stop it by its name."""
+    """Stop in order once the parent has gone."""
     with suppress(OSError):
         os.read(alive, 1)
     os.kill(os.getpid(), signal.SIGTERM)
 
 
 class _Parent:
-    """Waits for the child, and stands in for it towards whoever knows this process only.
+    """Waits for the child, and hands signals on to it.
 
-    The keyboard's signals reach both processes, those that somebody sends to the parent do not. What the child has
-    not heard within :data:`_ECHO_S` is handed on to it: never twice, which would mean "at once" to a run.
+    The keyboard's signals reach both processes, those sent to the parent do not. What the child has not heard within
+    :data:`_ECHO_S` is handed on: never twice, which would mean "at once" to a run.
     """
 
     def __init__(self, child: int, report: int, echo: int, mask: _Mask) -> None:
@@ -172,7 +165,7 @@ class _Parent:
         self._loads: threading.Thread | None = None
 
     def reported(self) -> dict[str, Any]:
-        """Return what the child reported, later messages over earlier ones; a plugin may have written there too."""
+        """Return what the child reported, later messages over earlier ones; ignores what plugins wrote."""
         mark, reported = _mark(self._child).encode(), dict[str, Any]()
         for line in self._received.splitlines():
             with suppress(ValueError):
@@ -205,7 +198,7 @@ class _Parent:
             os.close(wakes)
 
     def _ended(self) -> int | None:
-        """Return the child's status once it has ended; stop and go on with it (Ctrl-Z): a shell sees the parent."""
+        """Return the child's status once it has ended; stop and continue with it (Ctrl-Z)."""
         found, status = os.waitpid(self._child, os.WNOHANG | os.WUNTRACED)
         if found and os.WIFSTOPPED(status):
             os.kill(os.getpid(), signal.SIGSTOP)
@@ -239,7 +232,7 @@ class _Parent:
 
 
 def _read(end: int) -> bytes | None:
-    """Return what is in a pipe; None where nothing is, empty bytes where nothing will ever be."""
+    """Return what is in a pipe; None if it is empty, no bytes if it was closed."""
     try:
         return os.read(end, 1 << 16)
     except BlockingIOError:
@@ -280,7 +273,7 @@ def _broken(run: str | None, database: str | None, why: str, *, judges: bool) ->
 
 
 def _cut_off(status: int, code: int | None) -> str:
-    """Say how the child ended, where it did not end by returning its exit code."""
+    """Return how the child ended if it did not return its exit code; else empty."""
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
         return f"was killed by {next((s.name for s in signal.Signals if s == number), f'signal {number}')}"
@@ -294,7 +287,7 @@ def _cut_off(status: int, code: int | None) -> str:
 
 
 def _unstored(run: str | None, database: str | None) -> str:
-    """Say why the database does not bear out that a run has passed; empty where it does."""
+    """Return why the database does not confirm that a run has passed; empty if it does."""
     if run is None:
         return "the process of the run ended without a verdict"
     passed, held = _in_database(run, database)
@@ -302,7 +295,7 @@ def _unstored(run: str | None, database: str | None) -> str:
 
 
 def _in_database(run: str, database: str | None) -> tuple[bool, str]:
-    """Return whether a run has passed by what is stored, and what is stored of its verdict in words."""
+    """Return whether a run has passed according to the database, and its stored verdict in words."""
     from cbsr_qa.config import database_url
     from cbsr_qa.store.runs import latest_outcome
 

@@ -1,7 +1,4 @@
-"""Recorded data through the same analysis and to the same report as a run.
-
-Whether one recording can be the reference of another.
-"""
+"""Recorded data through the same analysis and to the same report as a run."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -63,7 +60,7 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
 
 
 def _difference(recording: Recording, empty: Recording) -> str:
-    """Say what tells two recordings apart; empty if they can be compared."""
+    """Return why two recordings cannot be compared; empty if they can."""
     own, other = recording.frames, empty.frames
     if other.voltages.shape[1:] != own.voltages.shape[1:] or empty.scan is not recording.scan:
         return f"its frames are {_shape(empty)}, not {_shape(recording)}"
@@ -76,7 +73,7 @@ def _difference(recording: Recording, empty: Recording) -> str:
 
 
 def _stated_difference(recording: Recording, empty: Recording) -> str:
-    """Compare what both files state; what one of them leaves open does not count."""
+    """Compare what both files state."""
     current_A, other_A = recording.frames.current_A, empty.frames.current_A
     if recording.layout and empty.layout and empty.layout != recording.layout:
         return "its electrodes are numbered or placed in another way"
@@ -157,7 +154,7 @@ class AnalyseRequest:
 
 
 def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda said: None) -> Analysed:
-    """Analyse one file. A refusal is a result, not an exception; nothing is written then."""
+    """Analyse one file. A refusal is returned, not raised; nothing is written then."""
     plugins = discover()
     recording: Recording | None = None
     datasets: tuple[str, ...] = ()
@@ -179,7 +176,7 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
 
 
 def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction:
-    """Make the reconstruction before anything is read: what is wrong with it is wrong for every file."""
+    """Create the reconstruction; its errors do not name the file."""
     where = "--option" if request.options else "--reconstruction"
     try:
         reconstruction: Reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, request.chosen, where)
@@ -256,7 +253,7 @@ def _report(
 
 
 def _told_apart(path: Path, request: AnalyseRequest) -> str:
-    """Eight digits of the content and of what was asked: no other file's or analysis's report is overwritten."""
+    """Return eight digits of content and request, so that reports do not overwrite each other."""
     sha = hashlib.sha256()
     for each in (path, *(() if request.reference is None else request.reference[:1])):
         with each.open("rb") as file:

@@ -1,4 +1,4 @@
-"""The outcome of ``cbsr-qa analyse``: what was read from a file, and what was found in it."""
+"""The outcome of ``cbsr-qa analyse``: the recording, and the events and noise found in it."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -38,18 +38,18 @@ class ChosenParameter:
 
     @classmethod
     def of(cls, choice: ParameterChoice) -> Self:
-        """Return what a document says of a choice."""
+        """Return the JSON fields of a choice."""
         return filled(cls, choice, criterion=choice.criterion or None, reason=choice.how)
 
 
 @dataclass(frozen=True, slots=True)
 class ReadRecording:
-    """What was read; None for what is not known.
+    """What was read; None if unknown.
 
     Parameters
     ----------
     problems : rows that were left out, or used with reservations.
-    clock : whose times they are.
+    clock : the clock of the times.
     loads_documented : presses that the file states.
     """
 
@@ -87,7 +87,7 @@ class ReadRecording:
 
     @classmethod
     def failed(cls, format_: str | None, problems: Sequence[RowProblem]) -> Self:
-        """Return what is known of a file that was given up; ``format_`` is None where no format knows it."""
+        """Return what is known of a file that could not be read; ``format_`` is None if it was not recognised."""
         return cls(format_, rows_rejected=sum(problem.rejected for problem in problems), problems=tuple(problems))
 
 
@@ -229,12 +229,9 @@ class Analysed:
 
     Parameters
     ----------
-    channels : empty where nothing could be analysed.
-    datasets : of a file of several.
+    channels : empty if nothing could be analysed.
+    datasets : if the file holds several.
     compute_s : by stage.
-    report : None where none was asked for.
-    refused : only where it was.
-    result, error : of the analysis; None if it has no such thing.
     """
 
     file: Path

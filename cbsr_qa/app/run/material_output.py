@@ -14,7 +14,7 @@ _LONGEST_NAME: Final = 64  # of a material
 
 
 def why_no_material(result: RunResult) -> str:
-    """Say why a run issues no material file; empty where it does."""
+    """Return why a run issues no material file; empty if it does."""
     characterised = result.characterisation
     if characterised is None:
         return "nothing was characterised"
@@ -26,31 +26,23 @@ def why_no_material(result: RunResult) -> str:
 
 
 def material_path(result: RunResult) -> Path:
-    """Where the material file of a run lies: under its batch, or its serial number where it has none."""
+    """Return the path of a run's material file, named after its batch, or its serial number if it has none."""
     identity = result.record.identity
     name = report_name(identity.sensor.batch or identity.sensor.serial, identity.run)
     return materials_folder() / Path(name).with_suffix(".toml")
 
 
 def write_material(result: RunResult) -> Path:
-    """Write the material file of a run whole or not at all.
-
-    Raises
-    ------
-    RefusedError
-        If the folder cannot be written to.
-    """
+    """Write the material file of a run whole or not at all. RefusedError if the folder cannot be written to."""
     path = material_path(result)
     write_report(path, material_text(material_of(result), _comments(result)))
     return path
 
 
 def material_of(result: RunResult) -> Material:
-    """Put together what was characterised.
+    """Return the characterised material, with the lines against stress and strain *under the head*.
 
-    The lines against stress and strain are those *under the head*: what any sheet of the material answers with, and
-    what simulations and calibrations of sensors need. Noise is the instruments' and the sheet's, not the material's:
-    it is taken over from the material the run was configured with.
+    Noise is not a property of the material: it is taken over from the material the run was configured with.
 
     Raises
     ------
@@ -92,7 +84,7 @@ def _resistance(characterised: Characterisation) -> Parameter:
 
 
 def _range(characterised: Characterisation) -> str:
-    """Say for what strains and stresses the lines hold."""
+    """State the strains and stresses for which the lines hold."""
     kept = [level for level in characterised.levels if not level.why]
     least = max(min(level.strain for level in kept), characterised.lowest_strain or 0.0)
     highest = max(kept, key=lambda level: level.strain)

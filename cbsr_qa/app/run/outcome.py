@@ -22,13 +22,7 @@ from cbsr_qa.report import filled, run_named, run_page
 
 @dataclass(frozen=True, slots=True)
 class UsedReconstruction:
-    """How a run was imaged.
-
-    Parameters
-    ----------
-    weight_ratio : largest to smallest weight of a reading.
-    readings, elements : how many.
-    """
+    """How a run was imaged; ``weight_ratio`` is that of the largest to the smallest weight of a reading."""
 
     name: str
     parameter: ChosenParameter
@@ -39,7 +33,7 @@ class UsedReconstruction:
 
     @classmethod
     def of(cls, result: RunResult) -> Self | None:
-        """Return it; None where nothing was imaged."""
+        """Return the reconstruction of a run; None if nothing was imaged."""
         run = result.observation
         if run is None:
             return None
@@ -78,7 +72,7 @@ class MeasuredValue:
 
     @classmethod
     def of(cls, measurement: Measurement) -> Self:
-        """Return a measurement beside the bounds of its limit."""
+        """Return a measurement with the bounds of its limit."""
         limit = measurement.limit
         if limit is None:
             return filled(cls, measurement)
@@ -105,7 +99,7 @@ class PastRun:
 
     @classmethod
     def of(cls, earlier: EarlierRun) -> Self:
-        """Return what a document says of an earlier run."""
+        """Return the JSON fields of an earlier run."""
         return filled(
             cls,
             earlier,
@@ -127,24 +121,22 @@ class PastRuns:
 
     @classmethod
     def of(cls, history: SensorHistory) -> Self:
-        """Return what a document says of a sensor's history."""
+        """Return the JSON fields of a sensor's history."""
         return cls(len(history.tries) + 1, tuple(map(PastRun.of, history.earlier)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunOutcome:
-    """The outcome of a run, for whoever asked for it.
+    """The outcome of a run.
 
     Parameters
     ----------
     reason : of the verdict.
-    resume : what to type to go on with it; None where it finished.
-    report, calibration, material : files; None where none was issued, or it could not be written (a warning says so).
-    material_why : why there is no material file; empty where the recipe characterises none.
+    resume : command that resumes it; None if it finished.
+    report, calibration, material : files; None if none was issued, or it could not be written (a warning says so).
+    material_why : why there is no material file; empty if the recipe characterises none.
     warnings : those of the result and of writing the files.
     station_s : how long the sensor occupied the station.
-    compute_s : computing time.
-    result : everything concluded.
     """
 
     run: str
@@ -186,12 +178,7 @@ class RunOutcome:
         seed: int = 0,
         resume: str = "",
     ) -> Self:
-        """Return the outcome of what was concluded from a run.
-
-        Parameters
-        ----------
-        material : the file, and the reason if there is no file.
-        """
+        """Return the outcome of a result; ``material`` is the file, and the reason if there is none."""
         record, verdict, version = result.record, result.verdict, result.limits_version
         return cls(
             run=record.identity.run,

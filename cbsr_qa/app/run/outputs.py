@@ -20,11 +20,7 @@ _AGAIN = "cbsr-qa report writes it again once there is room"
 def write_outputs(
     result: RunResult, recipe: Recipe, plugins: Plugins, stages: Stages, seed: int, *, resume: str = ""
 ) -> RunOutcome:
-    """Write calibration file and report, and tell plugins of the calibration.
-
-    What cannot be written becomes a warning: the run and what was concluded from it are stored already, and
-    ``cbsr-qa report`` writes both files again.
-    """
+    """Write calibration, material and report, and tell plugins of the calibration; failures become warnings."""
     identity = result.record.identity
     calibration: Path | None = None
     failed: list[str] = []
@@ -67,7 +63,7 @@ def _material(result: RunResult, failed: list[str]) -> tuple[Path | None, str]:
 
 
 def calibration_path(identity: RunIdentity) -> Path:
-    """Where the calibration file of a run lies."""
+    """Return the path of a run's calibration file."""
     name = report_name(identity.sensor.serial, identity.run)  # safe whatever a serial of an old database holds
     return calibrations_folder() / Path(name).with_suffix(".h5")
 
@@ -91,13 +87,9 @@ def _written(path: Path, html: str, failed: list[str]) -> Path | None:
 
 
 def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[ReportSection], list[str]]:
-    """Return the sections a recipe asks for, every installed one where it names none.
+    """Return the named sections (all installed ones if none are named), and a warning for each that failed to load.
 
-    Built-in sections come in the order they are registered in, others behind them by name.
-
-    Returns
-    -------
-    The sections, and a warning for each that could not be loaded.
+    Built-in sections come first, in the order of their registration, then others by name.
     """
     sections: list[ReportSection] = []
     missing: list[str] = []

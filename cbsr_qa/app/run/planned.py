@@ -32,10 +32,10 @@ class PlannedRun:
     Parameters
     ----------
     spent_s : station time by kind of activity.
-    peak_strain, peak_force_N : highest asked for, and highest force expected.
-    violations : every limit of the station that would be broken, in words.
+    peak_strain, peak_force_N : highest requested, and highest force expected.
+    violations : every limit of the station that would be broken.
     warnings : plugins that could not be loaded, changes since the sensor's last run.
-    refused : what the run would be refused with; None where it would begin.
+    refused : why the run would be refused; None if it would start.
     """
 
     duration_s: float

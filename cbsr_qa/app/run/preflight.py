@@ -1,4 +1,4 @@
-"""What can be known to be wrong before anything moves: a typo must not cost an hour of the station."""
+"""Checks of recipe, plan and station before anything moves."""
 
 from collections.abc import Iterable, Mapping
 from datetime import date
@@ -22,7 +22,7 @@ _LESS: Final = "lower analysis.noise_floor_frames"
 
 
 def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> None:
-    """Make sure that everything the analysis will need is there, takes its options, and can image the sensor.
+    """Check that the plugins a recipe needs are installed, accept their options, and can image the sensor.
 
     Raises
     ------
@@ -48,12 +48,12 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
 
 
 def check_unloaded(plan: Plan, recipe: Recipe) -> None:
-    """Make sure that the plan takes enough unloaded frames for noise floor, reference and noise weighting.
+    """Check that enough unloaded frames are taken for noise floor, reference and noise weighting.
 
     Raises
     ------
     ConfigError
-        If the first phase that marks the sheet as unloaded asks for fewer.
+        If the first phase that marks the sheet as unloaded takes fewer.
     """
     split = recipe.analysis.noise_floor_frames + 1
     weighed = FEWEST_FRAMES if recipe.analysis.noise_weighting == "measured" else 0
@@ -72,13 +72,7 @@ def check_unloaded(plan: Plan, recipe: Recipe) -> None:
 
 
 def check_cycles(plan: Plan, recipe: Recipe) -> None:
-    """Make sure that a recipe for a strip presses cycles, all in one place.
-
-    Raises
-    ------
-    ConfigError
-        If no phase is there for that, or such phases press at several places.
-    """
+    """Check that a recipe for a strip presses cycles, all in one place. ConfigError if not."""
     if recipe.characterisation is None:
         return
     meant = [phase for phase in plan.phases if getattr(phase.sequence, "role", None) is Role.CHARACTERISATION]
@@ -93,12 +87,12 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
 
 
 def refuse_overdue(station: Station, today: date) -> None:
-    """Hold the calibration dates of a station file against its policy, before anything is opened or moved.
+    """Refuse a run if the station's policy forbids overdue instruments and there are any.
 
     Raises
     ------
     RefusedError
-        If an instrument is past its date and the station refuses to run then; names every such role and date.
+        Naming every such role and date.
     """
     if station.overdue != "refuse":
         return
@@ -119,7 +113,7 @@ def past_due(calibration_due: str | None, today: date) -> bool:
 
 
 def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str, ...]:
-    """Say which instruments are past their calibration date."""
+    """Return a warning for each instrument past its calibration date."""
     return tuple(
         f"the calibration of {instrument.role} ({instrument.model}) was due on {instrument.calibration_due}"
         for instrument in instruments

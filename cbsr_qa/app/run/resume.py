@@ -1,4 +1,4 @@
-"""Go on with a run that was interrupted, from nothing but what is stored of it."""
+"""Resume a run that was interrupted, from what is stored of it."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -36,22 +36,20 @@ def resume_run(
     tell: Callable[[str], None] = lambda stage: None,
     ask: Ask | None = None,
 ) -> RunOutcome:
-    """Go on with a run at its next unfinished load, after homing and finding surfaces again.
+    """Resume a run at its next unfinished load, after homing and finding surfaces again.
 
-    Station, recipe, sensor type, material and seed are those it was begun with. A run whose last step was carried
-    out and that was cut off while its result was worked out is concluded, and nothing moves.
+    Station, recipe, sensor type, material and seed are those it was begun with. If all steps were carried out and
+    only the result is missing, nothing moves.
 
     Parameters
     ----------
-    operator : who resumes it.
     tell, ask : as of :func:`cbsr_qa.app.run.run_sensor`.
 
     Raises
     ------
     RefusedError
-        Before anything moves: there is no such run, it is not what was stored, it is finished, another process
-        writes it, it is signed with a key that is not set, its configuration does not pass today's checks, or one of
-        its plugins is missing.
+        Before anything moves: the run is unknown, damaged, finished, being written by another process, signed with
+        a key that is not set, or its configuration or plugins no longer pass the checks.
     InstrumentError
         If an instrument does not answer.
     """
@@ -68,7 +66,7 @@ def resume_run(
 
 
 def _configuration(store: Repository, run: str) -> str:
-    """Return what a run was configured with; StoreError where it is not there, or not what was stored."""
+    """Return the configuration of a run. StoreError if it is unknown or damaged."""
     try:
         return store.configuration(run)
     except StoreError as error:
@@ -98,7 +96,7 @@ def _resumed(store: Repository, run: str, operator: str, stages: Stages, ask: As
 
 
 def check_recipe_only(configuration: Configuration, plugins: Plugins) -> None:
-    """Refuse a recipe that cannot be analysed; nothing is going to move, so nothing else is looked at."""
+    """Refuse a recipe that cannot be analysed; nothing will move, so nothing else is checked."""
     from cbsr_qa.app.run.preflight import check_recipe
 
     check_recipe(configuration.recipe, configuration.sensor_type, plugins)
@@ -113,7 +111,7 @@ def _refuse_concluded(store: Repository, run: str) -> None:
 
 
 def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
-    """Say which versions differ from those a run was begun with."""
+    """Return a warning if software versions differ from those a run was begun with."""
     before, after = dict(stored.software), dict(now.software)
     differing = [
         f"{name} {before.get(name, 'not installed')} → {after.get(name, 'not installed')}"
@@ -126,7 +124,7 @@ def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
 
 
 def changed_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:
-    """Say which instruments are not those a run was begun with."""
+    """Return a warning for each instrument that is not the one a run was begun with."""
     before = {instrument.role: instrument for instrument in stored.instruments}
     words = []
     for instrument in instruments:
@@ -144,7 +142,7 @@ def _who(instrument: InstrumentIdentity) -> str:
 
 
 def next_step(store: Repository, run: str, plugins: Plugins) -> tuple[str, str]:
-    """Return the phase a resumed run would go on in, and what it would do first that was not done, in words.
+    """Return the phase in which a resumed run would continue, and its next step in words.
 
     Raises
     ------

@@ -37,7 +37,7 @@ _SEED_BITS = 31
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What a user asks for; see the options of ``cbsr-qa run``."""
+    """A run to make; see the options of ``cbsr-qa run``."""
 
     station: str
     recipe: str
@@ -51,7 +51,7 @@ class RunRequest:
     why: str = ""
 
     def checked(self) -> Self:
-        """Return itself if serial, batch, operator and reason may be used; ConfigError otherwise."""
+        """Return itself. ConfigError if serial, batch, operator or reason is not allowed."""
         validate_serial(self.serial)
         validate_batch(self.batch)
         validate_operator(self.operator)
@@ -59,7 +59,7 @@ class RunRequest:
         return self
 
     def configuration(self, seed: int, plugins: Plugins | None = None) -> Configuration:
-        """Load and merge the files; ConfigError where one is missing or wrong, as far as it is checked."""
+        """Load and merge the files. ConfigError if one is missing or wrong."""
         return configure(
             self.station,
             self.recipe,
@@ -71,17 +71,17 @@ class RunRequest:
 
 
 def default_seed(serial: str, earlier_runs: int) -> int:
-    """Seed of a run nobody gave one: the same for the same try of the same sensor, another for the next try."""
+    """Return the default seed: the same for the same try of the same sensor."""
     digest = hashlib.sha256(f"{serial}/{earlier_runs}".encode()).digest()
     return int.from_bytes(digest[:4]) >> (32 - _SEED_BITS)
 
 
 def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
-    """Walk a run without moving or writing anything, by the checks that the run itself would make.
+    """Plan a run with all its checks, without moving or writing anything.
 
     Parameters
     ----------
-    attended : whether somebody would be there to answer; nobody is asked.
+    attended : whether an operator could answer prompts; nobody is asked.
 
     Raises
     ------
@@ -111,13 +111,13 @@ def run_sensor(
     Parameters
     ----------
     tell : told what the computer is busy with.
-    ask : shows a text to the operator and returns the answer; None where nobody is there: then a recipe with prompts,
-        and a station with instruments that are worked by hand, are refused.
+    ask : shows a text to the operator and returns the answer; None if nobody is there: prompts and instruments
+        worked by hand are then refused.
     begun : told the run's identifier before anything of it is stored.
 
     Returns
     -------
-    What came of it, whatever it was: a run that was aborted or broken is an outcome, stored and reported.
+    The outcome; a run that was aborted or broken is one too, stored and reported.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def _folders() -> tuple[Path, ...]:
 
 
 def _checked(request: RunRequest) -> Plugins:
-    """Refuse what can be known to be wrong before the bench is opened; what is wrong with the files is said first."""
+    """Check files, then folders and database, before the bench is opened."""
     plugins = discover()
     check_configuration(request.configuration(0, plugins), plugins)
     url = database_url(request.database)
@@ -180,7 +180,7 @@ def _checked(request: RunRequest) -> Plugins:
 
 
 def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:
-    """Seed of a run: as given, or that of the sensor's next try that no run has, without making a database."""
+    """Return the seed given, or the first default one that no run of the sensor has; makes no database."""
     if request.seed is not None:
         return request.seed
     url = database_url(request.database)

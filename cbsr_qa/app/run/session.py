@@ -1,7 +1,4 @@
-"""One session of a run, new or resumed: the bench open, the plan driven, what was stored concluded.
-
-What must not be cut off half-way is stopped by every signal as by the keyboard.
-"""
+"""One session of a run, new or resumed: drives the plan on an open bench, then evaluates what was stored."""
 
 import signal
 import threading
@@ -51,14 +48,12 @@ from cbsr_qa.system import RealClock, Redelivery, Stages
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let the first signal (from the keyboard, termination, hang-up) end what is inside, which then cleans up.
-
-    Further signals are ignored until it has: impatience must not leave a current on.
+    """Let the first signal (Ctrl-C, termination, hang-up) interrupt the block; ignore others until it has cleaned up.
 
     Raises
     ------
     AbortedError
-        Once what is inside has cleaned up, where a signal or the keyboard stopped it.
+        After the clean-up, if a signal or the keyboard interrupted it.
     """
     heard: list[str] = []
     redelivery = Redelivery()
@@ -89,13 +84,13 @@ Ask = Callable[[str], str]
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What earlier sessions of a run have done; by default nothing.
+    """What earlier sessions of a run have done.
 
     Parameters
     ----------
     loads : (phase, index) of presses that were held to their end.
     phases : that ended.
-    until_s : when on the run's time line this session begins [s].
+    until_s : start of this session on the run's time line [s].
     """
 
     loads: frozenset[LoadKey] = frozenset()
@@ -104,13 +99,7 @@ class Done:
 
 
 def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
-    """Refuse what would be refused after hours otherwise: overdue instruments, metrics, limits, missing plugins.
-
-    Raises
-    ------
-    RefusedError
-        Saying what is wrong.
-    """
+    """Check instruments' dates, recipe, plugins and limits before anything moves. RefusedError if one fails."""
     refuse_overdue(configuration.station, RealClock().wall().date())
     check_recipe(configuration.recipe, configuration.sensor_type, plugins)
     planned = plan_of(configuration, plugins)
@@ -119,14 +108,14 @@ def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
 
 
 class Session:
-    """A bench that is open, and what is to be done on it.
+    """An open bench and the plan to carry out on it.
 
     Parameters
     ----------
     configuration : checked, see :func:`check_configuration`.
-    ask : shows a text to the operator and returns the answer; None where nobody is there.
+    ask : shows a text to the operator and returns the answer; None if nobody is there.
     done : by earlier sessions of the same run.
-    why : why its files are not those of the runs before it, in the operator's words.
+    why : the operator's reason for files that differ from those of earlier runs.
 
     Raises
     ------
@@ -167,7 +156,7 @@ class Session:
         self._bench.close()
 
     def walk(self) -> DryRun:
-        """Count what is left to do, and what the station would not allow."""
+        """Return what is left to do, and what the station would not allow."""
         check_samplers(self._plan, self._bench.samplers)
         return dry_run(
             self._plan,
@@ -182,12 +171,12 @@ class Session:
         return self._bench.identities()
 
     def run(self, identity: RunIdentity, store: Repository) -> RunOutcome:
-        """Drive the bench, then work out from the store what it came to.
+        """Drive the bench, then evaluate the stored run.
 
         Raises
         ------
         BrokenRunError
-            If the run, or what it came to, could not be stored or read back: what was stored of it stays.
+            If the run or its result could not be stored or read back; what was stored of it stays.
         """
         self.warnings += filter(None, [store.from_the_future()])
         self.warnings += overdue(identity.instruments, RealClock().wall().date())
@@ -244,7 +233,7 @@ class Session:
 
 
 def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
-    """Raise where a run ended and its end could not be stored: nothing is concluded from half a run."""
+    """Raise if the end of a run could not be stored: half a run is not evaluated."""
     if ended.end is EndReason.FINISHED:
         return
     try:
@@ -267,14 +256,14 @@ def concluded(
     stages: Stages,
     warnings: Sequence[str],
 ) -> RunOutcome:
-    """Work out from the store what a run came to, and write its report and calibration file.
+    """Evaluate a stored run, and write its report and calibration file.
 
     Raises
     ------
     BrokenRunError
-        If that could not be stored or read back (a full disk): what was stored of the run stays.
+        If the result could not be stored or read back; what was stored of the run stays.
     UnconcludedError
-        If somebody stopped it (Ctrl-C, termination, hang-up).
+        If a signal or the keyboard stopped it.
     """
     try:
         with stoppable():

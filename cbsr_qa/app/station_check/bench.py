@@ -1,4 +1,4 @@
-"""A station's instruments looked at one by one, and a ring of resistors measured with all of them; nothing moves."""
+"""Checks a station's instruments one by one, then measures a ring of resistors with all of them; nothing moves."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -40,15 +40,7 @@ _NO_RING: Final = "give --ring-ohm, or [reference_ring] in the station file"
 
 @dataclass(slots=True)
 class BenchFindings:
-    """What came of it.
-
-    Parameters
-    ----------
-    lines : of the check, in order.
-    instruments : those that answered.
-    ring : its frames; None where none were taken.
-    refused : why instruments could not even be tried.
-    """
+    """Lines of a check, instruments that answered, frames of the ring, and refusals to open an instrument."""
 
     lines: list[CheckResult] = field(default_factory=list)
     instruments: list[InstrumentIdentity] = field(default_factory=list)
@@ -67,16 +59,15 @@ def look_at_bench(
     ask: Callable[[str], str] | None = None,
     tell: Callable[[str], None] = lambda words: None,
 ) -> BenchFindings:
-    """Open every instrument, ask each for identity and self-test, sample what samples, measure the ring, close all.
+    """Open every instrument, ask each for identity and self-test, check samples, measure the ring, close all.
 
-    Whatever happens the bench is made safe and nothing is left open. An instrument that does not answer is a line.
+    The bench is always made safe and closed. An instrument that does not answer is a line of the check.
 
     Parameters
     ----------
-    ring : to measure; None where none is to be.
-    confirm : asked for before the ring is measured, on a real bench.
-    ask : of instruments that are worked by hand; None where nobody is there.
-    tell : told what is being done.
+    ring : to measure, if any.
+    confirm : asked before the ring is measured, on a real bench.
+    ask : for instruments worked by hand; None if nobody is there.
 
     Raises
     ------
@@ -100,7 +91,7 @@ def look_at_bench(
 
 
 def simulates_frames(station: Station) -> bool:
-    """Whether the frames of a station are of a simulated world, in which a ring can be put in the sheet's place."""
+    """Whether the frames of a station are simulated, so that a ring can replace the sheet."""
     sources = [spec for spec in station.instruments if FRAME_SOURCE in spec.provides]
     return station.emulated_scene is not None or any("scene" in spec.options for spec in sources)
 
@@ -131,7 +122,7 @@ def _resistances(configuration: Configuration, ring: ReferenceRing | None) -> tu
 
 
 class _Look:
-    """One look at a bench: what is open, and what was found so far."""
+    """One check of a bench: what is open, and the findings so far."""
 
     def __init__(self, configuration: Configuration, clock: Clock, tell: Callable[[str], None]) -> None:
         self.configuration = configuration
@@ -143,7 +134,7 @@ class _Look:
         self._bench: Bench | None = None
 
     def open(self, spec: InstrumentSpec, opened: Callable[[InstrumentSpec], Instrument], today: date) -> None:
-        """Open one instrument and ask it who it is and how it is."""
+        """Open one instrument and ask for identity and self-test."""
         self._tell(f"asking {spec.role}")
         try:
             mounted = Mounted(spec, opened(spec))
@@ -161,7 +152,7 @@ class _Look:
             self._add(due)
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
-        """Ask an instrument who it is, and to test itself; ``emulated`` as of :func:`identity_of`."""
+        """Ask an instrument for identity and self-test; ``emulated`` as of :func:`identity_of`."""
         role = mounted.spec.role
         try:
             identity = identity_of(mounted, emulated=emulated)
@@ -189,7 +180,7 @@ class _Look:
         return not self._missing and confirm is not None and confirm(_connect_words(resistances_ohm))
 
     def put_together(self, after: tuple[Action, ...]) -> None:
-        """Make a bench of the instruments, if all of them are there, and ask those that needed the others for it."""
+        """Make a bench of the instruments if none is missing, and ask those that work through others."""
         linked = [mounted for mounted in self._mounted if isinstance(mounted.instrument, Linked)]
         if self._missing:
             for mounted in linked:
@@ -208,7 +199,7 @@ class _Look:
             self._add(_failed(error.role if isinstance(error, InstrumentError) else _WHOLE, "together", error))
 
     def sample(self) -> None:
-        """Wait as long as data may be old, and see that every channel has samples."""
+        """Check that every channel has samples after the time that data may be old."""
         if self._bench is None:
             return
         stale_s, begun_s = self.configuration.station.safety.stale_s, self._clock.now()
@@ -221,7 +212,7 @@ class _Look:
                     self._add(_failed(mounted.spec.role, f"samples of {mounted.instrument.channel}", error))
 
     def measure_ring(self, ring: ReferenceRing | None, resistances_ohm: tuple[float, ...], connected: bool) -> None:
-        """Take frames of the ring and judge them; a line says why, where none are taken."""
+        """Take frames of the ring and judge them; a line says why if none are taken."""
         sensor_type = self.configuration.sensor_type
         if ring is None:
             return self._add(_no_ring("no ring was asked for", _NO_RING))
@@ -243,7 +234,7 @@ class _Look:
         return None
 
     def close(self, after: tuple[Action, ...]) -> None:
-        """Make everything safe and close it; who did not is a line."""
+        """Make everything safe and close it; a failure is a line."""
         if self._bench is not None:
             unsafe, unclosed = self._bench.safe_state(), self._bench.close()
         else:
@@ -262,7 +253,7 @@ class _Look:
 
 
 def _failed(subject: str, name: str, error: Exception) -> CheckResult:
-    """Line of something that went wrong; that an operator stops the check is raised again."""
+    """Return the line of an error; an operator's stop is raised again."""
     if isinstance(error, AbortedError):
         raise error
     if isinstance(error, CbsrError):

@@ -1,4 +1,4 @@
-"""Check a station: its instruments, a reference ring, a golden sensor. What came of it is stored with the runs."""
+"""Check a station: its instruments, a reference ring, a golden sensor; the check is stored with the runs."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -50,15 +50,7 @@ _NEEDED: Final = ("identity", "together", "safe state", "closing")
 
 @dataclass(frozen=True, slots=True)
 class CheckRequest:
-    """What a user asks for; see the options of ``cbsr-qa station check``.
-
-    Parameters
-    ----------
-    golden : serial number of a golden sensor; None for no such run.
-    ring_ohm : of every resistor of the ring; None for what the station file says.
-    ring : whether a ring is measured at all, where one is known.
-    ring_connected : the ring is in place already, and nobody is asked.
-    """
+    """A check to make; see the options of ``cbsr-qa station check``."""
 
     station: str
     golden: str | None = None
@@ -78,23 +70,18 @@ def check_station(
     ask: Callable[[str], str] | None = None,
     tell: Callable[[str], None] = lambda stage: None,
 ) -> CommandOutcome[CheckedStation]:
-    """Check a station, store what came of it, and write its page.
+    """Check a station, store the check, and write its page.
 
     Parameters
     ----------
-    ask : shows a text to the operator and returns the answer; None where nobody is there: what has to be connected
-        first is then not measured, and instruments that are worked by hand do not answer.
-    tell : told what is being done.
-
-    Returns
-    -------
-    What was found, whatever it is: an instrument that does not answer is a line of the check.
+    ask : shows a text to the operator and returns the answer; None if nobody is there: what must be connected first
+        is then not measured, and instruments worked by hand do not answer.
 
     Raises
     ------
     RefusedError
-        Before anything is opened: a file, a name or an option is wrong, or the database cannot be used. Also where
-        not a single instrument could be tried, because its driver or its options are wrong.
+        Before anything is opened: a file, a name or an option is wrong, or the database cannot be used. Also if no
+        instrument could be opened at all, because of its driver or options.
     AbortedError
         If a signal stopped it; the bench is safe then, and nothing is stored.
     """
@@ -199,7 +186,7 @@ def _confirmed(ask: Callable[[str], str], words: str) -> bool:
 
 
 def _refuse_untried(findings: BenchFindings, configuration: Configuration) -> None:
-    """Raise what is wrong with the station file where not a single instrument could be tried."""
+    """Raise the first refusal if no instrument could be opened at all."""
     if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
         raise findings.refused[0]
 

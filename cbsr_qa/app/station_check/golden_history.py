@@ -28,7 +28,7 @@ FIGURES: Final = (
     ("reciprocity_error", ""),
     ("drift", ""),
 )
-#: With what confidence a station that has not changed is outside in no figure at all: beyond it fails, or warns.
+#: Confidence that an unchanged station is outside in no value at all: beyond it fails, or warns.
 FAILS_BEYOND: Final = 0.99
 WARNS_BEYOND: Final = 0.95
 _MOST_DECIMALS: Final = 9
@@ -40,14 +40,7 @@ _CHANGED: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure of one run.
-
-    Parameters
-    ----------
-    value : mean over the places.
-    places : how many there were.
-    unit : of the value.
-    """
+    """A value of one run: the mean over its places."""
 
     value: float
     places: int
@@ -56,7 +49,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class GoldenRun:
-    """An earlier run of the sensor: where it was made, and its figures by name."""
+    """An earlier run of the sensor: its station, and its values by name."""
 
     run: str
     station: str
@@ -65,7 +58,7 @@ class GoldenRun:
 
 @dataclass(frozen=True, slots=True)
 class GoldenHistory:
-    """Earlier runs of a golden sensor, oldest first, and how many others were left out."""
+    """Earlier runs of a golden sensor, oldest first, and the number of other runs, which are left out."""
 
     runs: tuple[GoldenRun, ...]
     unlike: int
@@ -97,7 +90,7 @@ def golden_history(store: Repository, run: str) -> GoldenHistory:
 
 
 def figures_of(measurements: Sequence[Measurement]) -> dict[str, Figure]:
-    """Return the figures of a run that can be compared; what was not measured, or only bounded, is not there."""
+    """Return the values of a run that can be compared: measured at every place, and not just bounded."""
     figures = {}
     for name, qualifier in FIGURES:
         of = [m for m in measurements if (m.name, m.qualifier) == (name, qualifier)]
@@ -110,16 +103,15 @@ def figures_of(measurements: Sequence[Measurement]) -> dict[str, Figure]:
 def compare_golden(
     measurements: Sequence[Measurement], history: GoldenHistory, *, station: str, subject: str
 ) -> tuple[CheckResult, ...]:
-    """Hold a golden run's figures against its history: one line a figure, and one that says what it rests on.
+    """Compare a golden run with its history: one line per value, and one for the number of runs.
 
-    Each figure is held against the earlier runs at this station and, apart, against those at all others together.
-    The intervals are those of one further run (Student's t), widened so that of all comparisons together none is
-    outside with the stated confidence (Bonferroni). With fewer than three earlier runs there is no verdict.
+    Each value is compared with earlier runs at this station and, separately, at all others. Prediction intervals for
+    one further run (Student's t) hold together for all comparisons (Bonferroni). Fewer than three earlier runs give
+    no verdict.
 
     Parameters
     ----------
-    measurements : of the new run.
-    station : where it was made.
+    measurements, station : of the new run.
     subject : of the lines.
     """
     new = figures_of(measurements)

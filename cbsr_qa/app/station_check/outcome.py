@@ -21,9 +21,9 @@ _RING_WORDS: Final = (
     "are fitted by a gain, an offset and a resistance of each lead; what is left of a reading is its own error."
 )
 _GOLDEN_WORDS: Final = (
-    "A golden sensor is one that is kept for this and known well. Its figures are held against its earlier runs, "
-    "those at this station and those at others apart. An interval is where one further run lies; all of them "
-    "together hold with 99 % while nothing has changed. A figure outside fails; one outside those of 95 % warns."
+    "A golden sensor is kept for checks of stations. Its values are compared with its earlier runs, separately for "
+    "this station and for others. Each interval is where one further run would lie; if nothing has changed, all "
+    "values lie within their intervals with 99 % probability. A value outside fails, one outside those of 95 % warns."
 )
 
 
@@ -43,12 +43,7 @@ class AnsweringInstrument:
 
 @dataclass(frozen=True, slots=True)
 class CheckedStation:
-    """A check of a station: stored, and written as a page; see :class:`~cbsr_qa.domain.run.StationCheck`.
-
-    Parameters
-    ----------
-    page : None where it could not be written; ``page_why`` then says why.
-    """
+    """A stored check of a station; ``page_why`` says why there is no ``page``."""
 
     check: str
     station: str

@@ -48,7 +48,7 @@ def test_what_the_page_warns_of_is_in_the_document_too(result, tmp_path, monkeyp
     warned = replace(result, warnings=("its rows are not chained",))
     monkeypatch.setattr("cbsr_qa.app.run.render.open_store", lambda *_, **__: nullcontext(Mock()))
     monkeypatch.setattr("cbsr_qa.app.run.render.rebuilt", lambda *_: (warned, SECTIONS))
-    monkeypatch.setattr("cbsr_qa.app.run.render._calibration_again", lambda _: None)
+    monkeypatch.setattr("cbsr_qa.app.run.render.write_calibration", lambda *_: None)
     assert guarded(["report", "S-1", "--to", str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["warnings"] == ["its rows are not chained"]
 
