@@ -64,12 +64,17 @@ def foreign_database(folder):
     ("prepare", "said"),
     [
         (overdue, "was due on 2020-01-31"),
-        (too_long, "the head is down for 60 s; the station allows 30 s"),
-        (worked_by_hand, "nobody is there to be asked"),
         (no_folder, "folder var/reports cannot be written to"),
-        (no_folder_for_reports, "folder var/reports cannot be written to"),
         (older_database, f"older than this program's {schema.HEAD}"),
-        (foreign_database, "belongs to another program"),
+        *(
+            pytest.param(*other, marks=pytest.mark.rest)
+            for other in (
+                (too_long, "the head is down for 60 s; the station allows 30 s"),
+                (worked_by_hand, "nobody is there to be asked"),
+                (no_folder_for_reports, "folder var/reports cannot be written to"),
+                (foreign_database, "belongs to another program"),
+            )
+        ),
     ],
 )
 def test_a_dry_run_is_refused_as_the_run_is_and_neither_writes_anything(tmp_path, prepare, said):
@@ -86,6 +91,7 @@ def test_a_dry_run_is_refused_as_the_run_is_and_neither_writes_anything(tmp_path
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.rest
 @pytest.mark.skipif(sys.platform != "linux", reason="a file system that takes no files")
 def test_a_file_system_that_takes_no_files_is_refused_by_both(tmp_path):
     asked = ["run", "--station", "simulated", "--recipe", short_recipe(tmp_path), "--serial", "S-1", "--seed", "1"]

@@ -55,9 +55,10 @@ def test_one_signal_ends_a_run_in_order_with_its_record_and_exit_code_3(tmp_path
     ("limit", "said"),
     [
         ("dwell_s = 30.0", "the head is down for 60 s; the station allows 30 s"),
-        (
+        pytest.param(
             "temperature_C = [18.0, 26.0]",
             "[safety] temperature_C limits the temperature, but no instrument samples it",
+            marks=pytest.mark.rest,
         ),
     ],
 )
