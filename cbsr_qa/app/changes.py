@@ -11,7 +11,7 @@ from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.results import CommandOutcome, Outcome, Paragraph, Section
 from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride
 from cbsr_qa.report import answer, filled, number, plural, run_named, unit_shown
-from cbsr_qa.store import Repository, made_at, open_store
+from cbsr_qa.store import made_at, open_store
 
 _UNCHANGED: Final = "no file was changed, no limits of a control chart set, and no verdict overridden"
 _AT: Final = "%Y-%m-%d %H:%M"
@@ -119,14 +119,6 @@ class Overridden(VerdictOverride):
     note: str
 
 
-def _about_calibration(calibration: str | None, outcome: Outcome) -> str:
-    if calibration is None:
-        return "no calibration was issued, and an override issues none"
-    if outcome is Outcome.FAIL:
-        return f"calibration {calibration} stays stored: an override withdraws none; take its file out of use"
-    return f"calibration {calibration} stays as it was issued"
-
-
 def override_verdict(
     run: str, outcome: str, *, by: str, why: str, database: str | None
 ) -> CommandOutcome[Overridden]:
@@ -152,19 +144,17 @@ def override_verdict(
             raise ConfigError(f"an override needs {option}", remedy=f"say {what}")
     name, reason = validate_operator(by), validate_reason(why)
     with open_store(database_url(database), create=False) as store:
-        _check_decided(store, run)
-        made = store.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
-        (analysis, *_) = store.analyses(run)
+        for latest in store.analyses(run)[:1]:
+            check_decided(store.load_run(run), latest, restore(store.configuration(run)).recipe.limits)
+        override = store.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
+        calibration = store.analyses(run)[0].calibration
         identity, report = store.identity(run), report_command(run, store)
-    note = _about_calibration(analysis.calibration, made.outcome)
+    note = "no calibration was issued, and an override issues none"
+    if calibration is not None and override.outcome is Outcome.FAIL:
+        note = f"calibration {calibration} stays stored: an override withdraws none; take its file out of use"
+    elif calibration is not None:
+        note = f"calibration {calibration} stays as it was issued"
     facts = (("Run", run_named(identity.sensor.serial, identity.started_at, run)), ("Calibration", note))
-    done = filled(Overridden, made, calibration=analysis.calibration, note=note)
-    return answer(done, f"verdict {made.words}", "", facts, printed=(("Report", f"{report} writes it with this"),))
-
-
-def _check_decided(store: Repository, run: str) -> None:
-    """Refuse to override a verdict that does not follow from what is stored."""
-    analyses = store.analyses(run)
-    if analyses:
-        limits = restore(store.configuration(run)).recipe.limits
-        check_decided(store.load_run(run), analyses[0], limits)
+    done = filled(Overridden, override, calibration=calibration, note=note)
+    printed = (("Report", f"{report} writes it with this"),)
+    return answer(done, f"verdict {override.words}", "", facts, printed=printed)

@@ -185,22 +185,6 @@ def test_a_malformed_recipe_names_file_and_line(tmp_path):
     assert "line 3" in done.stderr
 
 
-def test_an_unknown_plugin_in_a_recipe_is_refused_before_anything_moves(tmp_path):
-    recipe = short_recipe(tmp_path, **{'sequence = "noise-figure"': 'sequence = "noise-figur"'})
-    done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", check=False)
-    assert done.returncode == 2
-    assert "did you mean 'noise-figure'" in done.stderr
-    assert not (tmp_path / "var").exists()
-
-
-def test_a_recipe_beyond_the_stations_limits_is_refused_before_anything_moves(tmp_path):
-    recipe = short_recipe(tmp_path, **{"strain_percent = 20.0": "strain_percent = 36.0"})
-    done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", check=False)
-    assert done.returncode == 2
-    assert "36" in done.stderr
-    assert not (tmp_path / "var").exists()
-
-
 @pytest.mark.rest
 def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
     recipe = short_recipe(tmp_path, metrics=QUICK, **{"upper = 6.5": "upper = 0.001"})
@@ -218,6 +202,8 @@ def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
     [
         ({'measurement = "centre_of_mass_error"': 'measurement = "centre_of_mass_eror"'}, "did you mean 'centre_of"),
         ({"noise_floor_frames = 8": "noise_floor_frames = 50"}, "takes 30 unloaded frames"),
+        ({'sequence = "noise-figure"': 'sequence = "noise-figur"'}, "did you mean 'noise-figure'"),
+        ({"strain_percent = 20.0": "strain_percent = 36.0"}, "36"),
         *(
             pytest.param(*other, marks=pytest.mark.rest)
             for other in (
@@ -237,7 +223,7 @@ def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
         ),
     ],
 )
-def test_what_the_analysis_would_refuse_is_refused_before_anything_moves(tmp_path, change, said):
+def test_a_recipe_that_cannot_be_run_or_analysed_is_refused_before_anything_moves(tmp_path, change, said):
     recipe = short_recipe(tmp_path, **change)
     for more in ([], ["--dry-run"]):
         files = ["--station", "simulated", "--recipe", recipe, "--serial", "A", "--json", *more]

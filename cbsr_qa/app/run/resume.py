@@ -6,9 +6,9 @@ from typing import Final
 
 from cbsr_qa.app.command_hints import report_command
 from cbsr_qa.app.run.outcome import RunOutcome
+from cbsr_qa.app.run.preflight import check_recipe
 from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded
 from cbsr_qa.config import (
-    Configuration,
     calibrations_folder,
     database_url,
     reports_folder,
@@ -84,8 +84,12 @@ def _resumed(store: Repository, run: str, operator: str, stages: Stages, ask: As
     identity = replace(stored, operator=operator, software=software_versions(plugins), started_at=now)
     changed = changed_software(stored, identity)
     if store.state_of(run).end is EndReason.FINISHED:
-        _refuse_concluded(store, run)
-        check_recipe_only(configuration, plugins)
+        if store.analyses(run):
+            raise StoreError(
+                f"run {run} is finished, and has its result",
+                remedy=f"{report_command(run, store)} writes its report and calibration file again",
+            )
+        check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
         return concluded(run, store, configuration, plugins, stages, changed)
     check_configuration(configuration, plugins)
     done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run))
@@ -95,73 +99,42 @@ def _resumed(store: Repository, run: str, operator: str, stages: Stages, ask: As
         return session.run(identity, store)
 
 
-def check_recipe_only(configuration: Configuration, plugins: Plugins) -> None:
-    """Refuse a recipe that cannot be analysed; nothing will move, so nothing else is checked."""
-    from cbsr_qa.app.run.preflight import check_recipe
-
-    check_recipe(configuration.recipe, configuration.sensor_type, plugins)
-
-
-def _refuse_concluded(store: Repository, run: str) -> None:
-    if store.analyses(run):
-        raise StoreError(
-            f"run {run} is finished, and has its result",
-            remedy=f"{report_command(run, store)} writes its report and calibration file again",
-        )
-
-
 def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
     """Return a warning if software versions differ from those a run was begun with."""
     before, after = dict(stored.software), dict(now.software)
-    differing = [
+    differing = ", ".join(
         f"{name} {before.get(name, 'not installed')} → {after.get(name, 'not installed')}"
         for name in dict.fromkeys([*before, *after])
         if before.get(name) != after.get(name)
-    ]
-    if not differing:
-        return []
-    return [f"the run was begun with other software than it went on with: {', '.join(differing)}"]
+    )
+    return [f"the run was begun with other software than it went on with: {differing}"] if differing else []
 
 
 def changed_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:
     """Return a warning for each instrument that is not the one a run was begun with."""
-    before = {instrument.role: instrument for instrument in stored.instruments}
-    words = []
-    for instrument in instruments:
-        first = before.get(instrument.role)
-        if first is None or _who(first) != _who(instrument):
-            was = "none" if first is None else _who(first)
-            words.append(
-                f"{instrument.role} is another instrument than the run was begun with: {was} → {_who(instrument)}"
-            )
-    return words
+    before = {instrument.role: _who(instrument) for instrument in stored.instruments}
+    return [
+        f"{role} is another instrument than the run was begun with: {before.get(role, 'none')} → {who}"
+        for role, who in ((instrument.role, _who(instrument)) for instrument in instruments)
+        if before.get(role) != who
+    ]
 
 
 def _who(instrument: InstrumentIdentity) -> str:
     return " ".join(filter(None, [instrument.model, instrument.serial, instrument.firmware]))
 
 
-def next_step(store: Repository, run: str, plugins: Plugins) -> tuple[str, str]:
+def known_next(store: Repository, run: str, plugins: Plugins) -> tuple[str, str] | None:
     """Return the phase in which a resumed run would continue, and its next step in words.
 
-    Raises
-    ------
-    CbsrError
-        If its configuration or one of its plugins can no longer be used.
+    None if its configuration or one of its plugins can no longer be used.
     """
-    plan = plan_of(restore(store.configuration(run)), plugins)
-    ended = store.ended_phases(run)
-    for phase in schedule(plan, store.finished_loads(run), ended):
-        if phase.index in ended:
-            continue
-        presses = [step for step in phase.steps if isinstance(step.step, Press)]
-        return phase.name, describe(presses[0].step) if presses else "the end of the phase"
-    return "", "its end"
-
-
-def known_next(store: Repository, run: str, plugins: Plugins) -> tuple[str, str] | None:
-    """Return the same; None where it cannot be known."""
     try:
-        return next_step(store, run, plugins)
+        plan, ended = plan_of(restore(store.configuration(run)), plugins), store.ended_phases(run)
+        left = [phase for phase in schedule(plan, store.finished_loads(run), ended) if phase.index not in ended]
     except CbsrError:
         return None
+    if not left:
+        return "", "its end"
+    presses = [step for step in left[0].steps if isinstance(step.step, Press)]
+    return left[0].name, describe(presses[0].step) if presses else "the end of the phase"
