@@ -101,11 +101,11 @@ def simulated_run(
 def observed_run(record, *, over_time=True, **changes):
     """What the recipe of nine locations observes in a run, with some of its settings changed."""
     recipe = load_recipe("nine-locations").value
-    return observe_run(record, _method(), replace(recipe.analysis, **changes), over_time=over_time)
+    return observe_run(record, recipes_method(), replace(recipe.analysis, **changes), over_time=over_time)
 
 
 @cache
-def _method():
+def recipes_method():
     """The recipe's reconstruction, which prepares the matrix of a problem once: that takes a second."""
     recipe = load_recipe("nine-locations").value
     method = discover().factory(Kind.RECONSTRUCTION, recipe.reconstruction.name)(**recipe.reconstruction.options)

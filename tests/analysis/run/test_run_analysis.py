@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_runs import HEAD, observed_run, simulated_run
+from simulated_runs import HEAD, observed_run, recipes_method, simulated_run
 
 from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import NumericsError
@@ -104,7 +104,7 @@ def test_flagged_and_stuck_readings_are_left_out_and_named(run):
     flags[::3, 0, 7] = ReadingFlag.SATURATED
     voltages[:, 3, 9] = 0.25
     damaged = _with_phase(run, frames=replace(frames, flags=flags, voltages=voltages))
-    observation = observed_run(damaged)
+    observation = observed_run(damaged, over_time=False)
     assert not observation.usable[0, 7]
     assert not observation.usable[3, 9]
     assert observation.usable.sum() == 206
@@ -122,7 +122,7 @@ def test_a_lost_frame_costs_that_frame_and_nothing_else(run, observation):
     held = int(np.flatnonzero(frames.time_s > run.phases[0].loads[1].hold_start_s)[3])
     flags[held], voltages[held] = ReadingFlag.MISSING, 0.0  # a whole frame
     flags[held + 30, 4], voltages[held + 30, 4] = ReadingFlag.MISSING, 0.0  # one row of another
-    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags, voltages=voltages)))
+    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags, voltages=voltages)), over_time=False)
     assert seen.usable.sum() == 208
     assert "2 of" in " ".join(seen.warnings)
     for load, before in zip(seen.loads, observation.loads, strict=True):
@@ -134,7 +134,7 @@ def test_a_reading_that_saturates_during_one_press_is_left_out_and_the_press_kep
     press = run.phases[0].loads[2]
     flags = frames.flags.copy()
     flags[(frames.time_s >= press.press_start_s) & (frames.time_s < press.rest_end_s), 6, 1] = ReadingFlag.COMPLIANCE
-    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags)))
+    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags)), over_time=False)
     assert not seen.usable[6, 1]
     assert seen.usable.sum() == 207
     assert seen.loads[2].steady_frames == _SETTINGS.steady_frames
@@ -144,7 +144,7 @@ def test_lambda_belongs_to_the_sensor_type_not_to_the_sensor(run, observation):
     frames = run.phases[0].frames
     flags = frames.flags.copy()
     flags[:, 5, 9] = flags[:, 9, 5] = ReadingFlag.SATURATED
-    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags)))
+    seen = observed_run(_with_phase(run, frames=replace(frames, flags=flags)), over_time=False)
     assert seen.usable.sum() == 206
     assert seen.reconstruction.choice.value == observation.reconstruction.choice.value
     assert seen.reconstruction.choice.noise_figure != observation.reconstruction.choice.noise_figure
@@ -154,11 +154,12 @@ def test_driven_pairs_do_not_reach_the_image(run, observation):
     frames = run.phases[0].frames
     voltages = frames.voltages.copy()
     voltages[:, ~run.sensor_type.pattern.usable()] = 123.0
-    changed = observed_run(_with_phase(run, frames=replace(frames, voltages=voltages)))
+    changed = observed_run(_with_phase(run, frames=replace(frames, voltages=voltages)), over_time=False)
     np.testing.assert_array_equal(changed.loads[0].image.values, observation.loads[0].image.values)
 
 
 def test_the_analysis_repeats_itself_to_the_bit(run, observation):
+    recipes_method.cache_clear()
     again = observed_run(run)
     for one, other in zip(observation.loads, again.loads, strict=True):
         np.testing.assert_array_equal(one.image.values, other.image.values)

@@ -41,6 +41,7 @@ def test_noise_is_no_proof_of_equivalence():
     assert found.time is not Agreement.EQUIVALENT
 
 
+@pytest.mark.rest
 def test_a_margin_apart_is_rarely_called_equivalent_or_different():
     """Amplitudes scaled so that the curves differ by exactly 0.1 at 1.25 s, where they do so most."""
     start = -(0.20 * np.exp(-TIME_S[0] / 2.5) + 0.55 * np.exp(-TIME_S[0] / 23.1))

@@ -35,6 +35,7 @@ def test_what_a_release_leaves_is_seen_early():
     assert rms(found.uncompensated) > 0.3
 
 
+@pytest.mark.rest
 def test_one_load_gives_wide_intervals_that_hold():
     found = tried(Trial(sensors=60, held=5, loads=1, seed=4))
     assert found.cover(0.68) >= 0.68

@@ -72,6 +72,7 @@ def test_a_release_after_a_hold_is_what_superposition_says():
     assert long.relative(TIME_S)[0] == pytest.approx(exponentials(unloading, TIME_S), rel=1e-12)
 
 
+@pytest.mark.rest
 def test_its_error_is_that_of_kernels_drawn_from_their_covariance():
     loading, unloading = known((-0.2, -0.55), (2.5, 23.1)), known((0.2, 0.62), (2.5, 25.4))
     random = np.random.default_rng(1)
@@ -129,6 +130,7 @@ def test_a_sheet_of_the_strips_material_is_equivalent(alike):
         assert ratio.how.startswith("equivalent") == (bound <= 1.2)
 
 
+@pytest.mark.rest
 def test_a_sheet_that_relaxes_otherwise_is_different(strip):
     """Twice as fast under load, and half as much after it."""
     other = replace(
@@ -145,6 +147,7 @@ def test_a_sheet_that_relaxes_otherwise_is_different(strip):
     assert unloading.found.shape_difference < -0.1
 
 
+@pytest.mark.rest
 def test_noise_is_no_proof_of_equivalence(strip):
     noisy = observed(replace(MATERIAL, strip_relaxation=strip), noise=12 * MATERIAL.relative_noise.value)
     for one in sheet_against_strip(noisy):

@@ -74,6 +74,7 @@ def test_stated_errors_of_levels_are_those_of_the_noise():
     assert levels.std(axis=0, ddof=1) == pytest.approx(stated, rel=0.25)
 
 
+@pytest.mark.rest
 def test_a_residue_that_outlasts_them_is_found_and_taken_away():
     truth = Truth(residue=0.02)
     steps = noisy(steps_of(truth, cycles((0.1, 0.2, 0.3), 6)), 4e-4, 1)

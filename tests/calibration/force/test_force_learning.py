@@ -152,6 +152,7 @@ class TestRefused:
             learned(loads, of=doubtful)
 
 
+@pytest.mark.rest
 def test_residues_of_earlier_loads_are_taken_out_as_far_as_they_are_known():
     random = np.random.default_rng(11)
     places, force = _somewhere_pressed(11, 30)

@@ -200,6 +200,7 @@ def test_a_small_change_that_creeps_in_is_noticed(calibration, response, part):
     assert abs(after[0].force_N - 3.0 * (1 + part)) < 3 * after[0].stderr_N
 
 
+@pytest.mark.rest
 def test_a_head_seen_on_its_way_down_does_not_become_two(calibration, response):
     # A tenth of the load in the frame in which it touches: that frame is 9 mm off in its place.
     head = Steps((11.3, 25.5), [(18.8, 0.12), (20.1, 1.13)], response)

@@ -97,6 +97,7 @@ def drawn(random):
     return values, others, response[9:]
 
 
+@pytest.mark.rest
 def test_nine_loads_leave_the_stated_errors_on_sheets_drawn_as_assumed():
     """Sheets smoother than most lie within their intervals too often; all of them together must not."""
     sheets, inside = 40, []
