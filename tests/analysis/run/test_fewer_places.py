@@ -58,6 +58,7 @@ def test_the_whole_map_states_what_the_calibration_states():
     assert again.cost(np.ones(len(PLACES), dtype=bool)).stated == pytest.approx(expected, rel=0.03)
 
 
+@pytest.mark.rest
 def test_fewer_places_tell_less_and_the_error_seen_is_about_what_is_stated():
     seen, expected = [], []
     for seed in range(6):

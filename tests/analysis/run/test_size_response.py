@@ -33,6 +33,7 @@ def blurring():
     return method
 
 
+@pytest.mark.rest
 def test_an_image_much_wider_than_the_targets_is_flat_by_just_what_blurring_says(blurring):
     """The image's second moment is the blur's and r²/4 of the disc; its 85 % contour encloses 2π ln(1/0.85) of it."""
     found = size_response(blurring(11.0), head_diameter_mm=13.0)
@@ -56,12 +57,14 @@ def test_an_image_much_finer_than_the_targets_follows_their_size(blurring):
     assert "flat" not in in_words(found)
 
 
+@pytest.mark.rest
 def test_the_sharper_the_image_the_steeper(blurring):
     slopes = [size_response(blurring(width), head_diameter_mm=13.0)[0].slope for width in (2.0, 4.0, 8.0, 16.0)]
     assert np.all(np.diff(slopes) < 0)
     assert slopes[-1] < FLAT < slopes[0]
 
 
+@pytest.mark.rest
 def test_no_region_is_no_slope_and_flat(blurring):
     method = blurring(5.0)
     dark = replace(method, matrix=-np.abs(method.matrix))

@@ -39,6 +39,7 @@ def ratios(run):
     return learned_from(run).learned.ratio[:-LONG]
 
 
+@pytest.mark.rest
 def test_predicted_holds_say_what_whole_ones_do(seen):
     whole, averaged, predicted = map(ratios, seen)
     assert abs(np.mean(predicted / whole) - 1) < 0.02
