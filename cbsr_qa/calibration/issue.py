@@ -54,10 +54,6 @@ def issue_calibration(
     learned_from : the loads it was learned from or that it refused, in the order of ``learned.refused``.
     confirmed : loads it was not learned from whose force it told within its stated error: they widen the range.
 
-    Returns
-    -------
-    Calibration with its digests; ``issued_at`` is in UTC.
-
     Raises
     ------
     CalibrationError
@@ -124,10 +120,7 @@ def _baseline(
 
 
 def summarise_settling(relaxations: Sequence[LoadRelaxation]) -> tuple[SettlingSummary, ...]:
-    """Summarise settling times by signal and direction, in the order they first occur.
-
-    Mean and deviation are Kaplan–Meier restricted ones: where times are censored the mean is a lower bound.
-    """
+    """Summarise settling times by signal and direction; Kaplan–Meier means, lower bounds where any is censored."""
     groups: dict[tuple[str, bool], list[LoadRelaxation]] = {}
     for relaxation in relaxations:
         groups.setdefault((relaxation.signal, relaxation.loading), []).append(relaxation)
@@ -189,7 +182,6 @@ def _relaxations(loads: Sequence[LoadObservation]) -> Iterator[LoadRelaxation]:
 
 
 def _assumed(learned: LearnedForce | None) -> tuple[str, ...]:
-    """What was taken from the material: an intercept that loads of this sensor were fitted with was not."""
     fitted = learned is not None and learned.fitted_intercept
     return ("α against stress", *(() if fitted else ("β against stress",)), "α against strain", "β against strain")
 

@@ -12,8 +12,6 @@ for each text its length in bytes in decimal, a NEWLINE and its UTF-8 bytes.
 used readings and their merging, which are covered, and the readings' noise from the run's unloaded frames, but only
 to rounding, which is another one on another computer. So a calibration that is put together again from a database
 has its ``record_digest`` to the bit anywhere, and its ``digest`` where the arithmetic is the same.
-
-A digest tells damage and careless editing; it is not a signature.
 """
 
 import hashlib
@@ -24,11 +22,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain import CalibrationError, tabulated
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, tabulated
 from cbsr_qa.domain.results import Calibration
 
 #: What a value may be: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
-Value = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.int64] | NDArray[np.bool_] | str | tuple[str, ...]
+Value = Array | NDArray[np.float32] | Indices | Mask | str | tuple[str, ...]
 
 #: Units of values that have none.
 PURE: Final = "1"
@@ -60,32 +58,28 @@ class Reading:
 
     def number(self, path: str) -> float:
         """Return a number; it is finite."""
-        value = float(self._array(path, np.float64, ()))
+        value = float(self.array(path, np.float64, ()))
         if not np.isfinite(value):
             raise CalibrationError(f"{path} is {value:g}; a finite number is expected")
         return value
 
     def maybe(self, path: str) -> float | None:
         """Return a number, or None if it is absent."""
-        value = float(self._array(path, np.float64, ()))
+        value = float(self.array(path, np.float64, ()))
         return None if np.isnan(value) else self.number(path)
 
-    def numbers(self, path: str) -> NDArray[np.float64]:
+    def numbers(self, path: str) -> Array:
         """Return an array of numbers; none is infinite."""
-        array: NDArray[np.float64] = self._array(path, np.float64)
+        array: Array = self.array(path, np.float64)
         if np.isinf(array).any():
             raise CalibrationError(f"{path} holds a number that is infinite; finite ones are expected")
         return array
 
-    def singles(self, path: str) -> NDArray[np.float64]:
-        """Return an array of numbers that are kept in single precision."""
-        return self._array(path, np.float32).astype(np.float64)
-
-    def either(self, path: str) -> NDArray[np.float64]:
+    def either(self, path: str) -> Array:
         """Return an array of finite numbers that are kept in single or in double precision."""
         value = self._value(path)
         single = isinstance(value, np.ndarray) and value.dtype == np.float32
-        values = self.singles(path) if single else self.numbers(path)
+        values = self.array(path, np.float32).astype(np.float64) if single else self.numbers(path)
         if not np.isfinite(values).all():
             raise CalibrationError(f"{path} holds what is not a finite number")
         return values
@@ -94,7 +88,7 @@ class Reading:
         """Return a list of numbers, None for absent ones."""
         return [None if np.isnan(value) else float(value) for value in self.numbers(path)]
 
-    def optional(self, path: str) -> NDArray[np.float64] | None:
+    def optional(self, path: str) -> Array | None:
         """Return an array of numbers, or None where it is empty."""
         values = self.numbers(path)
         return values if values.size else None
@@ -116,24 +110,6 @@ class Reading:
         if pair is None:
             raise CalibrationError(f"{path} is empty")
         return pair
-
-    def integers(self, path: str) -> NDArray[np.int64]:
-        """Return indices or counts."""
-        array: NDArray[np.int64] = self._array(path, np.int64)
-        return array
-
-    def integer(self, path: str) -> int:
-        """Return one count."""
-        return int(self._array(path, np.int64, ()))
-
-    def flags(self, path: str) -> NDArray[np.bool_]:
-        """Return an array of yes and no."""
-        array: NDArray[np.bool_] = self._array(path, np.bool_)
-        return array
-
-    def flag(self, path: str) -> bool:
-        """Return yes or no."""
-        return bool(self._array(path, np.bool_, ()))
 
     def text(self, path: str) -> str:
         """Return a text."""
@@ -168,7 +144,8 @@ class Reading:
             raise CalibrationError(f"{path} is missing")
         return self._entries[path].value
 
-    def _array(self, path: str, kind: type[np.generic], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+    def array(self, path: str, kind: type[np.generic], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+        """Return an array of a kind and, where one is given, of a shape; else of one axis or more."""
         value = self._value(path)
         if not isinstance(value, np.ndarray) or value.dtype != kind:
             raise CalibrationError(f"{path} does not hold {kind.__name__} numbers")
@@ -206,12 +183,7 @@ def _record_version(entries: Mapping[str, Entry]) -> int:
 
 
 def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> str:
-    """Return the SHA-256 of entries as described at the top of this module, in hexadecimal digits.
-
-    Parameters
-    ----------
-    version : schema version; by default that of the entries.
-    """
+    """Return the SHA-256 of entries as described at the top of this module, in hexadecimal digits."""
     digest = hashlib.sha256(f"{FORMAT}\t{version or schema_version(entries)}\n".encode())
     for path in sorted(entries):
         kind, shape, data = _canonical(entries[path].value)

@@ -3,10 +3,6 @@
 What files of before held otherwise is brought to the form of now when it is read, and back when it is written, so
 that what was issued keeps its digests: the regularisation parameter without name and criterion, which its method
 implies, and no word of force.
-
-What is prepared again from the rest is kept in single precision, templates in steps of 2⁻²², whose last bits would
-otherwise be half of the file: forces differ by less than 1e-6 of themselves. A file is read by people's robots, so
-that everything an index, a division or a square root rests on is looked at before anything is worked out from it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -50,13 +46,7 @@ _CALLED: Final = {
 
 
 def encode(calibration: Calibration) -> Mapping[str, Entry]:
-    """Return everything a calibration holds as entries by path.
-
-    Raises
-    ------
-    CalibrationError
-        If its matrix was prepared for another sensor type than it names.
-    """
+    """Return everything a calibration holds as entries by path."""
     prepared_for = calibration.reconstruction.problem.sensor_type
     if prepared_for != calibration.sensor_type:
         raise CalibrationError(
@@ -135,12 +125,8 @@ def _write_mesh(out: Entries, group: str, mesh: Mesh) -> None:
 
 
 def _read_mesh(read: Reading, group: str) -> Mesh:
-    return mesh_of_arrays(
-        {
-            "nodes_mm": read.numbers(f"{group}nodes"),
-            **{name: read.integers(f"{group}{name}") for name in MESH_ARRAYS[1:4]},
-        }
-    )
+    names = MESH_ARRAYS[:4]
+    return mesh_of_arrays({name: _read_array(read, f"{group}{name.removesuffix('_mm')}", name) for name in names})
 
 
 def _write_given_mesh(out: Entries, group: str, mesh: GivenMesh | None) -> None:
@@ -155,17 +141,14 @@ def _write_array(out: Entries, path: str, name: str, array: NDArray[Any]) -> Non
         out[path] = Entry("mm", array + 0.0)
 
 
+def _read_array(read: Reading, path: str, name: str) -> NDArray[Any]:
+    return read.array(path, np.int64) if name in MESH_INTEGERS else read.numbers(path)
+
+
 def _read_given_mesh(read: Reading, group: str) -> GivenMesh | None:
     if not read.has(f"{group}nodes_mm"):
         return None
-    return GivenMesh.of(
-        mesh_of_arrays(
-            {
-                name: read.integers(f"{group}{name}") if name in MESH_INTEGERS else read.numbers(f"{group}{name}")
-                for name in MESH_ARRAYS
-            }
-        )
-    )
+    return GivenMesh.of(mesh_of_arrays({name: _read_array(read, f"{group}{name}", name) for name in MESH_ARRAYS}))
 
 
 def _write_relaxations(out: Entries, group: str, relaxations: tuple[LoadRelaxation, ...]) -> None:
@@ -188,7 +171,7 @@ def _read_relaxations(read: Reading, group: str) -> tuple[LoadRelaxation, ...]:
         at = f"{group}{signal}/"
         above = {"signal": signal, "unit": read.units(f"{at}offset")}
         members = _CODEC.read_list(read, LoadRelaxation, at, above)
-        numbered += zip(read.integers(f"{at}number").tolist(), members, strict=True)
+        numbered += zip(read.array(f"{at}number", np.int64).tolist(), members, strict=True)
     numbered.sort(key=lambda pair: pair[0])
     if [number for number, _ in numbered] != list(range(len(numbered))):
         raise CalibrationError("the numbers of the relaxations are not 0, 1, 2, … over all signals")
@@ -217,14 +200,7 @@ def as_filed(model: ForceModel) -> ForceModel:
 
 
 def _check_usable(calibration: Calibration) -> None:
-    """Make sure that what a force model leans on can be worked with.
-
-    Raises
-    ------
-    CalibrationError
-        If merging, reference and used readings do not fit each other, or a slope, current or head is no number that
-        could be divided by.
-    """
+    """Refuse a force model whose merging, reference, line, current or head no force can be worked out from."""
     model, used = calibration.force, calibration.reconstruction.problem.used
     if model is None:
         return
@@ -249,7 +225,6 @@ def _check_usable(calibration: Calibration) -> None:
 
 
 def _force_problems(model: ForceModel) -> Iterator[str]:
-    """Say what is wrong with a model whose numbers have the sizes and shapes they are allowed to have."""
     there = model.node[model.node >= 0]
     if (model.node < -1).any() or not np.array_equal(np.sort(there), np.arange(len(model.templates))):
         yield f"force/node does not name each of {len(model.templates)} templates once, and −1 elsewhere"

@@ -142,7 +142,6 @@ def _misshapen(field: KeptField, path: str, shape: tuple[int, ...], lengths: dic
 
 
 def _place(field: KeptField, within: str, own: str) -> tuple[str, str]:
-    """Path and units of a field."""
     group = group_of(field.hint) is not None
     default = own if group else TEXT if _is_text(field.hint) else _UNITS.get(field.hint, PURE)
     return field.path(within, group=group), field.units(own, default)
@@ -172,7 +171,7 @@ def _kept(field: KeptField, held: Any) -> Value:
     return single if field.kept.single or exact else values
 
 
-def _padded(rows: Sequence[tuple[float, ...]]) -> NDArray[np.float64]:
+def _padded(rows: Sequence[tuple[float, ...]]) -> Array:
     """Rows of at most two numbers as an (n, 2) array, padded with NaN."""
     table = np.full((len(rows), 2), np.nan)
     for index, row in enumerate(rows):
@@ -191,26 +190,26 @@ _VALUES: Final[Mapping[Any, Callable[[Reading, str], Any]]] = {
     Array: Reading.numbers,
     Array | None: Reading.optional,
     Points: lambda read, path: _rows(read.numbers(path)),
-    int: Reading.integer,
-    Indices: Reading.integers,
-    Pairs: lambda read, path: _rows(read.integers(path)),
-    bool: Reading.flag,
-    Mask: Reading.flags,
+    int: lambda read, path: int(read.array(path, np.int64, ())),
+    Indices: lambda read, path: read.array(path, np.int64),
+    Pairs: lambda read, path: _rows(read.array(path, np.int64)),
+    bool: lambda read, path: bool(read.array(path, np.bool_, ())),
+    Mask: lambda read, path: read.array(path, np.bool_),
 }
 _LISTS: Final[Mapping[Any, Callable[[Reading, str], Sequence[Any]]]] = {
     str: Reading.texts,
     float: lambda read, path: read.numbers(path).tolist(),
     float | None: Reading.maybes,
     tuple[float, ...]: lambda read, path: [tuple(row[~np.isnan(row)].tolist()) for row in read.numbers(path)],
-    int: lambda read, path: read.integers(path).tolist(),
-    int | None: lambda read, path: [None if one < 0 else one for one in read.integers(path).tolist()],
-    bool: lambda read, path: read.flags(path).tolist(),
+    int: lambda read, path: read.array(path, np.int64).tolist(),
+    int | None: lambda read, path: [None if n < 0 else n for n in read.array(path, np.int64).tolist()],
+    bool: lambda read, path: read.array(path, np.bool_).tolist(),
 }
 
 
 def _value(read: Reading, field: KeptField, path: str) -> Any:
     if field.kept.single or field.kept.shortest:
-        return read.singles(path) if field.kept.single else read.either(path)
+        return read.array(path, np.float32).astype(np.float64) if field.kept.single else read.either(path)
     return _VALUES[field.hint](read, path) if field.hint in _VALUES else field.hint(read.text(path))
 
 

@@ -9,16 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import Entry
 from cbsr_qa.calibration.file.entries import encode
 from cbsr_qa.calibration.file.json import dataset
 from cbsr_qa.calibration.runtime import Flag, ForceInverse, Matches, TemplateFilter, map_tables
-from cbsr_qa.domain import CalibrationError, kept_fields
+from cbsr_qa.domain import Array, CalibrationError, kept_fields
 from cbsr_qa.domain.results import Calibration, ForceModel, Lattice
-
-Array = NDArray[np.float64]
 
 FORMAT: Final = "cbsr-qa calibration for firmware"
 VERSION: Final = 1
@@ -69,16 +66,8 @@ def firmware_document(calibration: Calibration, *, stride: int | None = None) ->
     ----------
     stride : nodes of the calibration's lattice to one of the firmware's; by default the largest that reaches every
         calibrated place and adds at most 2 % to a force there.
-
-    Raises
-    ------
-    CalibrationError
-        If it holds no force model, its merging is not one row a reading, or the stride leaves no place.
     """
-    if calibration.force is None:
-        why = calibration.no_force or "it was issued before calibrations had any"
-        raise CalibrationError(f"calibration {calibration.calibration} holds no force model: {why}")
-    if (np.count_nonzero(calibration.force.merging, axis=0) != 1).any():
+    if (np.count_nonzero(_model(calibration).merging, axis=0) != 1).any():
         raise CalibrationError("its merging gives a reading to several rows, which firmware does not expect")
     chosen, thin, loss = _chosen(calibration, stride)
     held = encode(replace(calibration, force=thin))
@@ -122,9 +111,7 @@ def thinned(model: ForceModel, stride: int) -> ForceModel:
 
 def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
     """Say what a coarser model of a calibration loses."""
-    model = calibration.force
-    if model is None:
-        raise CalibrationError("it holds no force model")
+    model = _model(calibration)
     fine = TemplateFilter(model)
     places = _calibrated_places(calibration, model, fine)
     line, area_mm2 = calibration.against_stress, calibration.indenter.area_mm2
@@ -144,10 +131,15 @@ def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
     return Loss(len(places), lost, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
 
 
+def _model(calibration: Calibration) -> ForceModel:
+    if calibration.force is None:
+        why = calibration.no_force or "it was issued before calibrations had any"
+        raise CalibrationError(f"calibration {calibration.calibration} holds no force model: {why}")
+    return calibration.force
+
+
 def _chosen(calibration: Calibration, stride: int | None) -> tuple[int, ForceModel, Loss]:
-    model = calibration.force
-    if model is None:
-        raise CalibrationError("it holds no force model")
+    model = _model(calibration)
     for each in _STRIDES if stride is None else (stride,):
         if each < 1 or min(model.lattice.columns, model.lattice.rows) // each < 4:
             most = min(model.node.shape) // 4

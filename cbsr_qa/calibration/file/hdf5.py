@@ -7,9 +7,6 @@ file's bytes (see :mod:`cbsr_qa.calibration.file`): writing the content again wi
 512 bytes before the HDF5 file (its user block, which every HDF5 library skips) hold a digest of all bytes after them.
 Schema version 1 had no group ``force``, version 2 matrix and Jacobian in double precision; what holds no more is
 still written so. Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
-
-The Jacobian is kept beside the matrix: it is the physical prior for places and reading sets no load has calibrated,
-and without it a file could not be prepared for a sensor that lost a channel.
 """
 
 import hashlib
@@ -55,13 +52,7 @@ _COPY_AGAIN: Final = "copy it again from where it was issued"
 
 
 def stamped(calibration: Calibration) -> Calibration:
-    """Return a calibration with its digests and the bytes of its file filled in.
-
-    Raises
-    ------
-    CalibrationError
-        If it contradicts itself, or holds a text that HDF5 cannot.
-    """
+    """Return a calibration with its digests and the bytes of its file filled in."""
     entries = encode(calibration)
     digest = content_digest(entries)
     file = _whole_file(entries, digest)
@@ -70,10 +61,6 @@ def stamped(calibration: Calibration) -> Calibration:
 
 def write_calibration(path: Path, calibration: Calibration) -> str:
     """Write a calibration file; either the whole file appears under its name or nothing does.
-
-    Returns
-    -------
-    The digest.
 
     Raises
     ------
@@ -125,13 +112,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
-    """Return the calibration in the bytes of a file.
-
-    Raises
-    ------
-    CalibrationError
-        As :func:`read_calibration`, and if its digest is not that which was issued.
-    """
+    """Return the calibration in the bytes of a file."""
     entries, digest, _ = _read(data)
     if issued and digest != issued:
         raise CalibrationError(f"its file holds another calibration: its SHA-256 is {digest}, {issued} was issued")
@@ -139,24 +120,12 @@ def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
 
 
 def read_contained(path: Path) -> Calibration:
-    """Read a calibration file of unknown origin in a child process (see :mod:`cbsr_qa.system.untrusted`).
-
-    Raises
-    ------
-    CalibrationError
-        As :func:`read_calibration`, and where reading crashes, hangs or takes too much memory.
-    """
+    """Read a calibration file of unknown origin in a child process (see :mod:`cbsr_qa.system.untrusted`)."""
     return read_untrusted(path, lambda: read_calibration(path), refusal=CalibrationError)
 
 
 def verify_calibration_file(path: Path) -> VerifiedFile:
-    """Check digest and schema of a calibration file.
-
-    Raises
-    ------
-    CalibrationError
-        As :func:`read_calibration`.
-    """
+    """Check digest and schema of a calibration file; refused as by :func:`read_calibration`."""
     with _naming(path):
         entries, digest, checked = _read(file_bytes(path))
         decode(entries)
@@ -189,7 +158,6 @@ def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
 
 
 def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
-    """How an array is compressed."""
     if data.nbytes < _COMPRESSED_BYTES:
         return {}
     packing: dict[str, Any] = {"compression": "gzip", "shuffle": True}
@@ -201,7 +169,6 @@ def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
 
 
 def _read(data: bytes) -> tuple[dict[str, Entry], str, bool]:
-    """Return what a file holds, its digest, and whether its bytes were held against a digest of theirs."""
     checked = _check_bytes(data)
     try:
         with h5py.File(h5py.h5f.open_file_image(data), "r") as file:
@@ -325,12 +292,8 @@ def _entry(path: str, dataset: h5py.Dataset) -> Entry:
     if h5py.check_string_dtype(dataset.dtype) is not None:
         return Entry(units, texts(path, dataset))
     values = np.asarray(dataset[()])
-    if values.dtype == np.float64:
-        return Entry(units, values.astype(np.float64))
-    if values.dtype == np.float32:
-        return Entry(units, values.astype(np.float32))
-    if values.dtype == np.int64:
-        return Entry(units, values.astype(np.int64))
+    if values.dtype in (np.float64, np.float32, np.int64):
+        return Entry(units, values)
     if values.dtype == np.uint8 and values.max(initial=0) <= 1:
         return Entry(units, values.astype(np.bool_))
     raise CalibrationError(f"{path} is of the type {dataset.dtype}, or holds a value, that no calibration has")
@@ -338,7 +301,6 @@ def _entry(path: str, dataset: h5py.Dataset) -> Entry:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Put the file's name before whatever is said about it."""
     try:
         yield
     except RefusedError as error:

@@ -1,8 +1,4 @@
-"""What an HDF5 file holds, looked at before any of it is read: the same rules for calibrations and recordings.
-
-A few bytes of a file can claim anything: links to other files, raw data in /etc, terabytes of fill values, chunks of
-gigabytes, a million texts that are all the same megabyte. Nothing this program writes has any of that.
-"""
+"""What an HDF5 file holds, looked at before any of it is read: the same rules for calibrations and recordings."""
 
 from collections.abc import Iterator
 from typing import Any, Final
@@ -30,10 +26,6 @@ def members(file: h5py.File, size_bytes: int) -> Iterator[tuple[str, h5py.Group 
     Parameters
     ----------
     size_bytes : of the file; all datasets together may be so much larger as honest data pack.
-
-    Yields
-    ------
-    Paths without leading ``/``, in the order HDF5 lists them, and what is there.
 
     Raises
     ------
@@ -126,13 +118,7 @@ def attribute_names(item: h5py.Group | h5py.Dataset) -> list[str]:
 
 
 def texts(path: str, dataset: h5py.Dataset) -> str | tuple[str, ...]:
-    """Read one text, or a list of them, one by one: a thousand entries may all point to the same megabyte.
-
-    Raises
-    ------
-    RefusedError
-        If they have more characters than any file of ours.
-    """
+    """Read one text, or a list of them, one by one: a thousand entries may all point to the same megabyte."""
     held = dataset.asstr()
     if not dataset.ndim:
         return str(held[()])

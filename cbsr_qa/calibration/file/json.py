@@ -39,13 +39,7 @@ _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np
 
 
 def json_document(calibration: Calibration) -> dict[str, Any]:
-    """Return everything a calibration holds, as one JSON document.
-
-    Raises
-    ------
-    CalibrationError
-        If it contradicts itself.
-    """
+    """Return everything a calibration holds, as one JSON document."""
     entries = encode(calibration)
     return {
         "format": FORMAT,

@@ -5,13 +5,11 @@ from enum import StrEnum
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, common_settling_time
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import FitStatus
-
-Array = NDArray[np.float64]
 
 #: What is still no difference: of the shape, as a share of the change, and of the settling time, as a share.
 SHAPE_MARGIN: Final = 0.1
@@ -32,7 +30,7 @@ class Agreement(StrEnum):
 
 
 class ComparableRelaxation(Protocol):
-    """What is compared: a curve relative to its change, with its error, over the time it is known for."""
+    """A curve relative to its change, from ``start_s`` to ``window_s``."""
 
     @property
     def start_s(self) -> float:
@@ -125,14 +123,12 @@ class ComparedCurves:
     @property
     def difference(self) -> Array:
         """Second less first."""
-        difference: Array = self.second - self.first
-        return difference
+        return self.second - self.first
 
     @property
     def stderr(self) -> Array:
         """Standard error of the difference; the two count as independent."""
-        stderr: Array = np.hypot(self.first_stderr, self.second_stderr)
-        return stderr
+        return np.hypot(self.first_stderr, self.second_stderr)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,9 +178,6 @@ def compare_relaxations(
     within the margin. Shapes must do so at each time of the common window (intersection–union, Berger & Hsu 1996: no
     correction is needed). They differ if somewhere the interval of level 1 − α, corrected for the number of
     times (Bonferroni), lies beyond the margin. Everything else is undecided.
-
-    The two count as independent. Traces of the same frames share noise, which then cancels in part: the stated errors
-    are too large for them, and equivalence is claimed too rarely, not too often.
 
     Parameters
     ----------

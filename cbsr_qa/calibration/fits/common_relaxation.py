@@ -6,12 +6,12 @@ from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits.joint import JointExponentials, TimedValues, fit_joint
 from cbsr_qa.calibration.fits.relaxation import checked_trace
 from cbsr_qa.calibration.fits.separable import chance_of_gain
 from cbsr_qa.calibration.fits.settling import settling_time
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import FitStatus, RelaxationFit, SettlingTime
 
 __all__ = ["CommonRelaxation", "TimedValues", "common_settling_time", "fit_common_relaxation"]
@@ -41,20 +41,15 @@ class CommonRelaxation:
     """
 
     fit: RelaxationFit
-    offsets: NDArray[np.float64]
-    scales: NDArray[np.float64]
-    shares: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    offsets: Array
+    scales: Array
+    shares: Array
+    covariance: Array
     traces: int
 
 
 def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     """Fit Gᵢ(t) = cᵢ + sᵢ g(t) to all traces at once, g = w e^(−t/τ₁) + (1 − w) e^(−t/τ₂) the same for all.
-
-    One trace of two settling times does not carry a second exponential, and one exponential then settles too early
-    (24 s for 29 s in simulation). Linear viscoelasticity of one material says more: load and place change the size
-    of a relaxation, not its shape. τ₁, τ₂ and w are searched by variable projection; cᵢ and sᵢ follow, so that weak
-    loads count for as little as they carry and none has to be thrown away for a low R².
 
     The second exponential is kept if an F test corrected for the residuals' autocorrelation finds it significant at
     1 %, the time constants differ by a factor of 2, and the slow one is determined (standard error of log τ₂ below
@@ -70,12 +65,6 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     -------
     CommonRelaxation, whose ``fit.status`` is TWO, ONE, FLAT (no relaxation that chance would not show), DRIFTING
     (slower than the traces are long) or REJECTED (no trace, or no time constant is determined).
-
-    Raises
-    ------
-    NumericsError
-        If a trace's shapes differ, a number is not finite, time stamps repeat or step back, it begins later than a
-        hundred times its length, or its values are beyond 1e±140.
     """
     used = [checked_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
     if not used:
@@ -105,11 +94,8 @@ def common_settling_time(
 ) -> tuple[SettlingTime, float | None]:
     """Return the settling time of the mean trace and its standard error [s], None where it has no plain number.
 
-    Parameters
-    ----------
-    window_s : of the longest trace.
-    tolerance, band, start_s : as in :func:`~cbsr_qa.calibration.fits.settling_time`.
-    loaded_change : mean over the traces, where they are unloadings.
+    Parameters are those of :func:`~cbsr_qa.calibration.fits.settling_time`: ``loaded_change`` the mean over
+    unloadings, ``window_s`` of the longest trace.
     """
     settled = partial(
         settling_time,

@@ -38,13 +38,7 @@ def level_at(trace: Trace, time_s: float) -> float | None:
 def held_alike(
     loads: Iterable[LoadObservation], duration_s: Callable[[LoadObservation], float]
 ) -> tuple[tuple[LoadObservation, ...], float]:
-    """Loads whose hold (or rest) lasted as long as most, to a second, and that time [s]; the longer of two equals.
-
-    Raises
-    ------
-    NumericsError
-        If there are none.
-    """
+    """Return the loads whose hold (or rest) lasted as long as most, to a second, and that time [s]."""
     members = tuple(loads)
     counts = Counter(round(duration_s(load)) for load in members)
     if not counts:
@@ -64,11 +58,6 @@ def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frame
     Returns
     -------
     Σ (G(end) − G(from)) / Σ G(end) over the loads, as a fraction.
-
-    Raises
-    ------
-    NumericsError
-        If no load has such a trace over that time.
     """
     changes = [_creep(load, signal, from_s, frames) for load in loads]
     pairs = [pair for pair in changes if pair is not None]
@@ -83,11 +72,6 @@ def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float,
     A head that stands still lets the stress relax, so that input and output change together. The input's own change
     is taken out at the sensitivity of the end, S = G(end)/σ(end): Σ [G(end) − G(from) − S (σ(end) − σ(from))] / Σ
     G(end), to first order what a constant stress would show.
-
-    Raises
-    ------
-    NumericsError
-        If no load has both traces over that time.
     """
     pairs = []
     for load in loads:
@@ -104,17 +88,9 @@ def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float,
 def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
     """What is left of the conductance change at the end of the rest, over the change under load.
 
-    Both are counted from the frames before the press, and are means of the last frames: after the rest as ISO 376's
-    zero error, but of each press by itself and summed up.
-
     Returns
     -------
     Σ G(end of the rest) / Σ G(end of the hold), as a fraction; negative where the sheet comes back beyond zero.
-
-    Raises
-    ------
-    NumericsError
-        If no load has both traces.
     """
     pairs = []
     for load in loads:
@@ -129,10 +105,6 @@ def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
 def last_cycles(loads: Iterable[LoadObservation], *, frames: int) -> dict[str, tuple[float, float]]:
     """Conductance change at the end of the last cycle but one, and of the last, by location.
 
-    Parameters
-    ----------
-    loads : of phases that precondition; trials are cycles.
-
     Returns
     -------
     Locations at which both were sensed, in the order of their first press.
@@ -146,13 +118,7 @@ def last_stresses(loads: Iterable[LoadObservation]) -> dict[str, tuple[float, fl
 
 
 def change_between(levels: Iterable[tuple[float, float]]) -> Estimate:
-    """Change from one level to the other over the other, summed up over locations, as a fraction.
-
-    Raises
-    ------
-    NumericsError
-        If there is no location.
-    """
+    """Change from one level to the other over the other, summed up over locations, as a fraction."""
     pairs = [(after - before, after) for before, after in levels]
     if not pairs:
         raise NumericsError("at no location were the last two cycles both sensed")

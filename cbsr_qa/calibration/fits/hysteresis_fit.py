@@ -4,11 +4,6 @@ ISA-37.1: the largest difference in output, at any value of the measurand within
 approached first with increasing and then with decreasing measurand; within one calibration cycle, in percent of
 full-scale output. Here the measurand is the stress under the head, the calibration cycle a loop up and down through
 some strains, and the full-scale output that at its deepest strain.
-
-A sheet that relaxes lags behind on the way up and on the way down: read after any finite hold, the branches differ
-without hysteresis. So what has not relaxed is fitted and taken out of output and stress alike (Boltzmann
-superposition, :mod:`~cbsr_qa.calibration.fits.superposition`): each strain has a level and amplitudes of its own, its
-direction the time constants. What the fit leaves unknown is in the stated error.
 """
 
 from collections.abc import Sequence
@@ -16,15 +11,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits.superposition import Levels, levels_read, relaxed_levels
 from cbsr_qa.calibration.sheet import Estimate
-from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.results import LoopObservation
 from cbsr_qa.domain.run import LoadRecord
-
-Array = NDArray[np.float64]
 
 #: Holds of a loop are equally long within this share: frames are whole.
 _ALIKE: Final = 0.15
@@ -146,7 +138,6 @@ def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
 
 
 def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
-    """Strains of one cycle, the index of the deepest, and how long each was held [s]."""
     if loop.why:
         raise NumericsError(f"nothing can be told from the loops: {loop.why}")
     if loop.stress is None:

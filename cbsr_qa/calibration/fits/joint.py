@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from cbsr_qa.calibration.fits.separable import polished
+from cbsr_qa.domain import Array
 
 #: (times (n,), values (n,)) of one trace.
-TimedValues = tuple[NDArray[np.float64], NDArray[np.float64]]
+TimedValues = tuple[Array, Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,24 +26,23 @@ class JointExponentials:
     mean_covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, its amplitudes, and log τ.
     """
 
-    time_constants_s: NDArray[np.float64]
-    shares: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    scales: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    mean_covariance: NDArray[np.float64]
+    time_constants_s: Array
+    shares: Array
+    offsets: Array
+    scales: Array
+    residual: Array
+    mean_covariance: Array
 
     @property
-    def amplitudes(self) -> NDArray[np.float64]:
+    def amplitudes(self) -> Array:
         """Amplitudes of the mean trace at t = 0, (k,)."""
-        amplitudes: NDArray[np.float64] = self.shares * self.scales.mean()
+        amplitudes: Array = self.shares * self.scales.mean()
         return amplitudes
 
     @property
-    def log_stderr(self) -> NDArray[np.float64]:
+    def log_stderr(self) -> Array:
         """Standard errors of log τ, (k,)."""
-        errors: NDArray[np.float64] = np.sqrt(np.diag(self.mean_covariance))[1 + len(self.shares) :]
-        return errors
+        return np.sqrt(np.diag(self.mean_covariance))[1 + len(self.shares) :]
 
 
 def fit_joint(
@@ -83,22 +82,17 @@ class _Joint:
         self._centred = np.concatenate([values - values.mean() for _, values in traces])
         self._size = float(np.sqrt(self._centred @ self._centred)) or 1.0
 
-    def residual(self, shape: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Residuals of all points over the size of all traces."""
+    def residual(self, shape: Array) -> Array:
         basis, scales = self._projected(shape)
-        left: NDArray[np.float64] = (self._centred - self._spread(scales) * basis) / self._size
-        return left
+        return (self._centred - self._spread(scales) * basis) / self._size
 
-    def jacobian(self, shape: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Derivatives of the residuals, (all points, parameters)."""
+    def jacobian(self, shape: Array) -> Array:
         basis, scales = self._projected(shape)
         slope = self._spread(scales)[:, None] * self._less_means(_slopes(self._time_s, shape))
         along = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
-        kaufman: NDArray[np.float64] = (basis[:, None] * self._spread(along) - slope) / self._size
-        return kaufman
+        return (basis[:, None] * self._spread(along) - slope) / self._size
 
-    def assembled(self, shape: NDArray[np.float64]) -> JointExponentials:
-        """Put the result together, time constants rising."""
+    def assembled(self, shape: Array) -> JointExponentials:
         if len(shape) == 3 and shape[0] > shape[1]:
             shape = np.array([shape[1], shape[0], 1 - shape[2]])
         _, scales = self._projected(shape)
@@ -116,34 +110,30 @@ class _Joint:
             variance * self._covariance(shape, scales),
         )
 
-    def _projected(self, shape: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _projected(self, shape: Array) -> tuple[Array, Array]:
         """Centred basis of all points, and scale of every trace."""
         basis = self._less_means(_shape(self._time_s, shape))
         return basis, self._sums(basis * self._centred) / self._squares(basis)
 
-    def _sums(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sums over every trace, (traces, ...)."""
-        sums: NDArray[np.float64] = np.add.reduceat(points, self._first)
-        return sums
+    def _sums(self, points: Array) -> Array:
+        return np.add.reduceat(points, self._first)
 
-    def _squares(self, basis: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _squares(self, basis: Array) -> Array:
         return np.maximum(self._sums(basis**2), np.finfo(np.float64).tiny)
 
-    def _spread(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What every trace has, for every point of it."""
+    def _spread(self, values: Array) -> Array:
         return np.repeat(values, self._counts, axis=0)
 
-    def _less_means(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _less_means(self, points: Array) -> Array:
         counts = self._counts.reshape(-1, *[1] * (points.ndim - 1))
-        left: NDArray[np.float64] = points - self._spread(self._sums(points) / counts)
-        return left
+        return points - self._spread(self._sums(points) / counts)
 
-    def _covariance(self, shape: NDArray[np.float64], scales: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _covariance(self, shape: Array, scales: Array) -> Array:
         """Per unit variance of the noise, of the mean trace's offset, amplitudes and log τ."""
         count = len(scales)
         # Not through the normal equations: they would take shapes that are nearly alike for known.
         root = np.asarray(np.linalg.pinv(self.jacobian(shape) * self._size), dtype=np.float64)
-        of_shape: NDArray[np.float64] = root @ root.T
+        of_shape: Array = root @ root.T
         given, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
         for time_s, scale in zip(np.split(self._time_s, self._first[1:]), scales, strict=True):
             inverse = np.linalg.pinv(np.column_stack([np.ones_like(time_s), _shape(time_s, shape)]))
@@ -151,28 +141,27 @@ class _Joint:
             turn -= inverse @ (scale * _slopes(time_s, shape)) / count
         linear = np.vstack([np.column_stack([np.eye(2), turn]), np.eye(len(shape) + 2)[2:]])
         back = _to_amplitudes(shape, float(scales.mean())) @ linear
-        covariance: NDArray[np.float64] = back @ _block(given, of_shape) @ back.T
-        return covariance
+        return back @ _block(given, of_shape) @ back.T
 
 
-def _shape(time_s: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float64]:
-    curve: NDArray[np.float64] = np.exp(-time_s / np.exp(shape[0]))
+def _shape(time_s: Array, shape: Array) -> Array:
+    curve: Array = np.exp(-time_s / np.exp(shape[0]))
     if len(shape) == 3:
         curve = shape[2] * curve + (1 - shape[2]) * np.exp(-time_s / np.exp(shape[1]))
     return curve
 
 
-def _slopes(time_s: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float64]:
+def _slopes(time_s: Array, shape: Array) -> Array:
     """Derivatives of the shape with respect to log τ and, of two exponentials, the share of the first."""
     tau = np.exp(shape[:2]) if len(shape) == 3 else np.exp(shape)
     each = np.exp(-time_s[:, None] / tau)
-    slopes: NDArray[np.float64] = each * time_s[:, None] / tau
+    slopes: Array = each * time_s[:, None] / tau
     if len(shape) == 3:
         slopes = np.column_stack([slopes * [shape[2], 1 - shape[2]], each[:, 0] - each[:, 1]])
     return slopes
 
 
-def _to_amplitudes(shape: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+def _to_amplitudes(shape: Array, scale: float) -> Array:
     """From (offset, scale, log τ…[, share]) to (offset, amplitudes…, log τ…)."""
     if len(shape) == 1:
         return np.eye(3)
@@ -181,7 +170,7 @@ def _to_amplitudes(shape: NDArray[np.float64], scale: float) -> NDArray[np.float
     return np.array(rows, dtype=np.float64)
 
 
-def _block(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _block(first: Array, second: Array) -> Array:
     size = len(first) + len(second)
     whole = np.zeros((size, size))
     whole[: len(first), : len(first)], whole[len(first) :, len(first) :] = first, second

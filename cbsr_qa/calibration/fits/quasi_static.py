@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 
 #: Levels whose places differ by less than this share of their size are one place.
@@ -33,7 +32,7 @@ class QuasiStaticFit:
 
     slope: float
     intercept: float
-    covariance: NDArray[np.float64]
+    covariance: Array
     levels: tuple[float, ...]
     excluded: tuple[float, ...]
     chi_squared: float
@@ -104,9 +103,7 @@ def fit_quasi_static(
     )
 
 
-def _checked(
-    strain: Sequence[float], x: Sequence[float], change: Sequence[float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _checked(strain: Sequence[float], x: Sequence[float], change: Sequence[float]) -> tuple[Array, Array, Array]:
     level, place, value = (np.asarray(part, dtype=np.float64) for part in (strain, x, change))
     if not len(level) == len(place) == len(value):
         raise NumericsError(f"{len(level)} strains, {len(place)} places and {len(value)} changes do not fit together")
@@ -122,9 +119,7 @@ def _checked(
     return np.round(level, 9), place, value
 
 
-def _errors(
-    level: NDArray[np.float64], value: NDArray[np.float64], given: NDArray[np.float64], strains: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _errors(level: Array, value: Array, given: Array, strains: Array) -> tuple[Array, Array]:
     """Standard error of each level's mean, and each level's deviation (0 where it has one load)."""
     counts = np.array([(level == s).sum() for s in strains])
     deviations = np.array(
@@ -140,9 +135,7 @@ def _errors(
     return np.maximum(errors, least), deviations
 
 
-def _weighted_line(
-    x: NDArray[np.float64], y: NDArray[np.float64], error: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _weighted_line(x: Array, y: Array, error: Array) -> tuple[Array, Array, float]:
     """Slope and intercept, their covariance and χ², by QR of the weighted design centred at its mean."""
     weight = 1 / error
     middle = float(np.average(x, weights=weight**2))

@@ -4,13 +4,10 @@ from math import factorial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits.separable import Exponentials, chance_of_gain, fit_exponentials
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationFit
-
-Array = NDArray[np.float64]
 
 #: Half a frame over a time constant, above which e^x soon is no number.
 _LONGEST: Final = 500.0
@@ -30,10 +27,6 @@ def exponentials(
     time_constants_s : (k,).
     ramp_s : of the ramp, broadcast against ``time_s``.
     frame_s : P; 0 for values of the frame's middle.
-
-    Returns
-    -------
-    (..., k) each.
     """
     late = np.asarray(time_s, dtype=np.float64)[..., None] / time_constants_s
     factor, slope = seen_share(time_constants_s, ramp_s=ramp_s, frame_s=frame_s)
@@ -63,7 +56,6 @@ def seen_share(time_constants_s: Array, *, ramp_s: float | Array = 0.0, frame_s:
 
 
 def _mean_decay(x: Array) -> tuple[Array, Array]:
-    """(1 − e^(−x))/x and its derivative."""
     small = x < _SERIES
     safe = np.where(small, 1.0, x)
     value = -np.expm1(-safe) / safe
@@ -72,7 +64,6 @@ def _mean_decay(x: Array) -> tuple[Array, Array]:
 
 
 def _mean_about(x: Array) -> tuple[Array, Array]:
-    """The mean of e^s over −x … x, sinh(x)/x, and its derivative."""
     small = x < _SERIES
     safe = np.where(small, 1.0, x)
     value = np.sinh(safe) / safe
@@ -111,8 +102,8 @@ _SIZES: Final = (1e-140, 1e140)
 
 
 def fit_relaxation(
-    time_s: NDArray[np.float64],
-    values: NDArray[np.float64],
+    time_s: Array,
+    values: Array,
     *,
     r_squared_gate: float = 0.85,
     flat_within: float = 0.0,
@@ -137,12 +128,6 @@ def fit_relaxation(
     RelaxationFit whose status is TWO, ONE, FLAT, DRIFTING or REJECTED; the numbers of a rejected one are its best
     attempt. A drifting one is slower than its window, but nobody can say how slow: it has no curve, and its offset
     is the level at its end. Time constants lie within half the median frame interval and ten times the window.
-
-    Raises
-    ------
-    NumericsError
-        If shapes differ, a number is not finite, time stamps repeat or step back, the trace begins later than a
-        hundred times its length, or its values are beyond 1e±140.
     """
     time_s, values = checked_trace(time_s, values)
     if len(values) == 0:
@@ -164,7 +149,7 @@ def fit_relaxation(
     return _kept(single if why else two, values, bounds_s, r_squared_gate, why)
 
 
-def relaxation_curve(fit: RelaxationFit, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def relaxation_curve(fit: RelaxationFit, time_s: Array) -> Array:
     """Evaluate a fit: (n,) float64 in the trace's unit at (n,) times from the end of the ramp [s]."""
     curve = np.full(np.shape(time_s), fit.offset)
     for amplitude, tau in zip(fit.amplitudes, fit.time_constants_s, strict=True):
@@ -172,9 +157,7 @@ def relaxation_curve(fit: RelaxationFit, time_s: NDArray[np.float64]) -> NDArray
     return curve
 
 
-def checked_trace(
-    time_s: NDArray[np.float64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def checked_trace(time_s: Array, values: Array) -> tuple[Array, Array]:
     """Return a trace as float64; NumericsError says which sample makes it unusable."""
     time_s, values = np.asarray(time_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if time_s.ndim != 1 or time_s.shape != values.shape:
@@ -195,8 +178,7 @@ def checked_trace(
     return time_s, values
 
 
-def _in_range(time_s: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-    """Refuse traces whose exponentials or squares would be no numbers."""
+def _in_range(time_s: Array, values: Array) -> None:
     window_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     if window_s > 0 and abs(time_s[0]) > _LATEST * window_s:
         raise NumericsError(
@@ -211,7 +193,7 @@ def _in_range(time_s: NDArray[np.float64], values: NDArray[np.float64]) -> None:
         )
 
 
-def _bounds_s(time_s: NDArray[np.float64]) -> tuple[float, float]:
+def _bounds_s(time_s: Array) -> tuple[float, float]:
     lowest = float(np.median(np.diff(time_s))) / 2
     highest = 10 * float(time_s[-1] - time_s[0])
     # Amplitudes are stated at t = 0; this keeps those of a trace that starts late (after a spike) in range.
@@ -219,7 +201,6 @@ def _bounds_s(time_s: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _why_not_two(single: Exponentials, two: Exponentials, bounds_s: tuple[float, float], rounding: float) -> str:
-    """Why the second exponential cannot be kept; empty if it can."""
     first, second = two.time_constants_s
     at_bound = second > 0.99 * bounds_s[1] or first < 1.01 * bounds_s[0]
     chance = chance_of_gain(single.residual, two.residual, 5, 2)
@@ -245,7 +226,7 @@ def _why_not_two(single: Exponentials, two: Exponentials, bounds_s: tuple[float,
 
 def _kept(
     fit: Exponentials,
-    values: NDArray[np.float64],
+    values: Array,
     bounds_s: tuple[float, float],
     r_squared_gate: float,
     why: str,
@@ -278,13 +259,12 @@ def _kept(
 
 
 def _drifts(fit: Exponentials, bounds_s: tuple[float, float]) -> bool:
-    """Whether the trace shows that it relaxes more slowly than it is long, but not how slowly."""
     tau_s, window_s = float(fit.time_constants_s[0]), bounds_s[1] / 10
     return tau_s > 0.99 * bounds_s[1] or (tau_s > window_s and float(fit.stderr[2]) > 1.0)
 
 
 def _without_curve(
-    status: FitStatus, values: NDArray[np.float64], rounding: float, why: str, *, r_squared: float = 0.0
+    status: FitStatus, values: Array, rounding: float, why: str, *, r_squared: float = 0.0
 ) -> RelaxationFit:
     offset = float(values.mean()) if len(values) else 0.0
     spread = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0

@@ -1,21 +1,15 @@
-"""Kernel of a sensor's relaxation, learned from the loads of a calibration run (empirical Bayes).
-
-Loads share weights and time constants; how the weights scatter between loads is learned with them.
-"""
+"""Kernel of a sensor's relaxation, learned from the loads of a calibration run (empirical Bayes)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, TimedValues, fit_common_relaxation
 from cbsr_qa.calibration.fits.relaxation import checked_trace, exponentials
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, Mask, NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationKernel
-
-Array = NDArray[np.float64]
 
 #: Relative scatters tried; every one up to 1 is as likely before anything was seen.
 _SCATTERS: Final = np.linspace(0.0, 1.0, 61) ** 2
@@ -124,7 +118,7 @@ class _Reduced:
         least = (_LEAST_NOISE * self.size) ** 2 + np.finfo(np.float64).tiny
         self.variance = np.maximum(given, least)
 
-    def searched(self, free: NDArray[np.bool_], precision: Array, back: Array) -> tuple[Array, Array, Array]:
+    def searched(self, free: Mask, precision: Array, back: Array) -> tuple[Array, Array, Array]:
         """Steps (g, f), covariances (g, f, f) and likelihoods (g,) at each relative scatter of the grid.
 
         ``back`` leads from the present mean to the prior's.
@@ -207,9 +201,6 @@ def learn_kernel(
     (empirical Bayes). The scatter is relative and one for all weights; before anything is seen, every scatter from 0
     to 1 is as likely. One load says nothing about it, and predictions from its kernel are as uncertain as that.
 
-    An exponential that chance may have made is not claimed, but may be there: beside a single one, or none, further
-    ones are carried with a weight near zero and the uncertainty that the traces leave them.
-
     Parameters
     ----------
     traces : (times (n,) [s] from the end of the ramp, values (n,)) of each load; those of fewer than 6 values are
@@ -224,11 +215,6 @@ def learn_kernel(
     Returns
     -------
     RelaxationKernel; with ``why``, and of no use, where the traces drift or show no time constant.
-
-    Raises
-    ------
-    NumericsError
-        If numbers of loads differ, a number is not finite, or time stamps repeat or step back.
     """
     loads, unit = _scaled(_loads(traces, ramp_s, released, start_s))
     usable = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
@@ -272,10 +258,7 @@ def _loads(
 
 
 def _scaled(loads: list[KernelTrace]) -> tuple[list[KernelTrace], float]:
-    """Loads in a unit in which the largest is about one, and that unit: a power of two, so that nothing rounds.
-
-    Weights are relative, and covariances of large numbers would not fit into doubles.
-    """
+    """Loads in a unit in which the largest is about one, and that unit: a power of two, so that nothing rounds."""
     largest = max((float(np.abs(load.values).max(initial=0.0)) for load in loads), default=0.0)
     unit = float(np.ldexp(1.0, -int(np.frexp(largest)[1])))
     scaled = [
@@ -286,7 +269,6 @@ def _scaled(loads: list[KernelTrace]) -> tuple[list[KernelTrace], float]:
 
 
 def _stands_out(loads: Sequence[KernelTrace], common: CommonRelaxation) -> bool:
-    """Whether what relaxations are relative to is clear of zero."""
     if loads[0].released is not None:
         return any(load.released for load in loads)
     return abs(common.fit.offset) > 5 * common.fit.offset_stderr

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 from scipy.stats import f as f_distribution
+
+from cbsr_qa.domain import Array
 
 #: Time constants tried on the log grid before the best are refined.
 _GRID: Final = 24
@@ -30,10 +31,10 @@ class Exponentials:
     stderr : (1 + 2 k,) of offset, amplitudes and logarithms of the time constants; infinite where undetermined.
     """
 
-    time_constants_s: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    stderr: NDArray[np.float64]
+    time_constants_s: Array
+    coefficients: Array
+    residual: Array
+    stderr: Array
 
     @property
     def sum_of_squares(self) -> float:
@@ -42,8 +43,8 @@ class Exponentials:
 
 
 def fit_exponentials(
-    time_s: NDArray[np.float64],
-    values: NDArray[np.float64],
+    time_s: Array,
+    values: Array,
     count: int,
     bounds_s: tuple[float, float],
     rounding: float,
@@ -64,9 +65,9 @@ def fit_exponentials(
     scale = float(np.abs(centred).max()) or 1.0
     y = centred / scale
     lowest, highest = np.log(bounds_s)
-    kept: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+    kept: dict[bytes, tuple[Array, Array]] = {}
 
-    def factors(log_tau: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def factors(log_tau: Array) -> tuple[Array, Array]:
         """QR of the basis; the last one is kept, since a search asks for slopes where it has been."""
         here = log_tau.tobytes()
         if here not in kept:
@@ -74,20 +75,20 @@ def fit_exponentials(
             kept[here] = np.linalg.qr(_centred_basis(time_s, log_tau))
         return kept[here]
 
-    def residual(log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(log_tau: Array) -> Array:
         q, _ = factors(log_tau)
-        left: NDArray[np.float64] = y - q @ (q.T @ y)
+        left: Array = y - q @ (q.T @ y)
         return left
 
-    def jacobian(log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+    def jacobian(log_tau: Array) -> Array:
         q, r = factors(log_tau)
         amplitudes = _back_substitute(r, q.T @ y)
         slope = _slopes(time_s, log_tau)
         slope = (slope - slope.mean(axis=0)) * amplitudes
-        kaufman: NDArray[np.float64] = q @ (q.T @ slope) - slope
+        kaufman: Array = q @ (q.T @ slope) - slope
         return kaufman
 
-    best: NDArray[np.float64] | None = None
+    best: Array | None = None
     cost = np.inf
     for start in _starts(time_s, y, count, (lowest, highest)):
         searched = least_squares(residual, start, jac=jacobian, bounds=(lowest, highest), xtol=1e-12, ftol=1e-13)
@@ -99,16 +100,12 @@ def fit_exponentials(
 
 
 def polished(
-    residual: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    jacobian: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    place: NDArray[np.float64],
-    bounds: tuple[float | NDArray[np.float64], float | NDArray[np.float64]],
-) -> NDArray[np.float64]:
-    """Go on from where a search ended by plain Gauss–Newton steps, as long as they gain anything.
-
-    A search ends where the sum of squares hardly falls any more. Without noise that is far from where the parameters
-    are known to: of two similar time constants it leaves six digits where the values carry eleven.
-    """
+    residual: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    place: Array,
+    bounds: tuple[float | Array, float | Array],
+) -> Array:
+    """Go on from where a search ended by plain Gauss–Newton steps, as long as they gain anything."""
     left = residual(place)
     for _ in range(_POLISHING):
         step = np.linalg.lstsq(jacobian(place), -left, rcond=None)[0]
@@ -120,7 +117,7 @@ def polished(
     return place
 
 
-def chance_of_gain(before: NDArray[np.float64], after: NDArray[np.float64], parameters: int, added: int) -> float:
+def chance_of_gain(before: Array, after: Array, parameters: int, added: int) -> float:
     """Probability that chance gains as much as some more parameters: an F test over the independent points only.
 
     Parameters
@@ -141,24 +138,22 @@ def chance_of_gain(before: NDArray[np.float64], after: NDArray[np.float64], para
     return float(f_distribution.sf(gain * spare / max(square, tiny), added, spare))
 
 
-def _basis(time_s: NDArray[np.float64], log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
-    basis: NDArray[np.float64] = np.exp(-time_s[:, None] / np.exp(log_tau)[None, :])
-    return basis
+def _basis(time_s: Array, log_tau: Array) -> Array:
+    return np.exp(-time_s[:, None] / np.exp(log_tau)[None, :])
 
 
-def _centred_basis(time_s: NDArray[np.float64], log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+def _centred_basis(time_s: Array, log_tau: Array) -> Array:
     basis = _basis(time_s, log_tau)
-    centred: NDArray[np.float64] = basis - basis.mean(axis=0)
+    centred: Array = basis - basis.mean(axis=0)
     return centred
 
 
-def _slopes(time_s: NDArray[np.float64], log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+def _slopes(time_s: Array, log_tau: Array) -> Array:
     """Derivatives of the exponentials with respect to log τ."""
-    slopes: NDArray[np.float64] = _basis(time_s, log_tau) * time_s[:, None] / np.exp(log_tau)[None, :]
-    return slopes
+    return _basis(time_s, log_tau) * time_s[:, None] / np.exp(log_tau)[None, :]
 
 
-def _back_substitute(r: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def _back_substitute(r: Array, right: Array) -> Array:
     """Solve R x = b, leaving out columns that the earlier ones already span (τ₁ = τ₂)."""
     diagonal = np.abs(np.diag(r))
     kept = diagonal > 1e-12 * diagonal.max(initial=0.0)
@@ -168,10 +163,7 @@ def _back_substitute(r: NDArray[np.float64], right: NDArray[np.float64]) -> NDAr
     return solution
 
 
-def _starts(
-    time_s: NDArray[np.float64], values: NDArray[np.float64], count: int, bounds: tuple[float, float]
-) -> list[NDArray[np.float64]]:
-    """Best places of the log grid, by the variance each time constant (or pair) explains."""
+def _starts(time_s: Array, values: Array, count: int, bounds: tuple[float, float]) -> list[Array]:
     grid = np.linspace(*bounds, _GRID + 2)[1:-1]
     basis = _centred_basis(time_s, grid)
     basis = basis / np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
@@ -187,9 +179,7 @@ def _starts(
     return [grid[list(np.unravel_index(int(index), gain.shape))] for index in best]
 
 
-def _assembled(
-    time_s: NDArray[np.float64], values: NDArray[np.float64], log_tau: NDArray[np.float64], rounding: float
-) -> Exponentials:
+def _assembled(time_s: Array, values: Array, log_tau: Array, rounding: float) -> Exponentials:
     q, r = np.linalg.qr(_centred_basis(time_s, log_tau))
     amplitudes = _back_substitute(r, q.T @ (values - values.mean()))
     basis = _basis(time_s, log_tau)
@@ -201,7 +191,7 @@ def _assembled(
     return Exponentials(np.exp(log_tau), np.concatenate([[offset], amplitudes]), residual, noise * _spread(design))
 
 
-def _spread(design: NDArray[np.float64]) -> NDArray[np.float64]:
+def _spread(design: Array) -> Array:
     """Standard errors per unit noise, √diag (XᵀX)⁻¹ by QR of the scaled design; infinite where it is singular."""
     size = np.linalg.norm(design, axis=0)
     if (size == 0).any():
@@ -211,5 +201,5 @@ def _spread(design: NDArray[np.float64]) -> NDArray[np.float64]:
     if diagonal.min() <= 1e-13 * diagonal.max():
         return np.full(design.shape[1], np.inf)
     inverse = solve_triangular(r, np.eye(len(r)))
-    spread: NDArray[np.float64] = np.linalg.norm(inverse, axis=1) / size
+    spread: Array = np.linalg.norm(inverse, axis=1) / size
     return spread

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.results import FitStatus, RelaxationFit, SettlingTime
 
 _BANDS: Final = ("steady", "step")
@@ -41,11 +40,6 @@ def settling_time(
     SettlingTime: 0 where the trace is inside the band from t = 0 (or ``start_s``) on; the window's length and
     ``censored`` where it is not inside at the window's end, or still drifting; no value where the fit was rejected
     or there is no band.
-
-    Raises
-    ------
-    NumericsError
-        If window or tolerance is not positive, or the band is unknown.
     """
     _check(window_s, tolerance, band)
     if fit.status is FitStatus.REJECTED:
@@ -63,7 +57,7 @@ def settling_time(
     return SettlingTime(last, False, half_width, "" if last > start_s else "inside the band from the start")
 
 
-def window_s(time_s: NDArray[np.float64]) -> float:
+def window_s(time_s: Array) -> float:
     """Return the length of an observed window: half a sample beyond the middle of the last one."""
     if len(time_s) < 2:
         return float(time_s.max(initial=1.0))
@@ -76,19 +70,9 @@ def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple
     The survival curve is integrated up to the longest time observed, so with censored times the mean is a lower
     bound: each counts as at least its window, and neither as settled nor as missing.
 
-    Parameters
-    ----------
-    times_s : settling times, or the windows' lengths where censored; at least one.
-    censored : which are.
-
     Returns
     -------
     (mean, deviation) [s]; without censoring exactly the sample mean and the population standard deviation.
-
-    Raises
-    ------
-    NumericsError
-        If there is no time, one is negative or not finite, or the lengths differ.
     """
     if len(times_s) == 0 or len(times_s) != len(censored) or min(times_s) < 0:
         raise NumericsError(f"{len(times_s)} settling times with {len(censored)} marks have no mean")
@@ -114,10 +98,7 @@ def _check(window_s: float, tolerance: float, band: str) -> None:
 
 
 def _why_late(fit: RelaxationFit, half_width: float, window_s: float, unloading: tuple[float, float] | None) -> str:
-    """Why a trace has not settled by its window's end; empty if it has.
-
-    ``unloading`` is the change under the load, and the tolerance.
-    """
+    """Why a trace has not settled by its window's end; empty if it has."""
     if fit.status is FitStatus.DRIFTING:
         return fit.why
     late = f"not settled within {window_s:.4g} s"
@@ -136,8 +117,7 @@ def _deviation(fit: RelaxationFit, time_s: float) -> float:
 def _last_outside(fit: RelaxationFit, half_width: float, start_s: float, end_s: float) -> float:
     """Last time in [start, end] outside the band, start if there is none; the end is known to be inside.
 
-    Between its zero and its extremum (it has at most one of each) the deviation's size is monotone, so that the
-    search goes backwards over monotone pieces and each root is bracketed.
+    Between its zero and its extremum (at most one of each) the deviation's size is monotone: each root is bracketed.
     """
 
     def excess(time_s: float) -> float:
@@ -168,27 +148,8 @@ _CLEAR: Final = 4.0
 _SHARE: Final = 0.05
 
 
-def relaxation_start(values: NDArray[np.float64]) -> int:
-    """Return the index of the first sample behind the unloading spike's rising edge and peak.
-
-    On unloading the conductance first spikes the other way, then relaxes to its end level. The spike's peak is the
-    largest deviation from the end level (median of the last quarter) in the first half of the trace, after the
-    last time the trace passed through that level; the peak itself is left out, as in the paper (3.1.2). A trace
-    that is largest at its first sample has no spike and starts at 0.
-
-    Parameters
-    ----------
-    values : (n,) float64, from the end of the release on.
-
-    Returns
-    -------
-    int in [0, n).
-
-    Raises
-    ------
-    NumericsError
-        If a value is not finite.
-    """
+def relaxation_start(values: Array) -> int:
+    """Return the index of the first sample behind the unloading spike's peak; 0 without a spike (paper 3.1.2)."""
     values = finite_numbers(values, "values behind a release")
     count = len(values)
     if count < 4:

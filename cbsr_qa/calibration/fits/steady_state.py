@@ -3,17 +3,15 @@
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from cbsr_qa.calibration.fits.relaxation import seen_share
 from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import RelaxationKernel, SteadyPrediction
 
 __all__ = ["HoldsSoFar", "event_rate_per_min", "interval", "learn_kernel", "predict_steady"]
 
-Array = NDArray[np.float64]
 
 #: Times the scatter's share of the covariance is worked out again with the predicted size.
 _ROUNDS: Final = 3
@@ -48,10 +46,6 @@ def predict_steady(
     released, released_stderr : D and its standard error, for a kernel of unloadings; may be (m,).
     at_s : predict the change at this time after the ramp's end instead, e.g. when a rest is over.
 
-    Returns
-    -------
-    SteadyPrediction of m traces.
-
     Raises
     ------
     NumericsError
@@ -85,11 +79,6 @@ def event_rate_per_min(
     loading_s, unloading_s : settling times.
     held, rested : how much of them is waited for; 1.5 each without transient compensation (paper 4.3.2), less with.
     ramp_s : of one press, and of one release.
-
-    Raises
-    ------
-    NumericsError
-        If a time is negative or not finite, or nothing takes any time.
     """
     parts = (loading_s, unloading_s, held, rested, ramp_s)
     period_s = held * loading_s + rested * unloading_s + 2 * ramp_s
@@ -105,11 +94,6 @@ class HoldsSoFar:
     ----------
     kernel, ramp_s, frame_s : as in :func:`predict_steady`.
     count : m.
-
-    Raises
-    ------
-    NumericsError
-        If there is no kernel.
     """
 
     def __init__(
@@ -128,13 +112,7 @@ class HoldsSoFar:
         self._frames = np.zeros(count, dtype=np.int64)
 
     def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
-        """Take in one frame of each hold: times [s], values and their standard deviations, (m,) or alike for all.
-
-        Raises
-        ------
-        NumericsError
-            If a number is not finite or the noise is not positive.
-        """
+        """Take in one frame of each hold: times [s], values and their standard deviations, (m,) or alike for all."""
         shape = self._frames.shape
         time, value, stderr = (
             np.broadcast_to(np.asarray(number, dtype=np.float64), shape) for number in (time_s, values, noise)
@@ -205,10 +183,6 @@ class HoldsSoFar:
 
         First the level, which has no prior and brings so much of the transient with it; then unit normals: of the
         kernel's mean, of its scatter, and of the transient's size as far as it is uncertain.
-
-        Parameters
-        ----------
-        size, stderr : of the transient.
         """
         count = self._root.shape[1]
         unknown = np.zeros((len(size), 2 + count, 2 + count))
@@ -231,7 +205,6 @@ class HoldsSoFar:
         return root, (root @ triangle[:, :-1, -1:])[:, :, 0], triangle[:, -1, -1] ** 2
 
     def _predicted(self, unknown: Array, known: Array, wanted: Array) -> SteadyPrediction:
-        """Predict the rows that are wanted, with so much of the transient known."""
         root, solution, left = self._regressed(unknown, known)
         along = (wanted[:, None, :] @ unknown)[:, 0]
         parts = (along[:, None, :] @ root)[:, 0]
@@ -260,5 +233,4 @@ def _root(kernel: RelaxationKernel) -> Array:
     """A factor L (2 k, 3 k) of a new load's covariance L Lᵀ; its last k columns are the scatter's."""
     values, vectors = np.linalg.eigh(kernel.covariance)
     between = np.vstack([np.diag(kernel.scatter), np.zeros((len(kernel.weights),) * 2)])
-    root: Array = np.concatenate([vectors * np.sqrt(np.maximum(values, 0.0)), between], axis=1)
-    return root
+    return np.concatenate([vectors * np.sqrt(np.maximum(values, 0.0)), between], axis=1)

@@ -4,8 +4,6 @@ A press cycle is over before the material has relaxed: sixty seconds after a rel
 the change are left, and fade through the next hold. Fitted as it is, that hold settles too early and too low. Linear
 viscoelasticity (Boltzmann superposition) says what to take away: the exponentials that were fitted to earlier steps,
 continued. Each step's fit depends on those before it, so that fits and what is carried over are found in turn.
-
-Levels of a quantity at every strain of a loop: as they were read, and without what had not relaxed yet.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,16 +11,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, TimedValues, fit_common_relaxation
 from cbsr_qa.calibration.fits.creep_fit import FROM_S
 from cbsr_qa.calibration.fits.settling import relaxation_start
-from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.results import FitStatus, Trace
 from cbsr_qa.domain.run import LoadRecord
-
-Array = NDArray[np.float64]
 
 _PASSES: Final = 4
 _CONVERGED: Final = 3e-3  # relative change of time constants; a third of their standard error at best
@@ -76,11 +71,6 @@ def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
     Returns
     -------
     SeparatedSteps. Where a direction carries no exponential a step's level is the mean of its last quarter.
-
-    Raises
-    ------
-    NumericsError
-        As of :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`.
     """
     traces: tuple[TimedValues, ...] = tuple((s.time_s[s.skipped :], s.values[s.skipped :]) for s in steps)
     common = _fitted(steps, traces)
@@ -110,12 +100,7 @@ def separated_with(
 
 
 def shifted_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, Array]]:
-    """Time constants moved by one standard error along each of their independent directions.
-
-    Returns
-    -------
-    One set for each time constant there is. Sums of squares over them propagate the constants' covariance.
-    """
+    """Move time constants by one standard error along each of their independent directions, one set each."""
     plain = constants_of(common)
     moved = []
     for loading, fit in common.items():
@@ -143,7 +128,6 @@ def _fitted(steps: Sequence[StepTrace], traces: Sequence[TimedValues]) -> dict[b
 
 
 def _without_carried(steps: Sequence[StepTrace], constants_s: dict[bool, Array]) -> tuple[TimedValues, ...]:
-    """Walk through the steps in time, fit each, and carry what it leaves to the next ones."""
     every_s = np.concatenate([constants_s[True], constants_s[False]])
     carried = np.zeros(len(every_s))
     before_s = steps[0].start_s if steps else 0.0
@@ -164,11 +148,6 @@ def fit_step(trace: TimedValues, constants_s: Array) -> tuple[Array, float]:
     """Level and amplitudes (1 + k,) of one trace with known time constants (k,), and the level's standard error.
 
     Without a time constant, or with too few points, the level is the mean of the trace's last quarter.
-
-    Raises
-    ------
-    NumericsError
-        If a time or value is not finite.
     """
     time_s, values = (finite_numbers(part, "times or values of a step") for part in trace)
     if not len(constants_s) or len(values) < len(constants_s) + 2:
@@ -222,11 +201,6 @@ def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise:
     ----------
     last_s : how long before the end of a hold is averaged.
     noise : standard deviation of a value; None to take it from the values averaged.
-
-    Raises
-    ------
-    NumericsError
-        If there is no value in the end of a hold, or a value is not finite.
     """
     _check_finite(trace)
     values, errors = [], []
@@ -320,12 +294,8 @@ def _step(trace: Trace, start_s: float, end_s: float, *, loading: bool) -> StepT
 
 
 def _shaped(levels: Array, loops: int, width: int) -> Array:
-    """Levels of the strains, (loops, width); those of rests are left out."""
-    shaped: Array = levels.reshape(loops, -1)[:, :width]
-    return shaped
+    return levels.reshape(loops, -1)[:, :width]
 
 
 def _apart(stderr: Array) -> Array:
-    """Standard errors (loops, strains) as causes of their own, each of one level alone."""
-    causes: Array = np.diag(stderr.ravel()).reshape(stderr.size, *stderr.shape)
-    return causes
+    return np.diag(stderr.ravel()).reshape(stderr.size, *stderr.shape)

@@ -5,7 +5,6 @@ from math import sqrt
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.force.templates import (
     LEAST_MISFIT,
@@ -15,20 +14,20 @@ from cbsr_qa.calibration.force.templates import (
     unlearned_model,
 )
 from cbsr_qa.calibration.runtime import TemplateFilter
-from cbsr_qa.calibration.sheet import LARGEST_ERROR, ResponseMap, learn_response
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.calibration.sheet import (
+    LARGEST_ERROR,
+    ResponseMap,
+    intercept_column,
+    learn_response,
+    predicted_change,
+)
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 
-Array = NDArray[np.float64]
-
 #: The predicted change must be this many of its own standard errors from zero, and the seen one as many of its own.
 _CLEAR: Final = 3.0
-#: An intercept nobody measured is fitted where stresses differ by this factor; it is not known better than this
-#: before any load was seen.
-_SPREAD: Final = 2.0
-_UNKNOWN_INTERCEPT: Final = 0.02
 #: Median of a mean of two squared normals.
 _MEDIAN: Final = 0.693
 #: A frame is another than one head's if a second one explains this many times more of it than of calibrating loads at
@@ -52,13 +51,13 @@ class CalibrationLoads:
 
     place_mm: Array
     rows: Array
-    frames: NDArray[np.int64] | Array
+    frames: Indices | Array
     before: Array
-    frames_before: NDArray[np.int64]
+    frames_before: Indices
     force_N: Array
     force_stderr_N: Array
 
-    def select(self, which: NDArray[np.bool_]) -> "CalibrationLoads":
+    def select(self, which: Mask) -> "CalibrationLoads":
         """Some of them."""
         return CalibrationLoads(*(getattr(self, column.name)[which] for column in fields(self)))
 
@@ -135,7 +134,7 @@ def learn_force(
         )
     ratio = np.full(len(used), np.nan)
     ratio[used] = seen.contrast[used] / predicted[used]
-    bend, prior, middle = _bend(line, stress[used], predicted[used])
+    bend, prior, middle = intercept_column(line, stress[used], predicted[used])
     response = learn_response(
         loads.place_mm[used],
         np.log(ratio[used]),
@@ -183,7 +182,7 @@ def _seen(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
     )
 
 
-def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
     """Largest share of a single load's signal, as energy, that a second head explains, beyond noise."""
     rows, noise = loads.changed()
     matches = filter_.search(rows[used])
@@ -193,7 +192,7 @@ def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArra
     return float((extra / matches.gain).max())
 
 
-def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
     """How far loads are found from where they were pressed, beyond noise; a load out of all reach does not count."""
     rows, noise = loads.changed()
     matches = filter_.search(rows[used])
@@ -202,7 +201,7 @@ def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: ND
     return float(np.sqrt(max(float(np.median(error - expected)) / _MEDIAN, 0.0)))
 
 
-def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
     """Strength at the places of loads just before them, root mean square, without what noise makes of it."""
     there = used & (loads.frames_before > 0)
     if not there.any():
@@ -215,7 +214,6 @@ def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: ND
 def _relative_error(
     seen: _Seen, loads: CalibrationLoads, line: QuasiStatic, stress: Array, predicted: Array
 ) -> Array:
-    """Relative standard error (n,) of seen over predicted change, by the readings and the load cell."""
     with np.errstate(divide="ignore", invalid="ignore"):
         of_force = line.slope.value * stress / predicted * loads.force_stderr_N / loads.force_N
         error: Array = np.hypot(seen.stderr / seen.contrast, of_force)
@@ -223,9 +221,9 @@ def _relative_error(
 
 
 def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, error: Array) -> tuple[str, ...]:
-    variance = ((line.slope.stderr or 0.0) * stress) ** 2 + (line.intercept.stderr or 0.0) ** 2
-    variance += 2 * stress * (line.covariance or 0.0)
-    unclear = np.abs(predicted) < _CLEAR * np.sqrt(np.maximum(variance, 0.0))
+    unclear = [
+        abs(p) < _CLEAR * predicted_change(line, at)[1] for p, at in zip(predicted, stress.tolist(), strict=True)
+    ]
     reasons = []
     for number in range(len(predicted)):
         if not np.isfinite(seen.contrast[number]):
@@ -245,27 +243,8 @@ def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, e
     return tuple(reasons)
 
 
-def _bend(line: QuasiStatic, stress: Array, predicted: Array) -> tuple[Array | None, float, float]:
-    """Column of an unknown error of the intercept, its standard deviation beforehand, and the change it turns about.
-
-    Where all loads press alike the intercept cannot be told from the map: what is assumed of it stays, with the
-    standard error it was stated with, if any.
-    """
-    middle = float(np.exp(np.log(np.abs(predicted)).mean()) * np.sign(predicted[0]))
-    if stress.max() < _SPREAD * stress.min():
-        return None, line.intercept.stderr or 0.0, middle
-    column: Array = 1 / predicted - 1 / middle
-    return column, line.intercept.stderr or _UNKNOWN_INTERCEPT, middle
-
-
 def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, fitted: bool) -> QuasiStatic:
-    """The line with another intercept, turned about the change in the middle, which the map keeps.
-
-    Parameters
-    ----------
-    bend : change of the intercept and its variance.
-    fitted : whether that is what the loads said.
-    """
+    """The line with another intercept, turned about the change in the middle, which the map keeps."""
     change, variance = bend
     alpha, beta = line.slope.value, line.intercept.value
     by_slope, by_intercept = -alpha / middle, 1 - beta / middle

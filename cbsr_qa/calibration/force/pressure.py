@@ -1,15 +1,13 @@
 """Frames as maps of stress: the image made even by the sensor's own response, in kilopascal (paper section 2.4)."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from cbsr_qa.calibration.runtime import Calibration, volts
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.sensor import Mesh
-
-Array = NDArray[np.float64]
 
 #: Nodes of the map between those where the image's gain is worked out: 5 mm on the 100 mm disc.
 _STRIDE = 4
@@ -25,15 +23,6 @@ class PressureMap:
     over the calibrated locations of their ρ̄₀ over g S. The paper has one ρ̄₀ for the whole sheet, whose images are
     twice as strong at 30 mm as in the centre. What an image blurs stays blurred: a head's force is not the integral
     of this map but that of :meth:`Calibration.force`.
-
-    Parameters
-    ----------
-    calibration : of the sensor.
-
-    Raises
-    ------
-    CalibrationError
-        If no location of the calibration has a ρ̄₀.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -54,10 +43,7 @@ class PressureMap:
         self._line = issued.against_stress
 
     def stress_kPa(self, frames: ArrayLike, *, current_A: float | None = None) -> Array:
-        """Stress (n, elements) in each frame (n, drives, measures) [V]; NaN in frames that cannot be used.
-
-        A frame counts as it does in :meth:`Calibration.force`, which also raises what is raised here.
-        """
+        """Stress (n, elements) in each frame (n, drives, measures) [V]; NaN in frames that cannot be used."""
         _, bad = self._calibration.rows(frames, current_A=current_A)
         issued = self._calibration.issued
         factor = 1.0 if current_A is None else issued.current_A / current_A
@@ -101,7 +87,7 @@ class _Homogeneous:
         return np.where(np.isfinite(between), between, self._nearest(places_mm))
 
 
-def _gains(calibration: Calibration, nodes: NDArray[np.int64], places_mm: Array) -> Array:
+def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
     """Mean image (n,) under the head per contrast, of the templates of nodes (n,) at places (n, 2)."""
     issued, model = calibration.issued, calibration.model
     rows = model.templates[nodes] * np.exp(model.log_size[nodes])[:, None]
@@ -118,8 +104,7 @@ def _gains(calibration: Calibration, nodes: NDArray[np.int64], places_mm: Array)
     return np.where(gains > _FAINTEST * typical, gains, _FAINTEST * typical)
 
 
-def _every(stride: int, model: ForceModel) -> NDArray[np.bool_]:
-    """Which nodes (nodes,) are of a coarser lattice."""
+def _every(stride: int, model: ForceModel) -> Mask:
     rows, columns = np.nonzero(model.node >= 0)
-    chosen: NDArray[np.bool_] = (rows % stride == 0) & (columns % stride == 0)
+    chosen: Mask = (rows % stride == 0) & (columns % stride == 0)
     return chosen

@@ -7,17 +7,14 @@ from math import ceil, log, sqrt
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file import as_filed
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel, Lattice
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.estimate import MergedReadings, load_model
 from cbsr_qa.eit.loads import LoadReadings, RoundLoadModel, RoundLoads
-
-Array = NDArray[np.float64]
 
 #: Contrast the templates are taken at: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the
 #: centre of the 100 mm disc, and by 1.4 % at 40 mm.
@@ -51,13 +48,13 @@ class TemplateBank:
     """
 
     lattice: Lattice
-    node: NDArray[np.int64]
+    node: Indices
     places_mm: Array
     templates: Array
     log_size: Array
     size_slope: Array
     slopes: Array
-    fits: NDArray[np.bool_]
+    fits: Mask
 
 
 def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indenter) -> TemplateBank:
@@ -70,11 +67,6 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
     ----------
     readings : how readings become rows.
     head : of any outline; one that is not round counts as the disc of its area and second moment.
-
-    Raises
-    ------
-    CalibrationError
-        If the head fits nowhere on the sheet.
     """
     lattice = _lattice(model)
     everywhere = lattice.places_mm()
@@ -189,7 +181,7 @@ def _threshold(bank: TemplateBank) -> float:
 
 
 def prepared_force(
-    sensor_type: SensorType, used: NDArray[np.bool_], merging: Array, reference: Array, head: Indenter
+    sensor_type: SensorType, used: Mask, merging: Array, reference: Array, head: Indenter
 ) -> ForceModel:
     """Prepare the templates of a stored calibration; its map is left empty.
 
@@ -198,15 +190,6 @@ def prepared_force(
     used : (drives, measures) bool with m True entries.
     merging : (r, m) [1/V] as in :class:`~cbsr_qa.domain.results.ForceModel`.
     reference : (drives, measures) [V], which gives the scale of the sensor against its model.
-
-    Returns
-    -------
-    A model with lattice, node, templates, sizes and slopes; everything that is learned is zero.
-
-    Raises
-    ------
-    CalibrationError
-        If the merging is not of these readings, or the head fits nowhere.
     """
     groups, _ = sensor_type.pattern.reading_groups()
     _, first = np.unique(groups[used], return_index=True)

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.force.learning import LearnedForce
+from cbsr_qa.domain import Mask
 from cbsr_qa.domain.results import LoadObservation
 from cbsr_qa.domain.sensor import DrivePattern
 
@@ -17,12 +17,7 @@ _NAMED: Final = 6
 
 
 def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) -> Iterator[str]:
-    """Yield what the loads of a model could not say.
-
-    Parameters
-    ----------
-    loads : those that were offered, in the order of ``learned.refused``.
-    """
+    """Yield what the loads of a model could not say; loads are in the order of ``learned.refused``."""
     refused: dict[str, list[LoadObservation]] = {}
     used = []
     for load, why in zip(loads, learned.refused, strict=True):
@@ -62,12 +57,7 @@ def prediction_words(learned: LearnedForce) -> str:
 
 
 def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObservation]) -> Iterator[str]:
-    """Yield where the range is one of loads that force was tried on and not learned from.
-
-    Parameters
-    ----------
-    used, confirmed : loads it was learned from, and loads that bore it out.
-    """
+    """Yield where the range is one of loads (``confirmed``) that force was tried on and not learned from."""
     forces, tried = ([load.force_N for load in loads if load.force_N is not None] for loads in (used, confirmed))
     if forces and tried and (min(tried) < min(forces) or max(tried) > max(forces)):
         yield (
@@ -92,7 +82,7 @@ def unmeasured(loads: Sequence[LoadObservation]) -> Iterator[str]:
         yield f"no force was measured of {_names(members)}: {why}"
 
 
-def reading_reductions(pattern: DrivePattern, usable: NDArray[np.bool_]) -> Iterator[str]:
+def reading_reductions(pattern: DrivePattern, usable: Mask) -> Iterator[str]:
     """Yield what readings of a sensor could not be used, and electrodes of which none could."""
     wanted = pattern.usable()
     missing = int((wanted & ~usable).sum())
@@ -110,9 +100,7 @@ def reading_reductions(pattern: DrivePattern, usable: NDArray[np.bool_]) -> Iter
         yield f"{which} dead: not one of its readings could be used, and forces beside it are less certain"
 
 
-def _all_lost(
-    wanted: NDArray[np.bool_], usable: NDArray[np.bool_], drives: NDArray[np.bool_], measures: NDArray[np.bool_]
-) -> bool:
+def _all_lost(wanted: Mask, usable: Mask, drives: Mask, measures: Mask) -> bool:
     touching = wanted & (drives[:, None] | measures[None, :])
     return bool(touching.any() and not (touching & usable).any())
 

@@ -14,15 +14,13 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.runtime.interpolation import interpolated
 from cbsr_qa.calibration.runtime.multi_load import Heads
 from cbsr_qa.calibration.runtime.template_matching import Matches
+from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import ForceModel, Validity
 from cbsr_qa.domain.sensor import QuasiStatic
-
-Array = NDArray[np.float64]
 
 #: Largest strength that is taken as it is: of a head under which the sheet conducts 200 times as well.
 _STRONGEST = 1.98
@@ -65,7 +63,7 @@ class Forces:
     place_mm: Array
     place_stderr_mm: Array
     detectability: Array
-    flags: NDArray[np.int64]
+    flags: Indices
 
     def __repr__(self) -> str:
         seen = self.force_N[np.isfinite(self.force_N) & (self.flags & Flag.NOT_DETECTED == 0)]
@@ -111,13 +109,7 @@ class SeveralForces:
 
 
 class Newtons(NamedTuple):
-    """Forces (n,) [N] and what their errors are made of.
-
-    Parameters
-    ----------
-    slope : (n, 3) with strength, x and y.
-    variance : (n,) what map, scatter and line add.
-    """
+    """Forces (n,) [N], slopes (n, 3) with strength, x and y, and the variance (n,) by map, scatter and line."""
 
     force: Array
     slope: Array
@@ -150,10 +142,7 @@ class ForceInverse:
         return newtons.force, np.sqrt(np.maximum(by_readings, 0.0) + newtons.variance)
 
     def newtons(self, matches: Matches) -> Newtons:
-        """Forces (n,), and what their errors are made of.
-
-        A strength of 2 or more no contrast has: what is nearly that counts as so much, a force far above any range.
-        """
+        """Forces (n,). A strength near 2 or above, which no contrast has, counts as a force far above any range."""
         model, strength = self.model, np.minimum(matches.strength, _STRONGEST)
         mapped = interpolated(model, self.tables, matches.place_mm)
         log_response, stderr, slope = mapped[:, 0], mapped[:, 1], mapped[:, 2:]
@@ -184,10 +173,7 @@ def least_force_N(inverse: ForceInverse, size: Array, places_mm: Array) -> Array
 
 
 def map_tables(model: ForceModel) -> Array:
-    """Map (nodes, 4): ln S, its standard error, and its gradient along x and y [1/mm].
-
-    The gradient is that of differences between neighbours; 0 where there are none.
-    """
+    """Map (nodes, 4): ln S, its standard error, and its gradient along x and y [1/mm]."""
     node, values = model.node, model.log_response
     padded = np.pad(node, 1, constant_values=-1)
     row, column = np.nonzero(node >= 0)
@@ -201,10 +187,10 @@ def map_tables(model: ForceModel) -> Array:
     return np.column_stack([values, model.log_response_stderr, gradient])
 
 
-def range_flags(force_N: Array, stderr_N: Array, place_mm: Array, validity: Validity) -> NDArray[np.int64]:
+def range_flags(force_N: Array, stderr_N: Array, place_mm: Array, validity: Validity) -> Indices:
     """Flags (n,) of forces and places outside what was calibrated; a force counts as outside by a standard error."""
     distance = np.hypot(place_mm[:, 0], place_mm[:, 1])
-    flags: NDArray[np.int64] = ~(distance <= validity.radius_mm) * int(Flag.OUTSIDE)
+    flags: Indices = ~(distance <= validity.radius_mm) * int(Flag.OUTSIDE)
     if validity.force_N is not None:
         lowest, highest = validity.force_N
         flags |= (force_N + stderr_N < lowest) * int(Flag.BELOW_RANGE)
@@ -237,12 +223,7 @@ class SizeError:
         self._radius_mm = radius_mm
 
     def __call__(self, size: float, places_mm: Array) -> Array:
-        """Relative standard error (n,) of strengths of a head at places (n, 2); 0 of the calibrated one.
-
-        Parameters
-        ----------
-        size : q, the head's squared radius over that of the calibrated one.
-        """
+        """Relative standard error (n,) of strengths at places (n, 2); ``size`` is relative, of the squared radius."""
         if size == 1:
             return np.zeros(len(places_mm))
         lattice = self._model.lattice
@@ -275,11 +256,9 @@ def forces_together(
     *,
     nearest_mm: float,
     sign: float,
-    other_head: NDArray[np.bool_],
+    other_head: Mask,
 ) -> SeveralForces:
     """Forces of the heads in one frame.
-
-    What map, scatter and line are off by is taken for shared by all heads of a sum.
 
     Parameters
     ----------

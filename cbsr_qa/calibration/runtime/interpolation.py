@@ -3,12 +3,9 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import ForceModel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 #: Coefficients of the weights of cubic convolution by powers of the part of a cell, and of their slopes.
 _COEFFICIENTS: Final = (
@@ -39,24 +36,17 @@ def weights_at(part: Array) -> Array:
 
 
 def surfaces_at(tables: Array, offset: Array) -> Array:
-    """Interpolate tables (n, 16, k) about cells at offsets (n, 2) from their corners.
-
-    Returns
-    -------
-    (n, 4, k) value, slopes along x, along y, and along both, per cell.
-    """
+    """Interpolate tables (n, 16, k) at offsets (n, 2) in cells: value, slopes by x, y and both, (n, 4, k)."""
     both = weights_at(offset)
     weights = both[:, 1, :, None, :, None] * both[:, 0, None, :, None, :]
-    surfaces: Array = weights.reshape(len(offset), 4, 16) @ tables
-    return surfaces
+    return weights.reshape(len(offset), 4, 16) @ tables
 
 
 def values_at(tables: Array, offset: Array) -> Array:
     """Interpolate tables as :func:`surfaces_at`, without slopes: (n, k)."""
     value = weights_at(offset)[:, :, 0]
     weights = value[:, 1, :, None] * value[:, 0, None, :]
-    interpolation: Array = (weights.reshape(len(offset), 1, 16) @ tables)[:, 0]
-    return interpolation
+    return (weights.reshape(len(offset), 1, 16) @ tables)[:, 0]
 
 
 def stencils(node: Indices) -> Indices:
@@ -81,5 +71,4 @@ def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
     missing = ~inside | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
     values_there: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
     values_there[missing] = np.nan
-    shaped: Array = values_there.reshape(len(at), *values.shape[1:])
-    return shaped
+    return values_there.reshape(len(at), *values.shape[1:])

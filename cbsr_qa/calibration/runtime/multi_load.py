@@ -5,20 +5,15 @@ the next explains more than noise and what templates leave of a single load (a g
 looked for on the lattice with those before it projected out (orthogonal least squares), in turn with them, and then
 all are fitted together in places and strengths by damped Fisher scoring. Two heads so near to each other that one
 stands for both leave little of the frame, so that a head taken apart in several directions is tried as well.
-
-Heads do not quite add up: each stands in the field that the others bend. Of two heads at a distance d that is
-(radius/d)² times half a strength at most: some 1 % for heads that almost touch.
 """
 
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.runtime.template_matching import TemplateFilter
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 _STEPS: Final = 25  # of scoring; it ends much earlier
 _STILL: Final = 0.01  # change of the squared residuals, in those of a reading's noise, that ends it
@@ -55,15 +50,7 @@ class Heads:
         return len(self.strength)
 
     def groups(self, nearest_mm: float) -> list[list[int]]:
-        """Heads that are told apart, and together those that are not.
-
-        Two are told apart where each is there beyond doubt, and their distance is clear of zero and one that heads
-        can have.
-
-        Parameters
-        ----------
-        nearest_mm : heads cannot be nearer to each other.
-        """
+        """Heads that are told apart, and together those that are not; no two can be nearer than ``nearest_mm``."""
         groups = [[number] for number in range(len(self))]
         for other in range(len(self)):
             for first in range(other):
@@ -97,10 +84,7 @@ class Heads:
         return replace(self, covariance=self.covariance + np.diag(variance.ravel()))
 
     def scattered(self, size_slope: Array, scatter_mm: float) -> Self:
-        """The same with places that are off by more than noise makes them, as of one head.
-
-        Parameters and reasons as of :func:`~cbsr_qa.calibration.runtime.scattered`.
-        """
+        """The same with places off by more than noise makes them, as by ``scattered`` for one head."""
         covariance = self.covariance.copy()
         for k, slope in enumerate(size_slope):
             towards = np.vstack([-self.strength[k] * slope, np.eye(2)])
@@ -172,7 +156,6 @@ class HeadCounter:
         return max(fits, key=lambda fit: fit.gain, default=None)
 
     def _taken_apart(self, places_mm: Array, number: int, angle: float) -> Array:
-        """Places with one of them taken apart into two."""
         half = _APART * self._diameter_mm / 2 * np.array([np.cos(angle), np.sin(angle)])
         return np.vstack([np.delete(places_mm, number, axis=0), places_mm[number] + half, places_mm[number] - half])
 
@@ -255,11 +238,6 @@ def _inverse_root(design: Array) -> Array:
     """R⁻¹ (k, k) of the rows of a design (k, r), with (design · designᵀ)⁻¹ = R⁻¹ R⁻ᵀ, by QR of unit rows.
 
     The product is not formed: of heads that are nearly one it has no correct digits, and variances came out negative.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If rows are zero or the same to the last digit.
     """
     length = np.linalg.norm(design, axis=1)
     if not (length > 0).all():
@@ -270,7 +248,6 @@ def _inverse_root(design: Array) -> Array:
 
 
 def _strengths(at: Array, rows: Array) -> Array:
-    """Strengths (k,) of heads at places by least squares."""
     return np.asarray(np.linalg.lstsq(at[:, 0].T, rows, rcond=None)[0], dtype=np.float64)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cbsr_qa.calibration.file import read_calibration
 from cbsr_qa.calibration.runtime.force import (
@@ -23,11 +23,9 @@ from cbsr_qa.calibration.runtime.force import (
 )
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
 from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
-from cbsr_qa.domain import CalibrationError, real_numbers
+from cbsr_qa.domain import Array, CalibrationError, Indices, real_numbers
 from cbsr_qa.domain.results import ForceModel, calibration as record
 from cbsr_qa.domain.run import Indenter
-
-Array = NDArray[np.float64]
 
 #: A frame whose readings, as a whole, are further than this from the reference's (relative) is another sensor's.
 _FOREIGN: Final = 0.5
@@ -50,10 +48,6 @@ _HEADS: Final = 8
 
 class Calibration:
     """One sensor's calibration, ready to be applied.
-
-    Parameters
-    ----------
-    issued : what was issued; with a force model.
 
     Raises
     ------
@@ -89,14 +83,7 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a calibration file.
-
-        Raises
-        ------
-        CalibrationError
-            If it is not there, truncated, edited since it was issued, of a later version, not a calibration, or
-            without a force model.
-        """
+        """Read a calibration file. CalibrationError if damaged, of a later version, or without a force model."""
         return cls(read_calibration(Path(path)))
 
     def force(
@@ -155,10 +142,6 @@ class Calibration:
         frames, indenter, current_A : as of :meth:`force`; all heads are alike.
         at_most : heads that are looked for.
 
-        Returns
-        -------
-        One for each frame.
-
         Raises
         ------
         CalibrationError, NumericsError
@@ -204,7 +187,7 @@ class Calibration:
             other_head=error > LARGEST,
         )
 
-    def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, NDArray[np.int64]]:
+    def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, Indices]:
         """Changes of frames as rows (n, r) of unit noise, and flags (n,) of frames that cannot be used.
 
         Rows of such frames are zero. Parameters and errors as of :meth:`force`.
@@ -223,7 +206,7 @@ class Calibration:
             readings = readings * (self.issued.current_A / current_A)
         return self._rows(readings)
 
-    def _rows(self, readings: Array) -> tuple[Array, NDArray[np.int64]]:
+    def _rows(self, readings: Array) -> tuple[Array, Indices]:
         changes = readings - self._reference
         flags = np.zeros(len(changes), dtype=np.int64)
         squares = np.einsum("nm,nm->n", changes, changes)
@@ -269,11 +252,7 @@ class Calibration:
         return places
 
     def _others(self, rows: Array, matches: Matches, finder: TemplateFilter) -> Array:
-        """Strength (n,) of what presses beside the found head, over its own; 0 where that head is all there is.
-
-        Another head explains more than noise and a lone head leave; it is looked for only where more than that on
-        average is left.
-        """
+        """Strength (n,) of what presses beside the found head, over its own; 0 where that head is all there is."""
         others = np.zeros(len(rows))
         left, gain = matches.energy - matches.gain, matches.gain
         freedom = self.model.templates.shape[1]
@@ -292,7 +271,7 @@ class Calibration:
     def _forces(
         self,
         matches: Matches,
-        bad: NDArray[np.int64],
+        bad: Indices,
         others: Array,
         head: Indenter,
         *,
@@ -325,17 +304,16 @@ class Calibration:
         return Forces(force, stderr, where, place_stderr, detectability, flags)
 
     def _least_force_N(self) -> float:
-        """Least force that one frame shows wherever the sheet was calibrated."""
         model = self.model
         places = model.lattice.places_mm()[model.node.ravel() >= 0]
         near = model.fits & (np.hypot(*places.T) <= self.issued.validity.radius_mm)
         where = near if near.any() else model.fits
         return float(np.nanmax(least_force_N(self.inverse, np.exp(model.log_size[where]), places[where])))
 
-    def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> NDArray[np.int64]:
+    def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> Indices:
         level = self.model.threshold if searched else _CLEAR
         there = detectability >= level
-        flags: NDArray[np.int64] = (detectability < level) * int(Flag.NOT_DETECTED)
+        flags: Indices = (detectability < level) * int(Flag.NOT_DETECTED)
         flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head can be there
         flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags

@@ -10,15 +10,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.runtime.interpolation import stencils, surfaces_at, values_at, weights_at
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 _STEPS: Final = 4  # of Fisher scoring: the last is below 0.01 mm
 _FURTHEST: Final = 0.25  # cells that scoring may leave its cell by
@@ -60,11 +55,6 @@ class TemplateFilter:
     ----------
     threshold : detectability that counts as a load.
     bank, searched_mm : (r, k) templates of unit length at the places (k, 2) that are searched.
-
-    Raises
-    ------
-    CalibrationError
-        If no place has the neighbours that a search needs.
     """
 
     def __init__(self, model: ForceModel, *, size: float = 1.0) -> None:
@@ -113,10 +103,7 @@ class TemplateFilter:
         return templates
 
     def template_and_slopes(self, places_mm: Array) -> Array:
-        """Changes per strength at places (n, 2) and their slopes along x and y [1/mm]: (n, 3, r).
-
-        NaN where there is no node about a place.
-        """
+        """Changes per strength at places (n, 2) and slopes by x and y [1/mm], (n, 3, r); NaN without a node."""
         nodes, offset = self._cells(places_mm)
         ((value_x, slope_x), (value_y, slope_y)) = weights_at(offset).transpose(1, 2, 0, 3)
         h = self.lattice.spacing_mm
@@ -148,12 +135,7 @@ class TemplateFilter:
         )
 
     def beside(self, rows: Array, place_mm: Array, strength: Array) -> tuple[Array, Array]:
-        """What one head more would explain of what a head in each frame leaves, on the places that are searched.
-
-        Returns
-        -------
-        Gain (n,) as of :class:`Matches`, and strength (n,).
-        """
+        """Gain (n,) and strength (n,) of one head more beside that in each frame, at the places searched."""
         gain, gain_strength = np.zeros(len(rows)), np.zeros(len(rows))
         for first in range(0, len(rows), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
@@ -185,7 +167,6 @@ class TemplateFilter:
         return Matches(place, strength, covariance, gain, np.einsum("nr,nr->n", rows, rows))
 
     def _about(self, cell: Indices, rows: Array) -> Array:
-        """Tables (n, 16, 7) about cells: scores of the frames, and the columns of ``_tables``."""
         nodes = self._stencil[cell]
         about = np.empty((*nodes.shape, 7))
         about[:, :, :1] = self.templates[nodes] @ rows[:, :, None]
@@ -220,10 +201,6 @@ class TemplateFilter:
 
         A step that lowers the score is taken again, a quarter as long: beside a pin templates turn too unevenly for
         full steps.
-
-        Parameters
-        ----------
-        about : (n, 16, 7) of :meth:`_about`.
 
         Returns
         -------
@@ -272,12 +249,7 @@ class TemplateFilter:
 
 
 def _scoring_step(at: Array, damping: Array) -> Array:
-    """Step (n, 2) of Fisher scoring in cells, half of one at most, from what is there (n, 4, 7).
-
-    Parameters
-    ----------
-    damping : (n,) over the square of a cell [1/mm²].
-    """
+    """Step (n, 2) of Fisher scoring in cells, half of one at most, from what is there (n, 4, 7)."""
     score, by_x, by_y = at[:, 0, 0], at[:, 1, 0], at[:, 2, 0]
     xx, xy, yy = at[:, 0, 4:].T
     steepness = score * (xx * yy - xy * xy)
@@ -307,7 +279,6 @@ _ONES: Final = np.eye(2)
 
 
 def _every(stride: int, node: Indices) -> Mask:
-    """Which places (rows · columns,) are of a coarser lattice about the same middle."""
     rows, columns = (np.asarray(np.abs(np.arange(count) - count // 2) % stride == 0) for count in node.shape)
     chosen: Mask = np.logical_and.outer(rows, columns).ravel()
     return chosen
@@ -316,5 +287,4 @@ def _every(stride: int, node: Indices) -> Mask:
 def _pressable(node: Indices, fits: Mask) -> Mask:
     """Which places (rows · columns,) a head fits on, with neighbours to interpolate from."""
     fitting = np.where(node >= 0, fits[node], False)
-    pressable: Mask = (stencils(node) >= 0).all(axis=1) & fitting.ravel()
-    return pressable
+    return (stencils(node) >= 0).all(axis=1) & fitting.ravel()

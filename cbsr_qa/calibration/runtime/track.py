@@ -1,17 +1,12 @@
-"""One load of a stream: its place, its strength so far, and what is expected of it.
-
-Where a hold ends that nobody said when and how fast it began: averaged over what both may have been.
-"""
+"""One load of a stream: its place, its strength so far, and what is expected of it."""
 
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import HoldsSoFar
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import ForceModel, RelaxationKernel
-
-Array = NDArray[np.float64]
 
 #: How long a press may take, from a tap to a slow indenter [s], and when it may have ended about where it is taken to
 #: [frames], each with what is thought of it beforehand.
@@ -28,11 +23,6 @@ class UnsureHold:
 
     Each pair of a ramp's length and end makes a regression of its own
     (:class:`~cbsr_qa.calibration.fits.HoldsSoFar`); they are averaged with how well they explain the frames.
-
-    Parameters
-    ----------
-    kernel : of loadings, without a reason against it.
-    frame_s : what a frame takes.
     """
 
     def __init__(self, kernel: RelaxationKernel, frame_s: float) -> None:
@@ -270,7 +260,6 @@ class Track:
         self._hold = self._promise = self._first = None
 
     def _lightened(self, time_s: float) -> None:
-        """Take back a release: some of the load still presses."""
         self.state, self.since_s, self._now_s = "loading", self._pressed_s, time_s
         self._changed = (time_s, self.strength - self.base_now)
         self._largest = self.sign * self.strength
@@ -296,12 +285,10 @@ class Track:
         self.unseen = 0 if abs(self.strength) > alone else self.unseen + 1
 
     def _left(self, kernel: RelaxationKernel, time_s: float) -> float:
-        """Share of a released change that is left after a time."""
         return _RESIDUE + float(np.sum(np.abs(kernel.weights) * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
 
 
 def _patience_s(model: ForceModel) -> float:
-    """How long a change of load is waited for."""
     return float(model.loading.time_constants_s[-1]) if model.loading and len(model.loading.weights) else _PATIENCE_S
 
 

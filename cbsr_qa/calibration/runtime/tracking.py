@@ -1,26 +1,17 @@
-"""Loads followed over a stream of frames: who presses where, how hard, since when, and what was left behind.
-
-Every frame is explained by all tracks at once (least squares on their templates); what that leaves is searched for
-another load. A track that drops is being unloaded; what stays of it fades and is taken out of the frame until it is
-gone, so that it is neither taken for a load nor added to one. The strength that a load will have after the hold it
-was calibrated with is predicted from the first frames by the sensor's own relaxation
-(:mod:`cbsr_qa.calibration.fits.steady_state`).
-"""
+"""Loads followed over a stream of frames: who presses where, how hard, since when, and what was left behind."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cbsr_qa.calibration.runtime.force import Flag, range_flags
 from cbsr_qa.calibration.runtime.runtime import Calibration
 from cbsr_qa.calibration.runtime.template_matching import Matches, scattered
 from cbsr_qa.calibration.runtime.track import KEPT, Track
-from cbsr_qa.domain import CalibrationError
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array, CalibrationError
 
 #: Frames in a row without a sign of a residue after which it is forgotten.
 _FORGOTTEN: Final = 4
@@ -72,11 +63,6 @@ class ForceStream:
     ----------
     calibration : of the sensor.
     most : loads and residues followed at once.
-
-    Raises
-    ------
-    CalibrationError
-        If ``most`` is not at least 1.
     """
 
     def __init__(self, calibration: Calibration, *, most: int = 12) -> None:
@@ -188,7 +174,6 @@ class ForceStream:
         return gain >= self._model.threshold**2 and gain >= share * explained
 
     def _base(self, template: Array) -> float:
-        """Strength that a place showed in the last frames."""
         if not self._last:
             return 0.0
         return float(np.mean([template @ last for last in self._last], axis=0) / (template @ template))
@@ -213,7 +198,6 @@ class ForceStream:
         return True
 
     def _place(self, rows: Array) -> None:
-        """Place every pressing track again, with all others taken out of the frame."""
         for track in self._tracks:
             if not track.pressing:
                 continue

@@ -32,6 +32,7 @@ from .response_map import (
     LARGEST_ERROR as LARGEST_ERROR,
     ResponseMap as ResponseMap,
     average_response as average_response,
+    intercept_column as intercept_column,
     learn_response as learn_response,
     sheet_places as sheet_places,
 )

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import BaselineConductance, Blob, LoadObservation
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
 
@@ -34,24 +34,14 @@ class LoadBaseline:
     why: str = ""
 
 
-def sensed_change(values: NDArray[np.float64], blob: Blob, response: Response) -> NDArray[np.float64]:
-    """Mean response-signed change over a blob's elements, area-weighted, noise floor *not* subtracted.
-
-    Parameters
-    ----------
-    values : (…, e) float64, one or many un-subtracted images on the blob's mesh.
-
-    Returns
-    -------
-    (…) float64, relative.
-    """
+def sensed_change(values: Array, blob: Blob, response: Response) -> Array:
+    """Area-weighted mean signed change (…) of images (…, e) over a blob, noise floor *not* subtracted."""
     areas = blob.image.mesh.areas_mm2[blob.elements]
-    mean: NDArray[np.float64] = np.asarray(response.sign * (values[..., blob.elements] @ areas) / areas.sum())
-    return mean
+    return np.asarray(response.sign * (values[..., blob.elements] @ areas) / areas.sum())
 
 
 def load_baseline(
-    load: LoadObservation, against_stress: QuasiStatic, noise_images: NDArray[np.float64], main_mask: float
+    load: LoadObservation, against_stress: QuasiStatic, noise_images: Array, main_mask: float
 ) -> LoadBaseline:
     """ρ₀ = Δρ / (α_σ σ + β_σ) of one load.
 
@@ -63,12 +53,6 @@ def load_baseline(
     against_stress : α_σ [1/kPa] and β_σ.
     noise_images : (k, e) unloaded images.
     main_mask : fraction of the mask whose blob is the sensed region.
-
-    Returns
-    -------
-    LoadBaseline, without value where nothing was sensed, no force was recorded, the predicted relative change is not
-    clear of zero (|α σ + β| under 3 of its own standard errors) or has the other sign than the response that was
-    decided, or the sensed change has.
     """
     view = load.mask(main_mask)
     if view is None or view.sensed is None:
@@ -99,11 +83,7 @@ def predicted_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[fl
 
 
 def location_baseline(location: str, x_mm: float, y_mm: float, loads: Sequence[LoadBaseline]) -> BaselineConductance:
-    """Mean over the loads of one location.
-
-    The standard error is that of the scatter between the loads, not below what the loads' own errors allow. Loads
-    that say nothing are left out; why is in ``why``.
-    """
+    """Mean over the loads of one location, with the larger of their scatter and their own errors."""
     known = [(load.value, load.stderr) for load in loads if load.value is not None and load.stderr is not None]
     remarks = "; ".join(dict.fromkeys(load.why for load in loads if load.why))
     if not known:
@@ -119,13 +99,10 @@ def location_baseline(location: str, x_mm: float, y_mm: float, loads: Sequence[L
 def baseline_conductance(
     loads: Sequence[LoadObservation],
     against_stress: QuasiStatic,
-    noise_images: NDArray[np.float64],
+    noise_images: Array,
     main_mask: float,
 ) -> tuple[BaselineConductance, ...]:
-    """ρ̄₀ of every location of some loads, in the order of their first press.
-
-    Loads are of one location if label and place agree.
-    """
+    """ρ̄₀ of every location of some loads, in the order of their first press."""
     places: dict[tuple[str, float, float], list[LoadBaseline]] = {}
     for load in loads:
         place = load.record.load
@@ -151,7 +128,6 @@ def _signed_prediction(against_stress: QuasiStatic, stress_kPa: float, response:
 
 
 def _stress_error(load: LoadObservation, slope: Parameter, predicted: float) -> float:
-    """Relative error of the predicted change that the force's error makes."""
     if load.force_stderr_N is None:
         return 0.0
     return abs(slope.value) * load.force_stderr_N / load.indenter.area_mm2 * 1e3 / predicted

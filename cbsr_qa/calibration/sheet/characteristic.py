@@ -6,23 +6,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import CommonRelaxation
 from cbsr_qa.calibration.sheet.baseline import sensed_change
 from cbsr_qa.calibration.sheet.data_sheet import Estimate, pooled_deviation
-from cbsr_qa.calibration.sheet.response_map import average_response, learn_response
-from cbsr_qa.domain import CalibrationError, NumericsError
+from cbsr_qa.calibration.sheet.response_map import average_response, intercept_column, learn_response
+from cbsr_qa.domain import Array, CalibrationError, Indices, NumericsError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import LoadObservation, RunObservation
 from cbsr_qa.domain.sensor import QuasiStatic
-
-Array = NDArray[np.float64]
-
-#: Strains must differ by this factor for an intercept to be told from the map, which is not known better than this
-#: before any load was seen.
-_SPREAD: Final = 2.0
-_UNKNOWN_INTERCEPT: Final = 0.02
 
 
 def sheet_gauge_factor(
@@ -60,15 +52,14 @@ def sheet_gauge_factor(
             f" at {int((predicted * contrast <= 0).sum())} of {len(strain)} loads: they say nothing about a response",
             remedy="press harder, where α ε + β is clear of zero",
         )
-    middle = float(np.exp(np.log(np.abs(predicted)).mean()) * np.sign(predicted[0])) if len(predicted) else 1.0
-    apart = len(strain) > 0 and strain.max() >= _SPREAD * strain.min()
+    bend, bend_stderr, middle = intercept_column(line, strain, predicted)
     response = learn_response(
         places_mm,
         np.log(contrast / predicted),
         relative_variance,
         radius_mm=radius_mm,
-        bend=1 / predicted - 1 / middle if apart else None,
-        bend_stderr=line.intercept.stderr or _UNKNOWN_INTERCEPT,
+        bend=bend,
+        bend_stderr=bend_stderr,
     )
     change, variance = response.bend
     slope = line.slope.value * (1 - change / middle)
@@ -81,17 +72,7 @@ def sheet_gauge_factor(
 
 
 def steady_share(common: CommonRelaxation, time_s: Array) -> Estimate:
-    """Where a hold ends over what is seen of it at some times after its ramp, by the relaxation all loads share.
-
-    Parameters
-    ----------
-    time_s : (n,) of the frames that were averaged.
-
-    Raises
-    ------
-    NumericsError
-        If the traces carry no relaxation that ends, or it ends where it began.
-    """
+    """Estimate where a hold ends over what frames at times (n,) after its ramp show, by the loads' relaxation."""
     fit = common.fit
     if not len(common.shares):
         raise NumericsError(f"it is not known where holds end: {fit.why}", remedy="hold longer")
@@ -135,10 +116,10 @@ class Characteristic:
     location: str
     x_mm: float
     y_mm: float
-    strain: NDArray[np.float64]
-    stress_kPa: NDArray[np.float64] | None
-    change: NDArray[np.float64]
-    loads: NDArray[np.int64]
+    strain: Array
+    stress_kPa: Array | None
+    change: Array
+    loads: Indices
 
     @property
     def span(self) -> float:
@@ -186,11 +167,6 @@ def mean_characteristic(curves: Sequence[Characteristic]) -> Characteristic:
 
     Each location's change counts in shares of its own span, so that the mean's span is 1: one and the same change
     is imaged stronger where the electrodes see better.
-
-    Raises
-    ------
-    NumericsError
-        If there is no such location with a positive span.
     """
     fullest = max((curve.strain for curve in curves), key=len, default=np.empty(0))
     alike = [c for c in curves if len(c.strain) == len(fullest) and np.allclose(c.strain, fullest) and c.span > 0]
@@ -237,13 +213,7 @@ def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict
 
 
 def repeatability(loads: Sequence[LoadObservation], main_mask: float) -> Estimate:
-    """Pooled deviation of the sensed change within phase, place and strain, in shares of the place's span.
-
-    Raises
-    ------
-    NumericsError
-        If nothing was pressed twice at the same place and strain.
-    """
+    """Pooled deviation of the sensed change within phase, place and strain, in shares of the place's span."""
     by_strain = repeated_changes(loads, main_mask)
     return pooled_deviation([cell for cells in by_strain.values() for cell in cells])
 

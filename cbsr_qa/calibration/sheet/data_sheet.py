@@ -1,8 +1,4 @@
-"""Data-sheet numbers of a sensor from repeated loads, and how evenly its sheet responds from place to place.
-
-Repeatability is ISO 5725-2's standard deviation within cells; nonlinearity is the independent (best straight line)
-and the terminal-based one of ISA-51.1 and IEC 61298-2. Percentages are of the span, the output at the highest load.
-"""
+"""Data-sheet numbers of a sensor from repeated loads, and how evenly its sheet responds from place to place."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -14,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.sheet.baseline import load_baseline, sensed_change
-from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.geometry import overlap_mm2
 from cbsr_qa.domain.results import LoadObservation, RunObservation
-
-Array = NDArray[np.float64]
 
 #: Fewest points of a characteristic: a straight line meets two.
 FEWEST_POINTS: Final = 3
@@ -63,12 +57,6 @@ class StraightLine:
 def pooled_deviation(cells: Sequence[Sequence[float]]) -> Estimate:
     """Standard deviation within cells, pooled: s² = Σ (n_c − 1) s_c² / Σ (n_c − 1) (ISO 5725-2, 7.4.5).
 
-    Its standard error is s/√(2ν) for ν degrees of freedom, that of normal scatter.
-
-    Parameters
-    ----------
-    cells : values taken under the same conditions; those with a single one say nothing and are left out.
-
     Raises
     ------
     NumericsError
@@ -94,12 +82,6 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
     ----------
     x, y : (n,) n ≥ 3 points, in any order.
     stderr : (n,) standard errors of y; None where not known.
-
-    Raises
-    ------
-    NumericsError
-        If there are fewer than three points or more than 100, lengths differ, a number is not finite, or two x
-        coincide.
     """
     place, value, error, order = _sorted_points(x, y, stderr)
     triples = np.array(list(combinations(range(len(place)), 3)))
@@ -131,11 +113,6 @@ def ratio_of_sums(parts: Sequence[float], wholes: Sequence[float]) -> Estimate:
 
     A mean of single ratios would be ruled by the weakest loads, whose ratio is mostly noise. The standard error is
     that of the ratio estimator, √(n/(n − 1) Σ (pᵢ − r wᵢ)²) / Σ wᵢ (Cochran 1977, 6.4); None of a single load.
-
-    Raises
-    ------
-    NumericsError
-        If there is nothing, lengths differ, a number is not finite, or the wholes do not sum to more than zero.
     """
     part, whole = finite_numbers(parts, "parts"), finite_numbers(wholes, "wholes")
     if len(part) != len(whole):
@@ -151,14 +128,7 @@ def ratio_of_sums(parts: Sequence[float], wholes: Sequence[float]) -> Estimate:
 
 
 def relative_spread(values: Sequence[float]) -> Estimate:
-    """Standard deviation over mean; its standard error is that of normal values, c √((½ + c²)/(n − 1)).
-
-    Raises
-    ------
-    NumericsError
-        If there are fewer than three values (a spread of two has an error as large as itself), their mean is not
-        positive, or one is not finite.
-    """
+    """Standard deviation over mean; its standard error is that of normal values, c √((½ + c²)/(n − 1))."""
     value = finite_numbers(values, "values of the locations")
     if len(value) < 3:
         raise NumericsError(f"a spread needs three locations; {len(value)} of them gave a value")
@@ -170,13 +140,7 @@ def relative_spread(values: Sequence[float]) -> Estimate:
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
-    """Slope of y against x by ordinary least squares with an intercept; no error where two points leave no scatter.
-
-    Raises
-    ------
-    NumericsError
-        If all x coincide, or a number is not finite.
-    """
+    """Slope of y against x by ordinary least squares with an intercept; two points leave it without error."""
     place, value = finite_numbers(x, "places of a slope"), finite_numbers(y, "values of a slope")
     centred = place - place.mean()
     square = float(centred @ centred)
@@ -263,20 +227,10 @@ class PlaceResponse:
 def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tuple[tuple[PlaceResponse, ...], float]:
     """Response of every location at the strain most locations were pressed at, the highest of several such.
 
-    The image of one and the same change of conductance is larger where the electrodes see better, and so is ρ₀: on
-    an even sheet of 100 mm it doubles from the centre to 30 mm. That much is the imaging's, and the linearised model
-    of an even sheet says how much: the image of the head there with a contrast of one, R J s for the share s of each
-    element it covers, averaged over the very elements in which the load was sensed.
-
     Returns
     -------
     Locations in the order of their first press, and the strain. Loads without a ρ₀, or that were sensed elsewhere
     than on the head (the model's mean over the sensed elements is under half of its peak), are left out.
-
-    Raises
-    ------
-    NumericsError
-        If no load gave a ρ₀.
     """
     by_strain: dict[float, dict[tuple[str, float, float], list[tuple[float, float]]]] = defaultdict(
         lambda: defaultdict(list)
@@ -313,10 +267,7 @@ def _image_of_head(run: RunObservation, load: LoadObservation) -> np.ndarray:
 
 
 def scatter_of_presses(places: Sequence[PlaceResponse]) -> float | None:
-    """Spread that the scatter of single presses alone makes over an even sheet, over its mean; None if unknown.
-
-    Each place is a mean over its presses; their scatter is pooled over the places that were pressed again.
-    """
+    """Spread that the scatter of single presses alone makes over an even sheet, over its mean; None if unknown."""
     mean = float(np.mean([place.response for place in places]))
     try:
         single = pooled_deviation([place.responses for place in places]).value

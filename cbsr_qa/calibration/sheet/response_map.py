@@ -5,8 +5,6 @@ how much it varies and what single loads scatter by are not chosen: all of a gri
 explain the loads (Rasmussen & Williams 2006, 5.2 and 2.7), so that few loads give wide intervals instead of
 confident ones. Where data end the map goes back to the mean response, which, since responses are counted against the
 field of the head itself, is the forward model's own sensitivity.
-
-What a learned map says of the sheet as a whole: its mean response, with the error of that mean.
 """
 
 from dataclasses import dataclass
@@ -17,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import Array, CalibrationError
 from cbsr_qa.domain.results import ForceModel
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain.sensor import QuasiStatic
 
 #: Lengths over which the response may stay alike, over the sheet's radius.
 _LENGTHS: Final = np.array([0.16, 0.22, 0.3, 0.4, 0.54, 0.72, 1.0, 1.4])
@@ -39,6 +36,10 @@ _NEGLIGIBLE: Final = 1e-5
 LARGEST_ERROR: Final = 0.3
 #: Keeps the covariance of loads at one place, without noise, invertible.
 _ROUNDING: Final = 1e-12
+#: An intercept is told from the map where loads press so differently; it is not known better than this before any
+#: load was seen.
+_SPREAD: Final = 2.0
+_UNKNOWN_INTERCEPT: Final = 0.02
 #: Fewest loads a map can be learned from: with fewer not even the mean has an honest error.
 FEWEST: Final = 3
 
@@ -88,9 +89,7 @@ class _Member:
     mean_root: Array
 
     def seen(self, kernel: Array) -> Array:
-        """Covariances of the data's places with others (p, m), weighted and solved with ``root``."""
-        solved: Array = solve_triangular(self.root, self.root_weight[:, None] * kernel, lower=True)
-        return solved
+        return solve_triangular(self.root, self.root_weight[:, None] * kernel, lower=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +114,6 @@ class _Family:
     score: Array
 
     def member(self, d: int, s: int) -> _Member:
-        """One of them."""
         solved = self.solved[d, s]
         chosen = (self.smooth, self.length_mm, float(_DEVIATIONS[d]), float(self.scatter[s]), self.root_weight[s])
         return _Member(*chosen, self.root[d, s], solved[:, -1], solved[:, :-1], self.mean[d, s], self.mean_root[d, s])
@@ -188,11 +186,6 @@ def learn_response(
     bend : (n,) a column of which an unknown multiple is in the logarithm, what a wrong intercept of the line does;
         None where there is none.
     bend_stderr : standard deviation of that multiple before any load was seen.
-
-    Raises
-    ------
-    CalibrationError
-        If there are fewer than 3 loads, or one has a place, response or variance that is no number.
     """
     if len(log_response) < FEWEST:
         raise CalibrationError(
@@ -223,8 +216,25 @@ def learn_response(
     return ResponseMap(places, members, weights[kept] / weights[kept].sum())
 
 
+def intercept_column(line: QuasiStatic, pressed: Array, predicted: Array) -> tuple[Array | None, float, float]:
+    """Return how an unknown error of a line's intercept bends the logarithms of (n,) loads.
+
+    Parameters
+    ----------
+    pressed, predicted : (n,) stress or strain of the loads, and the change that the line predicts.
+
+    Returns
+    -------
+    The column (n,), None where loads press alike: the intercept cannot then be told from the map; its standard
+    deviation beforehand; and the change in the middle, which the line turns about.
+    """
+    middle = float(np.exp(np.log(np.abs(predicted)).mean()) * np.sign(predicted[0])) if len(predicted) else 1.0
+    if not len(pressed) or pressed.max() < _SPREAD * pressed.min():
+        return None, line.intercept.stderr or 0.0, middle
+    return 1 / predicted - 1 / middle, line.intercept.stderr or _UNKNOWN_INTERCEPT, middle
+
+
 def _kinds(radius_mm: float) -> list[tuple[bool, float]]:
-    """Whether smooth, and the length [mm]."""
     return [(smooth, float(length * radius_mm)) for smooth in (True, False) for length in _LENGTHS]
 
 
@@ -252,11 +262,7 @@ def _together(which: NDArray[np.intp], columns: Array, variance: Array, known: A
 
 
 def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: float) -> _Family:
-    """Processes of correlations (p, p), the mean integrated out.
-
-    They are worked out together: matrices are as small as places are few, and one by one nine tenths of the time went
-    into calls.
-    """
+    """Processes of correlations (p, p), the mean integrated out."""
     scatter = np.array(list(data))
     root_weight = np.array([group.root_weight for group in data.values()])
     weighted = root_weight[:, :, None] * alike * root_weight[:, None, :]
@@ -279,11 +285,7 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
 
 
 def _solved(matrices: Array, right: Array) -> tuple[Array, Array]:
-    """Cholesky factors L of (..., p, p) matrices of no eigenvalue below one, and L⁻¹ B for B (..., p, k).
-
-    One factorisation of them with Bᵀ as further rows gives both: its further rows are (L⁻¹ B)ᵀ, whatever stands on
-    the diagonal there, if it is more than the squares of B.
-    """
+    """Cholesky factors L of (..., p, p) matrices of no eigenvalue below one, and L⁻¹ B for B (..., p, k)."""
     p, k = right.shape[-2:]
     whole = np.zeros((*matrices.shape[:-2], p + k, p + k))
     whole[..., :p, :p] = matrices
@@ -295,7 +297,6 @@ def _solved(matrices: Array, right: Array) -> tuple[Array, Array]:
 
 
 def _log_root(roots: Array) -> Array:
-    """Logarithms of determinants of triangular matrices (..., n, n)."""
     logs: Array = np.log(np.diagonal(roots, axis1=-2, axis2=-1)).sum(axis=-1)
     return logs
 
@@ -317,12 +318,7 @@ def _covariance(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) 
 
 
 def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, float]:
-    """Mean over places (n, 2) of the logarithm of the response, and its variance.
-
-    The variance is that of a mean of correlated values, exact for each process of the mixture, with what the
-    processes differ by added (law of total variance). Pointwise errors would say nothing of it: where data end they
-    are alike and of one sign.
-    """
+    """Mean over places (n, 2) of the logarithm of the response, and its variance."""
     means, variances = [], []
     for member in response.members:
         between = _covariance(response.places_mm, places_mm, member.length_mm, member.smooth)

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.runtime import Matches
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 #: A place known worse than this says little about where the sheet lies [mm].
 _SURE_MM: Final = 1.5
@@ -82,7 +81,6 @@ def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPos
 
 
 def _without_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Array:
-    """Weights without loads that are found somewhere else altogether."""
     apart = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
     return np.where(apart <= max(5 * float(np.median(apart)), 3.0), weight, 0.0)
 

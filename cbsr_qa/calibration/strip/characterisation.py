@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import (
     CommonRelaxation,
@@ -29,7 +29,7 @@ from cbsr_qa.calibration.strip.lines import (
 )
 from cbsr_qa.calibration.strip.relaxation import DirectedTrace, settlings, strip_relaxation, unit_kernel
 from cbsr_qa.calibration.strip.slow_residue import SlowResidue, changes_of, separate_with_residue, without_residue
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import (
     Characterisation,
     CharacterisationSettings,
@@ -42,8 +42,6 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.sensor import Parameter, Relaxation, Response, StripRelaxation
 from cbsr_qa.eit.loads import StripModel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,15 +86,6 @@ def characterise(
     readings : in the order of their times, the first one pressed on a rested strip.
     notes : what else is known against the readings, for ``reduced``.
     unread : cycles that are not among them, by name and with the reason.
-
-    Returns
-    -------
-    Characterisation, whose ``refused`` says why it cannot stand for the material.
-
-    Raises
-    ------
-    NumericsError
-        If there is no cycle, or changes are more than the strip under the head can make.
     """
     if not readings:
         raise NumericsError(
@@ -139,8 +128,6 @@ def characterise(
 
 
 class _Work:
-    """One characterisation under way."""
-
     def __init__(self, readings: list[CycleReadings], specimen: Specimen, settings: CharacterisationSettings) -> None:
         self._readings = readings
         self._specimen = specimen
@@ -151,7 +138,6 @@ class _Work:
 
     @cached_property
     def cycles(self) -> tuple[CycleChange, ...]:
-        """Steady changes of every cycle."""
         local, apparent = self._changes(self._separated)
         errors = np.hypot(self._separated.level_stderr[0::2], self._before(self._separated.level_stderr))
         end_s = self._settings.end_s
@@ -174,11 +160,9 @@ class _Work:
 
     @property
     def why_no_stress(self) -> tuple[str, ...]:
-        """Why cycles have no stress, each reason once."""
         return tuple(dict.fromkeys(cycle.stress_why for cycle in self._readings if cycle.stress_why))
 
     def lines(self, levels: Sequence[StrainLevel]) -> dict[str, FittedLine]:
-        """All four lines, through the cycles of strains that are not left out."""
         used = self._used(levels)
         cycles = [self.cycles[k] for k in used]
         plain = self._changes(self._separated)
@@ -188,26 +172,26 @@ class _Work:
             ("local", 0, [c.local_stderr for c in cycles]),
             ("apparent", 1, [c.apparent_stderr for c in cycles]),
         ):
-            shifted = {of: [_taken(moved_to[values], used) for moved_to in sets] for of, sets in moved.items()}
+            shifted = {of: [moved_to[values][used].tolist() for moved_to in sets] for of, sets in moved.items()}
             if name == "local":
-                shifted["contacts of the pins"] = [_taken(self._changes(self._separated, other=True)[0], used)]
+                shifted["contacts of the pins"] = [self._changes(self._separated, other=True)[0][used].tolist()]
             for against in ("strain", "stress"):
                 key = f"local_against_{against}" if name == "local" else f"against_{against}"
-                place = _strain if against == "strain" else _stress
+                place = attrgetter("strain" if against == "strain" else "stress_kPa")
                 source = self._specimen.source
-                lines[key] = fit_line(cycles, _taken(plain[values], used), error, place, shifted, source)
+                lines[key] = fit_line(cycles, plain[values][used].tolist(), error, place, shifted, source)
         return lines
 
     def end_of_hold(self, levels: Sequence[StrainLevel]) -> tuple[FittedLine, FittedLine]:
-        """Lines of the changes as they were read, from before the press and from the rested strip."""
         cycles = [self.cycles[k] for k in self._used(levels)]
         source = self._specimen.source
         changes = ([c.from_before for c in cycles], [c.from_rested for c in cycles])
-        before, rested = (fit_line(cycles, values, [0.0] * len(values), _strain, {}, source) for values in changes)
+        before, rested = (
+            fit_line(cycles, values, [0.0] * len(values), attrgetter("strain"), {}, source) for values in changes
+        )
         return before, rested
 
     def settlings(self) -> tuple[StrainSettling, ...]:
-        """Settling of every signal and direction, by strain."""
         return (
             *settlings("conductance", True, self._directed(True), self._settings),
             *settlings("conductance", False, self._directed(False), self._settings),
@@ -215,7 +199,6 @@ class _Work:
         )
 
     def kernels(self) -> tuple[Relaxation | None, Relaxation | None, Relaxation | None]:
-        """Kernels of loading, unloading and stress."""
         source = self._specimen.source
         common = self._separated.common
         return (
@@ -225,11 +208,9 @@ class _Work:
         )
 
     def relaxation(self) -> StripRelaxation | None:
-        """Kernels of loading and unloading with their errors, as a sheet's are learned."""
         return strip_relaxation(self._directed(True), self._directed(False), self._specimen.source)
 
     def facts(self) -> StripFacts:
-        """The strip."""
         specimen, strip = self._specimen, self._specimen.strip
         share = strip.contact_squares / strip.squares
         return StripFacts(specimen.resistance_ohm, specimen.relative_noise, strip.squares, share, strip.share)
@@ -239,9 +220,7 @@ class _Work:
         return [k for k, cycle in enumerate(self.cycles) if cycle.strain in kept]
 
     def _before(self, of_steps: Array) -> Array:
-        """What belongs to the rest before each press; nothing before the first."""
-        before: Array = np.concatenate([[0.0], of_steps[1::2]])[: len(self._readings)]
-        return before
+        return np.concatenate([[0.0], of_steps[1::2]])[: len(self._readings)]
 
     def _changes(self, separated: SeparatedSteps, *, other: bool = False) -> tuple[Array, Array]:
         """Steady changes under the head and between the pins; as they were with other contacts, where asked for."""
@@ -263,7 +242,6 @@ class _Work:
         return moved
 
     def _directed(self, loading: bool) -> list[DirectedTrace]:
-        """Steps of one direction from the level before their press."""
         before = self._before(self._separated.levels)
         changes = changes_of(self._separated, self._steps)
         traces = []
@@ -311,27 +289,12 @@ def _steps(cycle: CycleReadings, strip: StripModel) -> tuple[StepTrace, StepTrac
     )
 
 
-def _taken(values: Array, used: Sequence[int]) -> list[float]:
-    return [float(values[k]) for k in used]
-
-
-def _strain(cycle: CycleChange) -> float | None:
-    return cycle.strain
-
-
-def _stress(cycle: CycleChange) -> float | None:
-    return cycle.stress_kPa
-
-
 def _end(time_s: Array, values: Array, end_s: float) -> float:
-    """Mean of what was read last."""
     return float(values[time_s > time_s[-1] - end_s].mean())
 
 
 def _relative(after: Array, before: Array) -> Array:
-    """Change of a conductance that is given by its changes from the rested one."""
-    change: Array = (after - before) / (1 + before)
-    return change
+    return (after - before) / (1 + before)
 
 
 def _as_parameters(residue: SlowResidue | None, source: str) -> tuple[Parameter, Parameter] | None:

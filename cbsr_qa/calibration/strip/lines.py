@@ -1,7 +1,4 @@
-"""Lines through the steady changes of press cycles with every part of their uncertainty (paper Eqs 1 and 2).
-
-Also why a characterisation cannot stand for its material, or stands for less of it.
-"""
+"""Lines through the steady changes of press cycles with every part of their uncertainty (paper Eqs 1 and 2)."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -9,15 +6,12 @@ from statistics import fmean, stdev
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.calibration.fits import QuasiStaticFit, fit_quasi_static
 from cbsr_qa.calibration.sheet import predicted_change
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import Characterisation, CycleChange, FittedLine, StrainLevel
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
-
-Array = NDArray[np.float64]
 
 #: A change is clear of zero from this many of its standard errors on.
 CLEAR: Final = 3.0
@@ -70,16 +64,7 @@ def _why_left_out(level: StrainLevel, members: Sequence[CycleChange]) -> str:
 
 
 def decided_response(levels: Sequence[StrainLevel], declared: Response) -> tuple[Response, str]:
-    """Tell what a load does to the material.
-
-    Parameters
-    ----------
-    declared : by the sensor type; AUTO where the cycles decide.
-
-    Returns
-    -------
-    The response (AUTO where it cannot be told) and why not; empty where it can.
-    """
+    """Return what a load does to the material, AUTO where it cannot be told, and why not."""
     kept = [level for level in levels if not level.why]
     if not kept:
         return Response.AUTO, "no strain changes the conductance clearly"
@@ -155,13 +140,7 @@ def _is_clear(line: QuasiStatic, strain: float) -> bool:
 
 
 def fit_modulus(cycles: Sequence[CycleChange], source: str) -> tuple[Parameter | None, Parameter | None, str]:
-    """Fit the steady stress against the nominal strain.
-
-    Returns
-    -------
-    The slope E [kPa]; the strain at which the line crosses zero, by which the surface was missed; and why there is
-    neither.
-    """
+    """Fit stress against strain: slope E [kPa], the strain where the line crosses zero, and why there is neither."""
     pressed = [(c.strain, c.stress_kPa, c.stress_stderr_kPa or 0.0) for c in cycles if c.stress_kPa is not None]
     try:
         strain, stress, error = zip(*pressed, strict=True) if pressed else ((), (), ())

@@ -1,14 +1,10 @@
-"""Relaxation of a strip's press cycles: settling by strain and direction, and kernels of a unit step (paper 2.2.2).
-
-Also what a sheet of the material should then show (1D against 2D), with its errors.
-"""
+"""Relaxation of a strip's press cycles: settling by strain and direction, kernels of a unit step (paper 2.2.2)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cbsr_qa.calibration.fits import (
@@ -19,11 +15,9 @@ from cbsr_qa.calibration.fits import (
     learn_kernel,
     window_s,
 )
-from cbsr_qa.domain import finite_numbers
+from cbsr_qa.domain import Array, finite_numbers
 from cbsr_qa.domain.results import CharacterisationSettings, FitStatus, RelaxationKernel, StrainSettling
 from cbsr_qa.domain.sensor import MeasuredKernel, Relaxation, StripRelaxation
-
-Array = NDArray[np.float64]
 
 #: Readings that begin later than this many time constants do not tell what an exponential began with.
 _LATE: Final = 1.5
@@ -97,10 +91,6 @@ def unit_kernel(common: CommonRelaxation | None, traces: Sequence[DirectedTrace]
     A ramp of length T answered by 1 + Σ w e^(−t/τ) leaves w (τ/T)(1 − e^(−T/τ)) e^(−t/τ) after its end: amplitudes
     are divided by that, and by the step, over all cycles by least squares. A single exponential is written as two,
     the first of no weight.
-
-    Returns
-    -------
-    None where no relaxation can be told.
     """
     if common is None or common.fit.status not in (FitStatus.TWO, FitStatus.ONE, FitStatus.FLAT):
         return None
@@ -145,19 +135,9 @@ def strip_relaxation(
     differs by the material and not by the method. An exponential that the cycles do not show but may hide is carried
     with its uncertainty.
 
-    Parameters
-    ----------
-    loading, unloading : of every cycle, without what earlier presses left.
-    source : e.g. the run.
-
     Returns
     -------
     StripRelaxation; None where neither direction has a relaxation that can be told.
-
-    Raises
-    ------
-    NumericsError
-        As :func:`~cbsr_qa.calibration.fits.learn_kernel`.
     """
     kernels = _kernel(loading, True), _kernel(unloading, False)
     if not any(kernels):
@@ -268,10 +248,7 @@ class KernelCurve:
         return self.level + each @ self.weights, np.maximum(variance, 0.0)
 
     def settled(self, tolerance: float) -> tuple[float, float] | None:
-        """Return the last time outside ± ``tolerance`` of the change, and its standard error [s].
-
-        None where that is not between the start and the window's end.
-        """
+        """Return the last time outside ± ``tolerance`` of the change, and its standard error [s]."""
         time_s = np.linspace(self.start_s, self.window_s, _STEPS)
         outside = np.flatnonzero(np.abs(self._at(time_s)) > tolerance)
         if not len(outside) or outside[-1] == _STEPS - 1:
@@ -285,12 +262,10 @@ class KernelCurve:
         return (settled_s, stderr / abs(slope)) if slope and stderr else None
 
     def _at(self, time_s: Array) -> Array:
-        values: Array = np.exp(-time_s[:, None] / self.time_constants_s) @ self.weights
-        return values
+        return np.exp(-time_s[:, None] / self.time_constants_s) @ self.weights
 
 
 def _jacobian(function: Callable[[Array], Array], at: Array, stderr: Array) -> Array:
-    """Derivatives by central differences over a small share of each standard error; one of none does not matter."""
     steps = np.where(stderr > 0, _SMALL * stderr, _SMALL * _SMALL)
     columns = [
         (function(at + step) - function(at - step)) / (2 * step[index]) for index, step in enumerate(np.diag(steps))

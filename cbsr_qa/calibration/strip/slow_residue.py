@@ -5,13 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.stats import f as fisher
 
 from cbsr_qa.calibration.fits import SeparatedSteps, StepTrace, constants_of, separate_steps, separated_with
-
-Array = NDArray[np.float64]
+from cbsr_qa.domain import Array
 
 _SIGNIFICANCE: Final = 0.01
 _CLEAR: Final = 3.0
@@ -31,7 +29,7 @@ class SlowResidue:
 
     share: float
     decay_s: float
-    covariance: NDArray[np.float64]
+    covariance: Array
 
     def moved(self) -> list["SlowResidue"]:
         """Return it moved by one standard error along each of its independent directions."""
@@ -44,16 +42,7 @@ class SlowResidue:
 
 
 def changes_of(separated: SeparatedSteps, steps: Sequence[StepTrace]) -> Array:
-    """Steady change of each press: from the level the rest before it was going to, to that of its hold.
-
-    Parameters
-    ----------
-    steps : presses and releases by turns, beginning with a press from zero.
-
-    Returns
-    -------
-    (presses,) float64.
-    """
+    """Steady change (presses,) from the level the rest before a press was going to, to that of its hold."""
     before = np.concatenate([[0.0], separated.levels[1::2]])[: len(steps[0::2])]
     changes: Array = separated.levels[0::2] - before
     return changes
@@ -74,10 +63,6 @@ def separate_with_residue(steps: Sequence[StepTrace]) -> tuple[SeparatedSteps, S
     with 2 % that fade in ten minutes, steady changes of ten cycles come out 1.4 % low. It shows in the levels of the
     rests, which rise from cycle to cycle. It is kept if an F test finds it significant at 1 % and its share is three
     standard errors from zero.
-
-    Parameters
-    ----------
-    steps : presses and releases by turns, beginning with a press.
     """
     separated = as_read = separate_steps(steps)
     residue: SlowResidue | None = None

@@ -3,9 +3,9 @@
 from typing import ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import FEWEST_FRAMES, off_the_line, signal_to_noise_dB
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
 from cbsr_qa.eit.inverse import changes
@@ -44,7 +44,7 @@ def _refused(why: str) -> Measurement:
     return Measurement("noise_figure", None, "1", how=why)
 
 
-def _noise(run: RunObservation) -> NDArray[np.float64] | None:
+def _noise(run: RunObservation) -> Array | None:
     """Scatter of the used readings about a straight line in time, (k, m), scaled to its degrees of freedom."""
     frames = run.unloaded
     if len(frames) < _FEWEST_FRAMES:
@@ -58,7 +58,7 @@ def _noise(run: RunObservation) -> NDArray[np.float64] | None:
     return left
 
 
-def _signals(run: RunObservation) -> tuple[list[NDArray[np.float64]], str, str]:
+def _signals(run: RunObservation) -> tuple[list[Array], str, str]:
     """Signals y (m,), the phase they are from, and in words what they are."""
     centre = [load for load in run.loads if np.hypot(*load.place_mm) < 0.5]
     noise_phases = {phase.name for phase in run.record.phases if phase.role is Role.NOISE}
@@ -74,7 +74,7 @@ def _signals(run: RunObservation) -> tuple[list[NDArray[np.float64]], str, str]:
     return [problem.jacobian @ target.astype(np.float64)], "", "the model's response to a central target"
 
 
-def _measured_change(load: LoadObservation, run: RunObservation) -> NDArray[np.float64] | None:
+def _measured_change(load: LoadObservation, run: RunObservation) -> Array | None:
     frames = run.record.phase(load.phase).frames
     if frames is None or load.steady_frames < 1:
         return None
@@ -83,16 +83,16 @@ def _measured_change(load: LoadObservation, run: RunObservation) -> NDArray[np.f
         return None
     steady = held.select(slice(-load.steady_frames, None)).voltages
     readings = changes(steady, run.reference, run.reconstruction.problem, run.scale)
-    change: NDArray[np.float64] = readings.mean(axis=0)
+    change: Array = readings.mean(axis=0)
     return change if change.any() else None
 
 
-def _figure(run: RunObservation, scatter: NDArray[np.float64], signal: NDArray[np.float64]) -> float:
+def _figure(run: RunObservation, scatter: Array, signal: Array) -> float:
     reading_noise, image_noise = _energies(run, scatter)
     return _gain(run, signal) * float(np.sqrt(image_noise.mean() / reading_noise.mean()))
 
 
-def _jackknife(run: RunObservation, scatter: NDArray[np.float64], signal: NDArray[np.float64]) -> float:
+def _jackknife(run: RunObservation, scatter: Array, signal: Array) -> float:
     """Standard error of the figure from leaving out one noise frame at a time."""
     reading_noise, image_noise = _energies(run, scatter)
     without = (image_noise.sum() - image_noise) / (reading_noise.sum() - reading_noise)
@@ -101,16 +101,16 @@ def _jackknife(run: RunObservation, scatter: NDArray[np.float64], signal: NDArra
     return float(np.sqrt((count - 1) / count * ((figures - figures.mean()) ** 2).sum()))
 
 
-def _energies(run: RunObservation, scatter: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _energies(run: RunObservation, scatter: Array) -> tuple[Array, Array]:
     """Mean square of each noise frame, of its readings and of its area-weighted image."""
     areas = run.reconstruction.problem.mesh.areas_mm2
     images = run.reconstruction.images(scatter) * areas
-    reading_noise: NDArray[np.float64] = (scatter**2).mean(axis=1)
-    image_noise: NDArray[np.float64] = (images**2).mean(axis=1)
+    reading_noise: Array = (scatter**2).mean(axis=1)
+    image_noise: Array = (images**2).mean(axis=1)
     return reading_noise, image_noise
 
 
-def _gain(run: RunObservation, signal: NDArray[np.float64]) -> float:
+def _gain(run: RunObservation, signal: Array) -> float:
     """mean|y| over mean|A x|."""
     areas = run.reconstruction.problem.mesh.areas_mm2
     image = run.reconstruction.images(signal[None])[0] * areas
@@ -181,7 +181,7 @@ class ChannelNoise(WithOptions):
         return (*_together(ratio_dB, run), *every, _drift(run))
 
 
-def _together(ratio_dB: NDArray[np.float64], run: RunObservation) -> tuple[Measurement, ...]:
+def _together(ratio_dB: Array, run: RunObservation) -> tuple[Measurement, ...]:
     heard = np.isfinite(ratio_dB) & run.usable
     if not heard.any():
         return _no_ratio("the unloaded frames do not differ: there is no noise to compare with")
@@ -196,7 +196,7 @@ def _together(ratio_dB: NDArray[np.float64], run: RunObservation) -> tuple[Measu
     )
 
 
-def _each(ratio_dB: NDArray[np.float64], run: RunObservation) -> tuple[Measurement, ...]:
+def _each(ratio_dB: Array, run: RunObservation) -> tuple[Measurement, ...]:
     how = f"{len(run.unloaded)} frames"
     return tuple(
         Measurement(
