@@ -61,9 +61,7 @@ def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frame
     """
     changes = [_creep(load, signal, from_s, frames) for load in loads]
     pairs = [pair for pair in changes if pair is not None]
-    if not pairs:
-        raise NumericsError(_no_trace(signal, from_s))
-    return ratio_of_sums(*zip(*pairs, strict=True))
+    return _ratio(pairs, _no_trace(signal, from_s))
 
 
 def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float, frames: int) -> Estimate:
@@ -79,10 +77,8 @@ def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float,
         if signal is None or stress is None or not stress[1] > 0:
             continue
         pairs.append((signal[0] - signal[1] * stress[0] / stress[1], signal[1]))
-    if not pairs:
-        missing = SIGNAL if not any(_creep(load, SIGNAL, from_s, frames) for load in loads) else STRESS
-        raise NumericsError(_no_trace(missing, from_s))
-    return ratio_of_sums(*zip(*pairs, strict=True))
+    missing = STRESS if any(_creep(load, SIGNAL, from_s, frames) for load in loads) else SIGNAL
+    return _ratio(pairs, _no_trace(missing, from_s))
 
 
 def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
@@ -97,9 +93,7 @@ def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
         held, rested = (trace_of(load, SIGNAL, loading=loading) for loading in (True, False))
         if held is not None and rested is not None:
             pairs.append((end_level(rested, frames), end_level(held, frames)))
-    if not pairs:
-        raise NumericsError("no load has frames of both its hold and its rest in which anything was sensed")
-    return ratio_of_sums(*zip(*pairs, strict=True))
+    return _ratio(pairs, "no load has frames of both its hold and its rest in which anything was sensed")
 
 
 def last_cycles(loads: Iterable[LoadObservation], *, frames: int) -> dict[str, tuple[float, float]]:
@@ -120,8 +114,12 @@ def last_stresses(loads: Iterable[LoadObservation]) -> dict[str, tuple[float, fl
 def change_between(levels: Iterable[tuple[float, float]]) -> Estimate:
     """Change from one level to the other over the other, summed up over locations, as a fraction."""
     pairs = [(after - before, after) for before, after in levels]
+    return _ratio(pairs, "at no location were the last two cycles both sensed")
+
+
+def _ratio(pairs: Sequence[tuple[float, float]], why_none: str) -> Estimate:
     if not pairs:
-        raise NumericsError("at no location were the last two cycles both sensed")
+        raise NumericsError(why_none)
     return ratio_of_sums(*zip(*pairs, strict=True))
 
 

@@ -38,34 +38,16 @@ class KernelTrace:
     released: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SharedKernel:
-    """Posterior of w and log τ, and the scatter of w relative to w.
-
-    Parameters
-    ----------
-    weights, time_constants_s : (k,).
-    covariance : (2 k, 2 k).
-    relative_scatter : between loads.
-    freedom : degrees of freedom of its square.
-    """
-
-    weights: Array
-    time_constants_s: Array
-    covariance: Array
-    relative_scatter: float
-    freedom: float
-
-
-def shared_kernel(
+def _shared_kernel(
     traces: Sequence[KernelTrace],
     weights: Array,
     time_constants_s: Array,
     prior_stderr: Array,
     *,
     frame_s: float,
-    noise: Sequence[float] | None = None,
-) -> SharedKernel:
+    noise: Sequence[float] | None,
+    start_s: float,
+) -> RelaxationKernel:
     """Estimate the mean kernel of all loads and how much each load's weights differ from it.
 
     Load i is Aᵢ (1 + Σ wᵢ e^(−t/τ)) or Rᵢ + Dᵢ Σ wᵢ e^(−t/τ), with wᵢ ~ N(w, s² w²) independently. Aᵢ or Rᵢ are
@@ -77,6 +59,7 @@ def shared_kernel(
     weights, time_constants_s : (k,) to begin with.
     prior_stderr : (2 k,) of the weak normal prior of (w, log τ) about them; 0 keeps one fixed.
     noise : standard deviation of a value of each load; None to take it from the residuals.
+    start_s : of the kernel.
     """
     mean = start = np.concatenate([weights, np.log(time_constants_s)])
     free = prior_stderr > 0
@@ -91,7 +74,16 @@ def shared_kernel(
     covariance[np.ix_(free, free)] = np.einsum("g,gij->ij", likely, inverse) + (likely[:, None] * around).T @ around
     scatter, freedom = _as_variance(likely)
     half = len(weights)
-    return SharedKernel(mean[:half], np.exp(mean[half:]), covariance, scatter, freedom)
+    return RelaxationKernel(
+        loading=traces[0].released is None,
+        weights=mean[:half],
+        time_constants_s=np.exp(mean[half:]),
+        covariance=covariance,
+        scatter=scatter * np.abs(mean[:half]),
+        scatter_freedom=freedom,
+        loads=len(traces),
+        start_s=start_s,
+    )
 
 
 class _Reduced:
@@ -227,17 +219,7 @@ def learn_kernel(
         return _no_kernel(released is None, len(used), start_s, why)
     weights, time_constants_s, prior = _beginning(used, common, frame_s)
     own = None if noise is None else [noise[index] * unit for index in usable]
-    posterior = shared_kernel(used, weights, time_constants_s, prior, frame_s=frame_s, noise=own)
-    return RelaxationKernel(
-        loading=released is None,
-        weights=posterior.weights,
-        time_constants_s=posterior.time_constants_s,
-        covariance=posterior.covariance,
-        scatter=posterior.relative_scatter * np.abs(posterior.weights),
-        scatter_freedom=posterior.freedom,
-        loads=len(used),
-        start_s=start_s,
-    )
+    return _shared_kernel(used, weights, time_constants_s, prior, frame_s=frame_s, noise=own, start_s=start_s)
 
 
 def _loads(

@@ -1,6 +1,6 @@
 """Runs of steps that every built-in sequence is made of, and the kinds of options they have in common."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -93,6 +93,13 @@ def unloaded(rest_s: float, frames: int) -> Iterator[Step]:
         yield Hold(rest_s, acquire=False)
     yield MarkUnloaded()
     yield AcquireFrames(frames)
+
+
+def presses(options: RestedOptions, loads: Sequence[Load], *, hold_s: float, rest_s: float) -> Iterator[Step]:
+    """Prepare the sheet, then press all loads, one cycle each."""
+    yield from rested(options, ((load.x_mm, load.y_mm) for load in loads))
+    for load in loads:
+        yield from press_cycle(load, hold_s=hold_s, rest_s=rest_s)
 
 
 def press_cycle(load: Load, *, hold_s: float, rest_s: float) -> Iterator[Step]:

@@ -29,6 +29,7 @@ from cbsr_qa_plugins.sequences._shared import (
     find_surfaces,
     once,
     press_cycle,
+    presses,
     rested,
     unloaded,
 )
@@ -102,12 +103,10 @@ class RelaxationSequence(WithOptions):
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
-        options = self.options
-        place_mm = (options.x_mm, options.y_mm)
-        yield from rested(options, [place_mm])
-        for trial in range(options.trials):
-            load = Load(_label(place_mm), *place_mm, options.strain_percent / 100, trial)
-            yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
+        options, place_mm = self.options, (self.options.x_mm, self.options.y_mm)
+        strain = options.strain_percent / 100
+        loads = [Load(_label(place_mm), *place_mm, strain, trial) for trial in range(options.trials)]
+        yield from presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
 def _label(place_mm: tuple[float, float]) -> str:

@@ -17,8 +17,7 @@ from cbsr_qa_plugins.sequences._shared import (
     Strains,
     Times,
     once,
-    press_cycle,
-    rested,
+    presses,
 )
 
 _NAME: Final = "characterisation"
@@ -58,13 +57,13 @@ class CharacterisationSequence(WithOptions):
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time for one seed."""
-        options = self.options
-        place_mm = (options.x_mm, options.y_mm)
-        yield from rested(options, [place_mm])
-        for number in self._numbers(context.seed):
-            for cycle in range(options.cycles):
-                load = Load(f"C{number + 1}", *place_mm, options.strains_percent[number] / 100, cycle)
-                yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
+        options, place_mm = self.options, (self.options.x_mm, self.options.y_mm)
+        loads = [
+            Load(f"C{number + 1}", *place_mm, options.strains_percent[number] / 100, cycle)
+            for number in self._numbers(context.seed)
+            for cycle in range(options.cycles)
+        ]
+        yield from presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
     def _numbers(self, seed: int) -> list[int]:
         """Strains by number, in the order they are pressed."""

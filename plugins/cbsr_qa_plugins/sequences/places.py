@@ -28,8 +28,7 @@ from cbsr_qa_plugins.sequences._shared import (
     Strains,
     Times,
     once,
-    press_cycle,
-    rested,
+    presses,
 )
 
 
@@ -66,16 +65,13 @@ class LocationGridSequence(WithOptions):
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
         options = self.options
-        yield from rested(options, options.locations_mm)
-        for load in self._loads():
-            yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
-
-    def _loads(self) -> Iterator[Load]:
-        options = self.options
-        for percent in options.strains_percent:
-            for trial in range(options.trials):
-                for number, (x_mm, y_mm) in enumerate(options.locations_mm):
-                    yield Load(f"{options.label}{number}", x_mm, y_mm, percent / 100, trial)
+        loads = [
+            Load(f"{options.label}{number}", x_mm, y_mm, percent / 100, trial)
+            for percent in options.strains_percent
+            for trial in range(options.trials)
+            for number, (x_mm, y_mm) in enumerate(options.locations_mm)
+        ]
+        yield from presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
 _FORMS: Final = "a table of strain_percent with x_mm and y_mm, or with radius_mm and angle_deg"
@@ -134,12 +130,12 @@ class GivenLoadsSequence(WithOptions):
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
         options = self.options
-        places_mm = [load.place_mm() for load in options.loads]
-        yield from rested(options, places_mm)
-        for trial in range(options.trials):
-            for number, (load, place_mm) in enumerate(zip(options.loads, places_mm, strict=True)):
-                again = Load(f"{options.label}{number}", *place_mm, load.strain_percent / 100, trial)
-                yield from press_cycle(again, hold_s=options.hold_s, rest_s=options.rest_s)
+        loads = [
+            Load(f"{options.label}{number}", *load.place_mm(), load.strain_percent / 100, trial)
+            for trial in range(options.trials)
+            for number, load in enumerate(options.loads)
+        ]
+        yield from presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
 Radius = Annotated[float, Field(ge=0, le=1e3)]
@@ -182,10 +178,8 @@ class RandomLoadsSequence(WithOptions):
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time for one seed."""
-        loads, options = self._loads(context.seed), self.options
-        yield from rested(options, ((load.x_mm, load.y_mm) for load in loads))
-        for load in loads:
-            yield from press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)
+        options = self.options
+        yield from presses(options, self._loads(context.seed), hold_s=options.hold_s, rest_s=options.rest_s)
 
     def _loads(self, seed: int) -> tuple[Load, ...]:
         draws = _generator(seed, self.options.stream).random((self.options.count, 3))
