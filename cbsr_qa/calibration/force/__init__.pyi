@@ -10,7 +10,6 @@ from .templates import (
     TemplateBank as TemplateBank,
     prepared_force as prepared_force,
     template_bank as template_bank,
-    templates_at as templates_at,
     unlearned_model as unlearned_model,
 )
 from .validity import (

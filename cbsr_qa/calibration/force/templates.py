@@ -81,13 +81,6 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
     return TemplateBank(lattice, node.astype(np.int64), places, templates, log_size, size_slope, slopes, fits)
 
 
-def templates_at(
-    model: RoundLoadModel, readings: MergedReadings, places_mm: Array, head: Indenter
-) -> tuple[Array, ...]:
-    """Return templates, sizes, and slopes with the size and with the place of a head at any places (n, 2)."""
-    return _joined(_templates(readings, part) for part in _pressed(model, places_mm, head))
-
-
 def _joined(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
     return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 

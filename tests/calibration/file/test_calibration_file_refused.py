@@ -10,12 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from calibration_samples import (
-    edited,
-    plain_digest,
-    sample_calibration,
-    sample_sensor_type,
-)
+from calibration_samples import edited, plain_digest, sample_calibration, sample_sensor_type
 
 from cbsr_qa.calibration.file.content import SCHEMA_VERSION
 from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration_file, write_calibration
@@ -80,18 +75,12 @@ _UNSOUND = {
     "one less": (lambda file: file.__delitem__("image/mask"), _CHANGED),
     "no digest": (lambda file: file.attrs.__delitem__("digest"), "states no SHA-256"),
     "a digest to print": (_attribute("digest", "\x1b[31mred"), "states no SHA-256"),
-    "later version": (
-        _attribute("schema_version", np.int64(99)),
-        f"version 99; this program knows versions up to {SCHEMA_VERSION}",
-    ),
+    "later version": (_attribute("schema_version", np.int64(99)), f"version 99.*up to {SCHEMA_VERSION}"),
     "version 0": (_attribute("schema_version", np.int64(0)), "version"),
     "half a version": (_attribute("schema_version", np.float64(1.0)), "version"),
     "version in words": (_attribute("schema_version", "1"), "version"),
     "format of numbers": (_attribute("format", np.array([1, 2])), "not a calibration"),
-    "two formats": (
-        _attribute("format", np.array(["cbsr-qa calibration"] * 2, dtype=object)),
-        "not a calibration",
-    ),
+    "two formats": (_attribute("format", np.array(["cbsr-qa calibration"] * 2, dtype=object)), "not a calibration"),
     "format of a number": (_attribute("format", 3.0), "not a calibration"),
     "names within names": (_many_names, "more than 10000 names"),
     "table of texts": (_added("assumed", "text", shape=(1, 2), **_TEXTS), "assumed holds texts of the shape"),

@@ -72,10 +72,7 @@ def test_what_is_no_calibration_is_refused_by_name(tmp_path, what):
 
 
 _EDITED = {
-    "future": (
-        lambda d: d.update(schema_version=99),
-        f"version 99; this program knows versions up to {SCHEMA_VERSION}",
-    ),
+    "future": (lambda d: d.update(schema_version=99), f"version 99.*up to {SCHEMA_VERSION}"),
     "boolean version": (lambda d: d.update(schema_version="2"), "version '2'"),
     "value": (lambda d: d["datasets"]["image/mask"].update(values=[0.9]), "changed after it was written"),
     "unit": (lambda d: d["datasets"]["image/mask"].update(units="mm"), "changed after it was written"),
@@ -89,10 +86,7 @@ _EDITED = {
     "half for whole": (lambda d: d["datasets"]["force/lattice/rows"].update(values=[7.5]), "whole numbers"),
     "two for flag": (lambda d: d["datasets"]["force/fits"]["values"].__setitem__(0, 2), "0 or 1 is expected"),
     "no base64": (lambda d: d["datasets"]["force/templates"].update(base64="?"), "force/templates is not a dataset"),
-    "half a character": (
-        lambda d: d["datasets"]["identity/serial"].update(values=["\ud800"]),
-        "identity/serial is not a dataset",
-    ),
+    "half a character": (lambda d: d["datasets"]["identity/serial"].update(values=["\ud800"]), "identity/serial"),
     "not a dataset": (lambda d: d["datasets"].update({"image/mask": 3}), "image/mask is no dataset"),
 }
 

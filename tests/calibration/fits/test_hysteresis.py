@@ -58,9 +58,6 @@ def test_the_loop_is_as_wide_as_the_world_was_told(figures, width):
     found = figures[width][""]
     assert found.value == pytest.approx(100 * width, abs=0.3)
     assert found.uncertainty < 0.2
-    if width:
-        assert "way down above way up" in found.how
-        assert "most at 15 % strain" in found.how
 
 
 def test_the_branches_lie_apart_as_the_effects_parabola(quiet):
@@ -76,7 +73,6 @@ def test_creep_passes_for_hysteresis_only_in_what_was_read(figures):
     for width, found in figures.items():
         assert found["as read"].value > found[""].value + 2.5
         assert found["as read"].value == pytest.approx(100 * width + 3.5, abs=0.3)  # what 60 s leave of the kernels
-        assert "creep included" in found["as read"].how
 
 
 @pytest.mark.rest
@@ -85,7 +81,6 @@ def test_the_stated_error_covers_the_material_noise(width):
     found = _figures(observed_run(_record(width, noise=None, cycles=2, seed=4)))[""]
     assert 0.5 < found.uncertainty < 2.5
     assert found.value == pytest.approx(100 * width, abs=3 * found.uncertainty)
-    assert "2 loops" in found.how
 
 
 @pytest.mark.rest
@@ -188,19 +183,14 @@ def _by_hand(
     return LoopObservation("loop", tuple(records), trace, 1e-6, force)
 
 
-@pytest.mark.parametrize("relaxed", [True, False])
-def test_what_settles_at_once_is_read_exactly(relaxed):
-    loop = _by_hand(output=lambda k, strain: strain / 0.3 + (0.06 if k == 3 else 0.0))
+@pytest.mark.parametrize(
+    ("relaxed", "at", "strain", "off"), [(True, 3, 0.2, 0.06), (False, 3, 0.2, 0.06), (False, 4, 0.1, -0.06)]
+)
+def test_what_settles_at_once_is_read_exactly_on_a_way_back_above_or_below(relaxed, at, strain, off):
+    loop = _by_hand(output=lambda k, strain: strain / 0.3 + (off if k == at else 0.0))
     found = hysteresis([loop_curve(loop, relaxed=relaxed, last_s=_LAST_S)])
     assert found.estimate.value == pytest.approx(0.06, abs=1e-9)
-    assert (found.strain, found.higher) == (0.2, True)
-
-
-def test_a_way_back_below_the_way_there_is_as_much_hysteresis_and_said_to_be_below():
-    loop = _by_hand(output=lambda k, strain: strain / 0.3 - (0.06 if k == 4 else 0.0))
-    found = hysteresis([loop_curve(loop, relaxed=False, last_s=_LAST_S)])
-    assert found.estimate.value == pytest.approx(0.06, abs=1e-9)
-    assert (found.strain, found.higher) == (0.1, False)
+    assert (found.strain, found.higher) == (strain, off > 0)
 
 
 def test_outputs_are_compared_at_the_stress_that_was_there():
@@ -229,9 +219,9 @@ def test_scatter_of_the_cycles_is_in_the_error():
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        ({"strains": (0.1, 0.2, 0.3)}, "did not go up through some strains and then down"),
-        ({"strains": (0.3, 0.2, 0.1)}, "did not go up through some strains and then down"),
-        ({"strains": (0.1, 0.3, 0.2, 0.25)}, "did not go up through some strains and then down"),
+        ({"strains": (0.1, 0.2, 0.3)}, "did not go up"),
+        ({"strains": (0.3, 0.2, 0.1)}, "did not go up"),
+        ({"strains": (0.1, 0.3, 0.2, 0.25)}, "did not go up"),
         ({"holds_s": (60, 60, 90, 60, 60)}, "held for 60 to 90 s: creep is not alike"),
         ({"holds_s": (15,) * 5}, "too few to tell creep"),
         ({"stress": lambda strain: 10.0}, "does not rise with the strain"),

@@ -149,7 +149,6 @@ def test_a_straight_drift_is_slower_than_its_window_and_not_extrapolated():
     assert (fit.amplitudes, fit.time_constants_s) == ((), ())
     assert values[-len(values) // 4] <= fit.offset <= values[-1]
     assert fit.r_squared > 0.85
-    assert "short" in fit.why
 
 
 def test_a_time_constant_beyond_the_window_that_nobody_can_tell_is_a_drift():
@@ -243,10 +242,9 @@ def test_unloading_starts_behind_the_spike():
     assert relaxation_start(rising + noise) == 4
 
 
-def test_unloading_without_a_spike_starts_at_once():
-    assert relaxation_start(_curve(0.0, (0.6,), (12.0,))) == 0
-    assert relaxation_start(np.zeros(20)) == 0
-    assert relaxation_start(np.ones(3)) == 0
+@pytest.mark.parametrize("values", [_curve(0.0, (0.6,), (12.0,)), np.zeros(20), np.ones(3)])
+def test_unloading_without_a_spike_starts_at_once(values):
+    assert relaxation_start(values) == 0
 
 
 def test_a_spike_of_the_same_sign_is_skipped_with_its_peak():

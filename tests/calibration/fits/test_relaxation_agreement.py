@@ -75,7 +75,6 @@ def test_what_cannot_be_compared_is_undecided_and_says_why(traces, why):
     found = compare_relaxations(_measured(0.01, 1), MeasuredRelaxation(fit_common_relaxation(traces), _WINDOW_S))
     assert found.shape is found.time is Agreement.UNDECIDED
     assert found.shape_difference is found.time_ratio is None
-    assert found.why.startswith("the second relaxation has no ")
     assert why in found.why
 
 
@@ -85,7 +84,6 @@ def test_runs_compare_blobs_with_the_whole_image():
     assert len(found) == 4
     loading = found["relaxation_shape_difference", "image against conductance, loading"]
     assert abs(loading.value) < 0.05
-    assert loading.how.startswith("equivalent within 0.1 of the change")
     assert found["relaxation_time_ratio", "image against conductance, loading"].value == pytest.approx(1.0, abs=0.1)
     assert {m.unit for m in found.values()} == {"1"}
     assert all(m.uncertainty > 0 for m in found.values() if m.value is not None)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from force_samples import HEAD, setting, somewhere
 
-from cbsr_qa.calibration.force import CONTRAST, template_bank, templates_at, unlearned_model
+from cbsr_qa.calibration.force import CONTRAST, template_bank, unlearned_model
+from cbsr_qa.calibration.force.templates import _pressed, _templates
 from cbsr_qa.calibration.runtime.interpolation import interpolated
 from cbsr_qa.calibration.runtime.template_matching import TemplateFilter
 from cbsr_qa.domain import CalibrationError
@@ -118,11 +119,15 @@ class TestBank:
     def test_slopes_are_those_of_the_templates(self):
         here = setting()
         place, step = np.array([[21.0, -13.0]]), 0.01
-        *_, slopes = templates_at(here.model, here.readings, place, HEAD)
+
+        def at(place_mm):
+            return _templates(here.readings, next(_pressed(here.model, place_mm, HEAD)))
+
+        *_, slopes = at(place)
         for axis, products in ((0, (0, 2)), (1, (1, 4))):
             move = np.zeros((1, 2))
             move[0, axis] = step
-            ahead, behind = (templates_at(here.model, here.readings, place + s * move, HEAD) for s in (1, -1))
+            ahead, behind = at(place + move), at(place - move)
             turn, growth = (
                 (after - before)[0] / (2 * step) for after, before in zip(ahead[:2], behind[:2], strict=True)
             )

@@ -67,15 +67,8 @@ def test_repeatability_is_the_scatter_of_trials_in_shares_of_each_places_span():
     found = one(Repeatability(), run)
     assert found.value == pytest.approx(np.sqrt(2) * 1.0)  # deviation of ± 1 % from two trials
     assert found.uncertainty == pytest.approx(found.value / np.sqrt(2 * 10))
-    assert "25 % strain; 10 places and strains" in found.how
     by_strain = [m for m in Repeatability().measure_run(run) if m.qualifier]
-    assert [m.qualifier for m in by_strain] == [
-        "5 % strain",
-        "10 % strain",
-        "15 % strain",
-        "20 % strain",
-        "25 % strain",
-    ]
+    assert [m.qualifier for m in by_strain] == [f"{percent} % strain" for percent in (5, 10, 15, 20, 25)]
     assert [m.value for m in by_strain] == pytest.approx([np.sqrt(2)] * 5)
 
 
@@ -89,7 +82,6 @@ def test_trials_are_compared_within_their_phase():
 def test_one_trial_has_no_repeatability():
     found = one(Repeatability(), sample_run(grid(lambda _, strain, __: strain)))
     assert (found.value, found.unit) == (None, "%")
-    assert found.how == "nothing was pressed twice at the same place and strain; give the recipe trials = 2 or more"
 
 
 # --- nonlinearity --------------------------------------------------------------------------------------------
@@ -190,14 +182,12 @@ def test_creep_is_counted_from_its_time_to_the_last_frames_and_without_the_stres
     assert seen.uncertainty == pytest.approx(0.0, abs=1e-9)  # both loads creep alike
     later = one(Creep(from_s=30.0), run, "conductance")
     assert 0 < later.value < seen.value
-    assert "from 30 s after the ramp to the end of 60 s; 2 holds" in later.how
 
 
 def test_creep_without_force_is_of_the_conductance_alone():
     run = sample_run((creeping(0.03, stress=False),))
     assert one(Creep(), run, "conductance").value > 0
     assert [one(Creep(), run, q).value for q in ("", "stress")] == [None, None]
-    assert "no force is known under a hold" in one(Creep(), run).how
 
 
 def test_a_cell_at_its_limit_says_nothing_about_the_stress():
@@ -211,7 +201,6 @@ def test_a_cell_at_its_limit_says_nothing_about_the_stress():
 def test_creep_needs_a_hold_longer_than_its_beginning():
     found = one(Creep(from_s=58.0), sample_run((creeping(0.03),)))
     assert found.value is None
-    assert "begins before 58 s and lasts clearly longer" in found.how
     with pytest.raises(ConfigError, match="from_s is 0"):
         Creep(from_s=0)
 
@@ -246,11 +235,8 @@ def test_the_modulus_of_each_location_and_of_all():
         found = one(ApparentModulus(), run, qualifier)
         assert found.value == pytest.approx(132.0)
         assert found.uncertainty == pytest.approx(np.std([130, 134], ddof=1) / np.sqrt(2))
-        assert "2 locations, standard deviation between them 2.83 kPa" in found.how
-        each = {
-            m.location: m.value for m in ApparentModulus().measure_run(run) if m.location and m.qualifier == qualifier
-        }
-        assert each == {label: pytest.approx(value) for label, value in moduli.items()}
+        each = [m for m in ApparentModulus().measure_run(run) if m.location and m.qualifier == qualifier]
+        assert {m.location: m.value for m in each} == pytest.approx(moduli)
 
 
 def test_a_contact_height_that_is_off_moves_the_ratio_and_not_the_slope():
@@ -264,11 +250,10 @@ def test_a_contact_height_that_is_off_moves_the_ratio_and_not_the_slope():
 def test_the_modulus_is_refused_without_force_and_its_slope_with_one_strain():
     none = one(ApparentModulus(), sample_run((pressed("L0", 0.2, 0.03, kPa=None),)))
     assert (none.value, none.unit) == (None, "kPa")
-    assert "no force was recorded" in none.how
     single = sample_run((pressed("L0", 0.2, 0.03),))
     assert one(ApparentModulus(), single).value == pytest.approx(132.5)
     assert one(ApparentModulus(), single).uncertainty is None
-    assert "two strains" in one(ApparentModulus(), single, "slope").how
+    assert one(ApparentModulus(), single, "slope").value is None
 
 
 # --- preconditioning -----------------------------------------------------------------------------------------
@@ -297,20 +282,14 @@ def test_preconditioning_says_what_its_last_cycle_changed():
 
 
 @pytest.mark.parametrize("metric", ALL)
-def test_a_run_without_nominal_loads_is_refused_with_the_reason(metric):
-    loads = tuple(replace(sample_load(f"R{k}", index=k), phase="random") for k in range(2))
-    found = metric().measure_run(with_role(sample_run(loads), Role.RANDOM))
-    assert found
-    assert all(m.value is None and len(m.how) > 10 for m in found)
-    assert {m.name for m in found} <= set(metric.measures)
-
-
-@pytest.mark.parametrize("metric", ALL)
-def test_a_run_in_which_nothing_was_sensed_is_refused_with_the_reason(metric):
-    loads = tuple(sample_load(f"L{k}", blob_mm=None, force_N=None, index=k) for k in range(3))
-    found = metric().measure_run(sample_run(loads))
-    assert found
-    assert all(m.value is None and len(m.how) > 10 for m in found)
+def test_a_run_without_nominal_loads_or_in_which_nothing_was_sensed_is_refused_with_the_reason(metric):
+    elsewhere = tuple(replace(sample_load(f"R{k}", index=k), phase="random") for k in range(2))
+    unseen = tuple(sample_load(f"L{k}", blob_mm=None, force_N=None, index=k) for k in range(3))
+    for run in (with_role(sample_run(elsewhere), Role.RANDOM), sample_run(unseen)):
+        found = metric().measure_run(run)
+        assert found
+        assert all(m.value is None and len(m.how) > 10 for m in found)
+        assert {m.name for m in found} <= set(metric.measures)
 
 
 def test_what_works_the_sheet_in_says_nothing_about_settling():

@@ -131,7 +131,6 @@ def test_an_even_sheet_is_even_and_linear(quiet):
     assert _one(Nonlinearity(), quiet).value < 1.5
     refused = _one(Repeatability(), quiet)
     assert refused.value is None
-    assert "nothing was pressed twice" in refused.how
 
 
 @pytest.mark.rest
@@ -173,7 +172,6 @@ def test_repeatability_is_the_noise_of_the_sensed_change():
             relative.append(noise / (load.image.values[blob.elements] @ weights))
     expected = 100 * np.sqrt(np.mean(np.square(relative)))
     assert found.value == pytest.approx(expected, rel=0.6)  # 8 degrees of freedom here, 7 there
-    assert "8 degrees of freedom" in found.how
     # Of an even sheet nothing is left but that scatter: places are means of three presses.
     even = _one(Uniformity(), run)
     said = float(re.search(r"alone would make ([\d.]+) %", even.how)[1])
@@ -204,7 +202,6 @@ def test_a_load_that_was_sensed_elsewhere_says_nothing_about_its_place(quiet):
     assert [place.location for place in found] == ["L0", "L2"]
     refused = _one(Uniformity(), replace(quiet, loads=(*rest, *swapped)))
     assert refused.value is None
-    assert "2 of them gave a value" in refused.how
 
 
 @pytest.mark.rest

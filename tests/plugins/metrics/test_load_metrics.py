@@ -16,14 +16,8 @@ def test_spatial_metrics_of_a_shifted_disc():
     load = sample_load("L1", (30.0, 0.0), blob_mm=(32.0, 0.0, 6.5), trial=2, index=7)
     run = sample_run((load,))
     (other, main) = CentreOfMassError().measure_load(load, run)
-    assert (main.name, main.unit, main.phase, main.location, main.trial) == (
-        "centre_of_mass_error",
-        "mm",
-        "nine locations",
-        "L1",
-        2,
-    )
-    assert (main.load, main.strain) == (7, 0.2)
+    assert (main.name, main.unit) == ("centre_of_mass_error", "mm")
+    assert (main.phase, main.location, main.trial, main.load, main.strain) == ("nine locations", "L1", 2, 7, 0.2)
     assert main.value == pytest.approx(2.0)
     assert (main.qualifier, other.qualifier) == ("", "mask 25 %")
     overlap, ratio = AreaOverlap().measure_load(load, run)[2:]
@@ -64,31 +58,21 @@ def test_force_and_its_absence():
     assert (force.name, force.value, force.unit, force.uncertainty) == ("force", 2.5, "N", 0.01)
     (absent,) = AppliedForce().measure_load(sample_load(force_N=None), sample_run())
     assert absent.value is None
-    assert absent.how == "no force was recorded"
 
 
 def test_settling_times_with_censored_and_rejected_ones():
+    times = (20.0, 30.0, 60.0, None)
     loads = tuple(
-        replace(sample_load(f"L{i}"), relaxations=(seen, sample_relaxation(5.0 + i, signal="stress")))
-        for i, seen in enumerate(
-            [
-                sample_relaxation(20.0),
-                sample_relaxation(30.0),
-                sample_relaxation(60.0, censored=True),
-                sample_relaxation(None),
-            ]
+        replace(
+            sample_load(f"L{i}"),
+            relaxations=(sample_relaxation(t, censored=t == 60.0), sample_relaxation(5.0 + i, signal="stress")),
         )
+        for i, t in enumerate(times)
     )
     run = sample_run(loads)
     each = [SettlingTimes().measure_load(load, run)[0] for load in loads]
-    assert [(m.value, m.bound) for m in each] == [
-        (20.0, Bound.EXACT),
-        (30.0, Bound.EXACT),
-        (60.0, Bound.LOWER),
-        (None, Bound.EXACT),
-    ]
+    assert [(m.value, m.bound is Bound.LOWER) for m in each] == [(t, t == 60.0) for t in times]
     assert [m.qualifier for m in each] == ["conductance, loading"] * 4
-    assert "not settled within 60 s" in each[2].how
     mean, stress = SettlingTimes().measure_run(run)[:2]
     assert (mean.name, mean.unit, mean.qualifier) == ("mean_settling_time", "s", "conductance, loading")
     assert mean.value == pytest.approx((20 + 30 + 60) / 3)
@@ -96,8 +80,6 @@ def test_settling_times_with_censored_and_rejected_ones():
     assert mean.how.startswith("2 of 4 settled, 1 later than its window, 1 rejected; standard deviation")
     assert stress.value == pytest.approx(6.5)
     assert stress.bound is Bound.EXACT
-    assert stress.how.startswith("4 of 4 settled; standard deviation")
-    assert "biased to short times" in stress.how
 
 
 @pytest.mark.parametrize(("times", "known"), [([20.0, None], True), ([20.0, None, None], False), ([None], False)])
@@ -130,7 +112,6 @@ def test_the_common_settling_time_is_of_all_traces_together():
     end = 1 - 0.75 * np.exp(-54 / 20)
     assert unloading.value == pytest.approx(25 * np.log(0.8 / (0.15 * end)), abs=3 * unloading.uncertainty)
     assert loading.uncertainty < 1.0
-    assert "4 traces fitted together" in loading.how
 
 
 def test_without_traces_there_is_no_common_settling_time():
@@ -138,4 +119,3 @@ def test_without_traces_there_is_no_common_settling_time():
     short = replace(seen, trace=replace(seen.trace, time_s=np.arange(3.0), values=np.ones(3)))
     common = SettlingTimes().measure_run(sample_run((replace(sample_load(), relaxations=(short,)),)))[1]
     assert common.value is None
-    assert "at least 5 points" in common.how
