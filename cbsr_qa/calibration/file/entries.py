@@ -46,7 +46,10 @@ _CALLED: Final = {
 
 
 def encode(calibration: Calibration) -> Mapping[str, Entry]:
-    """Return everything a calibration holds as entries by path."""
+    """Return everything a calibration holds as entries by path.
+
+    CalibrationError if its matrix was prepared for another sensor type than it names.
+    """
     prepared_for = calibration.reconstruction.problem.sensor_type
     if prepared_for != calibration.sensor_type:
         raise CalibrationError(

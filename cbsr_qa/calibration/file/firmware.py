@@ -62,6 +62,8 @@ class Loss:
 def firmware_document(calibration: Calibration, *, stride: int | None = None) -> dict[str, Any]:
     """Return what firmware needs, as one JSON document.
 
+    CalibrationError without a force model, if a reading is merged into several rows, or the stride leaves no place.
+
     Parameters
     ----------
     stride : nodes of the calibration's lattice to one of the firmware's; by default the largest that reaches every

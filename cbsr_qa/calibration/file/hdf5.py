@@ -52,7 +52,10 @@ _COPY_AGAIN: Final = "copy it again from where it was issued"
 
 
 def stamped(calibration: Calibration) -> Calibration:
-    """Return a calibration with its digests and the bytes of its file filled in."""
+    """Return a calibration with its digests and the bytes of its file filled in.
+
+    CalibrationError if it contradicts itself, or holds a text that HDF5 cannot.
+    """
     entries = encode(calibration)
     digest = content_digest(entries)
     file = _whole_file(entries, digest)
@@ -112,7 +115,10 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
-    """Return the calibration in the bytes of a file."""
+    """Return the calibration in the bytes of a file.
+
+    CalibrationError as of :func:`read_calibration`, and if its digest is not that which was issued.
+    """
     entries, digest, _ = _read(data)
     if issued and digest != issued:
         raise CalibrationError(f"its file holds another calibration: its SHA-256 is {digest}, {issued} was issued")
@@ -120,7 +126,10 @@ def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
 
 
 def read_contained(path: Path) -> Calibration:
-    """Read a calibration file of unknown origin in a child process (see :mod:`cbsr_qa.system.untrusted`)."""
+    """Read a calibration file of unknown origin in a child process (see :mod:`cbsr_qa.system.untrusted`).
+
+    CalibrationError as of :func:`read_calibration`, and where reading crashes, hangs or takes too much memory.
+    """
     return read_untrusted(path, lambda: read_calibration(path), refusal=CalibrationError)
 
 

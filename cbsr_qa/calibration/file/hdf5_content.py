@@ -118,7 +118,10 @@ def attribute_names(item: h5py.Group | h5py.Dataset) -> list[str]:
 
 
 def texts(path: str, dataset: h5py.Dataset) -> str | tuple[str, ...]:
-    """Read one text, or a list of them, one by one: a thousand entries may all point to the same megabyte."""
+    """Read one text, or a list of them, one by one: a thousand entries may all point to the same megabyte.
+
+    RefusedError if they have more characters than any file of ours.
+    """
     held = dataset.asstr()
     if not dataset.ndim:
         return str(held[()])

@@ -39,7 +39,7 @@ _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np
 
 
 def json_document(calibration: Calibration) -> dict[str, Any]:
-    """Return everything a calibration holds, as one JSON document."""
+    """Return everything a calibration holds, as one JSON document. CalibrationError if it contradicts itself."""
     entries = encode(calibration)
     return {
         "format": FORMAT,

@@ -56,6 +56,8 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     0.5, not at a bound). The fast one need not be determined: that there is one is, and settling hinges on the slow
     one. Otherwise one exponential is kept, with the reason in ``fit.why``. The paper fits each load by itself.
 
+    NumericsError for traces that :func:`~cbsr_qa.calibration.fits.fit_relaxation` refuses.
+
     Parameters
     ----------
     traces : (times (n,) [s] strictly rising, values (n,)) of each load, any unit, times from the end of the ramp;

@@ -38,7 +38,10 @@ def level_at(trace: Trace, time_s: float) -> float | None:
 def held_alike(
     loads: Iterable[LoadObservation], duration_s: Callable[[LoadObservation], float]
 ) -> tuple[tuple[LoadObservation, ...], float]:
-    """Return the loads whose hold (or rest) lasted as long as most, to a second, and that time [s]."""
+    """Return the loads whose hold (or rest) lasted as long as most, to a second, and that time [s].
+
+    NumericsError if there are none.
+    """
     members = tuple(loads)
     counts = Counter(round(duration_s(load)) for load in members)
     if not counts:
@@ -49,6 +52,8 @@ def held_alike(
 
 def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frames: int) -> Estimate:
     """Change of a signal from a stated time after the ramp to the end of the hold, over its value there.
+
+    NumericsError if no load has such a trace over that time.
 
     Parameters
     ----------
@@ -70,6 +75,8 @@ def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float,
     A head that stands still lets the stress relax, so that input and output change together. The input's own change
     is taken out at the sensitivity of the end, S = G(end)/σ(end): Σ [G(end) − G(from) − S (σ(end) − σ(from))] / Σ
     G(end), to first order what a constant stress would show.
+
+    NumericsError if no load has both traces over that time.
     """
     pairs = []
     for load in loads:
@@ -83,6 +90,8 @@ def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float,
 
 def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
     """What is left of the conductance change at the end of the rest, over the change under load.
+
+    NumericsError if no load has frames of both.
 
     Returns
     -------
@@ -112,7 +121,10 @@ def last_stresses(loads: Iterable[LoadObservation]) -> dict[str, tuple[float, fl
 
 
 def change_between(levels: Iterable[tuple[float, float]]) -> Estimate:
-    """Change from one level to the other over the other, summed up over locations, as a fraction."""
+    """Change from one level to the other over the other, summed up over locations, as a fraction.
+
+    NumericsError if there is no location.
+    """
     pairs = [(after - before, after) for before, after in levels]
     return _ratio(pairs, "at no location were the last two cycles both sensed")
 

@@ -115,6 +115,9 @@ def fit_relaxation(
     least a factor of 2, and both are determined (standard error of log τ below 0.5, not at a bound). Otherwise one
     exponential is kept and ``why`` says which of them failed. The paper fits two throughout.
 
+    NumericsError if shapes differ, a number is not finite, time stamps do not rise, the trace begins later than a
+    hundred times its length, or its values are beyond 1e±140.
+
     Parameters
     ----------
     time_s : (n,) float64 [s], strictly rising, from the end of the ramp.

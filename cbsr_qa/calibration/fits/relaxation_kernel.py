@@ -193,6 +193,8 @@ def learn_kernel(
     (empirical Bayes). The scatter is relative and one for all weights; before anything is seen, every scatter from 0
     to 1 is as likely. One load says nothing about it, and predictions from its kernel are as uncertain as that.
 
+    NumericsError if numbers of loads differ, a number is not finite, or time stamps repeat or step back.
+
     Parameters
     ----------
     traces : (times (n,) [s] from the end of the ramp, values (n,)) of each load; those of fewer than 6 values are

@@ -23,6 +23,8 @@ def settling_time(
 ) -> SettlingTime:
     """Return the last time at which the fitted curve leaves the band about its steady level a₀.
 
+    NumericsError if window or tolerance is not positive, or the band is unknown.
+
     Parameters
     ----------
     fit : of a change from before the load; t = 0 is the end of the ramp.
@@ -69,6 +71,8 @@ def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple
 
     The survival curve is integrated up to the longest time observed, so with censored times the mean is a lower
     bound: each counts as at least its window, and neither as settled nor as missing.
+
+    NumericsError if there is no time, one is negative or not finite, or the lengths differ.
 
     Returns
     -------
@@ -149,7 +153,10 @@ _SHARE: Final = 0.05
 
 
 def relaxation_start(values: Array) -> int:
-    """Return the index of the first sample behind the unloading spike's peak; 0 without a spike (paper 3.1.2)."""
+    """Return the index of the first sample behind the unloading spike's peak; 0 without a spike (paper 3.1.2).
+
+    NumericsError if a value is not finite.
+    """
     values = finite_numbers(values, "values behind a release")
     count = len(values)
     if count < 4:

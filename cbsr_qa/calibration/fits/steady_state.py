@@ -74,6 +74,8 @@ def event_rate_per_min(
 ) -> float:
     """Return how many presses a minute can be told apart and measured.
 
+    NumericsError if a time is negative or not finite, or nothing takes any time.
+
     Parameters
     ----------
     loading_s, unloading_s : settling times.
@@ -89,6 +91,8 @@ def event_rate_per_min(
 
 class HoldsSoFar:
     """What was seen of m holds (or releases), frame by frame: each costs the same, and none is kept.
+
+    NumericsError if there is no kernel.
 
     Parameters
     ----------
@@ -112,7 +116,10 @@ class HoldsSoFar:
         self._frames = np.zeros(count, dtype=np.int64)
 
     def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
-        """Take in one frame of each hold: times [s], values and their standard deviations, (m,) or alike for all."""
+        """Take in one frame of each hold: times [s], values and their standard deviations, (m,) or alike for all.
+
+        NumericsError if a number is not finite or the noise is not positive.
+        """
         shape = self._frames.shape
         time, value, stderr = (
             np.broadcast_to(np.asarray(number, dtype=np.float64), shape) for number in (time_s, values, noise)

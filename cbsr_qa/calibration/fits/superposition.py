@@ -64,6 +64,8 @@ class SeparatedSteps:
 def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
     """Fit every step with its own level and amplitudes, and with the time constants all steps of its direction share.
 
+    NumericsError as of :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`.
+
     Parameters
     ----------
     steps : in the order of their times; together they cover what happened.
@@ -148,6 +150,8 @@ def fit_step(trace: TimedValues, constants_s: Array) -> tuple[Array, float]:
     """Level and amplitudes (1 + k,) of one trace with known time constants (k,), and the level's standard error.
 
     Without a time constant, or with too few points, the level is the mean of the trace's last quarter.
+
+    NumericsError if a time or value is not finite.
     """
     time_s, values = (finite_numbers(part, "times or values of a step") for part in trace)
     if not len(constants_s) or len(values) < len(constants_s) + 2:
@@ -196,6 +200,8 @@ class Levels:
 
 def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise: float | None = None) -> Levels:
     """Mean of the last seconds of every hold.
+
+    NumericsError if there is no value in the end of a hold, or a value is not finite.
 
     Parameters
     ----------

@@ -23,6 +23,8 @@ class PressureMap:
     over the calibrated locations of their ρ̄₀ over g S. The paper has one ρ̄₀ for the whole sheet, whose images are
     twice as strong at 30 mm as in the centre. What an image blurs stays blurred: a head's force is not the integral
     of this map but that of :meth:`Calibration.force`.
+
+    CalibrationError if no location of the calibration has a ρ̄₀.
     """
 
     def __init__(self, calibration: Calibration) -> None:

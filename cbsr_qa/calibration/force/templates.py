@@ -63,6 +63,8 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
     Where a head is too near to an edge or an electrode to be expanded about its centre, the field of the largest disc
     that can be is carried on linearly in the squared radius: those nodes are there to interpolate from.
 
+    CalibrationError if the head fits nowhere on the sheet.
+
     Parameters
     ----------
     readings : how readings become rows.
@@ -177,6 +179,8 @@ def prepared_force(
     sensor_type: SensorType, used: Mask, merging: Array, reference: Array, head: Indenter
 ) -> ForceModel:
     """Prepare the templates of a stored calibration; its map is left empty.
+
+    CalibrationError if the merging is not of these readings, or the head fits nowhere.
 
     Parameters
     ----------

@@ -53,6 +53,8 @@ class Calibration:
     ------
     CalibrationError
         If it has no force model: it was issued before there were any, or no load of its run gave one.
+
+    CalibrationError without a force model.
     """
 
     def __init__(self, issued: record.Calibration) -> None:

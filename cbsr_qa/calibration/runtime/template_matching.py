@@ -46,6 +46,8 @@ class Matches:
 class TemplateFilter:
     """Compares frames with the templates of a force model.
 
+    CalibrationError if no place has the neighbours that a search needs.
+
     Parameters
     ----------
     model : of the sensor.

@@ -59,6 +59,8 @@ class TrackedLoad:
 class ForceStream:
     """Follows the loads on one sensor.
 
+    CalibrationError if ``most`` is not at least 1.
+
     Parameters
     ----------
     calibration : of the sensor.

@@ -72,7 +72,10 @@ def sheet_gauge_factor(
 
 
 def steady_share(common: CommonRelaxation, time_s: Array) -> Estimate:
-    """Estimate where a hold ends over what frames at times (n,) after its ramp show, by the loads' relaxation."""
+    """Estimate where a hold ends over what frames at times (n,) after its ramp show, by the loads' relaxation.
+
+    NumericsError if the traces carry no relaxation that ends, or it ends where it began.
+    """
     fit = common.fit
     if not len(common.shares):
         raise NumericsError(f"it is not known where holds end: {fit.why}", remedy="hold longer")
@@ -167,6 +170,8 @@ def mean_characteristic(curves: Sequence[Characteristic]) -> Characteristic:
 
     Each location's change counts in shares of its own span, so that the mean's span is 1: one and the same change
     is imaged stronger where the electrodes see better.
+
+    NumericsError if there is no such location with a positive span.
     """
     fullest = max((curve.strain for curve in curves), key=len, default=np.empty(0))
     alike = [c for c in curves if len(c.strain) == len(fullest) and np.allclose(c.strain, fullest) and c.span > 0]
@@ -213,7 +218,10 @@ def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict
 
 
 def repeatability(loads: Sequence[LoadObservation], main_mask: float) -> Estimate:
-    """Pooled deviation of the sensed change within phase, place and strain, in shares of the place's span."""
+    """Pooled deviation of the sensed change within phase, place and strain, in shares of the place's span.
+
+    NumericsError if nothing was pressed twice at the same place and strain.
+    """
     by_strain = repeated_changes(loads, main_mask)
     return pooled_deviation([cell for cells in by_strain.values() for cell in cells])
 

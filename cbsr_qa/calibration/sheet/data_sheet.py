@@ -61,6 +61,8 @@ def pooled_deviation(cells: Sequence[Sequence[float]]) -> Estimate:
     ------
     NumericsError
         If no cell has two values, or a value is not finite.
+
+    NumericsError if no cell has two values, or a value is not finite.
     """
     repeated = [finite_numbers(cell, "values of a cell") for cell in cells if len(cell) > 1]
     degrees = sum(len(cell) - 1 for cell in repeated)
@@ -77,6 +79,9 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
 
     By Chebyshev's alternation theorem three points decide it: those whose own levelled deviation, ½ |y₂ − λ y₁ −
     (1 − λ) y₃| with λ = (x₃ − x₂)/(x₃ − x₁), is the largest of all triples. All triples are tried, so it is exact.
+
+    NumericsError with fewer than 3 points or more than 100, lengths that differ, a number that is not finite, or x
+    that coincide.
 
     Parameters
     ----------
@@ -113,6 +118,8 @@ def ratio_of_sums(parts: Sequence[float], wholes: Sequence[float]) -> Estimate:
 
     A mean of single ratios would be ruled by the weakest loads, whose ratio is mostly noise. The standard error is
     that of the ratio estimator, √(n/(n − 1) Σ (pᵢ − r wᵢ)²) / Σ wᵢ (Cochran 1977, 6.4); None of a single load.
+
+    NumericsError if there is nothing, lengths differ, a number is not finite, or the wholes sum to nothing.
     """
     part, whole = finite_numbers(parts, "parts"), finite_numbers(wholes, "wholes")
     if len(part) != len(whole):
@@ -128,7 +135,10 @@ def ratio_of_sums(parts: Sequence[float], wholes: Sequence[float]) -> Estimate:
 
 
 def relative_spread(values: Sequence[float]) -> Estimate:
-    """Standard deviation over mean; its standard error is that of normal values, c √((½ + c²)/(n − 1))."""
+    """Standard deviation over mean; its standard error is that of normal values, c √((½ + c²)/(n − 1)).
+
+    NumericsError with fewer than three values, a mean that is not positive, or a value that is not finite.
+    """
     value = finite_numbers(values, "values of the locations")
     if len(value) < 3:
         raise NumericsError(f"a spread needs three locations; {len(value)} of them gave a value")
@@ -140,7 +150,10 @@ def relative_spread(values: Sequence[float]) -> Estimate:
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
-    """Slope of y against x by ordinary least squares with an intercept; two points leave it without error."""
+    """Slope of y against x by ordinary least squares with an intercept; two points leave it without error.
+
+    NumericsError if all x coincide, or a number is not finite.
+    """
     place, value = finite_numbers(x, "places of a slope"), finite_numbers(y, "values of a slope")
     centred = place - place.mean()
     square = float(centred @ centred)
@@ -226,6 +239,8 @@ class PlaceResponse:
 
 def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tuple[tuple[PlaceResponse, ...], float]:
     """Response of every location at the strain most locations were pressed at, the highest of several such.
+
+    NumericsError if no load gave a ρ₀.
 
     Returns
     -------

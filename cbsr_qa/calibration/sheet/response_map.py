@@ -177,6 +177,8 @@ def learn_response(
 ) -> ResponseMap:
     """Learn the map from single loads.
 
+    CalibrationError with fewer than 3 loads, or a place, response or variance that is no number.
+
     Parameters
     ----------
     places_mm : (n, 2).

@@ -81,6 +81,8 @@ def characterise(
     before was going to, both without what earlier presses left (:mod:`cbsr_qa.calibration.fits`); the paper
     takes the readings at the end. Changes between the pins are those under the head, turned back.
 
+    NumericsError if there is no cycle, or changes are more than the strip under the head can make.
+
     Parameters
     ----------
     readings : in the order of their times, the first one pressed on a rested strip.
