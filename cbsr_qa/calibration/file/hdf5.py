@@ -237,8 +237,11 @@ def file_bytes(path: Path) -> bytes:
     CalibrationError
         If it is not there, no file, cannot be read, or too large for a calibration.
     """
-    check_is_file(path)
     try:
+        if not path.exists():
+            raise CalibrationError("there is no such file", remedy="check its name and folder")
+        if not path.is_file():
+            raise CalibrationError("a folder or a device, not a file")
         with path.open("rb") as file:
             data = file.read(_LARGEST_BYTES + 1)
     except OSError as error:
@@ -251,24 +254,6 @@ def file_bytes(path: Path) -> bytes:
 def printable(text: str) -> str:
     """Return a text without control characters: names in a file may be anything, and a terminal obeys them."""
     return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
-
-
-def check_is_file(path: Path) -> None:
-    """Make sure that there is a file to read.
-
-    Raises
-    ------
-    CalibrationError
-        If there is none, or something else: a folder, a device.
-    """
-    try:
-        there, usual = path.exists(), path.is_file()
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
-    if not there:
-        raise CalibrationError("there is no such file", remedy="check its name and folder")
-    if not usual:
-        raise CalibrationError("a folder or a device, not a file")
 
 
 def _stated(file: h5py.File) -> str:

@@ -4,8 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.results import ForceModel
+from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.domain.results import ForceModel, Lattice
 
 #: Coefficients of the weights of cubic convolution by powers of the part of a cell, and of their slopes.
 _COEFFICIENTS: Final = (
@@ -57,18 +57,23 @@ def stencils(node: Indices) -> Indices:
     return np.stack(parts, axis=-1).reshape(-1, 16)
 
 
-def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
-    """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
-    lattice = model.lattice
+def cells(lattice: Lattice, places_mm: Array) -> tuple[Indices, Array, Mask]:
+    """Columns and rows (n, 2) of places' cells, offsets (n, 2) in them, and which places are on the lattice (n,)."""
     last = np.array([lattice.columns - 2, lattice.rows - 2])
     at = (places_mm - np.array(lattice.origin_mm)) / lattice.spacing_mm
     inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
     at = np.where(inside[:, None], at, 0.0)
     cell = np.minimum(at.astype(np.int64), last)
-    part = np.stack([1 - (at - cell), at - cell], axis=2)
-    weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(at), 1, 4)
+    return cell, at - cell, inside
+
+
+def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
+    """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
+    cell, offset, inside = cells(model.lattice, places_mm)
+    part = np.stack([1 - offset, offset], axis=2)
+    weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(cell), 1, 4)
     node = model.node[cell[:, 1, None] + _DOWN, cell[:, 0, None] + _ACROSS]
     missing = ~inside | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
     values_there: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
     values_there[missing] = np.nan
-    return values_there.reshape(len(at), *values.shape[1:])
+    return values_there.reshape(len(cell), *values.shape[1:])

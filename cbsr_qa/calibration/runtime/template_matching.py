@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.runtime.interpolation import stencils, surfaces_at, values_at, weights_at
+from cbsr_qa.calibration.runtime.interpolation import cells, stencils, surfaces_at, values_at, weights_at
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
 
@@ -239,15 +239,10 @@ class TemplateFilter:
 
     def _cells(self, places_mm: Array) -> tuple[Indices, Array]:
         """Nodes (n, 16) about places, and the places' offsets from the cells' corners, in cells."""
-        h = self.lattice.spacing_mm
-        at = (places_mm - np.array(self.lattice.origin_mm)) / h
-        last = np.array([self.lattice.columns - 2, self.lattice.rows - 2])
-        inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
-        at = np.where(inside[:, None], at, 0.0)
-        cell = np.minimum(at.astype(np.int64), last)
+        cell, offset, inside = cells(self.lattice, places_mm)
         nodes = self._stencil[cell[:, 1] * self.lattice.columns + cell[:, 0]].copy()
         nodes[np.logical_not(inside)] = -1
-        return nodes, at - cell
+        return nodes, offset
 
 
 def _scoring_step(at: Array, damping: Array) -> Array:

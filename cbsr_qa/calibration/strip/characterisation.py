@@ -154,10 +154,10 @@ class _Work:
                 local_stderr=float(errors[k]),
                 from_before=(1 + _end(cycle.held_s, cycle.held, end_s)) / (1 + float(cycle.before.mean())) - 1,
                 from_rested=_end(cycle.held_s, cycle.held, end_s),
-                stress_kPa=self._stress[k][0],
-                stress_stderr_kPa=self._stress[k][1],
+                stress_kPa=None if stress is None else float(stress[0][0]),
+                stress_stderr_kPa=None if stress is None else stress[1],
             )
-            for k, cycle in enumerate(self._readings)
+            for k, (cycle, stress) in enumerate(zip(self._readings, self._stress, strict=True))
         )
 
     @property
@@ -256,31 +256,23 @@ class _Work:
             traces.append(DirectedTrace(cycle.strain, (time_s, values - before[k]), size, amplitudes, ramp_s))
         return [cycle for cycle in traces if len(cycle.trace[0])]
 
-    def _stressed(self) -> tuple[CommonRelaxation | None, list[tuple[float | None, float | None]]]:
-        """The common relaxation of stress, and every cycle's steady stress; no head feels what is not pressed."""
-        traces = [(cycle.stress_s, cycle.stress_kPa) for cycle in self._readings if len(cycle.stress_s)]
-        if not traces:
-            return None, [(None, None)] * len(self._readings)
-        common = fit_common_relaxation(traces)
+    def _stressed(self) -> tuple[CommonRelaxation | None, list[tuple[Array, float] | None]]:
+        """The common relaxation of stress, and every cycle's fit; no head feels what is not pressed."""
+        traces = [(cycle.stress_s, cycle.stress_kPa) for cycle in self._readings]
+        if not any(len(time_s) for time_s, _ in traces):
+            return None, [None] * len(traces)
+        common = fit_common_relaxation([trace for trace in traces if len(trace[0])])
         constants_s = np.array(common.fit.time_constants_s)
-        fits = [fit_step((cycle.stress_s, cycle.stress_kPa), constants_s) for cycle in self._readings]
-        stresses: list[tuple[float | None, float | None]] = [
-            (float(level[0]), stderr) if len(cycle.stress_s) else (None, None)
-            for cycle, (level, stderr) in zip(self._readings, fits, strict=True)
-        ]
-        return common, stresses
+        return common, [fit_step(trace, constants_s) if len(trace[0]) else None for trace in traces]
 
     def _directed_stress(self) -> list[DirectedTrace]:
-        if self._stress_common is None:
-            return []
-        constants_s = np.array(self._stress_common.fit.time_constants_s)
-        traces = []
-        for cycle, (level, _) in zip(self._readings, self._stress, strict=True):
-            if level is not None:
-                amplitudes = fit_step((cycle.stress_s, cycle.stress_kPa), constants_s)[0][1:]
-                trace = (cycle.stress_s, cycle.stress_kPa)
-                traces.append(DirectedTrace(cycle.strain, trace, level, amplitudes, cycle.press_ramp_s))
-        return traces
+        return [
+            DirectedTrace(
+                cycle.strain, (cycle.stress_s, cycle.stress_kPa), float(fit[0][0]), fit[0][1:], cycle.press_ramp_s
+            )
+            for cycle, fit in zip(self._readings, self._stress, strict=True)
+            if fit is not None
+        ]
 
 
 def _steps(cycle: CycleReadings, strip: StripModel) -> tuple[StepTrace, StepTrace]:
