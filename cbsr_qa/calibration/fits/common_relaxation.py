@@ -9,7 +9,7 @@ import numpy as np
 
 from cbsr_qa.calibration.fits.joint import JointExponentials, TimedValues, fit_joint
 from cbsr_qa.calibration.fits.relaxation import checked_trace
-from cbsr_qa.calibration.fits.separable import chance_of_gain
+from cbsr_qa.calibration.fits.separable import LOG_ERROR, SEPARATION, SIGNIFICANCE, chance_of_gain
 from cbsr_qa.calibration.fits.settling import settling_time
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import FitStatus, RelaxationFit, SettlingTime
@@ -18,12 +18,6 @@ __all__ = ["CommonRelaxation", "TimedValues", "common_settling_time", "fit_commo
 
 #: Fewest points of a trace that tells anything about a shape.
 _FEWEST: Final = 5
-#: An exponential is kept only if chance would do as well less often than this.
-_SIGNIFICANCE: Final = 0.01
-#: Two time constants closer than this ratio are one.
-_SEPARATION: Final = 2.0
-#: The slowest time constant is determined if its logarithm's standard error is below this.
-_LOG_ERROR: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +72,7 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     bounds_s = _bounds_s(used)
     single = _one(used, bounds_s)
     small = float(single.residual @ single.residual) > 0.5 * float(level @ level)
-    if small and chance_of_gain(level, single.residual, _parameters(used, 1), len(used) + 1) > _SIGNIFICANCE:
+    if small and chance_of_gain(level, single.residual, _parameters(used, 1), len(used) + 1) > SIGNIFICANCE:
         return _without_curve(FitStatus.FLAT, used, "no relaxation stands out of the noise")
     two = _two(used, bounds_s, float(np.log(single.time_constants_s[0])))
     why = _why_not_two(single, two, bounds_s, _parameters(used, 3), rounding)
@@ -163,10 +157,10 @@ def _why_not_two(
     chance = chance_of_gain(single.residual, two.residual, parameters, 2)
     checks = (
         (np.abs(single.residual).max() <= rounding, "one exponential explains the traces to rounding"),
-        (chance > _SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
-        (second < _SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
+        (chance > SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
+        (second < SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
         (second > 0.99 * bounds_s[1], f"a second time constant would lie at its bound of {bounds_s[1]:.3g} s"),
-        (bool(two.log_stderr[1] > _LOG_ERROR), "the data do not determine a second time constant"),
+        (bool(two.log_stderr[1] > LOG_ERROR), "the data do not determine a second time constant"),
     )
     return next((why for failed, why in checks if failed), "")
 
@@ -175,9 +169,9 @@ def _kept(
     joint: JointExponentials, traces: Sequence[TimedValues], bounds_s: tuple[float, float], why: str
 ) -> CommonRelaxation:
     slowest, error = float(joint.time_constants_s[-1]), float(joint.log_stderr[-1])
-    if slowest > 0.99 * bounds_s[1] or (error > _LOG_ERROR and slowest > bounds_s[1] / 10):
+    if slowest > 0.99 * bounds_s[1] or (error > LOG_ERROR and slowest > bounds_s[1] / 10):
         return _without_curve(FitStatus.DRIFTING, traces, "still drifting: slower than the traces are long")
-    if error > _LOG_ERROR:
+    if error > LOG_ERROR:
         return _without_curve(FitStatus.REJECTED, traces, "the data do not determine a time constant")
     every = np.concatenate([values - values.mean() for _, values in traces])
     fit = RelaxationFit(

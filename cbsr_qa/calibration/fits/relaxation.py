@@ -5,7 +5,14 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.fits.separable import Exponentials, chance_of_gain, fit_exponentials
+from cbsr_qa.calibration.fits.separable import (
+    LOG_ERROR,
+    SEPARATION,
+    SIGNIFICANCE,
+    Exponentials,
+    chance_of_gain,
+    fit_exponentials,
+)
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationFit
 
@@ -86,15 +93,9 @@ _ABOUT_SLOPE: Final = np.polynomial.polynomial.polyder(_ABOUT)
 
 #: Fewest points for one and for two exponentials: their parameters and two to spare.
 _FEWEST: Final = {1: 5, 2: 7}
-#: The second exponential is kept only if chance would do as well less often than this.
-_SIGNIFICANCE: Final = 0.01
-#: Two time constants closer than this ratio are one.
-_SEPARATION: Final = 2.0
 #: An amplitude must be this many of its standard errors from zero.
 _CLEAR: Final = 3.0
 _DRIFTING: Final = "still drifting: the trace is too short for its time constant"
-#: A time constant is determined if its logarithm's standard error is below this.
-_LOG_ERROR: Final = 0.5
 #: A trace that begins after so many of its lengths holds nothing of what relaxed before.
 _LATEST: Final = 100.0
 #: Least and greatest size of values whose squares are numbers.
@@ -212,17 +213,14 @@ def _why_not_two(single: Exponentials, two: Exponentials, bounds_s: tuple[float,
             single.sum_of_squares <= len(single.residual) * rounding**2,
             "one exponential explains the trace to rounding",
         ),
-        (
-            second < _SEPARATION * first,
-            f"time constants {first:.3g} s and {second:.3g} s cannot be told apart",
-        ),
+        (second < SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
         (at_bound, f"a second time constant would lie at a bound ({bounds_s[0]:.3g} s to {bounds_s[1]:.3g} s)"),
-        (bool((two.stderr[3:] > _LOG_ERROR).any()), "the data do not determine a second time constant"),
+        (bool((two.stderr[3:] > LOG_ERROR).any()), "the data do not determine a second time constant"),
         (
             bool((np.abs(two.coefficients[1:]) < _CLEAR * two.stderr[1:3]).any()),
             "one of two amplitudes is not clear of zero",
         ),
-        (chance > _SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
+        (chance > SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
     )
     return next((why for failed, why in checks if failed), "")
 

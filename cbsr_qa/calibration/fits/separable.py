@@ -11,6 +11,11 @@ from scipy.stats import f as f_distribution
 
 from cbsr_qa.domain import Array
 
+#: A second exponential is kept only if chance would do as well less often than this, if the time constants differ by
+#: this factor, and if they are determined: standard errors of their logarithms are below this.
+SIGNIFICANCE: Final = 0.01
+SEPARATION: Final = 2.0
+LOG_ERROR: Final = 0.5
 #: Time constants tried on the log grid before the best are refined.
 _GRID: Final = 24
 #: How many of the best starts are refined.
