@@ -5,24 +5,15 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from calibration_samples import edited, plain_digest, sample_calibration, sample_sensor_type
+from calibration_samples import edited, forged, sample_calibration, sample_sensor_type
 
 from cbsr_qa.calibration.file.content import SCHEMA_VERSION
 from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration_file, write_calibration
 from cbsr_qa.domain import CalibrationError
-
-
-@pytest.fixture
-def issued(tmp_path: Path) -> Path:
-    path = tmp_path / "calibrations" / "S-001.h5"
-    write_calibration(path, sample_calibration())
-    return path
-
 
 # --- what is refused ---------------------------------------------------------------------------------------
 
@@ -127,13 +118,6 @@ def test_a_name_no_file_can_have_is_refused(tmp_path):
         read_calibration(tmp_path / ("x" * 300))
 
 
-def _forge(path: Path) -> None:
-    """State the digest that the content now has, as somebody would who knows how."""
-    digest = plain_digest(path)
-    with edited(path) as file:
-        file.attrs["digest"] = digest
-
-
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
@@ -151,11 +135,10 @@ def _forge(path: Path) -> None:
     ],
 )
 def test_content_of_the_wrong_kind_is_named_even_with_a_fitting_digest(issued, path, value, said):
-    with edited(issued) as file:
+    with forged(issued) as file:
         del file[path]
         if value is not None:
             file.create_dataset(path, data=value).attrs["units"] = "1"
-    _forge(issued)
     with pytest.raises(CalibrationError, match=said):
         read_calibration(issued)
 
