@@ -22,8 +22,9 @@ from cbsr_qa.domain.results import (
     SettlingSummary,
     Table,
 )
+from cbsr_qa.domain.run import run_named
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.report import filled, fixed, run_named, text_table
+from cbsr_qa.report import filled, fixed, text_table
 from cbsr_qa.store import made_at
 from cbsr_qa.system import read_untrusted
 
@@ -304,12 +305,12 @@ def _least_force_N(calibration: Calibration, model: ForceModel, places: _Array) 
 
 
 def _page(shown: ShownCalibration) -> Page:
-    identity, began = shown.identity, made_at(shown.identity.run)
+    identity = shown.identity
     facts = (
         ("Batch", identity.batch or "not stated"),
         ("Sensor type", identity.sensor_type),
         ("Issued at", identity.issued_at),
-        ("Run", identity.run if began is None else run_named(identity.serial, began, identity.run)),
+        ("Run", run_named(identity.serial, made_at(identity.run), identity.run)),
         ("Calibration", identity.calibration),
     )
     banner = Banner("plain", "●", f"Calibration of sensor {identity.serial}", "")

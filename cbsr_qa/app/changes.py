@@ -9,8 +9,8 @@ from cbsr_qa.app.run import check_decided
 from cbsr_qa.config import database_url, restore, validate_operator, validate_reason
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.results import CommandOutcome, Outcome, Paragraph, Section
-from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride
-from cbsr_qa.report import answer, filled, number, plural, run_named, unit_shown
+from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride, run_named
+from cbsr_qa.report import answer, filled, number, plural, unit_shown
 from cbsr_qa.store import made_at, open_store
 
 _UNCHANGED: Final = "no file was changed, no limits of a control chart set, and no verdict overridden"
@@ -154,7 +154,7 @@ def override_verdict(
         note = f"calibration {calibration} stays stored: an override withdraws none; take its file out of use"
     elif calibration is not None:
         note = f"calibration {calibration} stays as it was issued"
-    facts = (("Run", run_named(identity.sensor.serial, identity.started_at, run)), ("Calibration", note))
+    facts = (("Run", identity.words), ("Calibration", note))
     done = filled(Overridden, override, calibration=calibration, note=note)
     printed = (("Report", f"{report} writes it with this"),)
     return answer(done, f"verdict {override.words}", "", facts, printed=printed)

@@ -6,7 +6,8 @@ from typing import Final
 from cbsr_qa.app.command_hints import database_option
 from cbsr_qa.config import database_url
 from cbsr_qa.domain.results import CommandOutcome, EndReason
-from cbsr_qa.report import answer, filled, run_named
+from cbsr_qa.domain.run import run_named
+from cbsr_qa.report import answer, filled
 from cbsr_qa.station import on_stderr
 from cbsr_qa.store import HEAD, Age, found_version, made_at, open_engine, open_store, parsed_url, refusal, upgrade
 from cbsr_qa.store.runs import IncompleteRun, counts, incomplete_runs, runs_without_result
@@ -156,14 +157,11 @@ def _laid_out(
     for run in runs:
         phase = f" in {run.phase!r}" if run.phase else ""
         kind = "stopped" if run.end in _STOPPED else "incomplete"
-        facts.append((kind, f"{_named(run.run, run.serial)}: {_state(run)}{phase}; next: {run.next}"))
+        name = run_named(run.serial, made_at(run.run), run.run)
+        facts.append((kind, f"{name}: {_state(run)}{phase}; next: {run.next}"))
     for finished in status.without_result:
-        facts.append(("no result", f"{_named(finished.run, finished.serial)}: finished; next: its result"))
+        name = run_named(finished.serial, made_at(finished.run), finished.run)
+        facts.append(("no result", f"{name}: finished; next: its result"))
     resume = f"cbsr-qa run --resume RUN{database_option(option)} goes on with one of them"
     resumable = status.without_result or any(not run.writer for run in runs)
     return answer(status, status.url, "", facts, printed=(("Go on with", resume),) if resumable else ())
-
-
-def _named(run: str, serial: str) -> str:
-    began = made_at(run)
-    return f"run {run} of {serial}" if began is None else run_named(serial, began, run)

@@ -9,7 +9,7 @@ from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.readings import Recording, SampleBlock, ScanKind, join_frames, join_samples
 from cbsr_qa.domain.results import CommandOutcome
 from cbsr_qa.domain.run import PhaseRecord, RunRecord, VerdictOverride
-from cbsr_qa.report import answer, plural, run_named
+from cbsr_qa.report import answer, plural
 from cbsr_qa.store import open_store
 
 
@@ -50,7 +50,7 @@ def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str
     identity = record.identity
     exported = Exported(identity.run, to, len(recording.frames), len(recording.loads), overrides)
     frames, presses = plural(exported.frames, "frame"), plural(exported.loads, "press", "presses")
-    facts = (("Run", run_named(identity.sensor.serial, identity.started_at, identity.run)),)
+    facts = (("Run", identity.words),)
     return answer(exported, "exported", f"{frames} and {presses}", facts, printed=(("Recording", str(to)),))
 
 

@@ -12,18 +12,16 @@ from statistics import fmean, stdev
 from typing import Final
 
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
     SEVERITY,
     LoadObservation,
     Measurement,
     Outcome,
     RunObservation,
-    RunResult,
     relative_margin,
     worst,
 )
-from cbsr_qa.report.draw import SeenLoad, SettledLoad
+from cbsr_qa.report.draw import Held, SeenLoad, SettledLoad
 from cbsr_qa.report.tables import limit_text, plain, plural, value_cell, with_uncertainty
 
 #: The spatial metrics: measurement name, heading, unit.
@@ -34,15 +32,16 @@ SPATIAL = (
 )
 
 
-def observed(result: RunResult | RecordingResult) -> RunObservation | None:
-    """Return what was observed in a run; None for a recording, or where nothing could be analysed."""
-    return result.observation if isinstance(result, RunResult) else None
-
-
 def loads_of(run: RunObservation, role: Role) -> tuple[LoadObservation, ...]:
     """Return the loads of the phases whose sequence is for this, in time order."""
     phases = {phase.name for phase in run.record.phases if phase.role is role}
     return tuple(load for load in run.loads if load.phase in phases)
+
+
+def held_loads(run: RunObservation, phase: str) -> list[Held]:
+    """Return when each load of a phase was held."""
+    records = [load.record for load in run.loads if load.phase == phase]
+    return [Held(record.load.label, record.hold_start_s, record.release_start_s) for record in records]
 
 
 def by_label(loads: Iterable[LoadObservation]) -> dict[str, list[LoadObservation]]:
@@ -87,6 +86,13 @@ def spread_text(values: Sequence[float], unit: str = "") -> str:
     if spread is None:
         return "–"
     return with_uncertainty(*spread) if spread[1] else plain(spread[0], unit)
+
+
+def spatial_spreads(measured: Measured, loads: Sequence[LoadObservation], qualifier: str = "") -> list[str]:
+    """Write mean ± standard deviation of the spatial metrics over some loads, and how many of the loads were seen."""
+    values = [measured.values(name, loads, qualifier) for name, _, _ in SPATIAL]
+    spreads = [spread_text(of_metric, unit) for of_metric, (_, _, unit) in zip(values, SPATIAL, strict=True)]
+    return [*spreads, f"{len(values[0])} of {len(loads)}"]
 
 
 def alike(reason: str) -> str:

@@ -3,12 +3,13 @@
 Numbers as a reader expects them: as many digits as the uncertainty allows, with a unit, never an ``e-05``.
 """
 
-from collections.abc import Iterable, Sequence
-from datetime import datetime
+from collections.abc import Callable, Iterable, Sequence
 from math import floor, log10
-from typing import Final
+from typing import Final, Protocol, TypeVar
 
 from cbsr_qa.domain.results import Bound, Cell, Limit, Measurement, Table
+
+T = TypeVar("T")
 
 _MINUS: Final = "\N{MINUS SIGN}"
 _SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -128,9 +129,34 @@ def plural(count: int, one: str, many: str = "") -> str:
     return f"{count or 'no'} {noun}"
 
 
-def run_named(serial: str, started_at: datetime, run: str) -> str:
-    """Name a run as people do, by sensor and date, with the identifier that commands take."""
-    return f"{serial}, {started_at:%Y-%m-%d %H:%M} UTC ({run})"
+def dashed(value: T | None, write: Callable[[T], str]) -> str:
+    """Write a value; a dash where there is none."""
+    return "–" if value is None else write(value)
+
+
+class Uncertain(Protocol):
+    """A value whose standard error may be stated."""
+
+    @property
+    def value(self) -> float:
+        """The estimate."""
+
+    @property
+    def stderr(self) -> float | None:
+        """Its standard error, in the same unit."""
+
+
+def parameter_text(parameter: Uncertain | None, scale: float = 1.0) -> str:
+    """Write an estimate times ``scale`` with its standard error; a dash where there is none."""
+    if parameter is None:
+        return "–"
+    stderr = None if parameter.stderr is None else scale * parameter.stderr
+    return with_uncertainty(scale * parameter.value, stderr)
+
+
+def place_text(x_mm: float, y_mm: float) -> str:
+    """Write a place: ``17.5, −10``."""
+    return f"{x_mm:g}, {y_mm:g}".replace("-", _MINUS)
 
 
 def named(names: Sequence[str], most: int = _MOST_NAMED) -> str:

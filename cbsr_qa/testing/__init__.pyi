@@ -10,6 +10,7 @@ from .bench import (
     raising as raising,
     scripted_bench as scripted_bench,
 )
+from .checked import Tolerances as Tolerances
 from .instruments import (
     check_applicator as check_applicator,
     check_closing as check_closing,
@@ -23,7 +24,6 @@ from .numerics import (
     convergence_order as convergence_order,
 )
 from .reconstructions import (
-    Tolerances as Tolerances,
     check_reconstruction as check_reconstruction,
     compare_elsewhere as compare_elsewhere,
     elsewhere_readings as elsewhere_readings,

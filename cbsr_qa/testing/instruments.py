@@ -22,7 +22,7 @@ from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.plugin import ForceApplicator, FrameSource, Instrument, Sampler
 from cbsr_qa.system import Clock, RealClock
-from cbsr_qa.testing.reconstructions import Checked
+from cbsr_qa.testing.checked import Checked, blamed, demand
 
 #: Safe states are reached within this time, besides the head's travel [s, real time].
 SAFE_WITHIN_S: Final = 1.0
@@ -176,7 +176,7 @@ def check_closing(instrument: Instrument, use: Callable[[], object]) -> Checked:
     except InstrumentError as error:
         return Checked("closing", f"then: {error.reason}")
     except Exception as error:
-        raise AssertionError(_said(instrument, f"raises {type(error).__name__} when it is used closed")) from error
+        raise AssertionError(blamed(instrument, f"raises {type(error).__name__} when it is used closed")) from error
     return Checked("closing", "twice; it can still be used")
 
 
@@ -304,7 +304,7 @@ def safe_state_s(instrument: Instrument) -> float:
     took_s = clock.now() - before_s
     demand(instrument, not thread.is_alive(), f"is not safe within {SAFE_WITHIN_S:g} s")
     if raised:
-        raise AssertionError(_said(instrument, f"does not reach its safe state: {raised[0]}")) from raised[0]
+        raise AssertionError(blamed(instrument, f"does not reach its safe state: {raised[0]}")) from raised[0]
     return took_s
 
 
@@ -314,15 +314,5 @@ def _refuses(instrument: Instrument, call: Callable[[], object], what: str) -> N
     except InstrumentError:
         return
     except Exception as error:
-        raise AssertionError(_said(instrument, f"raises {type(error).__name__} for {what}")) from error
-    raise AssertionError(_said(instrument, f"takes {what} without a word"))
-
-
-def demand(instrument: Instrument, holds: bool, otherwise: str) -> None:
-    """Raise AssertionError naming the driver and what it did, unless a promise holds."""
-    if not holds:
-        raise AssertionError(_said(instrument, otherwise))
-
-
-def _said(instrument: Instrument, what: str) -> str:
-    return f"{type(instrument).__name__} {what}"
+        raise AssertionError(blamed(instrument, f"raises {type(error).__name__} for {what}")) from error
+    raise AssertionError(blamed(instrument, f"takes {what} without a word"))

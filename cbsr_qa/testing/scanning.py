@@ -10,8 +10,8 @@ from cbsr_qa.domain.run import CheckOutcome, CheckResult
 from cbsr_qa.domain.sensor import DrivePattern
 from cbsr_qa.plugin import Multiplexer, SelfTesting, SourceMeter
 from cbsr_qa.system import Clock
-from cbsr_qa.testing.instruments import check_instrument, demand, safe_state_s
-from cbsr_qa.testing.reconstructions import Checked
+from cbsr_qa.testing.checked import Checked, demand
+from cbsr_qa.testing.instruments import check_instrument, safe_state_s
 
 #: Clocks tick, and answers are on their way [s].
 _TICK_S: Final = 1e-3

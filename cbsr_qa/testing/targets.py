@@ -28,6 +28,7 @@ from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Mesh, Response
 from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.inverse import imaging_problem, target_signal
 from cbsr_qa.plugin import Reconstruction
+from cbsr_qa.testing.checked import demand
 
 Factory = Callable[[], Reconstruction]
 
@@ -228,20 +229,16 @@ def found_at(prepared: PreparedReconstruction, at: tuple[float, float], contrast
     """
     image = prepared.images(signal(prepared.problem, at, contrast)[None])[0]
     check_image(prepared, image)
-    if not np.sign(contrast) * (image.max() + image.min()) > 0:
-        raise AssertionError(
-            f"{prepared.method} answers a target of {contrast:+.0%} at {at} of the radius with the other sign"
-        )
+    own_sign = bool(np.sign(contrast) * (image.max() + image.min()) > 0)
+    demand(prepared, own_sign, f"answers a target of {contrast:+.0%} at {at} of the radius with the other sign")
     return blob_centre(prepared, np.sign(contrast) * image)
 
 
 def check_image(prepared: PreparedReconstruction, image: Array) -> None:
     """Assert that an image has a finite value on each element of its mesh."""
     elements = len(prepared.problem.mesh.elements)
-    if image.shape != (elements,):
-        raise AssertionError(f"{prepared.method} makes images of shape {image.shape} on {elements} elements")
-    if not np.isfinite(image).all():
-        raise AssertionError(f"{prepared.method} makes an image that is not finite")
+    demand(prepared, image.shape == (elements,), f"makes images of shape {image.shape} on {elements} elements")
+    demand(prepared, bool(np.isfinite(image).all()), "makes an image that is not finite")
 
 
 def blob_centre(prepared: PreparedReconstruction, image: Array) -> Array:

@@ -77,11 +77,11 @@ def test_a_value_that_is_lacking_is_named_with_its_reason(run):
 def test_the_picture_says_outcomes_without_colour(run, phases, value):
     judged = [measured(run, load.phase, load.record.index, value) for load in run.loads if load.phase in phases]
     verdicts = location_verdicts(run, judged)
-    figure = verdict_figure(verdicts, SENSOR, caption="c", alternative="a")
-    checked_svg(figure.svg)
+    figure = verdict_figure(verdicts, SENSOR)
+    checked_svg(figure)
     sign, word = {0.1: ("✓", "pass"), 1.8: ("≈", "marginal"), 50.0: ("✗", "fail"), None: ("?", "not measured")}[value]
-    assert figure.svg.count(f">{sign}") == len(verdicts)
-    assert f" {word}</text>" in figure.svg
+    assert figure.count(f">{sign}") == len(verdicts)
+    assert f" {word}</text>" in figure
     assert outcome_counts(verdicts) == f"{len(verdicts)} {word}"
 
 

@@ -8,13 +8,12 @@ import pytest
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
-from cbsr_qa.testing.reconstructions import (
+from cbsr_qa.testing.reconstructed_targets import (
     check_masked_electrodes,
     check_noise_propagation,
     check_noise_weighing,
-    check_reconstruction,
-    check_same_elsewhere,
 )
+from cbsr_qa.testing.reconstructions import check_reconstruction, check_same_elsewhere
 from cbsr_qa.testing.targets import example_problem, images_elsewhere, symmetric_problem
 
 _RIDGE = 1e-3

@@ -17,7 +17,7 @@ from cbsr_qa.domain.results import (
     RunResult,
 )
 from cbsr_qa.domain.run import ChainState, ConfigurationChange, EarlierRun, SensorHistory, VerdictOverride
-from cbsr_qa.report import filled, run_named, run_page
+from cbsr_qa.report import filled, run_page
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +222,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
     tries = "" if result.sensor_history is None else result.sensor_history.words
     facts = [
         *([("Sensor", tries)] if tries else []),
-        ("Run", run_named(tested.serial, identity.started_at, tested.run)),
+        ("Run", identity.words),
         ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s of computing"),
         ("Rows", tested.chain.words),
     ]

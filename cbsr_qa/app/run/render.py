@@ -30,7 +30,7 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.run import ChainState, RunRecord, VerdictOverride
 from cbsr_qa.plugin import Kind, Plugins, create_plugin, discover
-from cbsr_qa.report import filled, render_run, report_name, run_named, run_page, write_report
+from cbsr_qa.report import filled, render_run, report_name, run_page, write_report
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.results import StoredAnalysis
 from cbsr_qa.studies.charts import charts_after
@@ -108,8 +108,7 @@ def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins
 def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     """Lay out which run's report was rendered, and its verdict."""
     page = run_page(rendered.result)
-    run = run_named(rendered.serial, rendered.result.record.identity.started_at, rendered.run)
-    facts = (("Run", run), ("Rows", rendered.chain.words))
+    facts = (("Run", rendered.result.record.identity.words), ("Rows", rendered.chain.words))
     printed = (("Report", str(rendered.report)),)
     page = replace(page, identity=facts, warnings=rendered.warnings, printed=printed)
     return CommandOutcome(rendered, page)

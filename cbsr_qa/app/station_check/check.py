@@ -22,9 +22,9 @@ from cbsr_qa.config import (
 from cbsr_qa.domain import CbsrError, RefusedError
 from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.results import CommandOutcome, EndReason
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, RunIdentity, StationCheck
 from cbsr_qa.plugin import Plugins, discover, software_versions
-from cbsr_qa.report import render_sections, report_name, run_named, write_report
+from cbsr_qa.report import render_sections, report_name, write_report
 from cbsr_qa.station import configure, on_stderr, station_clock
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.system import RealClock
@@ -111,12 +111,13 @@ def check_station(
                 tell=tell,
             )
         _refuse_untried(findings, configuration)
-        run = None
+        golden = None
         if request.golden is not None and _may_press(request.golden, findings, placed):
-            run = _golden(request, request.golden, findings, store, ask, tell)
-        check = _check(store.new_id(), request, configuration, software_versions(plugins), findings, run)
+            golden = _golden(request, request.golden, findings, store, ask, tell)
+        check = _check(store.new_id(), request, configuration, software_versions(plugins), findings, golden)
         store.save_station_check(check, findings.ring)
-    outcome = check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring)
+    named = "" if golden is None else golden.words
+    outcome = check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring, golden_run=named)
     return _written(outcome, reports_folder() / report_name("station", check.station, check.check))
 
 
@@ -134,7 +135,7 @@ def _check(
     configuration: Configuration,
     software: tuple[tuple[str, str], ...],
     findings: BenchFindings,
-    golden_run: str | None,
+    golden: RunIdentity | None,
 ) -> StationCheck:
     return StationCheck(
         check=name,
@@ -146,7 +147,7 @@ def _check(
         software=software,
         instruments=tuple(findings.instruments),
         results=tuple(findings.lines),
-        golden_run=golden_run,
+        golden_run=None if golden is None else golden.run,
     )
 
 
@@ -218,7 +219,7 @@ def _golden(
     store: Repository,
     ask: Callable[[str], str] | None,
     tell: Callable[[str], None],
-) -> str | None:
+) -> RunIdentity | None:
     """Run the golden sensor and add a line for each of its figures; returns the run, None where none was begun."""
     subject = _subject(serial)
 
@@ -239,16 +240,15 @@ def _golden(
     except CbsrError as error:
         line(CheckOutcome.FAILED, error.reason, error.remedy)
         return None
-    record = outcome.result.record
+    record, identity = outcome.result.record, outcome.result.record.identity
     if record.end is not EndReason.FINISHED:
-        line(CheckOutcome.FAILED, f"run {outcome.run} was {record.end}: {record.end_detail}", "measure it again")
-        return outcome.run
-    name = run_named(serial, record.identity.started_at, outcome.run)
-    line(CheckOutcome.OK, f"{name}, {record.station_s / 60:.1f} min of station time")
+        line(CheckOutcome.FAILED, f"{identity.words} was {record.end}: {record.end_detail}", "measure it again")
+        return identity
+    line(CheckOutcome.OK, f"{identity.words}, {record.station_s / 60:.1f} min of station time")
     history = golden_history(store, outcome.run)
-    station = record.identity.station
-    findings.lines += compare_golden(outcome.result.measurements, history, station=station, subject=subject)
-    return outcome.run
+    measured = outcome.result.measurements
+    findings.lines += compare_golden(measured, history, station=identity.station, subject=subject)
+    return identity
 
 
 def _written(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandOutcome[CheckedStation]:

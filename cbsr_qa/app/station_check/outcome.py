@@ -59,21 +59,27 @@ class CheckedStation:
 
 
 def check_outcome(
-    check: StationCheck, ring: RingReadings | None, pattern: DrivePattern, allowed: ReferenceRing | None
+    check: StationCheck,
+    ring: RingReadings | None,
+    pattern: DrivePattern,
+    allowed: ReferenceRing | None,
+    *,
+    golden_run: str = "",
 ) -> CommandOutcome[CheckedStation]:
     """Lay a check out; the exit code is 1 where something failed, and 3 where no instrument answered.
 
     Parameters
     ----------
     ring, allowed : its frames and the limits they were held against; None where none were taken.
+    golden_run : its name for people; empty where none was made.
     """
     instruments = tuple(filled(AnsweringInstrument, one, notes=dict(one.notes)) for one in check.instruments)
     checked = filled(CheckedStation, check, instruments=instruments)
     code = 3 if not instruments else 1 if check.outcome is CheckOutcome.FAILED else 0
-    return CommandOutcome(checked, _head(check), tuple(_sections(check, ring, pattern, allowed)), code)
+    return CommandOutcome(checked, _head(check, golden_run), tuple(_sections(check, ring, pattern, allowed)), code)
 
 
-def _head(check: StationCheck) -> Page:
+def _head(check: StationCheck, golden_run: str) -> Page:
     failed = check.lines(CheckOutcome.FAILED)
     if failed:
         reason = "; ".join(f"{line.subject}: {line.name}" for line in failed)
@@ -88,7 +94,7 @@ def _head(check: StationCheck) -> Page:
         ("Operator", check.operator or "not stated"),
         ("Set up for", check.sensor_type),
         ("Check", check.check),
-        ("Golden run", check.golden_run or "none"),
+        ("Golden run", golden_run or "none"),
         ("Configuration digest", check.configuration_digest),
     )
     simulated = tuple(f"{one.role}: {one.model}" for one in check.instruments if one.simulated)

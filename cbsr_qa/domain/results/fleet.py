@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.numbers import of_kind
 from cbsr_qa.domain.results.measurement import EndReason, Outcome
+from cbsr_qa.domain.run import run_named
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -117,9 +117,8 @@ class RunLine:
 
     @property
     def words(self) -> str:
-        """Describe the run to people: its sensor, and in brackets batch, station, day and identifier."""
-        batch = f"batch {self.batch}, " if self.batch else ""
-        return f"{self.serial} ({batch}{of_kind('station', self.station)}, {self.day}, run {self.run})"
+        """The run as people name it: see :func:`~cbsr_qa.domain.run.run_named`."""
+        return run_named(self.serial, self.started_at, self.run)
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,7 @@ from .run import (
     StepRetried as StepRetried,
     StepStarted as StepStarted,
     Unloaded as Unloaded,
+    run_named as run_named,
 )
 from .station import (
     ChartKind as ChartKind,

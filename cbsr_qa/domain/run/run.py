@@ -105,6 +105,21 @@ class RunIdentity:
     instruments: tuple[InstrumentIdentity, ...]
     simulated: tuple[str, ...] = ()
 
+    @property
+    def words(self) -> str:
+        """The run as people name it: see :func:`run_named`."""
+        return run_named(self.sensor.serial, self.started_at, self.run)
+
+
+def run_named(serial: str, started_at: datetime | None, run: str) -> str:
+    """Name a run as people do, by sensor and date, with the identifier that commands take.
+
+    Parameters
+    ----------
+    started_at : None where it is not known.
+    """
+    return f"{serial} ({run})" if started_at is None else f"{serial}, {started_at:%Y-%m-%d %H:%M} UTC ({run})"
+
 
 @dataclass(frozen=True, slots=True)
 class PhaseRecord:

@@ -76,7 +76,6 @@ from .style import (
     change_norm as change_norm,
     checked_svg as checked_svg,
     drawing as drawing,
-    drawn as drawn,
     fit_left as fit_left,
     light_grid as light_grid,
     name_rows as name_rows,

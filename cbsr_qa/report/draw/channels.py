@@ -25,9 +25,9 @@ from cbsr_qa.report.draw.style import (
     WIDTH_IN,
     canvas,
     drawn,
-    light_grid,
+    plot,
 )
-from cbsr_qa.report.tables import scaled_unit, unit_shown
+from cbsr_qa.report.tables import scaled_unit, unit_column
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,17 +39,16 @@ class ChannelMark:
     label: str
 
 
+@drawn
 def channel_map_figure(
     values: NDArray[np.float64],
     *,
     label: str,
     unit: str,
-    caption: str,
-    alternative: str,
     used: NDArray[np.bool_] | None = None,
     marks: Sequence[ChannelMark] = (),
     limits: tuple[float, float] | None = None,
-) -> Figure:
+) -> Canvas:
     """Draw one value per reading as a map, drive pairs down, measure pairs across.
 
     Parameters
@@ -60,38 +59,32 @@ def channel_map_figure(
     marks : readings to point at, with a legend below the map; those without pairs are left out.
     limits : (lowest, highest) of the colour scale; the 2nd and 98th percentile where None.
     """
-
-    def build() -> Canvas:
-        drives, measures = values.shape
-        shown = np.isfinite(values) & (True if used is None else used)
-        size_in = 3.5
-        tall_in = min(size_in * max(drives / measures, 0.12), 4.5)
-        height_in = tall_in + 0.6
-        figure = canvas(height_in, WIDTH_IN)
-        left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
-        axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
-        norm = Normalize(*(limits or _middle(values[shown])))
-        _draw_map(axes, values, shown, norm)
-        _draw_marks(axes, marks)
-        title = f"{label} [{unit_shown(unit)}]" if unit_shown(unit) else label
-        if shown.any():
-            add_scale(figure, axes, norm, AMOUNT_MAP, label=title, place="right")
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    drives, measures = values.shape
+    shown = np.isfinite(values) & (True if used is None else used)
+    size_in = 3.5
+    tall_in = min(size_in * max(drives / measures, 0.12), 4.5)
+    height_in = tall_in + 0.6
+    figure = canvas(height_in, WIDTH_IN)
+    left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
+    axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
+    norm = Normalize(*(limits or _middle(values[shown])))
+    _draw_map(axes, values, shown, norm)
+    _draw_marks(axes, marks)
+    if shown.any():
+        add_scale(figure, axes, norm, AMOUNT_MAP, label=unit_column(label, unit), place="right")
+    return figure
 
 
+@drawn
 def pair_bar_figure(
     values: NDArray[np.float64],
     names: Sequence[str],
     *,
     label: str,
     unit: str,
-    caption: str,
-    alternative: str,
     limits: tuple[float | None, float | None] = (None, None),
     outside: Sequence[int] = (),
-) -> Figure:
+) -> Canvas:
     """Draw one bar per electrode pair, with the allowed range and the median.
 
     Parameters
@@ -101,28 +94,20 @@ def pair_bar_figure(
     limits : lower and upper bound, drawn where given.
     outside : pairs drawn in the warning colour.
     """
-
-    def build() -> Canvas:
-        figure = canvas(2.0)
-        axes = figure.add_axes((0.085, 0.22, 0.79, 0.68))
-        light_grid(axes)
-        colours = [VERMILION if pair in set(outside) else BLUE for pair in range(len(values))]
-        axes.bar(np.arange(len(values)), values, width=0.72, color=colours, linewidth=0)
-        axes.set_xticks(range(len(values)), names)
-        axes.tick_params(axis="x", length=0)
-        axes.set_xlim(-0.6, len(values) - 0.4)
-        axes.set_xlabel("electrode pair")
-        shown = unit_shown(unit)
-        axes.set_ylabel(f"{label} [{shown}]" if shown else label)
-        lines = [(float(np.median(values)), "median", INK, "solid")]
-        bounds = zip(limits, ("lowest", "highest"), strict=True)
-        lines += [(bound, name, VERMILION, "dashed") for bound, name in bounds if bound is not None]
-        for level, name, colour, style in lines:
-            axes.axhline(level, color=colour, linewidth=0.8, linestyle=style)
-            axes.text(len(values) - 0.3, level, name, color=colour, va="center", fontsize=7)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(2.0)
+    axes = plot(figure, (0.085, 0.22, 0.79, 0.68), x="electrode pair", y=unit_column(label, unit))
+    colours = [VERMILION if pair in set(outside) else BLUE for pair in range(len(values))]
+    axes.bar(np.arange(len(values)), values, width=0.72, color=colours, linewidth=0)
+    axes.set_xticks(range(len(values)), names)
+    axes.tick_params(axis="x", length=0)
+    axes.set_xlim(-0.6, len(values) - 0.4)
+    lines = [(float(np.median(values)), "median", INK, "solid")]
+    bounds = zip(limits, ("lowest", "highest"), strict=True)
+    lines += [(bound, name, VERMILION, "dashed") for bound, name in bounds if bound is not None]
+    for level, name, colour, style in lines:
+        axes.axhline(level, color=colour, linewidth=0.8, linestyle=style)
+        axes.text(len(values) - 0.3, level, name, color=colour, va="center", fontsize=7)
+    return figure
 
 
 def _middle(values: NDArray[np.float64]) -> tuple[float, float]:
@@ -191,27 +176,26 @@ def ring_figure(
     """
     kinds = [("touches no driven electrode", used & ~driven, BLUE), ("touches one", used & driven, VERMILION)]
 
+    @drawn
     def build() -> Canvas:
         figure = canvas(2.6)
         _compared(figure, expected, mean, kinds, unit)
-        axes = figure.add_axes((0.52, 0.17, 0.46, 0.66))
-        light_grid(axes)
+        axes = plot(figure, (0.52, 0.17, 0.46, 0.66), "Gain, offset and leads taken out")
+        axes.set_xlabel("reading, drive pair after drive pair")
+        axes.set_ylabel("left of the reading [%]")
         number = np.arange(expected.size).reshape(expected.shape)
         for _, which, colour in kinds:
             axes.plot(number[which], 100 * residual[which], ".", color=colour, markersize=2.5)
         for limit in (-allowed, allowed):
             axes.axhline(100 * limit, color=INK, linewidth=0.8)
-        axes.set_xlabel("reading, drive pair after drive pair")
-        axes.set_ylabel("left of the reading [%]")
-        axes.set_title("Gain, offset and leads taken out")
         return figure
 
     worst = 100 * float(np.abs(np.where(used, residual, 0.0)).max())
-    return drawn(
-        build,
-        caption="Left: mean reading over the closed form of the ring; a perfect station lies on the line. Right:"
-        f" what is left of each reading, of what is expected, between the limits of ±{100 * allowed:.3g} %.",
-        alternative=f"{int(used.sum())} readings against the closed form; the worst residual is {worst:.3g} %.",
+    return Figure(
+        "Left: mean reading over the closed form of the ring; a perfect station lies on the line. Right: what is left"
+        f" of each reading, of what is expected, between the limits of ±{100 * allowed:.3g} %.",
+        f"{int(used.sum())} readings against the closed form; the worst residual is {worst:.3g} %.",
+        build(),
     )
 
 
@@ -223,15 +207,12 @@ def _compared(
     unit: str,
 ) -> None:
     """Left half: readings over the closed form, with the line of equality."""
-    axes = figure.add_axes((0.09, 0.17, 0.33, 0.66))
-    light_grid(axes, "both")
     scale, shown = scaled_unit(float(np.abs(expected).max()), unit)
+    labels = {"x": f"closed form [{shown}]", "y": f"mean reading [{shown}]"}
+    axes = plot(figure, (0.09, 0.17, 0.33, 0.66), "Readings", grid="both", **labels)
     ends = np.array([expected.min(), expected.max()]) / scale
     axes.plot(ends, ends, color=FAINT, linewidth=0.8)
     for label, which, colour in kinds:
         if which.any():
             axes.plot(expected[which] / scale, mean[which] / scale, "o", color=colour, markersize=3, label=label)
-    axes.set_xlabel(f"closed form [{shown}]")
-    axes.set_ylabel(f"mean reading [{shown}]")
-    axes.set_title("Readings")
     axes.legend(frameon=False, fontsize=6.5, labelcolor=QUIET, loc="upper left")

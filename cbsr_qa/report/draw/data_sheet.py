@@ -5,7 +5,6 @@ A loop of output against stress, and how far its branches lie apart.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,9 +15,8 @@ from matplotlib.patches import Circle
 
 from cbsr_qa.calibration.fits import LoopCurve
 from cbsr_qa.calibration.sheet import Characteristic, StraightLine
-from cbsr_qa.domain.results import Figure
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.report.draw.sheet import add_scale, draw_electrodes, draw_sheet, fit_sheet
+from cbsr_qa.report.draw.sheet import MOST_NAMES, add_scale, disc_radius_mm, sheet_axes
 from cbsr_qa.report.draw.style import (
     AMOUNT_MAP,
     BLUE,
@@ -27,14 +25,27 @@ from cbsr_qa.report.draw.style import (
     INK,
     QUIET,
     VERMILION,
-    bare,
     canvas,
+    dots,
     drawn,
-    light_grid,
+    plot,
 )
 
 
-def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve], *, caption: str, alternative: str) -> Figure:
+def _stress_pair(figure: Canvas, end_kPa: float, titles: tuple[str, str], labels: tuple[str, str]) -> list[Axes]:
+    """Two panels beside each other, both against stress."""
+    boxes = ((0.075, 0.16, 0.39, 0.74), (0.575, 0.16, 0.41, 0.74))
+    panels = [
+        plot(figure, box, title, x="stress [kPa]", y=label)
+        for box, title, label in zip(boxes, titles, labels, strict=True)
+    ]
+    for axes in panels:
+        axes.set_xlim(0.0, end_kPa)
+    return panels
+
+
+@drawn
+def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve]) -> Canvas:
     """Draw the branches of every place, and their difference at equal stress.
 
     Parameters
@@ -42,60 +53,28 @@ def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve], *, capti
     curves : of the places, without what had not relaxed.
     read : the same as they were read; may be empty.
     """
-
-    def build() -> Canvas:
-        figure = canvas(2.75)
-        left = figure.add_axes((0.075, 0.16, 0.39, 0.74))
-        right = figure.add_axes((0.575, 0.16, 0.41, 0.74))
-        light_grid(left)
-        light_grid(right)
-        for curve in curves:
-            _draw_loop(left, curve)
-            _draw_difference(right, curve)
-        for curve in read:
-            falling = slice(curve.peak + 1, None)
-            right.plot(curve.stress_kPa[falling], 100 * curve.difference, "x", markersize=4, color=QUIET, zorder=2.5)
-        left.set_ylabel("output [% of span]")
-        left.set_title("way up (filled) and down (open)", fontweight="normal")
-        right.axhline(0.0, color=FAINT, linewidth=0.9, zorder=1.5)
-        right.set_ylabel("down less up [% of span]")
-        right.set_title("difference at equal stress", fontweight="normal")
-        end = 1.04 * max(float(curve.stress_kPa[curve.peak]) for curve in curves)
-        for axes in (left, right):
-            axes.set_xlim(0.0, end)
-            axes.set_xlabel("stress [kPa]")
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(2.75)
+    end_kPa = 1.04 * max(float(curve.stress_kPa[curve.peak]) for curve in curves)
+    titles = ("way up (filled) and down (open)", "difference at equal stress")
+    left, right = _stress_pair(figure, end_kPa, titles, ("output [% of span]", "down less up [% of span]"))
+    for curve in curves:
+        _draw_loop(left, curve)
+        falling = curve.stress_kPa[curve.peak + 1 :]
+        dots(right, falling, 100 * curve.difference, VERMILION, errors=100 * curve.stderr, hollow=True)
+    for curve in read:
+        falling = curve.stress_kPa[curve.peak + 1 :]
+        right.plot(falling, 100 * curve.difference, "x", markersize=4, color=QUIET, zorder=2.5)
+    right.axhline(0.0, color=FAINT, linewidth=0.9, zorder=1.5)
+    return figure
 
 
 def _draw_loop(axes: Axes, curve: LoopCurve) -> None:
     peak, stress, output = curve.peak, curve.stress_kPa, 100 * curve.output
-    up = slice(0, peak + 1)
+    up, down = slice(0, peak + 1), slice(peak + 1, None)
     axes.plot(np.append(0.0, stress[up]), np.append(0.0, output[up]), color=BLUE, linewidth=0.9, zorder=2)
-    axes.plot(stress[up], output[up], "o", markersize=4, color=BLUE, zorder=3)
     axes.plot(stress[peak:], output[peak:], color=VERMILION, linewidth=0.9, linestyle="--", zorder=2)
-    axes.plot(
-        stress[peak + 1 :], output[peak + 1 :], "o", markersize=4, color=VERMILION, markerfacecolor="white", zorder=3
-    )
-
-
-def _draw_difference(axes: Axes, curve: LoopCurve) -> None:
-    axes.errorbar(
-        curve.stress_kPa[curve.peak + 1 :],
-        100 * curve.difference,
-        yerr=100 * curve.stderr,
-        fmt="o",
-        markersize=4,
-        color=VERMILION,
-        markerfacecolor="white",
-        elinewidth=0.9,
-        zorder=3,
-    )
-
-
-#: More places than this stand too close for their names.
-_MOST_NAMES: Final = 16
+    dots(axes, stress[up], output[up], BLUE)
+    dots(axes, stress[down], output[down], VERMILION, hollow=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,15 +103,10 @@ class PlaceMap:
     about: float | None = None
 
 
+@drawn
 def characteristic_figure(
-    curves: Sequence[Characteristic],
-    mean: Characteristic,
-    line: StraightLine,
-    scatter: float | None,
-    *,
-    caption: str,
-    alternative: str,
-) -> Figure:
+    curves: Sequence[Characteristic], mean: Characteristic, line: StraightLine, scatter: float | None
+) -> Canvas:
     """Draw the change against stress of every location, and how far it leaves the mean's best straight line.
 
     Parameters
@@ -142,43 +116,34 @@ def characteristic_figure(
     line : through the mean.
     scatter : repeatability in shares of the span; None where it is not known.
     """
-
-    def build() -> Canvas:
-        figure = canvas(2.75)
-        left = figure.add_axes((0.075, 0.16, 0.39, 0.74))
-        right = figure.add_axes((0.575, 0.16, 0.41, 0.74))
-        stress = _stress(mean)
-        ends = np.array([0.0, stress[-1] * 1.04])
-        _draw_curves(left, curves, mean)
-        left.plot(ends, 100 * (line.intercept + line.slope * ends), color=VERMILION, linewidth=0.9, zorder=2)
-        left.set_ylim(bottom=min(0.0, 100 * line.intercept))
-        left.set_ylabel("change [% of the location's span]")
-        left.set_title("change against stress", fontweight="normal")
-        _draw_residuals(right, curves, mean, line, scatter)
-        for axes in (left, right):
-            axes.set_xlim(*ends)
-            axes.set_xlabel("stress [kPa]")
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(2.75)
+    ends = np.array([0.0, 1.04 * _stress(mean)[-1]])
+    titles = ("change against stress", "left over from the best straight line")
+    labels = ("change [% of the location's span]", "change less line [% of span]")
+    left, right = _stress_pair(figure, ends[1], titles, labels)
+    _draw_curves(left, curves, mean)
+    left.plot(ends, 100 * (line.intercept + line.slope * ends), color=VERMILION, linewidth=0.9, zorder=2)
+    left.set_ylim(bottom=min(0.0, 100 * line.intercept))
+    _draw_residuals(right, curves, mean, line, scatter)
+    return figure
 
 
-def place_maps_figure(maps: Sequence[PlaceMap], sensor: SensorType, *, caption: str, alternative: str) -> Figure:
+@drawn
+def place_maps_figure(maps: Sequence[PlaceMap], sensor: SensorType) -> Canvas:
     """Draw one or two sheets beside each other with a coloured disc at every place.
 
     Parameters
     ----------
     maps : one or two, each with a place.
     """
-
-    def build() -> Canvas:
-        figure = canvas(3.05)
-        for number, one in enumerate(maps):
-            axes = figure.add_axes((0.5 * number, 0.0, 0.4, 0.92))
-            _draw_map(figure, axes, one, sensor)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(3.05)
+    for number, shown in enumerate(maps):
+        axes = sheet_axes(figure, (0.5 * number, 0.0, 0.4, 0.92), sensor)
+        norm, colours = _scale(shown)
+        _draw_values(axes, shown, sensor, norm, colours)
+        axes.set_title(shown.title, fontweight="normal")
+        add_scale(figure, axes, norm, colours, label=shown.unit, place="right")
+    return figure
 
 
 def _stress(curve: Characteristic) -> np.ndarray:
@@ -187,10 +152,9 @@ def _stress(curve: Characteristic) -> np.ndarray:
 
 
 def _draw_curves(axes: Axes, curves: Sequence[Characteristic], mean: Characteristic) -> None:
-    light_grid(axes)
     lines = [np.column_stack([_stress(c), 100 * c.change / c.span]) for c in curves]
     axes.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
-    axes.plot(_stress(mean), 100 * mean.change, "o", markersize=3.5, color=BLUE, zorder=3)
+    dots(axes, _stress(mean), 100 * mean.change, BLUE, size=3.5)
 
 
 def _draw_residuals(
@@ -200,47 +164,31 @@ def _draw_residuals(
     line: StraightLine,
     scatter: float | None,
 ) -> None:
-    light_grid(axes)
     lines = []
     for curve in curves:
         stress = _stress(curve)
         left = 100 * (curve.change / curve.span - line.intercept - line.slope * stress)
         lines.append(np.column_stack([stress, left]))
     axes.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
-    stress = _stress(mean)
     errors = None if scatter is None else 100 * scatter / np.sqrt(mean.loads)
-    axes.errorbar(
-        stress, 100 * line.deviations, yerr=errors, fmt="o", markersize=3.5, color=BLUE, elinewidth=0.9, zorder=3
-    )
+    dots(axes, _stress(mean), 100 * line.deviations, BLUE, errors=errors, size=3.5)
     largest = 100 * line.largest
     axes.axhspan(-largest, largest, color=VERMILION, alpha=0.1, linewidth=0, zorder=1)
     axes.axhline(0.0, color=VERMILION, linewidth=0.9, zorder=2)
-    widest = max(
-        float(np.abs(part[:, 1]).max()) for part in [*lines, np.column_stack([stress, 100 * line.deviations])]
-    )
-    axes.set_ylim(-1.15 * max(widest, largest), 1.15 * max(widest, largest))
-    axes.set_ylabel("change less line [% of span]")
-    axes.set_title("left over from the best straight line", fontweight="normal")
+    reach = 1.15 * max(*(float(np.abs(part[:, 1]).max()) for part in lines), largest)
+    axes.set_ylim(-reach, reach)
 
 
-def _draw_map(figure: Canvas, axes: Axes, shown: PlaceMap, sensor: SensorType) -> None:
-    bare(axes)
-    draw_sheet(axes, sensor.outline, filled=True)
-    draw_electrodes(axes, sensor.electrodes, sensor.outline)
-    norm, colours = _scale(shown)
-    radius = _disc_mm(shown, sensor)
+def _draw_values(axes: Axes, shown: PlaceMap, sensor: SensorType, norm: Normalize, colours: Colormap) -> None:
+    radius_mm = disc_radius_mm([(place.x_mm, place.y_mm) for place in shown.places], sensor)
     for place in shown.places:
-        at = (place.x_mm, place.y_mm)
-        face = colours(norm(place.value))
-        axes.add_patch(Circle(at, radius, facecolor=face, edgecolor=QUIET, linewidth=0.5, zorder=4))
-        if len(shown.places) <= _MOST_NAMES:
+        at, face = (place.x_mm, place.y_mm), colours(norm(place.value))
+        axes.add_patch(Circle(at, radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.5, zorder=4))
+        if len(shown.places) <= MOST_NAMES:
             red, green, blue, _ = face
             dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
             name = axes.text(*at, place.label, ha="center", va="center", fontsize=6.5, zorder=6)
             name.set_color("white" if dark else INK)
-    fit_sheet(axes, sensor.outline)
-    axes.set_title(shown.title, fontweight="normal")
-    add_scale(figure, axes, norm, colours, label=shown.unit, place="right")
 
 
 def _scale(shown: PlaceMap) -> tuple[Normalize, Colormap]:
@@ -251,12 +199,3 @@ def _scale(shown: PlaceMap) -> tuple[Normalize, Colormap]:
     low, high = min(values), max(values)
     room = 0.1 * (high - low) or 0.01 * abs(high) or 1e-6
     return Normalize(low - room, high + room), AMOUNT_MAP
-
-
-def _disc_mm(shown: PlaceMap, sensor: SensorType) -> float:
-    """Radius that lets most neighbours stand clear of each other."""
-    at = np.array([(place.x_mm, place.y_mm) for place in shown.places])
-    apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
-    apart[apart < 1e-9] = np.inf
-    nearest = min(float(np.median(apart.min(axis=1))), sensor.radius_mm)
-    return float(np.clip(0.45 * nearest, 0.03 * sensor.radius_mm, 0.13 * sensor.radius_mm))

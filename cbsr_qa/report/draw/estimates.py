@@ -11,20 +11,18 @@ from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.geometry import Footprint
-from cbsr_qa.domain.results import Figure
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.report.draw.sheet import draw_electrodes, draw_heads, draw_sheet, fit_sheet, head_path
+from cbsr_qa.report.draw.sheet import draw_heads, head_path, sheet_axes
 from cbsr_qa.report.draw.style import (
     BLUE,
     FAINT,
     INK,
     QUIET,
     VERMILION,
-    bare,
     canvas,
     drawn,
-    light_grid,
     name_rows,
+    plot,
 )
 
 #: Mahalanobis distance of the ellipse that holds 68.27 % of a normal distribution in the plane.
@@ -70,23 +68,19 @@ class PlacedLoad:
         return bool(error @ np.linalg.solve(self.covariance_mm2, error) <= ELLIPSE_68**2)
 
 
-def estimates_figure(loads: Sequence[PlacedLoad], sensor: SensorType, *, caption: str, alternative: str) -> Figure:
+@drawn
+def estimates_figure(loads: Sequence[PlacedLoad], sensor: SensorType) -> Canvas:
     """Draw the sheet with both places of every load, lengthened errors, and their sizes beside it.
 
     Parameters
     ----------
     caption : must say by how much errors and ellipses are lengthened: see :func:`error_scale`.
     """
-
-    def build() -> Canvas:
-        figure = canvas(3.75)
-        axes = figure.add_axes((0.0, 0.01, 0.545, 0.98))
-        _draw_places(axes, loads, sensor, error_scale(loads))
-        side = figure.add_axes((0.64, 0.115, 0.345, 0.8))
-        _draw_errors(side, loads)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(3.75)
+    _draw_places(sheet_axes(figure, (0.0, 0.01, 0.545, 0.98), sensor), loads, error_scale(loads))
+    side = plot(figure, (0.64, 0.115, 0.345, 0.8), "error [mm]: × image, ● estimate", grid="x")
+    _draw_errors(side, loads)
+    return figure
 
 
 def error_scale(loads: Sequence[PlacedLoad]) -> int:
@@ -101,10 +95,7 @@ def error_scale(loads: Sequence[PlacedLoad]) -> int:
     return max((scale for scale in _SCALES if scale <= 1.5 * reach / largest), default=1)
 
 
-def _draw_places(axes: Axes, loads: Sequence[PlacedLoad], sensor: SensorType, scale: int) -> None:
-    bare(axes)
-    draw_sheet(axes, sensor.outline, filled=True)
-    draw_electrodes(axes, sensor.electrodes, sensor.outline)
+def _draw_places(axes: Axes, loads: Sequence[PlacedLoad], scale: int) -> None:
     heads = {load.pressed.centre_mm: head_path(load.pressed) for load in loads}
     draw_heads(axes, list(heads.values()), color=QUIET, dashed=True)
     ellipses = []
@@ -121,11 +112,9 @@ def _draw_places(axes: Axes, loads: Sequence[PlacedLoad], sensor: SensorType, sc
     axes.add_collection(
         PolyCollection(ellipses, facecolors="#0072b22a", edgecolors=BLUE, linewidths=0.8, zorder=5)
     )  # fmt: skip
-    fit_sheet(axes, sensor.outline)
 
 
 def _draw_errors(axes: Axes, loads: Sequence[PlacedLoad]) -> None:
-    light_grid(axes, "x")
     order = list(dict.fromkeys(load.label for load in loads))
     rank = {label: place for place, label in enumerate(order)}
     for load in loads:
@@ -140,7 +129,6 @@ def _draw_errors(axes: Axes, loads: Sequence[PlacedLoad]) -> None:
             axes.plot([0], [row + 0.18], marker="|", color=VERMILION, markersize=5, clip_on=False, zorder=4)
     name_rows(axes, order)
     axes.set_xlim(left=0)
-    axes.set_title("error [mm]: × image, ● estimate", fontweight="normal")
 
 
 def _ellipse(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

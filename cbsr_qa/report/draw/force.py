@@ -2,15 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.results import Figure
-from cbsr_qa.report.draw.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas, drawn, light_grid
+from cbsr_qa.report.draw.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas, dots, drawn, plot
 
 Array = NDArray[np.float64]
 
@@ -19,6 +18,14 @@ Array = NDArray[np.float64]
 _FURTHEST: Final = 1.5
 _BANDS: Final = ((2.0, 0.10), (1.0, 0.16))
 _STEPS: Final = 60
+#: Of loads as they would be without what the figure is about.
+_FAINT_MARK: Final[dict[str, Any]] = {
+    "markersize": 2.8,
+    "markerfacecolor": "none",
+    "markeredgecolor": QUIET,
+    "markeredgewidth": 0.6,
+    "zorder": 2.5,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +48,8 @@ class ForcePanel:
     missed_N: Array
 
 
-def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None, *, caption: str, alternative: str) -> Figure:
+@drawn
+def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canvas:
     """Draw estimated against measured force, and below it the errors with bands of one and two stated errors.
 
     Parameters
@@ -49,24 +57,17 @@ def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None, *, capti
     panels : one or two, each with a load.
     flat : the same loads with one response for the whole sheet, drawn faintly among the errors.
     """
-
-    def build() -> Canvas:
-        figure = canvas(4.9)
-        largest = _largest_N(panels, flat)
-        reach = _reach_N(panels, flat)
-        for number, panel in enumerate(panels):
-            left = 0.075 + 0.5 * number
-            above = figure.add_axes((left, 0.50, 0.41, 0.455))
-            below = figure.add_axes((left, 0.09, 0.41, 0.345), sharex=above)
-            _draw_estimates(above, panel, largest)
-            _draw_errors(below, panel, flat, largest, reach)
-            if number == 0:
-                above.set_ylabel("estimated force [N]")
-                below.set_ylabel("estimated − measured [N]")
-            below.set_xlabel("measured force [N]")
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(4.9)
+    largest = _largest_N(panels, flat)
+    reach = _reach_N(panels, flat)
+    for number, panel in enumerate(panels):
+        left = 0.095 + 0.5 * number
+        labels = ("", "") if number else ("estimated force [N]", "estimated − measured [N]")
+        above = plot(figure, (left, 0.50, 0.395, 0.455), panel.title, y=labels[0], grid="both")
+        below = plot(figure, (left, 0.09, 0.395, 0.345), x="measured force [N]", y=labels[1])
+        _draw_estimates(above, panel, largest)
+        _draw_errors(below, panel, flat, largest, reach)
+    return figure
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,23 +91,21 @@ class RatioPoints:
     band: Array
 
 
-def ratio_figure(points: RatioPoints, *, caption: str, alternative: str) -> Figure:
+@drawn
+def ratio_figure(points: RatioPoints) -> Canvas:
     """Draw the ratio against force: as seen, and with what the map explains taken out.
 
     Parameters
     ----------
     points : at least one.
     """
-
-    def build() -> Canvas:
-        figure = canvas(2.5)
-        axes = figure.add_axes((0.075, 0.175, 0.55, 0.74))
-        side = figure.add_axes((0.715, 0.175, 0.275, 0.74))
-        _draw_ratios(axes, points)
-        _draw_deviations(side, points)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(2.5)
+    axes = plot(figure, (0.075, 0.175, 0.55, 0.74), "each load of the calibration", x="measured force [N]")
+    axes.set_ylabel("seen over predicted change")
+    _draw_ratios(axes, points)
+    side = plot(figure, (0.715, 0.175, 0.275, 0.74), "what neither explains", grid="both")
+    _draw_deviations(side, points)
+    return figure
 
 
 def _largest_N(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> float:
@@ -127,20 +126,19 @@ def _reach_N(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> float:
 
 
 def _draw_estimates(axes: Axes, panel: ForcePanel, largest_N: float) -> None:
-    light_grid(axes, "both")
     axes.plot([0, largest_N], [0, largest_N], color=INK, linewidth=0.7, zorder=2)
     _points(axes, panel, panel.estimated_N, panel.stderr_N)
     if len(panel.missed_N):
-        axes.plot(panel.missed_N, np.zeros(len(panel.missed_N)), linestyle="", marker="x", color=VERMILION,
-                  markersize=5, markeredgewidth=1.1, clip_on=False, zorder=5)  # fmt: skip
+        marks = axes.plot(
+            panel.missed_N, np.zeros(len(panel.missed_N)), "x", color=VERMILION, clip_on=False, zorder=5
+        )
+        marks[0].set(markersize=5, markeredgewidth=1.1)
     axes.set_xlim(0, largest_N)
     axes.set_ylim(min(0.0, float(panel.estimated_N.min(initial=0.0)) * 1.06), largest_N)
     axes.tick_params(axis="x", labelbottom=False)
-    axes.set_title(panel.title, fontweight="normal")
 
 
 def _draw_errors(axes: Axes, panel: ForcePanel, flat: ForcePanel | None, largest_N: float, reach_N: float) -> None:
-    light_grid(axes)
     force = np.linspace(0, largest_N, _STEPS)
     stated = stated_error(panel.measured_N, panel.stderr_N, force)
     for times, alpha in _BANDS:
@@ -148,23 +146,19 @@ def _draw_errors(axes: Axes, panel: ForcePanel, flat: ForcePanel | None, largest
     axes.axhline(0.0, color=INK, linewidth=0.7, zorder=2)
     if flat is not None:
         error = flat.estimated_N - flat.measured_N
-        shown = np.abs(error) <= reach_N
-        axes.plot(flat.measured_N[shown], error[shown], linestyle="", marker="D", markersize=2.6,
-                  markerfacecolor="none", markeredgecolor=QUIET, markeredgewidth=0.6, zorder=2.5)  # fmt: skip
-        for upwards in (True, False):
-            out = ~shown & ((error > 0) == upwards)
-            axes.plot(flat.measured_N[out], np.full(int(out.sum()), 0.985 * reach_N * (1 if upwards else -1)),
-                      linestyle="", marker="^" if upwards else "v", markersize=3.4, markerfacecolor="none",
-                      markeredgecolor=QUIET, markeredgewidth=0.6, clip_on=False, zorder=2.5)  # fmt: skip
+        edge, beyond = 0.985 * reach_N, np.abs(error) > reach_N
+        for which, symbol in ((~beyond, "D"), (beyond & (error > 0), "^"), (beyond & (error < 0), "v")):
+            at = np.clip(error[which], -edge, edge) if symbol != "D" else error[which]
+            axes.plot(flat.measured_N[which], at, symbol, clip_on=symbol == "D", **_FAINT_MARK)
     _points(axes, panel, panel.estimated_N - panel.measured_N, None)
+    axes.set_xlim(0, largest_N)
     axes.set_ylim(-reach_N, reach_N)
 
 
 def _points(axes: Axes, panel: ForcePanel, values: Array, errors: Array | None) -> None:
-    for which, face in ((panel.sampled, BLUE), (~panel.sampled, "white")):
-        axes.errorbar(panel.measured_N[which], values[which], yerr=None if errors is None else errors[which],
-                      fmt="o", markersize=3.3, color=BLUE, markerfacecolor=face, markeredgewidth=0.8,
-                      elinewidth=0.8, zorder=4)  # fmt: skip
+    for which, hollow in ((panel.sampled, False), (~panel.sampled, True)):
+        stderr = None if errors is None else errors[which]
+        dots(axes, panel.measured_N[which], values[which], BLUE, errors=stderr, size=3.3, hollow=hollow, zorder=4)
 
 
 def stated_error(measured_N: Array, stderr_N: Array, force_N: Array) -> Array:
@@ -186,33 +180,23 @@ def stated_error(measured_N: Array, stderr_N: Array, force_N: Array) -> Array:
 
 
 def _draw_ratios(axes: Axes, points: RatioPoints) -> None:
-    light_grid(axes)
-    axes.plot(points.force_N, points.raw, linestyle="", marker="D", markersize=2.6, markerfacecolor="none",
-              markeredgecolor=QUIET, markeredgewidth=0.6, zorder=2)  # fmt: skip
-    axes.errorbar(points.force_N, points.placed, yerr=points.stderr, fmt="o", markersize=3.3, color=BLUE,
-                  elinewidth=0.8, zorder=4)  # fmt: skip
-    axes.fill_between(points.line_N, points.line - points.band, points.line + points.band, color=VERMILION,
-                      alpha=0.15, linewidth=0, zorder=1)  # fmt: skip
+    axes.plot(points.force_N, points.raw, "D", **_FAINT_MARK)
+    dots(axes, points.force_N, points.placed, BLUE, errors=points.stderr, size=3.3, zorder=4)
+    band = (points.line - points.band, points.line + points.band)
+    axes.fill_between(points.line_N, *band, color=VERMILION, alpha=0.15, linewidth=0, zorder=1)
     axes.plot(points.line_N, points.line, color=VERMILION, linewidth=1.0, zorder=3)
     axes.axhline(1.0, color=FAINT, linewidth=0.7, zorder=1)
     axes.set_xlim(0, 1.06 * float(max(points.force_N.max(), points.line_N.max(initial=0.0))))
-    axes.set_xlabel("measured force [N]")
-    axes.set_ylabel("seen over predicted change")
-    axes.set_title("each load of the calibration", fontweight="normal")
 
 
 def _draw_deviations(axes: Axes, points: RatioPoints) -> None:
-    """Draw what is left over of each load, in standard errors of one load, beside a normal distribution."""
+    """Draw the distribution of what is left over of each load."""
     expected = np.interp(points.force_N, points.line_N, points.line)
-    left = 100 * (points.placed / expected - 1)
-    order = np.argsort(left)
+    left = np.sort(100 * (points.placed / expected - 1))
     rank = (np.arange(len(left)) + 0.5) / len(left)
-    light_grid(axes, "both")
     axes.axvline(0.0, color=FAINT, linewidth=0.7, zorder=1)
-    axes.plot(left[order], 100 * rank, linestyle="", marker="o", markersize=3.0, color=BLUE, zorder=3)
+    dots(axes, left, 100 * rank, BLUE, size=3.0)
     widest = 1.15 * max(float(np.abs(left).max()), 1e-3)
-    axes.set_xlim(-widest, widest)
-    axes.set_ylim(0, 100)
+    axes.set(xlim=(-widest, widest), ylim=(0, 100))
     axes.set_xlabel("left over by map and line [%]")
     axes.set_ylabel("loads up to here [%]")
-    axes.set_title("what neither explains", fontweight="normal")

@@ -15,17 +15,25 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.geometry import SheetOutline
-from cbsr_qa.domain.results import SEVERITY, Figure, Image, Outcome
+from cbsr_qa.domain.results import SEVERITY, Image, Outcome
 from cbsr_qa.domain.sensor import Electrodes, Mesh, SensorType
-from cbsr_qa.report.draw.sheet import Raster, add_scale, draw_electrodes, draw_sheet, fit_sheet, reach
-from cbsr_qa.report.draw.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm, drawn
+from cbsr_qa.report.draw.sheet import (
+    MOST_NAMES,
+    Raster,
+    add_scale,
+    disc_radius_mm,
+    draw_electrodes,
+    draw_sheet,
+    fit_sheet,
+    reach,
+    sheet_axes,
+)
+from cbsr_qa.report.draw.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm, drawn, note
 from cbsr_qa.report.select import SIGNS, LocationVerdict
 
 _ACROSS: Final = 3
 _SIDE_IN: Final = 2.1
 _ROW_IN: Final = 2.62
-#: More places than this stand too close for their names.
-_MOST_NAMES: Final = 16
 #: As dark in grey print as the outcome is bad; the edge tells them apart besides.
 _LOOK: Final[dict[Outcome, dict[str, Any]]] = {
     Outcome.PASS: {"facecolor": "#e9f5f0", "edgecolor": "#00664b", "linewidth": 0.8},
@@ -40,34 +48,27 @@ _LOOK: Final[dict[Outcome, dict[str, Any]]] = {
 }
 
 
-def verdict_figure(
-    verdicts: Sequence[LocationVerdict], sensor: SensorType, *, caption: str, alternative: str
-) -> Figure:
+@drawn
+def verdict_figure(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> Canvas:
     """Draw a sheet for each phase with the outcome of every place.
 
     Parameters
     ----------
     verdicts : at least one.
     """
-
-    def build() -> Canvas:
-        phases = list(dict.fromkeys(verdict.phase for verdict in verdicts))
-        rows = ceil(len(phases) / _ACROSS)
-        height_in = rows * _ROW_IN
-        figure = canvas(height_in)
-        across = min(len(phases), _ACROSS)
-        step_in = WIDTH_IN / across if across > 1 else _SIDE_IN + 0.2
-        for number, phase in enumerate(phases):
-            row, column = divmod(number, _ACROSS)
-            left_in = column * step_in + (step_in - _SIDE_IN) / 2 * (across > 1)
-            bottom_in = height_in - (row + 1) * _ROW_IN + 0.24
-            axes = figure.add_axes(
-                (left_in / WIDTH_IN, bottom_in / height_in, _SIDE_IN / WIDTH_IN, _SIDE_IN / height_in)
-            )
-            _draw_phase(axes, phase, [verdict for verdict in verdicts if verdict.phase == phase], sensor)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    phases = list(dict.fromkeys(verdict.phase for verdict in verdicts))
+    height_in = ceil(len(phases) / _ACROSS) * _ROW_IN
+    figure = canvas(height_in)
+    across = min(len(phases), _ACROSS)
+    step_in = WIDTH_IN / across if across > 1 else _SIDE_IN + 0.2
+    for number, phase in enumerate(phases):
+        row, column = divmod(number, _ACROSS)
+        left_in = column * step_in + (step_in - _SIDE_IN) / 2 * (across > 1)
+        bottom_in = height_in - (row + 1) * _ROW_IN + 0.24
+        box = (left_in / WIDTH_IN, bottom_in / height_in, _SIDE_IN / WIDTH_IN, _SIDE_IN / height_in)
+        axes = sheet_axes(figure, box, sensor, numbered=False)
+        _draw_phase(axes, phase, [verdict for verdict in verdicts if verdict.phase == phase], sensor)
+    return figure
 
 
 def outcome_counts(verdicts: Sequence[LocationVerdict]) -> str:
@@ -77,31 +78,17 @@ def outcome_counts(verdicts: Sequence[LocationVerdict]) -> str:
 
 
 def _draw_phase(axes: Axes, phase: str, verdicts: Sequence[LocationVerdict], sensor: SensorType) -> None:
-    bare(axes)
-    draw_sheet(axes, sensor.outline, filled=True)
-    draw_electrodes(axes, sensor.electrodes, sensor.outline, numbered=False)
-    radius_mm = _disc_mm(verdicts, sensor)
-    named = len(verdicts) <= _MOST_NAMES
+    radius_mm = disc_radius_mm([(verdict.x_mm, verdict.y_mm) for verdict in verdicts], sensor, least=0.06)
     # The worst last, so that none hides below a neighbour that passed.
     for verdict in sorted(verdicts, key=lambda v: -SEVERITY.index(v.outcome)):
-        axes.add_patch(Circle((verdict.x_mm, verdict.y_mm), radius_mm, zorder=4, **_LOOK[verdict.outcome]))
-        sign = SIGNS[verdict.outcome]
-        text = f"{sign}\n{verdict.label}" if named else sign
-        colour = "white" if verdict.outcome is Outcome.FAIL else INK
-        axes.text(verdict.x_mm, verdict.y_mm, text, ha="center", va="center", fontsize=5.5, linespacing=0.95,
-                  color=colour, fontweight="bold" if verdict.outcome is not Outcome.PASS else "normal",
-                  zorder=6)  # fmt: skip
-    fit_sheet(axes, sensor.outline)
+        at, sign = (verdict.x_mm, verdict.y_mm), SIGNS[verdict.outcome]
+        axes.add_patch(Circle(at, radius_mm, zorder=4, **_LOOK[verdict.outcome]))
+        text = axes.text(*at, f"{sign}\n{verdict.label}" if len(verdicts) <= MOST_NAMES else sign)
+        text.set(ha="center", va="center", fontsize=5.5, linespacing=0.95, zorder=6)
+        text.set_color("white" if verdict.outcome is Outcome.FAIL else INK)
+        text.set_fontweight("normal" if verdict.outcome is Outcome.PASS else "bold")
     axes.set_title(phase, loc="center", pad=2, fontweight="normal")
-    axes.text(0.5, -0.015, outcome_counts(verdicts), transform=axes.transAxes, ha="center", va="top", fontsize=7)
-
-
-def _disc_mm(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> float:
-    """Radius that lets neighbours stand clear of each other, and a sign fit in."""
-    at = np.array([(verdict.x_mm, verdict.y_mm) for verdict in verdicts])
-    apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
-    nearest = float(np.min(apart, where=apart > 1e-9, initial=0.34 * sensor.radius_mm))
-    return float(np.clip(0.48 * nearest, 0.06 * sensor.radius_mm, 0.16 * sensor.radius_mm))
+    note(axes, 0.5, -0.015, outcome_counts(verdicts), ha="center", va="top")
 
 
 _SCALE_LABEL: Final = "conductance change Δγ/γ₀ [%]"
@@ -139,16 +126,15 @@ class ImagePanel:
     track: NDArray[np.float64] | None = None
 
 
+@drawn
 def image_figure(
     panels: Sequence[ImagePanel],
     *,
     sheet: SheetOutline,
-    caption: str,
-    alternative: str,
     electrodes: Electrodes | None = None,
     columns: int = 3,
     shared_scale: bool = True,
-) -> Figure:
+) -> Canvas:
     """Draw images side by side, with electrodes and markers.
 
     Parameters
@@ -165,27 +151,23 @@ def image_figure(
     Figure
         Colours show the relative conductance change in percent: blue conducts more, brown less.
     """
-
-    def build() -> Canvas:
-        across = min(columns, len(panels))
-        each_in, below_in = (0.0, 0.6) if shared_scale else (_SCALE_IN, 0.1)
-        figure, places = _laid_out(len(panels), across, each_in=each_in, below_in=below_in)
-        sizes = [float(np.abs(panel.image.values).max()) for panel in panels]
-        rasters: dict[int, Raster] = {}
-        for panel, size, axes in zip(panels, sizes, places, strict=True):
-            mesh = panel.image.mesh
-            if id(mesh) not in rasters:
-                rasters[id(mesh)] = Raster(mesh, sheet, 420 if across < 3 else 300)
-            _draw_panel(axes, panel, rasters[id(mesh)], sheet, max(sizes) if shared_scale else size)
-            if electrodes is not None:
-                draw_electrodes(axes, electrodes, sheet)
-            if not shared_scale:
-                _draw_own_scale(figure, axes, size)
-        if shared_scale:
-            _draw_scale(figure, max(sizes))
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    across = min(columns, len(panels))
+    each_in, below_in = (0.0, 0.6) if shared_scale else (_SCALE_IN, 0.1)
+    figure, places = _laid_out(len(panels), across, each_in=each_in, below_in=below_in)
+    sizes = [float(np.abs(panel.image.values).max()) for panel in panels]
+    rasters: dict[int, Raster] = {}
+    for panel, size, axes in zip(panels, sizes, places, strict=True):
+        mesh = panel.image.mesh
+        if id(mesh) not in rasters:
+            rasters[id(mesh)] = Raster(mesh, sheet, 420 if across < 3 else 300)
+        _draw_panel(axes, panel, rasters[id(mesh)], sheet, max(sizes) if shared_scale else size)
+        if electrodes is not None:
+            draw_electrodes(axes, electrodes, sheet)
+        if not shared_scale:
+            _draw_own_scale(figure, axes, size)
+    if shared_scale:
+        _draw_scale(figure, max(sizes))
+    return figure
 
 
 def _laid_out(count: int, across: int, *, each_in: float, below_in: float) -> tuple[Canvas, list[Axes]]:
@@ -243,7 +225,7 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutli
             )  # readable on dark images
     axes.set_title(panel.title, loc="center", pad=2)
     if panel.note:
-        axes.text(0.5, -0.01, panel.note, transform=axes.transAxes, ha="center", va="top", fontsize=7, color=QUIET)
+        note(axes, 0.5, -0.01, panel.note, QUIET, ha="center", va="top")
     fit_sheet(axes, sheet)
 
 

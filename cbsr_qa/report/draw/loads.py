@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,13 +11,12 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
 
 from cbsr_qa.domain.geometry import Footprint, SheetOutline
-from cbsr_qa.domain.results import Figure, Image, Outcome, Region
+from cbsr_qa.domain.results import Image, Outcome, Region
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.draw.sheet import (
     Raster,
     add_scale,
     draw_circles,
-    draw_electrodes,
     draw_heads,
     draw_outlines,
     draw_sheet,
@@ -25,6 +24,7 @@ from cbsr_qa.report.draw.sheet import (
     head_path,
     reach,
     region_path,
+    sheet_axes,
     sheet_patch,
 )
 from cbsr_qa.report.draw.style import (
@@ -36,11 +36,13 @@ from cbsr_qa.report.draw.style import (
     VERMILION,
     WIDTH_IN,
     bare,
+    beside,
     canvas,
     change_norm,
+    dots,
     drawn,
-    light_grid,
     name_rows,
+    plot,
     spread_labels,
 )
 
@@ -81,55 +83,51 @@ class SeenLoad:
     group: str
 
 
-def load_images_figure(
-    loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str, columns: int = 6
-) -> Figure:
+@drawn
+def load_images_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, columns: int = 6) -> Canvas:
     """Draw every load's image with the indenter over the outline of the sensed blob.
 
     Parameters
     ----------
     loads : at least one, all imaged on one mesh; headings are drawn where the group changes.
     """
-
-    def build() -> Canvas:
-        rows, sheet = ceil(len(loads) / columns), sensor.outline
-        low_x, high_x, low_y, high_y = sheet.extent_mm
-        radius, middle = reach(sheet), ((low_x + high_x) / 2, (low_y + high_y) / 2)
-        cell_x, cell_y = high_x - low_x + 0.12 * radius, high_y - low_y + 0.86 * radius
-        scale_in = WIDTH_IN / (columns * cell_x)
-        body_in = rows * cell_y * scale_in
-        height_in = body_in + 0.62
-        figure = canvas(height_in)
-        axes = figure.add_axes((0, 0.62 / height_in, 1, body_in / height_in))
-        bare(axes)
-        raster = Raster(loads[0].image.mesh, sheet, 200)
-        largest = max(float(np.abs(load.image.values).max()) for load in loads)
-        group, heads = "", []
-        for index, load in enumerate(loads):
-            row, column = divmod(index, columns)
-            centre = (column + 0.5) * cell_x, -(row + 0.5) * cell_y - 0.16 * radius
-            shift = centre[0] - middle[0], centre[1] - middle[1]
-            _draw_small(axes, load, raster, shift, largest)
-            _write_small(axes, load, centre, (high_y - low_y) / 2, radius)
-            draw_sheet(axes, sheet, shift)
-            if load.group != group:
-                place = shift[0] + low_x, shift[1] + high_y + 0.3 * radius
-                axes.text(*place, load.group, fontsize=7, fontweight="bold")
-                group = load.group
-            heads.append(head_path(load.pressed, shift))
-        draw_heads(axes, heads, color=VERMILION)
-        axes.set_xlim(0, columns * cell_x)
-        axes.set_ylim(-rows * cell_y, 0)
-        whole = figure.add_axes((0, 0, 1, 1))
-        whole.set_axis_off()
-        label = "conductance change Δγ/γ₀ [%]"
-        add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    rows, sheet = ceil(len(loads) / columns), sensor.outline
+    low_x, high_x, low_y, high_y = sheet.extent_mm
+    radius, middle = reach(sheet), ((low_x + high_x) / 2, (low_y + high_y) / 2)
+    cell_x, cell_y = high_x - low_x + 0.12 * radius, high_y - low_y + 0.86 * radius
+    scale_in = WIDTH_IN / (columns * cell_x)
+    body_in = rows * cell_y * scale_in
+    height_in = body_in + 0.62
+    figure = canvas(height_in)
+    axes = figure.add_axes((0, 0.62 / height_in, 1, body_in / height_in))
+    bare(axes)
+    raster = Raster(loads[0].image.mesh, sheet, 200)
+    largest = max(float(np.abs(load.image.values).max()) for load in loads)
+    group, heads = "", []
+    for index, load in enumerate(loads):
+        row, column = divmod(index, columns)
+        centre = (column + 0.5) * cell_x, -(row + 0.5) * cell_y - 0.16 * radius
+        shift = centre[0] - middle[0], centre[1] - middle[1]
+        _draw_small(axes, load, raster, shift, largest)
+        _write_small(axes, load, centre, (high_y - low_y) / 2, radius)
+        draw_sheet(axes, sheet, shift)
+        if load.group != group:
+            place = shift[0] + low_x, shift[1] + high_y + 0.3 * radius
+            axes.text(*place, load.group, fontsize=7, fontweight="bold")
+            group = load.group
+        heads.append(head_path(load.pressed, shift))
+    draw_heads(axes, heads, color=VERMILION)
+    axes.set_xlim(0, columns * cell_x)
+    axes.set_ylim(-rows * cell_y, 0)
+    whole = figure.add_axes((0, 0, 1, 1))
+    whole.set_axis_off()
+    label = "conductance change Δγ/γ₀ [%]"
+    add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
+    return figure
 
 
-def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str) -> Figure:
+@drawn
+def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas:
     """Draw the sheet with indenter (dashed), blob outlines, error arrows, and each location's metrics beside it.
 
     Parameters
@@ -137,57 +135,45 @@ def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, captio
     loads : trials of the same location share a label.
     caption : must say by how much the arrows are lengthened: see :func:`arrow_scale`.
     """
-
-    def build() -> Canvas:
-        figure = canvas(3.75)
-        axes = figure.add_axes((0.0, 0.01, 0.545, 0.98))
-        _draw_places(axes, loads, sensor, arrow_scale(loads))
-        firsts = {load.label: load for load in reversed(loads)}
-        for label, load in firsts.items():
-            above = load.y_mm + load.radius_mm + 0.03 * reach(sensor.outline)
-            axes.text(load.x_mm, above, label, ha="center", va="bottom", fontsize=7, fontweight="bold", zorder=9)
-        order = list(dict.fromkeys(load.label for load in loads))
-        error_axes = figure.add_axes((0.62, 0.115, 0.165, 0.8))
-        overlap_axes = figure.add_axes((0.825, 0.115, 0.165, 0.8))
-        _draw_dots(error_axes, order, [(load.label, load.error_mm, load.outcome) for load in loads])
-        _draw_dots(overlap_axes, order, [(load.label, load.overlap_percent, load.overlap_outcome) for load in loads])
-        error_axes.set_title("error E_CoM [mm]", fontweight="normal")
-        overlap_axes.set_title("overlap A_OL [%]", fontweight="normal")
-        error_axes.set_xlim(left=0)
-        overlap_axes.set_xlim(0, 104)
-        overlap_axes.set_xticks([0, 50, 70, 100])
-        overlap_axes.tick_params(labelleft=False)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(3.75)
+    axes = sheet_axes(figure, (0.0, 0.01, 0.545, 0.98), sensor)
+    _draw_places(axes, loads, arrow_scale(loads))
+    firsts = {load.label: load for load in reversed(loads)}
+    for label, load in firsts.items():
+        above = load.y_mm + load.radius_mm + 0.03 * reach(sensor.outline)
+        axes.text(load.x_mm, above, label, ha="center", va="bottom", fontsize=7, fontweight="bold", zorder=9)
+    order = list(dict.fromkeys(load.label for load in loads))
+    errors = plot(figure, (0.62, 0.115, 0.165, 0.8), "error E_CoM [mm]", grid="x")
+    overlaps = plot(figure, (0.825, 0.115, 0.165, 0.8), "overlap A_OL [%]", grid="x")
+    _draw_dots(errors, order, [(load.label, load.error_mm, load.outcome) for load in loads])
+    _draw_dots(overlaps, order, [(load.label, load.overlap_percent, load.overlap_outcome) for load in loads])
+    errors.set_xlim(left=0)
+    overlaps.set(xlim=(0, 104), xticks=[0, 50, 70, 100])
+    overlaps.tick_params(labelleft=False)
+    return figure
 
 
-def random_loads_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str) -> Figure:
+@drawn
+def random_loads_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas:
     """Draw random loads on a polar plot, discs growing with strain, and the error against strain beside it (Fig 11).
 
     Places are true to scale, on lines of x and y where the sheet is no disc; crosses mark where the load was seen.
     """
-
-    def build() -> Canvas:
-        figure = canvas(3.6)
-        axes = figure.add_axes((0.0, 0.02, 0.54, 0.96))
-        _draw_polar(axes, loads, sensor)
-        side = figure.add_axes((0.66, 0.14, 0.31, 0.74))
-        light_grid(side)
-        known = [(100 * load.strain, load.error_mm, load.label) for load in loads if load.error_mm is not None]
-        side.scatter([k[0] for k in known], [k[1] for k in known], s=18, c=BLUE, linewidths=0, zorder=3)
-        for strain, error, label in known:
-            side.annotate(label, (strain, error), (3.5, 2.5), textcoords="offset points", fontsize=6.5, color=QUIET)
-        for load in loads:
-            if load.error_mm is None:
-                side.plot([100 * load.strain], [0], marker="x", color=VERMILION, clip_on=False, zorder=4)
-        side.set_xlabel("compressive strain [%]")
-        side.set_title("error E_CoM [mm]", fontweight="normal")
-        side.set_xlim(0, max(32.0, 105 * max(load.strain for load in loads)))
-        side.set_ylim(0, 1.2 * max([error for _, error, _ in known], default=1.0) or 1.0)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(3.6)
+    axes = figure.add_axes((0.0, 0.02, 0.54, 0.96))
+    _draw_polar(axes, loads, sensor)
+    side = plot(figure, (0.66, 0.14, 0.31, 0.74), "error E_CoM [mm]", x="compressive strain [%]")
+    for load in loads:
+        at = (100 * load.strain, load.error_mm or 0.0)
+        if load.error_mm is None:
+            side.plot(*at, marker="x", color=VERMILION, clip_on=False, zorder=4)
+        else:
+            dots(side, *at, BLUE)
+            beside(side, load.label, at, (3.5, 2.5), QUIET, fontsize=6.5)
+    largest_mm = max([load.error_mm for load in loads if load.error_mm is not None], default=0.0)
+    side.set_xlim(0, max(32.0, 105 * max(load.strain for load in loads)))
+    side.set_ylim(0, 1.2 * largest_mm or 1.0)
+    return figure
 
 
 def arrow_scale(loads: Sequence[SeenLoad]) -> int:
@@ -217,10 +203,7 @@ def _write_small(axes: Axes, load: SeenLoad, centre: tuple[float, float], half: 
     axes.text(x, y - half - 0.04 * radius, note, ha="center", va="top", fontsize=6.5, color=colour)
 
 
-def _draw_places(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType, scale: int) -> None:
-    bare(axes)
-    draw_sheet(axes, sensor.outline, filled=True)
-    draw_electrodes(axes, sensor.electrodes, sensor.outline)
+def _draw_places(axes: Axes, loads: Sequence[SeenLoad], scale: int) -> None:
     heads = {(load.x_mm, load.y_mm): head_path(load.pressed) for load in loads}
     draw_heads(axes, list(heads.values()), color=QUIET, dashed=True)
     seen = [(load, load.sensed) for load in loads if load.sensed is not None]
@@ -228,38 +211,30 @@ def _draw_places(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType, scal
     if seen:
         start = np.array([load.pressed.centre_mm for load, _ in seen])
         error = np.array([region.centre_mm() for _, region in seen]) - start
-        axes.quiver(
-            *start.T,
-            *(scale * error).T,
-            angles="xy",
-            scale_units="xy",
-            scale=1,
-            width=0.005,
-            headwidth=4,
-            headlength=4.5,
-            headaxislength=4,
-            minlength=0.1,
-            color=INK,
-            zorder=8,
-        )
+        shape: dict[str, Any] = {
+            "width": 0.005,
+            "headwidth": 4,
+            "headlength": 4.5,
+            "headaxislength": 4,
+            "minlength": 0.1,
+        }
+        units: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1}
+        axes.quiver(*start.T, *(scale * error).T, color=INK, zorder=8, **units, **shape)
     for load in loads:
         if load.sensed is None:
             axes.plot([load.x_mm], [load.y_mm], marker="x", color=VERMILION, markersize=8, zorder=8)
-    fit_sheet(axes, sensor.outline)
 
 
-def _draw_dots(axes: Axes, order: list[str], dots: list[tuple[str, float | None, Outcome]]) -> None:
-    light_grid(axes, "x")
+def _draw_dots(axes: Axes, order: list[str], values: list[tuple[str, float | None, Outcome]]) -> None:
     rank = {label: place for place, label in enumerate(order)}
-    for label, value, outcome in dots:
-        failed = outcome in (Outcome.FAIL, Outcome.NOT_MEASURED)
+    for label, value, outcome in values:
         if value is None:
             axes.plot([0], [rank[label]], marker="x", color=VERMILION, clip_on=False, zorder=4)
-        else:
-            axes.plot([value], [rank[label]], marker="D" if failed else "o", markersize=4, linestyle="none")
-            axes.lines[-1].set(color=VERMILION if failed else BLUE, zorder=3, clip_on=False)
+            continue
+        failed = outcome in (Outcome.FAIL, Outcome.NOT_MEASURED)
+        dots(axes, value, rank[label], VERMILION if failed else BLUE, fmt="D" if failed else "o", clip_on=False)
     for label in order:
-        known = [value for name, value, _ in dots if name == label and value is not None]
+        known = [value for name, value, _ in values if name == label and value is not None]
         if len(known) > 1:
             axes.plot([min(known), max(known)], [rank[label]] * 2, color=FAINT, linewidth=1.4, zorder=2)
     name_rows(axes, order)

@@ -12,10 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import PathPatch
+from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.results import BaselineConductance, Figure
+from cbsr_qa.domain.results import BaselineConductance
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.draw.sheet import (
@@ -25,6 +26,7 @@ from cbsr_qa.report.draw.sheet import (
     draw_sheet,
     fit_sheet,
     head_path,
+    sheet_axes,
     sheet_patch,
 )
 from cbsr_qa.report.draw.style import (
@@ -37,82 +39,57 @@ from cbsr_qa.report.draw.style import (
     VERMILION,
     bare,
     canvas,
+    dots,
     drawn,
-    light_grid,
     name_rows,
+    plot,
 )
 from cbsr_qa.report.tables import with_uncertainty
 
 
-def baseline_figure(
-    places: Sequence[BaselineConductance],
-    sensor: SensorType,
-    indenter: Indenter,
-    *,
-    caption: str,
-    alternative: str,
-) -> Figure:
+@drawn
+def baseline_figure(places: Sequence[BaselineConductance], sensor: SensorType, indenter: Indenter) -> Canvas:
     """Draw ρ̄₀ at its places on the sheet, and the same values with error bars around their mean.
 
     Parameters
     ----------
     places : at least one with a value.
     """
-
-    def build() -> Canvas:
-        figure = canvas(3.5)
-        axes = figure.add_axes((0.0, 0.01, 0.5, 0.98))
-        known = [(place, place.value) for place in places if place.value is not None]
-        values = [value for _, value in known]
-        low, high = min(values), max(values)
-        room = 0.25 * (high - low) or 0.1 * abs(high) or 1e-6
-        norm = Normalize(low - room, high + room)
-        _draw_map(axes, places, sensor, indenter, norm)
-        add_scale(figure, axes, norm, AMOUNT_MAP, label="ρ̄₀ [relative]", place="right")
-        side = figure.add_axes((0.685, 0.13, 0.3, 0.78))
-        _draw_values(side, places, sum(values) / len(values))
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
-
-
-def _draw_map(
-    axes: Axes,
-    places: Sequence[BaselineConductance],
-    sensor: SensorType,
-    indenter: Indenter,
-    norm: Normalize,
-) -> None:
-    bare(axes)
-    draw_sheet(axes, sensor.outline, filled=True)
-    draw_electrodes(axes, sensor.electrodes, sensor.outline)
+    figure = canvas(3.5)
+    values = [place.value for place in places if place.value is not None]
+    low, high = min(values), max(values)
+    room = 0.25 * (high - low) or 0.1 * abs(high) or 1e-6
+    norm = Normalize(low - room, high + room)
+    axes = sheet_axes(figure, (0.0, 0.01, 0.5, 0.98), sensor)
     for place in places:
-        at = (place.x_mm, place.y_mm)
-        known = place.value is not None
-        face = AMOUNT_MAP(norm(place.value)) if place.value is not None else "white"
-        edge = QUIET if known else VERMILION
-        head = head_path(indenter.at(*at))
-        axes.add_patch(PathPatch(head, facecolor=face, edgecolor=edge, linewidth=0.7, zorder=4))
-        below = float(head.get_extents().ymin) - 0.02 * sensor.radius_mm
-        text = "no value" if place.value is None else with_uncertainty(place.value, place.stderr)
-        axes.text(place.x_mm, below, text, ha="center", va="top", fontsize=6.5, zorder=6)
-        dark = place.value is not None and norm(place.value) > 0.55
-        name = axes.text(*at, place.location, ha="center", va="center", fontsize=7, fontweight="bold", zorder=6)
-        name.set_color("white" if dark else INK)
-    fit_sheet(axes, sensor.outline)
+        _draw_head(axes, place, head_path(indenter.at(place.x_mm, place.y_mm)), norm, 0.02 * sensor.radius_mm)
+    add_scale(figure, axes, norm, AMOUNT_MAP, label="ρ̄₀ [relative]", place="right")
+    side = plot(figure, (0.685, 0.13, 0.3, 0.78), "ρ̄₀ ± its uncertainty; line: mean", grid="x")
+    _draw_values(side, places, sum(values) / len(values))
+    return figure
+
+
+def _draw_head(axes: Axes, place: BaselineConductance, head: Path, norm: Normalize, gap_mm: float) -> None:
+    """Colour the head's outline by the value there, with its name in it and the value below."""
+    face: str | tuple[float, float, float, float] = "white"
+    edge, text, colour = VERMILION, "no value", INK
+    if place.value is not None:
+        shade = float(norm(place.value))
+        face, edge, text = AMOUNT_MAP(shade), QUIET, with_uncertainty(place.value, place.stderr)
+        colour = "white" if shade > 0.55 else INK
+    axes.add_patch(PathPatch(head, facecolor=face, edgecolor=edge, linewidth=0.7, zorder=4))
+    below = float(head.get_extents().ymin) - gap_mm
+    axes.text(place.x_mm, below, text, ha="center", va="top", fontsize=6.5, zorder=6)
+    name = axes.text(place.x_mm, place.y_mm, place.location, color=colour, zorder=6)
+    name.set(ha="center", va="center", fontsize=7, fontweight="bold")
 
 
 def _draw_values(axes: Axes, places: Sequence[BaselineConductance], mean: float) -> None:
-    light_grid(axes, "x")
-    for row, place in enumerate(places):
-        if place.value is None:
-            continue
-        axes.errorbar(
-            [place.value], [row], xerr=[place.stderr or 0.0], fmt="o", markersize=3.5, color=BLUE, elinewidth=0.9
-        )
+    known = [(row, place.value, place.stderr or 0.0) for row, place in enumerate(places) if place.value is not None]
+    rows, values, errors = zip(*known, strict=True)
+    dots(axes, values, rows, BLUE, size=3.5, xerr=errors)
     axes.axvline(mean, color=INK, linewidth=0.8)
     name_rows(axes, [place.location for place in places])
-    axes.set_title("ρ̄₀ ± its uncertainty; line: mean", fontweight="normal")
 
 
 Array = NDArray[np.float64]
@@ -142,16 +119,10 @@ class SheetField:
     least_reach: float = 1e-3
 
 
+@drawn
 def force_map_figure(
-    fields: Sequence[SheetField],
-    sensor: SensorType,
-    *,
-    used_mm: Array,
-    refused_mm: Array,
-    radius_mm: float,
-    caption: str,
-    alternative: str,
-) -> Figure:
+    fields: Sequence[SheetField], sensor: SensorType, *, used_mm: Array, refused_mm: Array, radius_mm: float
+) -> Canvas:
     """Draw fields beside each other in steps, each step's edge a line with its value.
 
     Parameters
@@ -160,20 +131,16 @@ def force_map_figure(
     used_mm, refused_mm : (n, 2) places of the loads.
     radius_mm : of the calibrated area, dashed.
     """
-
-    def build() -> Canvas:
-        figure = canvas(3.35)
-        for number, field in enumerate(fields):
-            axes = figure.add_axes((0.5 * number, 0.005, 0.42, 0.9))
-            levels, colours = _scale(field, _inside(field, sensor))
-            _draw_field(axes, field, sensor, levels, colours)
-            _draw_places(axes, used_mm, refused_mm, radius_mm)
-            fit_sheet(axes, sensor.outline)
-            axes.set_title(field.title, fontweight="normal")
-            _draw_scale(figure, axes, levels, colours, field.unit)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(3.35)
+    for number, field in enumerate(fields):
+        axes = figure.add_axes((0.5 * number, 0.005, 0.42, 0.9))
+        levels, colours = _scale(field, _inside(field, sensor))
+        _draw_field(axes, field, sensor, levels, colours)
+        _draw_places(axes, used_mm, refused_mm, radius_mm)
+        fit_sheet(axes, sensor.outline)
+        axes.set_title(field.title, fontweight="normal")
+        _draw_scale(figure, axes, levels, colours, field.unit)
+    return figure
 
 
 def _inside(field: SheetField, sensor: SensorType) -> Array:
@@ -233,10 +200,8 @@ def _draw_field(axes: Axes, field: SheetField, sensor: SensorType, levels: Array
 
 def _draw_places(axes: Axes, used_mm: Array, refused_mm: Array, radius_mm: float) -> None:
     draw_circles(axes, np.zeros((1, 2)), radius_mm, color=INK, width=0.7, dashed=True)
-    axes.plot(*used_mm.T, linestyle="", marker="o", markersize=3.0, color="white", markeredgecolor=INK,
-              markeredgewidth=0.7, zorder=7)  # fmt: skip
-    axes.plot(*refused_mm.T, linestyle="", marker="x", markersize=4.5, color=VERMILION, markeredgewidth=1.2,
-              zorder=8)  # fmt: skip
+    axes.plot(*used_mm.T, "o", markersize=3.0, color="white", markeredgecolor=INK, markeredgewidth=0.7, zorder=7)
+    axes.plot(*refused_mm.T, "x", markersize=4.5, color=VERMILION, markeredgewidth=1.2, zorder=8)
 
 
 def _draw_scale(figure: Canvas, axes: Axes, levels: Array, colours: Colormap, label: str) -> None:

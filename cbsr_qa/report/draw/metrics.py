@@ -14,18 +14,21 @@ from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.readings import SampleBlock
-from cbsr_qa.domain.results import Figure, MetricTimeline
+from cbsr_qa.domain.results import MetricTimeline
 from cbsr_qa.report.draw.style import (
     BLUE,
     CYCLE,
+    DASHED,
     FAINT,
     INK,
     ORDERED,
     QUIET,
+    beside,
     canvas,
     drawn,
     fit_left,
-    light_grid,
+    note,
+    plot,
     spread_labels,
 )
 from cbsr_qa.report.draw.time import thinned
@@ -43,69 +46,57 @@ class Held:
     end_s: float
 
 
-def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held], *, caption: str, alternative: str) -> Figure:
+@drawn
+def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held]) -> Canvas:
     """Draw the three spatial metrics of every frame for every mask, with the force behind.
 
     Parameters
     ----------
     held : stretches in which something was pressed; lines are broken in between.
     """
-
-    def build() -> Canvas:
-        figure = canvas(5.0)
-        grid = figure.add_gridspec(3, 1, left=0.075, right=0.845, bottom=0.085, top=0.945, hspace=0.14)
-        rows = (
-            ("error E_CoM [mm]", timeline.error_mm),
-            ("overlap A_OL [%]", timeline.overlap_percent),
-            ("deviation SD [mm²]", timeline.deviation_mm2),
-        )
-        start_s = held[0].start_s if held else float(timeline.time_s[0])
-        labelled: list[Axes] = []
-        for row, (name, values) in enumerate(rows):
-            axes = figure.add_subplot(grid[row])
-            _draw_masks(axes, timeline, values, held, start_s)
-            _draw_force(figure, axes, timeline.force, held, start_s, labelled=row == 1)
-            axes.set_ylabel(name)
-            labelled.append(axes)
-            axes.tick_params(labelbottom=row == 2)
-            if row == 0:
-                _name_loads(axes, held, start_s)
-                _name_masks(axes, timeline.masks)
-        axes.set_xlabel("time since the first press [min]")
-        fit_left(figure, grid, labelled)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(5.0)
+    grid = figure.add_gridspec(3, 1, left=0.075, right=0.845, bottom=0.085, top=0.945, hspace=0.14)
+    rows = (
+        ("error E_CoM [mm]", timeline.error_mm),
+        ("overlap A_OL [%]", timeline.overlap_percent),
+        ("deviation SD [mm²]", timeline.deviation_mm2),
+    )
+    start_s = held[0].start_s if held else float(timeline.time_s[0])
+    labelled: list[Axes] = []
+    for row, (name, values) in enumerate(rows):
+        axes = plot(figure, grid[row], y=name)
+        _draw_masks(axes, timeline, values, held, start_s)
+        _draw_force(figure, axes, timeline.force, held, start_s, labelled=row == 1)
+        labelled.append(axes)
+        axes.tick_params(labelbottom=row == 2)
+        if row == 0:
+            _name_loads(axes, held, start_s)
+            _name_masks(axes, timeline.masks)
+    axes.set_xlabel("time since the first press [min]")
+    fit_left(figure, grid, labelled)
+    return figure
 
 
-def waiting_figure(
-    timeline: MetricTimeline, mask: int, held: Sequence[Held], *, caption: str, alternative: str
-) -> Figure:
+@drawn
+def waiting_figure(timeline: MetricTimeline, mask: int, held: Sequence[Held]) -> Canvas:
     """Draw error and overlap against the time held, mean and spread over the loads: what waiting buys.
 
     Parameters
     ----------
     mask : index of the mask that counts.
     """
-
-    def build() -> Canvas:
-        figure = canvas(1.95)
-        grid = figure.add_gridspec(1, 2, left=0.075, right=0.985, bottom=0.2, top=0.88, wspace=0.2)
-        rows = (("error E_CoM [mm]", timeline.error_mm[mask]), ("overlap A_OL [%]", timeline.overlap_percent[mask]))
-        for column, (name, values) in enumerate(rows):
-            axes = figure.add_subplot(grid[column])
-            light_grid(axes)
-            time_s, mean, low, high = held_profile(timeline.time_s, values, held)
-            axes.fill_between(time_s, low, high, color=BLUE, alpha=0.16, linewidth=0)
-            axes.plot(time_s, mean, color=BLUE, marker="o", markersize=2.2)
-            axes.set_title(name, fontweight="normal")
-            axes.set_xlabel("time held [s]")
-            axes.set_xlim(left=0)
-            if column == 0:
-                axes.set_ylim(bottom=0)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(1.95)
+    grid = figure.add_gridspec(1, 2, left=0.075, right=0.985, bottom=0.2, top=0.88, wspace=0.2)
+    rows = (("error E_CoM [mm]", timeline.error_mm[mask]), ("overlap A_OL [%]", timeline.overlap_percent[mask]))
+    for column, (name, values) in enumerate(rows):
+        axes = plot(figure, grid[column], name, x="time held [s]")
+        time_s, mean, low, high = held_profile(timeline.time_s, values, held)
+        axes.fill_between(time_s, low, high, color=BLUE, alpha=0.16, linewidth=0)
+        axes.plot(time_s, mean, color=BLUE, marker="o", markersize=2.2)
+        axes.set_xlim(left=0)
+        if column == 0:
+            axes.set_ylim(bottom=0)
+    return figure
 
 
 def held_profile(
@@ -142,7 +133,6 @@ def held_profile(
 def _draw_masks(
     axes: Axes, timeline: MetricTimeline, values: NDArray[np.float64], held: Sequence[Held], start_s: float
 ) -> None:
-    light_grid(axes)
     minutes = (timeline.time_s - start_s) / 60
     for number, series in enumerate(values):
         colour = mask_colour(number, len(values))
@@ -198,12 +188,12 @@ def _name_loads(axes: Axes, held: Sequence[Held], start_s: float) -> None:
 
 
 def _name_masks(axes: Axes, masks: Sequence[float]) -> None:
-    axes.text(1.075, 1.0, "mask", transform=axes.transAxes, va="top", fontsize=7, color=QUIET)
+    note(axes, 1.075, 1.0, "mask", QUIET, va="top")
     heights = spread_labels([0.84 - 0.17 * number for number in range(len(masks))], 0.15)
     for number, (fraction, height) in enumerate(zip(masks, heights, strict=True)):
         colour = mask_colour(number, len(masks))
         axes.plot([1.075, 1.105], [height] * 2, transform=axes.transAxes, color=colour, linewidth=2, clip_on=False)
-        axes.text(1.115, height, f"{100 * fraction:g} %", transform=axes.transAxes, va="center", fontsize=7)
+        note(axes, 1.115, height, f"{100 * fraction:g} %", va="center")
 
 
 def mask_colour(number: int, count: int) -> str:
@@ -222,35 +212,22 @@ class SizeSeries:
     regions_mm: tuple[float, ...]
 
 
-def size_figure(series: Sequence[SizeSeries], head_mm: float, *, caption: str, alternative: str) -> Figure:
+@drawn
+def size_figure(series: Sequence[SizeSeries], head_mm: float) -> Canvas:
     """Draw regions' diameters against targets', with the line on which they are equal and the head's size marked."""
-
-    def build() -> Canvas:
-        figure = canvas(2.1)
-        axes = figure.add_axes((0.075, 0.19, 0.4, 0.74))
-        _draw(axes, series, head_mm)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
-
-
-def _draw(axes: Axes, series: Sequence[SizeSeries], head_mm: float) -> None:
-    light_grid(axes, "both")
-    largest = 1.12 * max(max((*one.targets_mm, *one.regions_mm)) for one in series)
-    axes.plot([0, largest], [0, largest], color=FAINT, linestyle=(0, (4, 3)), zorder=1)
-    axes.annotate("as large as the target", (0.9 * largest, 0.97 * largest), (-4, 0), textcoords="offset points",
-                  ha="right", va="top", fontsize=7, color=QUIET, rotation=0)  # fmt: skip
+    figure = canvas(2.1)
+    labels = {"x": "diameter of the target [mm]", "y": "diameter of the region [mm]"}
+    axes = plot(figure, (0.075, 0.19, 0.4, 0.74), grid="both", **labels)
+    largest = 1.12 * max(max((*place.targets_mm, *place.regions_mm)) for place in series)
+    axes.plot([0, largest], [0, largest], color=FAINT, linestyle=DASHED, zorder=1)
+    equal = (0.9 * largest, 0.97 * largest)
+    beside(axes, "as large as the target", equal, (-4, 0), QUIET, ha="right", va="top")
     axes.axvline(head_mm, color=FAINT, linewidth=0.6, zorder=1)
-    axes.annotate("head", (head_mm, 0), (3, 3), textcoords="offset points", fontsize=7, color=QUIET)
-    for number, (one, colour) in enumerate(zip(series, CYCLE, strict=False)):
-        axes.plot(one.targets_mm, one.regions_mm, color=colour, marker="os^"[number % 3], markersize=4, zorder=3)
-        end = (one.targets_mm[-1], one.regions_mm[-1])
-        axes.annotate(one.title, end, (6, 0), textcoords="offset points", va="center", fontsize=7, color=INK,
-                      annotation_clip=False)  # fmt: skip
-    axes.set_xlim(0, largest)
-    axes.set_ylim(0, largest)
-    axes.set_xlabel("diameter of the target [mm]")
-    axes.set_ylabel("diameter of the region [mm]")
+    beside(axes, "head", (head_mm, 0), (3, 3), QUIET)
+    for number, (place, colour) in enumerate(zip(series, CYCLE, strict=False)):
+        axes.plot(place.targets_mm, place.regions_mm, color=colour, marker="os^"[number % 3], markersize=4, zorder=3)
+        end = (place.targets_mm[-1], place.regions_mm[-1])
+        beside(axes, place.title, end, (6, 0), va="center", annotation_clip=False)
     ticks = np.arange(0, largest, 5 if largest < 40 else 10 if largest < 80 else 20)
-    axes.set_xticks(ticks)
-    axes.set_yticks(ticks)
+    axes.set(xlim=(0, largest), ylim=(0, largest), xticks=ticks, yticks=ticks)
+    return figure

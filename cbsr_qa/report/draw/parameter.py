@@ -11,17 +11,20 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.results import Figure, ParameterCurve
+from cbsr_qa.domain.results import ParameterCurve
 from cbsr_qa.report.draw.style import (
     BLUE,
     CYCLE,
+    DASHED,
     FAINT,
     HAIR,
     INK,
     QUIET,
+    beside,
     canvas,
     drawn,
-    light_grid,
+    note,
+    plot,
 )
 from cbsr_qa.report.tables import number
 
@@ -49,9 +52,8 @@ class ParameterMark:
     chosen: bool
 
 
-def parameter_figure(
-    curve: ParameterCurve, marks: Sequence[ParameterMark], name: str, *, caption: str, alternative: str
-) -> Figure:
+@drawn
+def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name: str) -> Canvas:
     """Draw the noise figure over all that was searched, with the chosen value, and again large around all marks.
 
     Parameters
@@ -59,32 +61,27 @@ def parameter_figure(
     marks : one for each criterion; those that have no answer are named without a mark.
     name : of the parameter.
     """
-
-    def build() -> Canvas:
-        figure = canvas(2.35)
-        whole = figure.add_axes((0.07, 0.175, 0.3, 0.72))
-        close = figure.add_axes((0.44, 0.175, 0.335, 0.72))
-        across = near_marks(curve, marks)
-        for axes, title in ((whole, "all that was searched"), (close, "around the answers")):
-            _scale(axes, curve)
-            _draw_curve(axes, curve)
-            axes.set_title(title, fontweight="normal")
-            axes.set_xlabel(name if curve.discrete else f"{name} (no unit)")
-        whole.set_ylabel("noise figure")
-        _draw_marks(whole, [(order, mark) for order, mark in enumerate(marks) if mark.chosen])
-        _draw_marks(close, list(enumerate(marks)))
-        inside = curve.noise_figures[np.isfinite(curve.noise_figures)]
-        whole.set_ylim(0.7 * float(inside.min()), 1.4 * min(float(inside.max()), _LARGEST))
-        whole.axvspan(*across, color=HAIR, linewidth=0, zorder=0)
-        close.set_xlim(*across)
-        close.set_ylim(*_heights(curve, marks, across))
-        for axes in (whole, close):
-            _label_ticks(axes, discrete=curve.discrete)
-        _name_target(close, curve)
-        _name_marks(close, marks, discrete=curve.discrete)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure = canvas(2.35)
+    label = name if curve.discrete else f"{name} (no unit)"
+    boxes = ((0.07, 0.175, 0.3, 0.72), (0.44, 0.175, 0.29, 0.72))
+    whole = plot(figure, boxes[0], "all that was searched", x=label, y="noise figure", grid="both")
+    close = plot(figure, boxes[1], "around the answers", x=label, grid="both")
+    across = near_marks(curve, marks)
+    for axes in (whole, close):
+        axes.set(yscale="log", xscale="linear" if curve.discrete else "log")
+        _draw_curve(axes, curve)
+    _draw_marks(whole, [(order, mark) for order, mark in enumerate(marks) if mark.chosen])
+    _draw_marks(close, list(enumerate(marks)))
+    inside = curve.noise_figures[np.isfinite(curve.noise_figures)]
+    whole.set_ylim(0.7 * float(inside.min()), 1.4 * min(float(inside.max()), _LARGEST))
+    whole.axvspan(*across, color=HAIR, linewidth=0, zorder=0)
+    close.set_xlim(*across)
+    close.set_ylim(*_heights(curve, marks, across))
+    for axes in (whole, close):
+        _label_ticks(axes, discrete=curve.discrete)
+    _name_target(close, curve)
+    _name_marks(close, marks, discrete=curve.discrete)
+    return figure
 
 
 def near_marks(curve: ParameterCurve, marks: Sequence[ParameterMark]) -> tuple[float, float]:
@@ -110,13 +107,6 @@ def _heights(
     seen += [mark.noise_figure for mark in marks if mark.noise_figure is not None]
     seen += [] if curve.target is None else [curve.target]
     return min(seen) / 1.25, min(max(seen), _LARGEST) * 1.25
-
-
-def _scale(axes: Axes, curve: ParameterCurve) -> None:
-    axes.set_yscale("log")
-    if not curve.discrete:
-        axes.set_xscale("log")
-    light_grid(axes, "both")
 
 
 def _label_ticks(axes: Axes, *, discrete: bool) -> None:
@@ -148,7 +138,7 @@ def _draw_curve(axes: Axes, curve: ParameterCurve) -> None:
     else:
         axes.plot(curve.values, curve.noise_figures, color=BLUE, zorder=3)
     if curve.target is not None:
-        axes.axhline(curve.target, color=QUIET, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+        axes.axhline(curve.target, color=QUIET, linewidth=0.8, linestyle=DASHED, zorder=1)
 
 
 def _draw_marks(axes: Axes, marks: Sequence[tuple[int, ParameterMark]]) -> None:
@@ -175,21 +165,19 @@ def _look(order: int, *, chosen: bool) -> dict[str, Any]:
 
 def _name_target(axes: Axes, curve: ParameterCurve) -> None:
     if curve.target is not None:
-        place = (1.0, curve.target)
-        axes.annotate(f"target {curve.target:g}", place, (-2, 2), xycoords=("axes fraction", "data"),
-                      textcoords="offset points", ha="right", va="bottom", fontsize=7, color=QUIET)  # fmt: skip
+        look = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+        beside(axes, f"target {curve.target:g}", (1.0, curve.target), (-2, 2), QUIET, **look)
 
 
 def _name_marks(axes: Axes, marks: Sequence[ParameterMark], *, discrete: bool) -> None:
     """Write a key beside the axes: each criterion with its value and the noise figure there."""
     for order, mark in enumerate(marks):
         height = 0.97 - 0.25 * order
-        told = "no answer"
+        shown = "no answer"
         if mark.value is not None:
-            told = value_text(mark.value, discrete=discrete)
-            told += "" if mark.noise_figure is None else f", noise figure {number(mark.noise_figure)}"
+            shown = value_text(mark.value, discrete=discrete)
+            shown += "" if mark.noise_figure is None else f", noise figure {number(mark.noise_figure)}"
             axes.plot([1.06], [height], transform=axes.transAxes, clip_on=False, **_look(order, chosen=mark.chosen))
         title = f"{mark.title} (chosen)" if mark.chosen else mark.title
-        axes.text(1.1, height, title, transform=axes.transAxes, va="center", fontsize=7,
-                  fontweight="bold" if mark.chosen else "normal")  # fmt: skip
-        axes.text(1.1, height - 0.085, told, transform=axes.transAxes, va="center", fontsize=7, color=QUIET)
+        note(axes, 1.1, height, title, va="center", fontweight="bold" if mark.chosen else "normal")
+        note(axes, 1.1, height - 0.085, shown, QUIET, va="center")

@@ -5,27 +5,31 @@ Two relaxations side by side, and their difference within the margins of equival
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
+from matplotlib.gridspec import GridSpec
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import DirectedAgreement
 from cbsr_qa.calibration.fits import SHAPE_MARGIN, ComparedCurves, restricted_mean
-from cbsr_qa.domain.results import Figure, FitStatus, RelaxationFit, RelaxationObservation
+from cbsr_qa.domain.results import FitStatus, RelaxationFit, RelaxationObservation
 from cbsr_qa.report.draw.style import (
     BLUE,
+    DASHED,
     FAINT,
     INK,
     QUIET,
     VERMILION,
+    beside,
     canvas,
     drawn,
     fit_left,
-    light_grid,
+    note,
+    plot,
 )
 from cbsr_qa.report.draw.time import thinned
 from cbsr_qa.report.tables import unit_shown
@@ -34,56 +38,42 @@ from cbsr_qa.report.tables import unit_shown
 _NINETY: Final = 1.6449
 
 
-def agreement_figure(compared: Sequence[DirectedAgreement], *, caption: str, alternative: str) -> Figure:
+@drawn
+def agreement_figure(compared: Sequence[DirectedAgreement]) -> Canvas:
     """Draw both curves (above) and their difference with its 90 % interval and the margin (below), by direction.
 
     Parameters
     ----------
     compared : one column each; those without curves say why.
     """
-
-    def build() -> Canvas:
-        height_in = 3.3
-        figure = canvas(height_in)
-        grid = figure.add_gridspec(
-            2,
-            len(compared),
-            left=0.085,
-            right=0.985,
-            bottom=0.42 / height_in,
-            top=1 - 0.25 / height_in,
-            hspace=0.18,
-            wspace=0.2,
-            height_ratios=(1.2, 1.0),
-        )
-        labelled: list[Axes] = []
-        for column, agreement in enumerate(compared):
-            above, below = (figure.add_subplot(grid[row, column]) for row in range(2))
-            _draw(above, below, agreement)
-            if column == 0 and agreement.found.curves is not None:
-                above.set_ylabel("over the change")
-                below.set_ylabel("difference")
-                labelled += [above, below]
-        fit_left(figure, grid, labelled)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure, grid = _panels(3.3, 2, len(compared), hspace=0.18, height_ratios=(1.2, 1.0))
+    labelled: list[Axes] = []
+    for column, agreement in enumerate(compared):
+        curves, after = agreement.found.curves, "press" if agreement.loading else "release"
+        above = plot(figure, grid[0, column], f"after the {after}")
+        if curves is None:
+            note(above, 0.5, 0.5, "not compared", QUIET, ha="center")
+            above.set_axis_off()
+            continue
+        below = plot(figure, grid[1, column], x=_TIME_LABEL)
+        _draw_curves(above, curves, agreement)
+        _draw_difference(below, curves, str(agreement.found.shape))
+        if column == 0:
+            above.set_ylabel("over the change")
+            below.set_ylabel("difference")
+            labelled += [above, below]
+    fit_left(figure, grid, labelled)
+    return figure
 
 
-def _draw(above: Axes, below: Axes, agreement: DirectedAgreement) -> None:
-    curves, after = agreement.found.curves, "press" if agreement.loading else "release"
-    above.set_title(f"after the {after}", fontweight="normal")
-    if curves is None:
-        above.text(0.5, 0.5, "not compared", transform=above.transAxes, ha="center", color=QUIET)
-        above.set_axis_off()
-        below.set_axis_off()
-        return
-    _draw_curves(above, curves, agreement)
-    _draw_difference(below, curves, str(agreement.found.shape))
+def _panels(height_in: float, rows: int, columns: int, **spaces: Any) -> tuple[Canvas, GridSpec]:
+    """A figure of panels that share their time axis; ``spaces`` as of matplotlib's grid."""
+    figure = canvas(height_in)
+    edges = {"left": 0.085, "right": 0.985, "bottom": 0.42 / height_in, "top": 1 - 0.25 / height_in, "wspace": 0.2}
+    return figure, figure.add_gridspec(rows, columns, **(edges | spaces))
 
 
 def _draw_curves(axes: Axes, curves: ComparedCurves, agreement: DirectedAgreement) -> None:
-    light_grid(axes)
     for values, stderr, colour, words in (
         (curves.first, curves.first_stderr, VERMILION, agreement.first),
         (curves.second, curves.second_stderr, BLUE, agreement.second),
@@ -97,7 +87,6 @@ def _draw_curves(axes: Axes, curves: ComparedCurves, agreement: DirectedAgreemen
 
 
 def _draw_difference(axes: Axes, curves: ComparedCurves, words: str) -> None:
-    light_grid(axes)
     band = _NINETY * curves.stderr
     difference = curves.difference
     axes.axhspan(-SHAPE_MARGIN, SHAPE_MARGIN, color=QUIET, alpha=0.12, linewidth=0)
@@ -106,10 +95,10 @@ def _draw_difference(axes: Axes, curves: ComparedCurves, words: str) -> None:
     axes.set_xlim(0, float(curves.time_s[-1]))
     reach = max(1.6 * SHAPE_MARGIN, 1.15 * float((abs(difference) + band).max()))
     axes.set_ylim(-reach, reach)
-    axes.set_xlabel("time since the end of the ramp [s]")
-    axes.text(0.98, 0.95, words, transform=axes.transAxes, ha="right", va="top", fontsize=7, color=INK)
+    note(axes, 0.98, 0.95, words, ha="right", va="top")
 
 
+_TIME_LABEL: Final = "time since the end of the ramp [s]"
 _DIRECTIONS: Final = ((True, "after the press"), (False, "after the release"))
 
 #: Points per trace behind the one that is pointed out.
@@ -149,9 +138,8 @@ def relaxation_value(fit: RelaxationFit, time_s: NDArray[np.float64]) -> NDArray
     return fit.offset + sum((a * np.exp(-time_s / tau) for a, tau in terms), np.zeros_like(time_s))
 
 
-def relaxation_figure(
-    loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str], *, caption: str, alternative: str
-) -> Figure:
+@drawn
+def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str]) -> Canvas:
     """Draw the traces of all loads in grey and one with its fit, settling band and settling time.
 
     Parameters
@@ -159,67 +147,40 @@ def relaxation_figure(
     shown : the load that is pointed out.
     signals : one row each.
     """
-
-    def build() -> Canvas:
-        height_in = 1.75 * len(signals) + 0.45
-        figure = canvas(height_in)
-        grid = figure.add_gridspec(
-            len(signals),
-            2,
-            left=0.085,
-            right=0.985,
-            bottom=0.42 / height_in,
-            top=1 - 0.25 / height_in,
-            hspace=0.34,
-            wspace=0.2,
-        )
-        labelled: list[Axes] = []
-        for row, signal in enumerate(signals):
-            for column, (loading, words) in enumerate(_DIRECTIONS):
-                axes = figure.add_subplot(grid[row, column])
-                light_grid(axes)
-                _draw_quiet(axes, [load.one(signal, loading) for load in loads if load is not shown])
-                _draw_fit(axes, shown.one(signal, loading))
-                axes.set_title(f"{signal} {words}", fontweight="normal")
-                axes.set_xlim(left=0)
-                if row == len(signals) - 1:
-                    axes.set_xlabel("time since the end of the ramp [s]")
-                if column == 0:
-                    axes.set_ylabel(_axis_label(signal, loads))
-                    labelled.append(axes)
-        fit_left(figure, grid, labelled)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    figure, grid = _panels(1.75 * len(signals) + 0.45, len(signals), 2, hspace=0.34)
+    labelled: list[Axes] = []
+    for row, signal in enumerate(signals):
+        for column, (loading, words) in enumerate(_DIRECTIONS):
+            axes = plot(figure, grid[row, column], f"{signal} {words}")
+            _draw_quiet(axes, [load.one(signal, loading) for load in loads if load is not shown])
+            _draw_fit(axes, shown.one(signal, loading))
+            axes.set_xlim(left=0)
+            if row == len(signals) - 1:
+                axes.set_xlabel(_TIME_LABEL)
+            if column == 0:
+                axes.set_ylabel(_axis_label(signal, loads))
+                labelled.append(axes)
+    fit_left(figure, grid, labelled)
+    return figure
 
 
-def settling_figure(
-    loads: Sequence[SettledLoad], signals: Sequence[str], *, caption: str, alternative: str
-) -> Figure:
+@drawn
+def settling_figure(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Canvas:
     """Draw settling times in the order of the loads, or against strain where there are several strains.
 
     Filled: after the press. Open: after the release. An arrow stands for "later than this".
     """
-
-    def build() -> Canvas:
-        height_in = 1.55 * len(signals) + 0.75
-        figure = canvas(height_in)
-        grid = figure.add_gridspec(
-            len(signals), 1, left=0.075, right=0.86, bottom=0.62 / height_in, top=1 - 0.2 / height_in, hspace=0.3
-        )
-        for row, signal in enumerate(signals):
-            axes = figure.add_subplot(grid[row])
-            light_grid(axes)
-            for loading, words in _DIRECTIONS:
-                _draw_settling(axes, loads, signal, loading, words)
-            axes.set_ylim(0, 1.12 * _latest(loads, signal))
-            axes.set_xlim(-0.8, len(loads) - 0.2)
-            axes.set_title(signal, fontweight="normal")
-            axes.set_ylabel("settling [s]")
-            _name_columns(axes, loads, last=row == len(signals) - 1)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    height_in = 1.55 * len(signals) + 0.75
+    edges = {"left": 0.075, "right": 0.86, "bottom": 0.62 / height_in, "top": 1 - 0.2 / height_in}
+    figure, grid = _panels(height_in, len(signals), 1, hspace=0.3, **edges)
+    for row, signal in enumerate(signals):
+        axes = plot(figure, grid[row], signal, y="settling [s]")
+        for loading, words in _DIRECTIONS:
+            _draw_settling(axes, loads, signal, loading, words)
+        axes.set_ylim(0, 1.12 * _latest(loads, signal))
+        axes.set_xlim(-0.8, len(loads) - 0.2)
+        _name_columns(axes, loads, last=row == len(signals) - 1)
+    return figure
 
 
 def _draw_quiet(axes: Axes, relaxations: Sequence[RelaxationObservation | None]) -> None:
@@ -234,7 +195,7 @@ def _draw_quiet(axes: Axes, relaxations: Sequence[RelaxationObservation | None])
 
 def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
     if relaxation is None or not len(relaxation.trace.values):
-        axes.text(0.5, 0.5, "not recorded", transform=axes.transAxes, ha="center", color=QUIET)
+        note(axes, 0.5, 0.5, "not recorded", QUIET, ha="center")
         axes.set_axis_off()
         return
     time_s, values = thinned(relaxation.trace.time_s, relaxation.trace.values, 240)
@@ -242,7 +203,7 @@ def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
     fit, settling = relaxation.fit, relaxation.settling
     if fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING):
         ending = f"fit rejected: R² {fit.r_squared:.2f}" if fit.status is FitStatus.REJECTED else fit.status.value
-        axes.text(0.98, 0.95, ending, transform=axes.transAxes, ha="right", va="top")
+        note(axes, 0.98, 0.95, ending, ha="right", va="top")
         return
     fine = np.linspace(0.0, float(relaxation.trace.time_s[-1]), 160)
     axes.plot(fine, relaxation_value(fit, fine), color=INK, linewidth=1.1, zorder=4)
@@ -254,14 +215,10 @@ def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
 def _draw_time(axes: Axes, settled_s: float, end_s: float, *, late: bool) -> None:
     """Mark a settling time, with its words on the side where there is room."""
     sign = "≥ " if late else ""
-    axes.axvline(settled_s, color=VERMILION, linewidth=0.9, linestyle=(0, (4, 2)), zorder=2)
-    label = f"settled {sign}{settled_s:.1f} s"
-    right = settled_s > 0.6 * end_s
-    shift = (-3, -2) if right else (3, -2)
-    place = (settled_s, 1.0)
-    across = ("data", "axes fraction")
-    text = axes.annotate(label, place, shift, xycoords=across, textcoords="offset points", va="top", fontsize=7)
-    text.set(color=VERMILION, ha="right" if right else "left")
+    axes.axvline(settled_s, color=VERMILION, linewidth=0.9, linestyle=DASHED, zorder=2)
+    ha, shift = ("right", (-3, -2)) if settled_s > 0.6 * end_s else ("left", (3, -2))
+    words, across = f"settled {sign}{settled_s:.1f} s", ("data", "axes fraction")
+    beside(axes, words, (settled_s, 1.0), shift, VERMILION, xycoords=across, ha=ha, va="top")
 
 
 def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loading: bool, words: str) -> None:
@@ -281,12 +238,11 @@ def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loadin
     if not times or 2 * len(times) < sum(r is not None for _, r in relaxations):
         return
     mean_s, _ = restricted_mean([value for _, value, _ in times], [censored for _, _, censored in times])
-    axes.axhline(mean_s, color=colour, linewidth=0.8, linestyle="solid" if loading else (0, (4, 2)))
+    axes.axhline(mean_s, color=colour, linewidth=0.8, linestyle="solid" if loading else DASHED)
     height = 0.9 if loading else 0.62
-    axes.text(1.015, height, words, transform=axes.transAxes, color=colour, va="top", fontsize=7)
+    note(axes, 1.015, height, words, colour, va="top")
     bound = "≥ " if any(censored for _, _, censored in times) else ""
-    summary = f"mean {bound}{mean_s:.1f} s"
-    axes.text(1.015, height - 0.11, summary, transform=axes.transAxes, color=QUIET, va="top", fontsize=7)
+    note(axes, 1.015, height - 0.11, f"mean {bound}{mean_s:.1f} s", QUIET, va="top")
 
 
 def _latest(loads: Sequence[SettledLoad], signal: str) -> float:
@@ -302,15 +258,9 @@ def _name_columns(axes: Axes, loads: Sequence[SettledLoad], *, last: bool) -> No
     starts = [i for i, load in enumerate(loads) if i == 0 or load.group != loads[i - 1].group]
     for start in starts[1:]:
         axes.axvline(start - 0.5, color=FAINT, linewidth=0.6)
-    if last:
-        for start in starts:
-            offset = (0, -15)
-            at = ("data", "axes fraction")
-            words = loads[start].group
-            axes.annotate(
-                words, (start - 0.4, 0), offset, xycoords=at, textcoords="offset points", va="top", fontsize=6.5
-            )
-            axes.texts[-1].set_color(QUIET)
+    for start in starts if last else ():
+        under = {"xycoords": ("data", "axes fraction"), "va": "top", "fontsize": 6.5}
+        beside(axes, loads[start].group, (start - 0.4, 0), (0, -15), QUIET, **under)
 
 
 def _axis_label(signal: str, loads: Sequence[SettledLoad]) -> str:

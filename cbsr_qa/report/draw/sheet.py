@@ -4,6 +4,7 @@ Outlines of regions and heads, and pictures of images, ready to be drawn.
 """
 
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -19,8 +20,8 @@ from scipy.spatial import KDTree
 
 from cbsr_qa.domain.geometry import Disc, Footprint, SheetOutline
 from cbsr_qa.domain.results import Region
-from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Mesh
-from cbsr_qa.report.draw.style import FAINT, INK, QUIET
+from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Mesh, SensorType
+from cbsr_qa.report.draw.style import FAINT, INK, QUIET, Box, bare
 
 Point = tuple[float, float]
 
@@ -99,10 +100,36 @@ class Raster:
         return np.ma.MaskedArray(values[np.where(outside, 0, self.elements)], mask=outside)
 
 
+#: More places than this stand too close for their names.
+MOST_NAMES: Final = 16
 #: A circle of this many sides is round in print.
 _SIDES: Final = 72
 
 Shift = tuple[float, float]
+
+
+def sheet_axes(figure: Canvas, place: Box, sensor: SensorType, *, numbered: bool = True) -> Axes:
+    """Add axes that show a sensor's sheet with its electrodes, to scale."""
+    axes = figure.add_axes(place)
+    bare(axes)
+    draw_sheet(axes, sensor.outline, filled=True)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline, numbered=numbered)
+    fit_sheet(axes, sensor.outline)
+    return axes
+
+
+def disc_radius_mm(places_mm: Sequence[tuple[float, float]], sensor: SensorType, least: float = 0.03) -> float:
+    """Radius of discs at these places that lets most neighbours stand clear of each other.
+
+    Parameters
+    ----------
+    least : of the sheet's radius.
+    """
+    at = np.array(places_mm)
+    apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
+    apart[apart < 1e-9] = np.inf
+    nearest = min(float(np.median(apart.min(axis=1))), sensor.radius_mm)
+    return float(np.clip(0.46 * nearest, least * sensor.radius_mm, 0.15 * sensor.radius_mm))
 
 
 def draw_sheet(axes: Axes, sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, filled: bool = False) -> None:

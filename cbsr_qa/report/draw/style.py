@@ -11,17 +11,22 @@ import io
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Final, cast
+from functools import wraps
+from typing import Any, Final, ParamSpec, cast
 from xml.etree import ElementTree
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure as Canvas
-from matplotlib.gridspec import GridSpec
+from matplotlib.gridspec import GridSpec, SubplotSpec
+from numpy.typing import ArrayLike
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Figure
+
+P = ParamSpec("P")
+#: Left, bottom, width and height as fractions of a figure.
+Box = tuple[float, float, float, float]
 
 INK: Final = "#1c1c1c"
 QUIET: Final = "#6a6a6a"
@@ -42,6 +47,9 @@ ORDERED: Final = ("#9ecae1", "#56a0d3", "#2171b5", "#08306b")
 
 #: Text width of an A4 page with the report's margins [in].
 WIDTH_IN: Final = 6.9
+
+#: A line that is not the first to be looked at.
+DASHED: Final = (0, (4, 2))
 
 #: Kept clear at a figure's left edge [in].
 _MARGIN_IN: Final = 0.03
@@ -121,6 +129,62 @@ def light_grid(axes: Axes, which: str = "y") -> None:
     """Draw hairlines behind the data."""
     axes.grid(True, axis=which, color=HAIR, linewidth=0.5)  # type: ignore[arg-type]
     axes.set_axisbelow(True)
+
+
+def plot(
+    figure: Canvas, place: Box | SubplotSpec, title: str = "", *, x: str = "", y: str = "", grid: str = "y"
+) -> Axes:
+    """Add axes with hairlines behind the data.
+
+    Parameters
+    ----------
+    place : left, bottom, width and height as fractions of the figure; or a cell of a grid.
+    title, x, y : over the axes and along them.
+    grid : ``"x"``, ``"y"`` or ``"both"``.
+    """
+    axes = figure.add_subplot(place) if isinstance(place, SubplotSpec) else figure.add_axes(place)
+    light_grid(axes, grid)
+    axes.set_title(title, fontweight="normal")
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    return axes
+
+
+def note(axes: Axes, x: float, y: float, text: str, colour: str = INK, **look: Any) -> None:
+    """Write a note at fractions of the axes; ``look`` as matplotlib's text takes it."""
+    options: dict[str, Any] = {"color": colour, "fontsize": 7} | look
+    axes.text(x, y, text, transform=axes.transAxes, **options)
+
+
+def beside(
+    axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], colour: str = INK, **look: Any
+) -> None:
+    """Write a note beside a place of the data, ``shift`` points away."""
+    options: dict[str, Any] = {"color": colour, "fontsize": 7} | look
+    axes.annotate(text, at, shift, textcoords="offset points", **options)
+
+
+def dots(
+    axes: Axes,
+    x: ArrayLike,
+    y: ArrayLike,
+    colour: str,
+    *,
+    errors: ArrayLike | None = None,
+    size: float = 4.0,
+    hollow: bool = False,
+    **look: Any,
+) -> None:
+    """Draw values as dots with error bars along y."""
+    face = "white" if hollow else colour
+    options: dict[str, Any] = {
+        "markersize": size,
+        "markerfacecolor": face,
+        "elinewidth": 0.9,
+        "zorder": 3,
+        "fmt": "o",
+    } | look
+    axes.errorbar(x, y, yerr=errors, color=colour, **options)
 
 
 def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
@@ -203,16 +267,14 @@ _BITMAP: Final = re.compile(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=\s]*\Z")
 _OWN_URL: Final = re.compile(r"url\(\s*(?!['\"]?#)", re.IGNORECASE)
 
 
-def drawn(build: Callable[[], Canvas], *, caption: str, alternative: str) -> Figure:
-    """Build a figure under the shared settings and turn it into a block of the report.
+def drawn(build: Callable[P, Canvas]) -> Callable[P, str]:
+    """Make a function that builds a figure return its ``<svg>`` element, drawn under the shared settings."""
 
-    Parameters
-    ----------
-    build : makes the figure; called once.
-    caption : what to see in it.
-    alternative : the same in words, for who cannot see it.
-    """
-    return Figure(caption, alternative, svg_of(build))
+    @wraps(build)
+    def svg(*arguments: P.args, **options: P.kwargs) -> str:
+        return svg_of(lambda: build(*arguments, **options))
+
+    return svg
 
 
 def svg_of(build: Callable[[], Canvas]) -> str:

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.results import Figure, Trace
-from cbsr_qa.report.draw.style import BLUE, CYCLE, INK, QUIET, canvas, drawn, fit_left, light_grid
+from cbsr_qa.domain.results import Trace
+from cbsr_qa.report.draw.style import BLUE, CYCLE, INK, QUIET, beside, canvas, drawn, fit_left, light_grid, note
 from cbsr_qa.report.tables import duration, unit_shown
 
 
@@ -27,23 +27,20 @@ class Budget:
     parts: tuple[tuple[str, float], ...]
 
 
-def budget_figure(budgets: Sequence[Budget], *, caption: str, alternative: str) -> Figure:
+@drawn
+def budget_figure(budgets: Sequence[Budget]) -> Canvas:
     """Draw one panel of bars per budget, the largest part first, each bar with its time and share."""
-
-    def build() -> Canvas:
-        rows = max(len(budget.parts) for budget in budgets)
-        height_in = 0.19 * rows + 0.42
-        figure = canvas(height_in)
-        width = 1 / len(budgets)
-        for column, budget in enumerate(budgets):
-            share = len(budget.parts) / rows
-            top = 1 - 0.3 / height_in
-            height = (0.19 * rows / height_in) * share
-            axes = figure.add_axes((column * width + 0.15, top - height, width - 0.29, height))
-            _draw_bars(axes, budget)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    rows = max(len(budget.parts) for budget in budgets)
+    height_in = 0.19 * rows + 0.42
+    figure = canvas(height_in)
+    width = 1 / len(budgets)
+    for column, budget in enumerate(budgets):
+        share = len(budget.parts) / rows
+        top = 1 - 0.3 / height_in
+        height = (0.19 * rows / height_in) * share
+        axes = figure.add_axes((column * width + 0.15, top - height, width - 0.29, height))
+        _draw_bars(axes, budget)
+    return figure
 
 
 def _draw_bars(axes: Axes, budget: Budget) -> None:
@@ -52,8 +49,7 @@ def _draw_bars(axes: Axes, budget: Budget) -> None:
     axes.barh(range(len(parts)), [seconds for _, seconds in parts], height=0.68, color=BLUE, linewidth=0)
     for row, (_, seconds) in enumerate(parts):
         share = f"  ({100 * seconds / total:.0f} %)" if total else ""
-        told = f"{duration(seconds)}{share}"
-        axes.annotate(told, (seconds, row), (3, 0), textcoords="offset points", va="center", fontsize=7)
+        beside(axes, f"{duration(seconds)}{share}", (seconds, row), (3, 0), va="center")
     axes.set_yticks(range(len(parts)), [name for name, _ in parts])
     axes.set_ylim(len(parts) - 0.5, -0.5)
     axes.set_xticks([])
@@ -84,15 +80,14 @@ class Span:
     peak_s: float | None = None
 
 
+@drawn
 def timeline_figure(
     traces: Sequence[Trace],
     spans: Sequence[Span],
     *,
-    caption: str,
-    alternative: str,
     time_label: str = "time since the first complete frame [s]",
     panel_height_in: float = 1.35,
-) -> Figure:
+) -> Canvas:
     """Draw traces below each other over one time axis; traces of equal unit share a panel.
 
     Parameters
@@ -101,29 +96,25 @@ def timeline_figure(
     spans : shaded through all panels and named above the first.
     panel_height_in : of each panel [in].
     """
-
-    def build() -> Canvas:
-        panels = _by_unit(traces)
-        height_in = panel_height_in * len(panels) + 0.75
-        figure = canvas(height_in)
-        grid = figure.add_gridspec(
-            len(panels), 1, left=0.085, right=0.87, bottom=0.42 / height_in, top=1 - 0.3 / height_in, hspace=0.16
-        )
-        drawn_axes: list[Axes] = []
-        for row, (unit, members) in enumerate(panels):
-            axes = figure.add_subplot(grid[row], sharex=drawn_axes[0] if drawn_axes else None)
-            drawn_axes.append(axes)
-            _draw_traces(axes, members, unit)
-            for span in spans:
-                shade(axes, span, named=row == 0)
-            if row < len(panels) - 1:
-                axes.tick_params(labelbottom=False)
-        axes.set_xlabel(time_label)
-        axes.margins(x=0.01)
-        fit_left(figure, grid, drawn_axes)
-        return figure
-
-    return drawn(build, caption=caption, alternative=alternative)
+    panels = _by_unit(traces)
+    height_in = panel_height_in * len(panels) + 0.75
+    figure = canvas(height_in)
+    grid = figure.add_gridspec(
+        len(panels), 1, left=0.085, right=0.87, bottom=0.42 / height_in, top=1 - 0.3 / height_in, hspace=0.16
+    )
+    drawn_axes: list[Axes] = []
+    for row, (unit, members) in enumerate(panels):
+        axes = figure.add_subplot(grid[row], sharex=drawn_axes[0] if drawn_axes else None)
+        drawn_axes.append(axes)
+        _draw_traces(axes, members, unit)
+        for span in spans:
+            shade(axes, span, named=row == 0)
+        if row < len(panels) - 1:
+            axes.tick_params(labelbottom=False)
+    axes.set_xlabel(time_label)
+    axes.margins(x=0.01)
+    fit_left(figure, grid, drawn_axes)
+    return figure
 
 
 def shade(axes: Axes, span: Span, *, named: bool) -> None:
@@ -164,9 +155,7 @@ def _draw_traces(axes: Axes, traces: list[Trace], unit: str) -> None:
         time_s, values = thinned(trace.time_s, trace.values)
         axes.plot(time_s, values, color=colour, linewidth=0.9)
         if len(traces) > 1:
-            axes.text(
-                1.01, 0.95 - 0.13 * index, trace.name, transform=axes.transAxes, color=colour, va="top", fontsize=7
-            )
+            note(axes, 1.01, 0.95 - 0.13 * index, trace.name, colour, va="top")
     name = traces[0].name if len(traces) == 1 else ""
     shown = unit_shown(unit)
     axes.set_ylabel(f"{name}\n[{shown}]" if name and shown else name or (f"[{shown}]" if shown else ""), color=INK)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator, NullFormatter, StrMethodFormatter
 
-from cbsr_qa.report.draw import AMOUNT_MAP, INK, QUIET, checked_svg, drawn, light_grid
+from cbsr_qa.report.draw import AMOUNT_MAP, INK, QUIET, checked_svg, light_grid, svg_of
 from simulation_figures.worlds import Array, sensor_type
 
 #: Makes one figure.
@@ -123,7 +123,7 @@ def as_file(name: str, draw: Draw) -> str:
 
     Numbers are rounded, and what is referred to is named by its count: the last digit of a result changes nothing.
     """
-    svg = drawn(draw, caption=name, alternative=name).svg
+    svg = svg_of(draw)
     # Where the typeface is missing, one of the same width; white, since pages may be dark.
     svg = svg.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif")
     size = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', svg)

@@ -1,12 +1,11 @@
 """What press cycles on a strip tell about its material (paper 2.2 and 3.1)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
     Block,
     Characterisation,
@@ -14,58 +13,54 @@ from cbsr_qa.domain.results import (
     FittedLine,
     Paragraph,
     RunResult,
-    Section,
     StrainLevel,
     StrainSettling,
     Table,
     Trace,
 )
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation
-from cbsr_qa.report import number, plural, quantity, text_table, with_uncertainty
+from cbsr_qa.domain.sensor import Relaxation
+from cbsr_qa.report import RunSection, dashed, number, parameter_text, plural, quantity, text_table, with_uncertainty
 from cbsr_qa.report.draw import lines_figure, relaxations_figure, settling_by_strain_figure, timeline_figure
 
 _SHOWN_STRAIN: Final = 0.25  # whose cycles the paper's Fig 6 shows
 
 
-class MaterialCharacterisation:
+class MaterialCharacterisation(RunSection):
     """Section of a material's lines, kernels and settling times (paper: Figs 5 to 8, D.19)."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where the recipe characterises no material."""
-        if not isinstance(result, RunResult) or result.characterisation is None:
-            return None
+    title = "Characterisation of the material"
+
+    def blocks(self, result: RunResult) -> Iterator[Block]:
+        """Return lines, relaxations and settling times; nothing where the recipe characterises no material."""
         material = result.characterisation
-        blocks: list[Block] = [Paragraph(_in_words(material))]
-        blocks += [Paragraph(f"No material file may be issued: {why}.", "warning") for why in material.refused]
-        blocks += [
-            lines_figure(
-                material,
-                caption="Steady change of conductance of every cycle (dots), mean and standard deviation by strain,"
-                " line and its 95 % band. Open: left out of the line. Above: between the pins, as the paper has it"
-                " (its Fig 5). Below: under the head alone; its band has what is assumed of the pins' contacts.",
-                alternative=_in_words(material),
-            ),
-            _parameters(material),
-            _strains(material.levels),
-            *_cycles(result.record),
-            relaxations_figure(
-                material,
-                caption="Mean trace of every strain (dots) and its fit (line), from the level before the press and"
-                " without what earlier presses left. Red tick: settled.",
-                alternative="Relaxation after press and release at every strain, with fits.",
-            ),
-            settling_by_strain_figure(
-                material,
-                caption="Settling time by strain with its standard error: after the press (filled) and after the"
-                " release (open). Line and band: one fit to all strains. Triangle: a lower bound.",
-                alternative=_settled_in_words(material.settlings),
-            ),
-            _settlings(material),
-            _kernels(material),
-            Paragraph(_assumed(material), "note"),
-        ]
-        return Section("Characterisation of the material", tuple(blocks))
+        if material is None:
+            return
+        words = _in_words(material)
+        yield Paragraph(words)
+        yield from (Paragraph(f"No material file may be issued: {why}.", "warning") for why in material.refused)
+        yield Figure(
+            "Steady change of conductance of every cycle (dots), mean and standard deviation by strain, line and its"
+            " 95 % band. Open: left out of the line. Above: between the pins, as the paper has it (its Fig 5). Below:"
+            " under the head alone; its band has what is assumed of the pins' contacts.",
+            words,
+            lines_figure(material),
+        )
+        yield from (_parameters(material), _strains(material.levels))
+        yield from _cycles(result.record)
+        yield Figure(
+            "Mean trace of every strain (dots) and its fit (line), from the level before the press and without what"
+            " earlier presses left. Red tick: settled.",
+            "Relaxation after press and release at every strain, with fits.",
+            relaxations_figure(material),
+        )
+        yield Figure(
+            "Settling time by strain with its standard error: after the press (filled) and after the release (open)."
+            " Line and band: one fit to all strains. Triangle: a lower bound.",
+            _settled_in_words(material.settlings),
+            settling_by_strain_figure(material),
+        )
+        yield from (_settlings(material), _kernels(material), Paragraph(_assumed(material), "note"))
 
 
 def _in_words(material: Characterisation) -> str:
@@ -75,9 +70,10 @@ def _in_words(material: Characterisation) -> str:
         f"{plural(used, 'cycle')} at {plural(sum(not level.why for level in material.levels), 'strain')} were used."
     ]
     if apparent is not None and local is not None:
-        sentences.append(
-            f"The gauge factor is {_text(apparent.slope)} between the pins and {_text(local.slope)} under the head."
+        factors = (
+            f"{parameter_text(apparent.slope)} between the pins and {parameter_text(local.slope)} under the head"
         )
+        sentences.append(f"The gauge factor is {factors}.")
     if material.modulus_kPa is not None:
         sentences.append(
             f"The relaxed modulus is {quantity(material.modulus_kPa.value, 'kPa', material.modulus_kPa.stderr)}."
@@ -86,40 +82,23 @@ def _in_words(material: Characterisation) -> str:
     return " ".join([*sentences, *(f"Left out: {why}." for why in left_out)])
 
 
-def _text(parameter: Parameter | None) -> str:
-    return "–" if parameter is None else with_uncertainty(parameter.value, parameter.stderr)
-
-
 def _parameters(material: Characterisation) -> Table:
-    rows = [
-        [
-            "α against strain (gauge factor)",
-            *_both(material.against_strain, material.local_against_strain, "slope"),
-        ],
-        ["β against strain", *_both(material.against_strain, material.local_against_strain, "intercept")],
-        [
-            "α against stress [1/kPa]",
-            *_both(material.against_stress, material.local_against_stress, "slope"),
-        ],
-        ["β against stress", *_both(material.against_stress, material.local_against_stress, "intercept")],
-    ]
-    before, rested = (_slope(line) for line in material.end_of_hold)
+    lines = (
+        ("α against strain (gauge factor)", material.against_strain, material.local_against_strain, "slope"),
+        ("β against strain", material.against_strain, material.local_against_strain, "intercept"),
+        ("α against stress [1/kPa]", material.against_stress, material.local_against_stress, "slope"),
+        ("β against stress", material.against_stress, material.local_against_stress, "intercept"),
+    )
+    rows = [[name, _of(apparent, which), _of(local, which)] for name, apparent, local, which in lines]
+    before, rested = (_of(line, "slope") for line in material.end_of_hold)
     rows.append(["gauge factor as read at the end of holds, from before the press", before, "–"])
     rows.append(["the same, from the rested strip", rested, "–"])
     caption = "Δρ/ρ₀ = α x + β (paper Eqs 1 and 2), one standard error."
     return text_table(caption, ("Parameter", "Between the pins", "Under the head"), rows, (1, 2))
 
 
-def _both(apparent: FittedLine, local: FittedLine, which: str) -> list[str]:
-    return [_of(apparent.line, which), _of(local.line, which)]
-
-
-def _of(line: QuasiStatic | None, which: str) -> str:
-    return "–" if line is None else _text(line.slope if which == "slope" else line.intercept)
-
-
-def _slope(line: FittedLine) -> str:
-    return _of(line.line, "slope")
+def _of(fitted: FittedLine, which: str) -> str:
+    return dashed(fitted.line, lambda line: parameter_text(line.slope if which == "slope" else line.intercept))
 
 
 def _strains(levels: Sequence[StrainLevel]) -> Table:
@@ -127,7 +106,7 @@ def _strains(levels: Sequence[StrainLevel]) -> Table:
         [
             f"{100 * level.strain:g}",
             str(level.cycles),
-            "–" if level.stress_kPa is None else number(level.stress_kPa, 4),
+            dashed(level.stress_kPa, lambda stress: number(stress, 4)),
             with_uncertainty(100 * level.mean, 100 * level.deviation),
             with_uncertainty(100 * level.local_mean, 100 * level.local_deviation),
             level.why or "used",
@@ -151,8 +130,10 @@ def _cycles(record: RunRecord) -> list[Figure]:
     traces = [*_resistance(phase, start_s, end_s), *_force(phase, record.indenter.area_mm2, start_s, end_s)]
     caption = f"{plural(len(loads), 'cycle')} of {100 * strain:g} % strain, as they were read."
     return [
-        timeline_figure(
-            traces, [], caption=caption, alternative=caption, time_label="time since their first press [s]"
+        Figure(
+            caption,
+            caption,
+            timeline_figure(traces, [], time_label="time since their first press [s]"),
         )
     ]
 
@@ -184,8 +165,8 @@ def _settlings(material: Characterisation) -> Table:
         for strain in (*strains, None)
     ]
     caption = (
-        f"Settling to ± {100 * material.settings.settling_tolerance:g} %, of one fit to the cycles of a strain;"
-        " ≥: a lower bound."
+        f"Settling to ± {100 * material.settings.settling_tolerance:g} %, of one fit to the cycles of a strain; ≥: a"
+        " lower bound."
     )
     return text_table(caption, columns, rows, (0, 1, 2, 3))
 

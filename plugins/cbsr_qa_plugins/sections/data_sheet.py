@@ -3,7 +3,7 @@
 The baseline conductance ρ̄₀ at each location.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from cbsr_qa.calibration.fits import LoopCurve, loop_curve
@@ -18,7 +18,6 @@ from cbsr_qa.calibration.sheet import (
     repeatability,
 )
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
     BaselineConductance,
     Block,
@@ -29,11 +28,20 @@ from cbsr_qa.domain.results import (
     Paragraph,
     RunObservation,
     RunResult,
-    Section,
     Table,
 )
-from cbsr_qa.domain.sensor import Parameter
-from cbsr_qa.report import mean_deviation, number, observed, plural, text_table, value_cell, with_uncertainty
+from cbsr_qa.report import (
+    ObservedSection,
+    RunSection,
+    mean_deviation,
+    number,
+    parameter_text,
+    place_text,
+    plural,
+    text_table,
+    value_cell,
+    with_uncertainty,
+)
 from cbsr_qa.report.draw import (
     PlaceMap,
     PlaceValue,
@@ -44,33 +52,31 @@ from cbsr_qa.report.draw import (
 )
 
 
-class BaselineConductanceMap:
-    """Section of ρ̄₀ as issued in the calibration (paper: Eq 7)."""
+class BaselineConductanceMap(RunSection):
+    """Section of ρ̄₀ as issued in the calibration (paper: Eq 7); none where no calibration was issued."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where no calibration was issued or it holds no place."""
-        if not isinstance(result, RunResult) or result.calibration is None or not result.calibration.baseline:
-            return None
+    title = "Baseline conductance"
+
+    def blocks(self, result: RunResult) -> Iterator[Block]:
+        """Return map and table of ρ̄₀, the model used with it, and what reduces its validity."""
         calibration = result.calibration
-        blocks: list[Block] = [Paragraph(_in_words(calibration.baseline))]
+        if calibration is None or not calibration.baseline:
+            return
+        words = _in_words(calibration.baseline)
+        yield Paragraph(words)
         if any(place.value is not None for place in calibration.baseline):
-            blocks.append(
-                baseline_figure(
-                    calibration.baseline,
-                    calibration.sensor_type,
-                    calibration.indenter,
-                    caption="Baseline conductance ρ̄₀ where loads were calibrated: the apparent response of the place,"
-                    " relative image units. Right: the same with its uncertainty (one standard deviation).",
-                    alternative=_in_words(calibration.baseline),
-                )
+            yield Figure(
+                "Baseline conductance ρ̄₀ where loads were calibrated: the apparent response of the place, relative"
+                " image units. Right: the same with its uncertainty (one standard deviation).",
+                words,
+                baseline_figure(calibration.baseline, calibration.sensor_type, calibration.indenter),
             )
-        blocks += [_places(calibration.baseline), _model(calibration)]
+        yield from (_places(calibration.baseline), _model(calibration))
         if calibration.assumed:
             names = ", ".join(calibration.assumed)
-            text = f"Assumed from the material file and not measured on this sensor: {names}."
-            blocks.append(Paragraph(text, "note"))
-        blocks += [Paragraph(f"Reduced validity: {why}.", "warning") for why in calibration.validity.reduced]
-        return Section("Baseline conductance", tuple(blocks))
+            yield Paragraph(f"Assumed from the material file and not measured on this sensor: {names}.", "note")
+        for why in calibration.validity.reduced:
+            yield Paragraph(f"Reduced validity: {why}.", "warning")
 
 
 def _in_words(places: tuple[BaselineConductance, ...]) -> str:
@@ -88,8 +94,7 @@ def _places(places: tuple[BaselineConductance, ...]) -> Table:
     rows = []
     for place in places:
         value = "none" if place.value is None else with_uncertainty(place.value, place.stderr)
-        at = f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−")
-        rows.append([place.location, at, value, str(place.loads), place.why])
+        rows.append([place.location, place_text(place.x_mm, place.y_mm), value, str(place.loads), place.why])
     columns = ("Location", "x, y [mm]", "ρ̄₀ [relative]", "Loads", "Remark")
     return text_table("ρ̄₀ per location.", columns, rows, (1, 2, 3))
 
@@ -102,13 +107,9 @@ def _model(calibration: Calibration) -> Table:
         ("α against strain", strain.slope, "relative per unit strain"),
         ("β against strain", strain.intercept, "relative"),
     )
-    rows = [[name, _value(parameter), unit, parameter.source] for name, parameter, unit in parameters]
+    rows = [[name, parameter_text(parameter), unit, parameter.source] for name, parameter, unit in parameters]
     caption = "Quasi-static model Δρ/ρ₀ = α · x + β used with ρ̄₀, and where each parameter comes from."
     return text_table(caption, ("Parameter", "Value", "Unit", "Source"), rows, (1,))
-
-
-def _value(parameter: Parameter) -> str:
-    return with_uncertainty(parameter.value, parameter.stderr)
 
 
 #: Measurement, its qualifier, and what the data sheet calls it.
@@ -136,20 +137,17 @@ _NO_LOOP: Final = (
 )
 
 
-class DataSheet:
-    """Section of the figures a sensor's data sheet states; only where the recipe measures any of them."""
+class DataSheet(ObservedSection):
+    """Section of the values that a sensor's data sheet states; only where the recipe measures any of them."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where none of its figures was measured."""
-        run = observed(result)
-        if run is None or not isinstance(result, RunResult):
-            return None
+    title = "Data sheet of this sensor"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return the table, then figures of characteristic, loops and maps as far as they were measured."""
         whole = {(m.name, m.qualifier): m for m in result.measurements if not m.location and m.load is None}
-        if not any((name, qualifier) in whole for name, qualifier, _ in _ROWS):
-            return None
-        blocks: list[Block] = [_table(whole), *_by_strain(result.measurements)]
-        blocks += [*_characteristic(run), *_loops(run, whole), *_maps(run, result.measurements)]
-        return Section("Data sheet of this sensor", tuple(blocks))
+        if any((name, qualifier) in whole for name, qualifier, _ in _ROWS):
+            yield from (_table(whole), *_by_strain(result.measurements))
+            yield from (*_characteristic(run), *_loops(run, whole), *_maps(run, result.measurements))
 
 
 def _table(whole: dict[tuple[str, str], Measurement]) -> Table:
@@ -185,7 +183,7 @@ def _by_strain(measurements: Sequence[Measurement]) -> list[Block]:
     return [text_table(caption, columns, [["Repeatability [%]", *cells]], tuple(range(1, len(columns))))]
 
 
-def _characteristic(run: RunObservation) -> list[Block]:
+def _characteristic(run: RunObservation) -> Iterator[Figure]:
     """Figure of change against stress; nothing where there are too few strains, or no force."""
     loads = data_sheet_loads(run)
     curves = [c for c in characteristics(loads, run.main_mask) if _drawable(c)]
@@ -194,49 +192,40 @@ def _characteristic(run: RunObservation) -> list[Block]:
         assert mean.stress_kPa is not None
         line = best_straight_line(mean.stress_kPa.tolist(), mean.change.tolist())
     except NumericsError:
-        return []
+        return
     try:
         scatter: float | None = repeatability(loads, run.main_mask).value
     except NumericsError:
         scatter = None
     bars = "" if scatter is None else "; bars: repeatability over the root of the number of presses"
-    return [
-        characteristic_figure(
-            curves,
-            mean,
-            line,
-            scatter,
-            caption="Sensed change against relaxed stress. Grey: each location, in % of its own span. Blue: their"
-            " mean. Red: its best straight line. Right: what is left over from that line; shaded: the largest"
-            f" deviation of the mean, which is the nonlinearity{bars}.",
-            alternative=f"Change against stress at {plural(len(curves), 'location')}; the mean leaves its best"
-            f" straight line by at most {number(100 * line.largest, 2)} % of the span.",
-        )
-    ]
+    yield Figure(
+        "Sensed change against relaxed stress. Grey: each location, in % of its own span. Blue: their mean. Red: its"
+        " best straight line. Right: what is left over from that line; shaded: the largest deviation of the mean,"
+        f" which is the nonlinearity{bars}.",
+        f"Change against stress at {plural(len(curves), 'location')}; the mean leaves its best straight line by at"
+        f" most {number(100 * line.largest, 2)} % of the span.",
+        characteristic_figure(curves, mean, line, scatter),
+    )
 
 
-def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> list[Block]:
+def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> Iterator[Figure]:
     """Figure of the loops; nothing where hysteresis was not measured, or could not be."""
     hysteresis = whole.get(("hysteresis", ""))
     if hysteresis is None or hysteresis.value is None:
-        return []
+        return
     last_s = run.settings.steady_frames * run.frame_period_s
     curves, read = (_curves(run, last_s, relaxed=way) for way in (True, False))
-    if not curves:
-        return []
-    error = "" if hysteresis.uncertainty is None else f" ± {number(hysteresis.uncertainty, 2)}"
-    return [
-        loop_figure(
-            curves,
-            read,
-            caption="Output against relaxed stress through strains reached from below (blue, filled) and from above"
-            " (red, open) without lifting the head, mean over the cycles of each location. Right: the way down less"
-            " the way up at the same stress, with one standard error; grey crosses: the same as read at the end of"
-            " each hold, in which creep passes for hysteresis.",
-            alternative=f"Loops at {plural(len(curves), 'location')}; the branches differ by at most"
+    if curves:
+        error = "" if hysteresis.uncertainty is None else f" ± {number(hysteresis.uncertainty, 2)}"
+        yield Figure(
+            "Output against relaxed stress through strains reached from below (blue, filled) and from above (red,"
+            " open) without lifting the head, mean over the cycles of each location. Right: the way down less the way"
+            " up at the same stress, with one standard error; grey crosses: the same as read at the end of each hold,"
+            " in which creep passes for hysteresis.",
+            f"Loops at {plural(len(curves), 'location')}; the branches differ by at most"
             f" {number(hysteresis.value, 2)}{error} % of the span.",
+            loop_figure(curves, read),
         )
-    ]
 
 
 def _curves(run: RunObservation, last_s: float, *, relaxed: bool) -> list[LoopCurve]:
@@ -250,24 +239,17 @@ def _drawable(curve: Characteristic) -> bool:
     return len(curve.strain) >= FEWEST_POINTS and curve.stress_kPa is not None and curve.span > 0
 
 
-def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> list[Block]:
-    maps = [field for field in (_response_map(run), _modulus_map(run, measurements)) if field is not None]
-    return [_maps_figure(maps, run)] if maps else []
-
-
-def _maps_figure(maps: Sequence[PlaceMap], run: RunObservation) -> Figure:
-    words = "; ".join(
-        f"{shown.title} {number(min(p.value for p in shown.places))} to {number(max(p.value for p in shown.places))}"
-        f" {shown.unit}"
-        for shown in maps
-    )
-    return place_maps_figure(
-        maps,
-        run.record.sensor_type,
-        caption="By location. Response: ρ₀ over what the imaging makes of an even sheet there, against its mean."
-        " Modulus: relaxed stress over strain, against strain and place as they were asked for.",
-        alternative=f"Maps of the sheet: {words}.",
-    )
+def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[Figure]:
+    maps = [shown for shown in (_response_map(run), _modulus_map(run, measurements)) if shown is not None]
+    if maps:
+        ranges = [(shown, [place.value for place in shown.places]) for shown in maps]
+        words = "; ".join(f"{s.title} {number(min(v))} to {number(max(v))} {s.unit}" for s, v in ranges)
+        yield Figure(
+            "By location. Response: ρ₀ over what the imaging makes of an even sheet there, against its mean. Modulus:"
+            " relaxed stress over strain, against strain and place as they were asked for.",
+            f"Maps of the sheet: {words}.",
+            place_maps_figure(maps, run.record.sensor_type),
+        )
 
 
 def _response_map(run: RunObservation) -> PlaceMap | None:

@@ -1,6 +1,6 @@
 """Force: the map of the sheet's response, and estimates of loads it was not learned from against the load cell."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -23,14 +23,21 @@ from cbsr_qa.analysis.run import (
 from cbsr_qa.calibration.force import LearnedForce, prediction_words
 from cbsr_qa.calibration.runtime import interpolated
 from cbsr_qa.calibration.sheet import SheetPose
-from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Block, Cell, Figure, Paragraph, RunObservation, RunResult, Section, Table
-from cbsr_qa.report import number, observed, plural, text_table, value_cell, with_uncertainty
+from cbsr_qa.domain.results import Block, Cell, Figure, Paragraph, RunObservation, RunResult
+from cbsr_qa.report import (
+    ObservedSection,
+    number,
+    parameter_text,
+    place_text,
+    plural,
+    text_table,
+    value_cell,
+    with_uncertainty,
+)
 from cbsr_qa.report.draw import ForcePanel, RatioPoints, SheetField, force_figure, force_map_figure, ratio_figure
 
 Array = NDArray[np.float64]
 
-_TITLE: Final = "Force"
 #: Cells of the maps across the sheet.
 _ACROSS: Final = 61
 #: Rows of the table of results: what is added to the qualifier, and how the report calls it.
@@ -42,30 +49,31 @@ _KINDS: Final = (
 )
 
 
-class Force:
+class Force(ObservedSection):
     """Section of the force model; only where the recipe measures ``force-error``."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where the recipe does not ask for it."""
-        run = observed(result)
-        if run is None or not isinstance(result, RunResult):
-            return None
+    title = "Force"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return what was learned, how well it tells forces it was not learned from, and what limits that."""
         if not any(m.name == "force_error_sd" for m in result.measurements):
-            return None
+            return
         force = run_force(run)
-        if force.learned is None:
-            return Section(_TITLE, (Paragraph(f"No force can be told with this sensor: {force.why}.", "warning"),))
+        learned = force.learned
+        if learned is None:
+            yield Paragraph(f"No force can be told with this sensor: {force.why}.", "warning")
+            return
         tests = tests_of(run, force, HELD_OUT)
-        blocks: list[Block] = [Paragraph(_learned_words(run, force, force.learned))]
-        blocks += [Paragraph(_sheet_pose_words(force.sheet_pose), "note")] if force.sheet_pose.moved else []
-        blocks += _predicted(run, force.learned)
-        blocks += [Paragraph(words) for words in _tested_words(tests)]
-        blocks += [_map(run, force, force.learned), Paragraph(_map_words(run, force, force.learned))]
-        blocks += [*_scatter(force, tests), *_results(result)]
-        blocks += [_ratios(run, force, force.learned), Paragraph(_assumed_words(force.learned), "note")]
-        blocks += [Paragraph(words, "warning") for words in _reduced(run, force, force.learned, tests)]
-        blocks += _refused(force, force.learned)
-        return Section(_TITLE, tuple(blocks))
+        yield Paragraph(_learned_words(run, force, learned))
+        if force.sheet_pose.moved:
+            yield Paragraph(_sheet_pose_words(force.sheet_pose), "note")
+        yield from _predicted(run, learned)
+        yield from (Paragraph(words) for words in _tested_words(tests))
+        yield from (_map(run, force, learned), Paragraph(_map_words(run, force, learned)))
+        yield from (*_scatter(force, tests), *_results(result))
+        yield from (_ratios(run, force, learned), Paragraph(_assumed_words(learned), "note"))
+        yield from (Paragraph(words, "warning") for words in _reduced(run, force, learned, tests))
+        yield from _refused(force, learned)
 
 
 def _learned_words(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:
@@ -73,10 +81,9 @@ def _learned_words(run: RunObservation, force: RunForce, learned: LearnedForce) 
     phases = " and ".join(dict.fromkeys(load.phase for load in used))
     low, high = (stress * run.record.indenter.area_mm2 / 1e3 for stress in learned.model.stress_kPa)
     return (
-        f"The force of a head follows from the readings, a map of how strongly each place answers, and a line from"
+        "The force of a head follows from the readings, a map of how strongly each place answers, and a line from"
         f" stress to change. Map and line were learned from {len(used)} of {plural(len(force.used), 'load')}"
-        f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(force):.0f} mm from the"
-        " centre."
+        f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(force):.0f} mm from the centre."
     )
 
 
@@ -92,10 +99,10 @@ def _predicted(run: RunObservation, learned: LearnedForce) -> list[Block]:
 
 def _sheet_pose_words(pose: SheetPose) -> str:
     return (
-        f"The loads say that the sheet did not lie where the station takes it to lie: the station's centre is"
+        "The loads say that the sheet did not lie where the station takes it to lie: the station's centre is"
         f" ({pose.shift_mm[0]:+.1f}, {pose.shift_mm[1]:+.1f}) ± {pose.shift_stderr_mm:.1f} mm from the sheet's, and"
         f" its x axis turned by {pose.rotation_deg:+.1f} ± {pose.rotation_stderr_deg:.1f}°. Loads were placed on the"
-        " sheet accordingly: it costs the sensor nothing, and is for the station to mend."
+        " sheet accordingly: this is a fault of the station and costs the sensor nothing."
     ).replace("-", "−")
 
 
@@ -115,7 +122,7 @@ def _tested_words(tests: Sequence[ForceTest]) -> list[str]:
     words = (
         f"On {len(tests)} loads it was not learned from ({phases}) the force errs by {_error(known)} with the place"
     )
-    words += f" known (standard deviation σ_F; bias {_bias(known)})"
+    words += f" known (standard deviation σ_F; bias {parameter_text(known.bias())} N)"
     if len(estimated.error_N) > 1:
         words += f" and by {_error(estimated)} with the place found from the same readings"
     words += f"; with one response for the whole sheet by {_error(flat)}."
@@ -124,21 +131,14 @@ def _tested_words(tests: Sequence[ForceTest]) -> list[str]:
 
 
 def _error(errors: ForceErrors) -> str:
-    deviation = errors.deviation()
-    return f"{with_uncertainty(deviation.value, deviation.stderr)} N"
-
-
-def _bias(errors: ForceErrors) -> str:
-    bias = errors.bias()
-    return f"{with_uncertainty(bias.value, bias.stderr)} N"
+    return f"{parameter_text(errors.deviation())} N"
 
 
 def _covered(errors: ForceErrors) -> str:
     count = len(errors.error_N)
     words = (
-        f"Stated error bars: {errors.inside(1.0)} of {count} loads lie within one of them and"
-        f" {errors.inside(1.96)} within 1.96; of honest ones"
-        f" {number(0.6827 * count, 2)} and {number(0.95 * count, 2)} are expected"
+        f"Stated error bars: {errors.inside(1.0)} of {count} loads lie within one of them and {errors.inside(1.96)}"
+        f" within 1.96; of honest ones {number(0.6827 * count, 2)} and {number(0.95 * count, 2)} are expected"
     )
     slack = np.sqrt(0.6827 * 0.3173 * count)
     return f"{words}, give or take {number(slack, 1)} for the first by chance alone."
@@ -152,22 +152,24 @@ def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
     shape = (_ACROSS, _ACROSS)
     used = np.array([not why for why in learned.refused])
     places = places_mm(force.used)
-    return force_map_figure(
-        [
-            SheetField(
-                "relative response S", "over the nominal material", x, y, np.exp(mean).reshape(shape), 1.0, 0.15
-            ),
-            SheetField("its standard error", "%", x, y, 100 * np.sqrt(variance).reshape(shape)),
-        ],
-        run.record.sensor_type,
-        used_mm=places[used],
-        refused_mm=places[~used],
-        radius_mm=calibrated_radius_mm(force),
-        caption="How strongly each place answers, over what a sheet of the nominal material would (left; brown less,"
-        " blue more), and the standard error of that (right). White dots: loads the map was learned from; red"
-        " crosses: loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map"
-        " goes back to its mean, and its error says so.",
-        alternative=_map_words(run, force, learned),
+    return Figure(
+        "How strongly each place answers, over what a sheet of the nominal material would (left; brown less, blue"
+        " more), and the standard error of that (right). White dots: loads the map was learned from; red crosses:"
+        " loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map goes back to its"
+        " mean, and its error says so.",
+        _map_words(run, force, learned),
+        force_map_figure(
+            [
+                SheetField(
+                    "relative response S", "over the nominal material", x, y, np.exp(mean).reshape(shape), 1.0, 0.15
+                ),
+                SheetField("its standard error", "%", x, y, 100 * np.sqrt(variance).reshape(shape)),
+            ],
+            run.record.sensor_type,
+            used_mm=places[used],
+            refused_mm=places[~used],
+            radius_mm=calibrated_radius_mm(force),
+        ),
     )
 
 
@@ -199,15 +201,14 @@ def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
     faint = ForcePanel("", measured, measured + flat.error_N, flat.stderr_N, every, np.zeros(0))
     which = "held out" if shown[0].how == HELD_OUT else "of each trial in turn, left out"
     return [
-        force_figure(
-            panels,
-            faint,
-            caption=f"Force of {plural(len(shown), 'load')} {which}, as the sensor tells it against the load cell,"
-            " bars: stated standard error. Full: loads all over the sheet; open: presses of the noise figure and"
-            " the like, at one place again and again, which the figures in the text leave out. Below: the errors,"
-            " in bands of one and two stated standard errors; small diamonds: the same loads with one response for"
-            " the whole sheet, place known (triangles: beyond the edge). A red cross on the axis was not detected.",
-            alternative=" ".join(_tested_words(tests)),
+        Figure(
+            f"Force of {plural(len(shown), 'load')} {which}, as the sensor tells it against the load cell, bars:"
+            " stated standard error. Full: loads all over the sheet; open: presses of the noise figure and the like,"
+            " at one place again and again, which the figures in the text leave out. Below: the errors, in bands of"
+            " one and two stated standard errors; small diamonds: the same loads with one response for the whole"
+            " sheet, place known (triangles: beyond the edge). A red cross on the axis was not detected.",
+            " ".join(_tested_words(tests)),
+            force_figure(panels, faint),
         )
     ]
 
@@ -267,21 +268,23 @@ def _ratios(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figu
     variance = ((alpha.stderr or 0.0) * stress) ** 2 + (beta.stderr or 0.0) ** 2
     variance += 2 * stress * (learned.line.covariance or 0.0)
     ratio = learned.ratio[used]
-    return ratio_figure(
-        RatioPoints(
-            newtons,
-            ratio,
-            ratio / mapped,
-            learned.ratio_stderr[used] / mapped,
-            forces,
-            (alpha.value * stress + beta.value) / nominal,
-            np.sqrt(np.maximum(variance, 0.0)) / np.abs(nominal),
+    return Figure(
+        "Change seen under the head over what the material's line predicts for its force. Diamonds: as seen; the"
+        " spread is the sheet's. Dots: with the map at their places taken out, bars: noise of readings and load cell."
+        " Red: what the line of this sensor does to that (its intercept lifts or lowers light loads), shaded: its"
+        " standard error. Right: what map and line leave over, of single loads.",
+        _line_words(learned),
+        ratio_figure(
+            RatioPoints(
+                newtons,
+                ratio,
+                ratio / mapped,
+                learned.ratio_stderr[used] / mapped,
+                forces,
+                (alpha.value * stress + beta.value) / nominal,
+                np.sqrt(np.maximum(variance, 0.0)) / np.abs(nominal),
+            )
         ),
-        caption="Change seen under the head over what the material's line predicts for its force. Diamonds: as seen;"
-        " the spread is the sheet's. Dots: with the map at their places taken out, bars: noise of readings and load"
-        " cell. Red: what the line of this sensor does to that (its intercept lifts or lowers light loads), shaded:"
-        " its standard error. Right: what map and line leave over, of single loads.",
-        alternative=_line_words(learned),
     )
 
 
@@ -289,10 +292,7 @@ def _line_words(learned: LearnedForce) -> str:
     beta = learned.line.intercept
     if not learned.fitted_intercept:
         return f"The intercept β_σ of the line is {number(beta.value, 2)}, {beta.source}."
-    return (
-        f"The intercept β_σ of the line is ({with_uncertainty(1e3 * beta.value, 1e3 * (beta.stderr or 0.0))}) × 10⁻³,"
-        f" {beta.source}."
-    )
+    return f"The intercept β_σ of the line is ({parameter_text(beta, 1e3)}) × 10⁻³, {beta.source}."
 
 
 def _assumed_words(learned: LearnedForce) -> str:
@@ -321,10 +321,9 @@ def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests:
     beside = sum(not low <= test.measured_N <= high for test in tests)
     if not learned.fitted_intercept:
         words.append(
-            f"All loads of the calibration press alike ({_between(low, high)}): the line's"
-            f" intercept is the material's and not this sensor's, and {beside} of the"
-            f" {plural(len(tests), 'held-out load')} press less or more. Places pressed at other strains in a"
-            " calibrating phase would tell."
+            f"All loads of the calibration press alike ({_between(low, high)}): the line's intercept is the"
+            f" material's and not this sensor's, and {beside} of the {plural(len(tests), 'held-out load')} press less"
+            " or more. Places pressed at other strains in a calibrating phase would tell."
         )
     predicted = learned.predicted or (False,) * len(force.used)
     unsettled = sum(
@@ -345,8 +344,7 @@ def _refused(force: RunForce, learned: LearnedForce) -> list[Block]:
     rows = []
     for load, why in refused:
         place = load.record.load
-        at = f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−")
+        at = place_text(place.x_mm, place.y_mm)
         rows.append([load.phase, place.label, at, f"{100 * place.strain:.3g}", number(load.force_N or 0.0, 2), why])
     columns = ("Phase", "Load", "x, y [mm]", "Strain [%]", "Force [N]", "Why")
-    table: Table = text_table("Loads of the calibration that were not used.", columns, rows, (2, 3, 4))
-    return [table]
+    return [text_table("Loads of the calibration that were not used.", columns, rows, (2, 3, 4))]

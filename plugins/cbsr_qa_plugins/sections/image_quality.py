@@ -5,14 +5,14 @@ What the areas of regions say about the sizes of loads: the other side of the ov
 How much the images are smoothed: the regularisation parameter, what chose it, and what it could have been.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.analysis.run import FLAT, SizeResponse
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
     Block,
     Figure,
@@ -24,10 +24,21 @@ from cbsr_qa.domain.results import (
     ParameterCurve,
     RunObservation,
     RunResult,
-    Section,
     Table,
 )
-from cbsr_qa.report import Measured, bound_sign, by_label, loads_of, number, observed, plural, spread_text, text_table
+from cbsr_qa.report import (
+    Measured,
+    ObservedSection,
+    bound_sign,
+    by_label,
+    capital,
+    dashed,
+    loads_of,
+    number,
+    plural,
+    spread_text,
+    text_table,
+)
 from cbsr_qa.report.draw import ParameterMark, SizeSeries, parameter_figure, size_figure, value_text
 
 #: Measurement, column.
@@ -41,20 +52,18 @@ _COLUMNS: Final = (
 )
 
 
-class ImageQuality:
-    """Section of the figures that do not depend on a mask, on the grid of locations or else on all loads."""
+class ImageQuality(ObservedSection):
+    """Section of the values that do not depend on a mask, on the grid of locations or else on all loads."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where none of its metrics was taken."""
-        run = observed(result)
-        if run is None or not isinstance(result, RunResult):
-            return None
-        blocks: list[Block] = [Paragraph(words) for words in _in_words(result.measurements) if words]
+    title = "Image quality"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return what is seen apart and what was missed in words, then the figures of merit by location."""
+        yield from (Paragraph(words) for words in _in_words(result.measurements) if words)
         loads = loads_of(run, Role.GRID) or run.loads
         measured = Measured(result.measurements)
         if any(measured.values(name, loads) for name, _ in _COLUMNS):
-            blocks.append(_table(loads, measured))
-        return Section("Image quality", tuple(blocks)) if blocks else None
+            yield _table(loads, measured)
 
 
 def _in_words(measurements: Sequence[Measurement]) -> tuple[str, str]:
@@ -62,12 +71,12 @@ def _in_words(measurements: Sequence[Measurement]) -> tuple[str, str]:
     ways = [f"{bound_sign([m])}{number(m.value or 0.0, 3)} mm on by {m.how.partition(';')[0]}" for m in apart]
     counts = {m.name: m.value for m in measurements if m.name in ("missed_loads", "merged_loads") and m.value}
     fates = " and ".join(f"{plural(int(count), 'load')} {name.partition('_')[0]}" for name, count in counts.items())
-    return (
+    two = (
         f"Two equal loads are seen as two from {', from '.join(ways)} (linearised model, without noise)."
         if ways
-        else "",
-        f"At the main mask {fates}." if fates else "",
+        else ""
     )
+    return two, f"At the main mask {fates}." if fates else ""
 
 
 def _table(loads: Sequence[LoadObservation], measured: Measured) -> Table:
@@ -85,35 +94,37 @@ def _table(loads: Sequence[LoadObservation], measured: Measured) -> Table:
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
 
 
-class SizeResponses:
+class SizeResponses(ObservedSection):
     """Section of the size response; only where the recipe measures it."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where it was not measured."""
-        run = observed(result)
-        if run is None or not isinstance(result, RunResult):
-            return None
+    title = "Size response"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return the answer in words, a figure where any size was seen, and the table."""
         responses = _measured(result.measurements)
         if not responses:
-            return None
+            return
         words = in_words(responses)
-        blocks: list[Block] = [Paragraph(words, "note" if any(response.flat for response in responses) else "plain")]
-        seen = [response for response in responses if response.slope is not None]
+        yield Paragraph(words, "note" if any(response.flat for response in responses) else "plain")
+        seen = [_series(response) for response in responses if response.slope is not None]
         if seen:
             caption = (
                 f"Diameter of a circle with the region's area (mask {100 * run.main_mask:g} %) against the diameter"
                 " of what presses, without noise. On the dashed line regions are as large as their loads; a level"
                 " line is a method that answers every load with the same region."
             )
-            series, head_mm = [_series(response) for response in seen], run.record.indenter.diameter_mm
-            blocks.append(size_figure(series, head_mm, caption=caption, alternative=words))
-        return Section("Size response", (*blocks, _table_size_response(responses)))
+            yield Figure(caption, words, size_figure(seen, run.record.indenter.diameter_mm))
+        yield _table_size_response(responses)
 
 
 def _table_size_response(responses: Sequence[SizeResponse]) -> Table:
     columns = ("Place", *(f"{diameter:.3g} mm" for diameter in responses[0].diameters_mm), "Slope")
     rows = [
-        [response.place, *(_number(area, 3) for area in response.areas_mm2), _number(response.slope, 2)]
+        [
+            response.place,
+            *(dashed(area, number) for area in response.areas_mm2),
+            dashed(response.slope, lambda slope: number(slope, 2)),
+        ]
         for response in responses
     ]
     caption = (
@@ -164,10 +175,6 @@ def _series(response: SizeResponse) -> SizeSeries:
     return SizeSeries(response.place, targets, tuple(float(2 * np.sqrt(area / np.pi)) for area in areas))
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else number(value, digits)
-
-
 _TITLES: Final = {
     "noise-figure": "noise figure",
     "gcv": "cross-validation",
@@ -177,25 +184,18 @@ _TITLES: Final = {
 _APART: Final = 0.005  # noise figures of a sensor and of its type that differ less are told as one
 
 
-class RegularisationParameter:
+class RegularisationParameter(ObservedSection):
     """Section of the regularisation parameter, with its curve where the method chose from one."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where nothing was imaged."""
-        run = observed(result)
-        if run is None:
-            return None
-        return Section("Regularisation", tuple(_blocks(run)))
+    title = "Regularisation"
 
-
-def _blocks(run: RunObservation) -> list[Block]:
-    made = run.reconstruction
-    choice, curve = made.choice, made.choice.curve
-    words = _in_words_regularisation(made)
-    if curve is None:
-        return [Paragraph(words)]
-    marks = _marks(choice, curve)
-    return [Paragraph(words), _figure(choice, curve, marks), _table_regularisation(choice, curve, marks)]
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return the choice in words; figure and table where there is a curve."""
+        choice = run.reconstruction.choice
+        yield Paragraph(_in_words_regularisation(run.reconstruction))
+        if choice.curve is not None:
+            marks = _marks(choice, choice.curve)
+            yield from (_figure(choice, choice.curve, marks), _table_regularisation(choice, choice.curve, marks))
 
 
 def _in_words_regularisation(made: LinearReconstruction) -> str:
@@ -247,19 +247,23 @@ def _figure(choice: ParameterChoice, curve: ParameterCurve, marks: list[Paramete
         if mark.value is not None
     ]
     alternative = f"Noise figure over {choice.name}: {', '.join(words)}."
-    return parameter_figure(curve, marks, choice.name, caption=caption, alternative=alternative)
+    return Figure(
+        caption,
+        alternative,
+        parameter_figure(curve, marks, choice.name),
+    )
 
 
 def _table_regularisation(choice: ParameterChoice, curve: ParameterCurve, marks: list[ParameterMark]) -> Table:
     rows = [
         [
             f"{mark.title} (chosen)" if mark.chosen else mark.title,
-            "–" if mark.value is None else value_text(mark.value, discrete=curve.discrete),
-            "–" if mark.noise_figure is None else number(mark.noise_figure),
+            dashed(mark.value, partial(value_text, discrete=curve.discrete)),
+            dashed(mark.noise_figure, number),
             answer.words,
         ]
         for mark, answer in zip(marks, curve.answers, strict=True)
     ]
-    name = choice.name[0].upper() + choice.name[1:] if len(choice.name) > 1 else choice.name
+    name = capital(choice.name) if len(choice.name) > 1 else choice.name
     caption = "What each criterion takes for the parameter, the noise figure there, and what it looks at."
     return text_table(caption, ("Criterion", name, "Noise figure", "On"), rows, (1, 2))

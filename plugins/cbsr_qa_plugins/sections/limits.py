@@ -1,25 +1,25 @@
 """Every limit with its value, margin and outcome, and every other measurement."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
     SEVERITY,
     Block,
     Cell,
+    Figure,
     LimitsVersion,
     Measurement,
     Outcome,
     Paragraph,
     RunResult,
-    Section,
     Table,
     relative_margin,
 )
 from cbsr_qa.report import (
     SIGNS,
+    RunSection,
     alike,
     bound_sign,
     limit_text,
@@ -43,28 +43,29 @@ _CLOSEST: Final = 24
 _MOST_PHASES: Final = 4
 
 
-class Limits:
+class Limits(RunSection):
     """Section that lists everything that was measured, by any plugin."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None for a recording, or where nothing was measured."""
-        if not isinstance(result, RunResult) or not result.measurements:
-            return None
+    title = "Limits and measurements"
+
+    def blocks(self, result: RunResult) -> Iterator[Block]:
+        """Return limits in words, by location and as a table, then everything else that was measured."""
+        if not result.measurements:
+            return
         judged = [m for m in result.measurements if m.limit is not None]
         others = [m for m in result.measurements if m.limit is None]
-        blocks: list[Block] = [Paragraph(_in_words(judged))]
+        yield Paragraph(_in_words(judged))
         if result.limits_version is not None:
-            blocks.append(Paragraph(_version_words(result.limits_version, judged)))
+            yield Paragraph(_version_words(result.limits_version, judged))
         if judged:
-            blocks += [*_by_location(result, judged), *_judged(judged)]
+            yield from (*_by_location(result, judged), *_judged(judged))
         determined = [m for m in others if m.value is not None]
         # Apart: as columns beside each other they do not fit a page.
         for part in ([m for m in determined if m.phase], [m for m in determined if not m.phase]):
-            blocks += _others(part)
+            yield from _others(part)
         refused = [m for m in others if m.value is None]
         if refused:
-            blocks.append(_refused(refused))
-        return Section("Limits and measurements", tuple(blocks))
+            yield _refused(refused)
 
 
 def _in_words(judged: Sequence[Measurement]) -> str:
@@ -87,7 +88,14 @@ def _by_location(result: RunResult, judged: Sequence[Measurement]) -> list[Block
         " marginal (dashed edge), ✗ fail (dark), ? not measured (dotted edge). Limits of the whole run are in the"
         " table only."
     )
-    return [Paragraph(words), verdict_figure(verdicts, run.record.sensor_type, caption=caption, alternative=words)]
+    return [
+        Paragraph(words),
+        Figure(
+            caption,
+            words,
+            verdict_figure(verdicts, run.record.sensor_type),
+        ),
+    ]
 
 
 def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str:

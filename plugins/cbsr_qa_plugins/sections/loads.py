@@ -5,7 +5,7 @@ Loads estimated from their readings, beside where their images show them.
 Every load's image with the indenter over the blob.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import atan2, degrees, hypot
 from typing import Final
@@ -14,23 +14,25 @@ import numpy as np
 
 from cbsr_qa.analysis.run import EstimatedLoad, estimated_loads
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
+    Block,
     Cell,
+    Figure,
     LoadEstimate,
     LoadFinding,
     LoadObservation,
     Paragraph,
     RunObservation,
     RunResult,
-    Section,
     Table,
 )
 from cbsr_qa.report import (
     Measured,
+    ObservedSection,
+    dashed,
     loads_of,
     number,
-    observed,
+    parameter_text,
     plural,
     seen_loads,
     spread_text,
@@ -47,34 +49,32 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-class LoadEstimates:
+class LoadEstimates(ObservedSection):
     """Section of the estimates with their 68 % regions; only where the recipe measures them."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where no load was estimated."""
-        run = observed(result)
-        if run is None or not isinstance(result, RunResult):
-            return None
-        loads = (*loads_of(run, Role.GRID), *loads_of(run, Role.RANDOM))
+    title = "Load estimates"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return the answer in words, a figure and a table; nothing where no load was estimated."""
         measured = Measured(result.measurements)
+        loads = (*loads_of(run, Role.GRID), *loads_of(run, Role.RANDOM))
         loads = tuple(load for load in loads if measured.of_load("detectability", load) is not None)
         if not loads:
-            return None
+            return
         estimates = estimated_loads(run, run.settings.reference)
         pairs = [(load, estimates[(load.phase, load.record.index)]) for load in loads]
         placed = [_placed(load, estimate, run) for load, estimate in pairs]
-        words = _in_words(pairs, placed)
-        scale = error_scale(placed)
+        words, scale = _in_words(pairs, placed), error_scale(placed)
         longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
-        figure = estimates_figure(
-            placed,
-            run.record.sensor_type,
-            caption="Where loads are by their readings (dot with its 68 % ellipse, the indenter's radius given) and"
-            f" by their images (cross: centre of mass), errors and ellipses {longer}. Dashed: the indenter. Right:"
-            " sizes of both errors, the bar is one standard error; a red tick was refused.",
-            alternative=words,
+        yield Paragraph(words)
+        yield Figure(
+            "Where loads are by their readings (dot with its 68 % ellipse, the indenter's radius given) and by their"
+            f" images (cross: centre of mass), errors and ellipses {longer}. Dashed: the indenter. Right: sizes of"
+            " both errors, the bar is one standard error; a red tick was refused.",
+            words,
+            estimates_figure(placed, run.record.sensor_type),
         )
-        return Section("Load estimates", (Paragraph(words), figure, _table(pairs, measured)))
+        yield _table(pairs, measured)
 
 
 def _chosen(estimate: EstimatedLoad) -> LoadEstimate | None:
@@ -122,23 +122,25 @@ def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Mea
     rows: list[list[str | Cell]] = []
     for load, estimate in pairs:
         chosen, size = _chosen(estimate), estimate.size
-        row: list[str | Cell] = [load.record.load.label, f"{100 * load.record.load.strain:.3g}"]
-        row.append(value_cell(measured.of_load("centre_of_mass_error", load)))
-        error = measured.of_load("estimated_place_error", load)
-        refused = chosen is None or chosen.finding is not LoadFinding.LOCATED
-        row.append(Cell(str(chosen.finding) if chosen else "not estimated") if refused else value_cell(error))
-        contrast = None if chosen is None else chosen.contrast
-        row.append("–" if contrast is None else with_uncertainty(100 * contrast.value, 100 * contrast.stderr))
-        radius = None if size is None else size.radius_mm
-        row.append("–" if radius is None else with_uncertainty(radius.value, radius.stderr))
-        area = None if size is None else size.area_contrast_mm2
-        row.append("–" if area is None else with_uncertainty(area.value, area.stderr))
-        row.append("–" if chosen is None else f"{chosen.detectability:.0f}")
-        rows.append(row)
+        error = value_cell(measured.of_load("estimated_place_error", load))
+        if chosen is None or chosen.finding is not LoadFinding.LOCATED:
+            error = Cell(str(chosen.finding) if chosen else "not estimated")
+        rows.append(
+            [
+                load.record.load.label,
+                f"{100 * load.record.load.strain:.3g}",
+                value_cell(measured.of_load("centre_of_mass_error", load)),
+                error,
+                parameter_text(None if chosen is None else chosen.contrast, 100),
+                parameter_text(None if size is None else size.radius_mm),
+                parameter_text(None if size is None else size.area_contrast_mm2),
+                dashed(chosen, lambda estimate: f"{estimate.detectability:.0f}"),
+            ]
+        )
     caption = (
         "Errors of place by the image (E_CoM) and by the readings, ± one standard error along an axis. Contrast with"
-        " the head's radius given; radius and area × contrast A·c (against the mean of both conductances) without."
-        " A dash for the radius: the readings do not determine it at this place and strength. d′: detectability."
+        " the head's radius given; radius and area × contrast A·c (against the mean of both conductances) without. A"
+        " dash for the radius: the readings do not determine it at this place and strength. d′: detectability."
     )
     table = text_table(caption, _COLUMNS, rows, tuple(range(1, len(_COLUMNS))))
     return replace(table, folded=len(rows) > _MOST_ROWS)
@@ -148,52 +150,52 @@ def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Mea
 _MOST: Final = 48
 
 
-class LoadImages:
-    """Section of small pictures, one a press."""
+class LoadImages(ObservedSection):
+    """Section of small pictures, one a press; none where nothing was pressed."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where nothing was pressed."""
-        run = observed(result)
-        if run is None or not run.loads or not isinstance(result, RunResult):
-            return None
+    title = "Images"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return the pictures, and how many presses have none."""
+        if not run.loads:
+            return
         # First trials come first where there are too many: they cover every place and strain.
         chosen = sorted(run.loads, key=lambda load: load.record.load.trial)[:_MOST]
         printed = [load for load in run.loads if any(load is kept for kept in chosen)]
         seen = seen_loads(printed, run, Measured(result.measurements))
         lost = sum(load.error_mm is None for load in seen)
         conducts = "more" if run.response.value == "increase" else "less"
-        figure = load_images_figure(
-            seen,
-            run.record.sensor_type,
-            caption="Steady image of each press, as reconstructed (no noise floor subtracted), all on one scale."
-            f" Orange: the indenter. Black: outline of the sensed blob at the {100 * run.main_mask:g} % mask.",
-            alternative=f"{plural(len(seen), 'image')}, {plural(lost, 'load')} not detected.",
-        )
         words = f"Pressed places conduct {conducts} ({run.response_how})."
         left = len(run.loads) - len(printed)
         if left:
             words += f" {plural(left, 'press is', 'presses are')} not printed here; every frame is in the store."
-        return Section("Images", (Paragraph(words), figure))
+        yield Paragraph(words)
+        yield Figure(
+            "Steady image of each press, as reconstructed (no noise floor subtracted), all on one scale. Orange: the"
+            f" indenter. Black: outline of the sensed blob at the {100 * run.main_mask:g} % mask.",
+            f"{plural(len(seen), 'image')}, {plural(lost, 'load')} not detected.",
+            load_images_figure(seen, run.record.sensor_type),
+        )
 
 
-class RandomLoads:
-    """Section of the loads that were drawn at random (paper: Fig 11, Table 5)."""
+class RandomLoads(ObservedSection):
+    """Section of the loads that were drawn at random (paper: Fig 11, Table 5); none where none were pressed."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where none were pressed."""
-        run = observed(result)
-        loads = loads_of(run, Role.RANDOM) if run else ()
-        if run is None or not loads or not isinstance(result, RunResult):
-            return None
+    title = "Random loads"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return a figure and a table."""
+        loads = loads_of(run, Role.RANDOM)
+        if not loads:
+            return
         measured = Measured(result.measurements)
         seen = seen_loads(loads, run, measured)
         mean = spread_text([load.error_mm for load in seen if load.error_mm is not None], "mm")
-        figure = random_loads_figure(
-            seen,
-            run.record.sensor_type,
-            caption="Random loads, true to place; discs grow with strain. Crosses: where the centre of mass was"
-            " seen. Right: error against strain; a weak press is harder to place.",
-            alternative=f"{len(seen)} random loads; error {mean} mm (mean ± standard deviation).",
+        yield Figure(
+            "Random loads, true to place; discs grow with strain. Crosses: where the centre of mass was seen. Right:"
+            " error against strain; a weak press is harder to place.",
+            f"{len(seen)} random loads; error {mean} mm (mean ± standard deviation).",
+            random_loads_figure(seen, run.record.sensor_type),
         )
         rows: list[list[str | Cell]] = []
         for load in loads:
@@ -204,5 +206,4 @@ class RandomLoads:
             overlap = value_cell(measured.of_load("area_overlap", load))
             rows.append([wanted.label, polar, f"{100 * wanted.strain:.1f}", force, error, overlap])
         columns = ("Load", "r [mm], θ", "Strain [%]", "Force [N]", "E_CoM [mm]", "A_OL [%]")
-        table = text_table(f"Random loads: error {mean} mm over all.", columns, rows, (1, 2, 3, 4, 5))
-        return Section("Random loads", (figure, table))
+        yield text_table(f"Random loads: error {mean} mm over all.", columns, rows, (1, 2, 3, 4, 5))

@@ -3,11 +3,10 @@
 The grid of locations: where each load was seen, table and map.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from statistics import fmean
 
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
     Block,
     Cell,
@@ -17,58 +16,54 @@ from cbsr_qa.domain.results import (
     Paragraph,
     RunObservation,
     RunResult,
-    Section,
     Table,
     worst,
 )
 from cbsr_qa.report import (
     SPATIAL,
     Measured,
+    ObservedSection,
     by_label,
+    held_loads,
     loads_of,
     mask_qualifier,
     number,
-    observed,
+    place_text,
     plural,
     seen_loads,
+    spatial_spreads,
     spread_text,
     text_table,
     unit_column,
     value_cell,
     with_uncertainty,
 )
-from cbsr_qa.report.draw import Held, arrow_scale, location_map_figure, mask_timeline_figure
+from cbsr_qa.report.draw import arrow_scale, location_map_figure, mask_timeline_figure
 
 #: Standard errors from which on a shift, a turn or a scale of all locations is more than scatter. In 5 % of the runs
 #: of nine presses in which there is none one of them is beyond it.
 _CLEAR = 3.0
 
 
-class NineLocations:
-    """Section of the loads of the phases that press a grid of places."""
+class NineLocations(ObservedSection):
+    """Section of the loads of the phases that press a grid of places; none where no grid was pressed."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where no grid was pressed."""
-        run = observed(result)
-        loads = loads_of(run, Role.GRID) if run else ()
-        if run is None or not loads or not isinstance(result, RunResult):
-            return None
+    title = "Locations"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return what all locations share, then a map and tables for each phase."""
+        loads = loads_of(run, Role.GRID)
+        if not loads:
+            return
         measured = Measured(result.measurements)
-        words = Paragraph(
-            f"{plural(len(loads), 'press', 'presses')} at {plural(len(by_label(loads)), 'location')};"
-            f" {_in_words(loads, measured)}"
-        )
-        blocks: list[Block] = [
-            words,
-            *_registration(result, measured.values("registered_centre_of_mass_error", loads)),
-        ]
+        presses = plural(len(loads), "press", "presses")
+        yield Paragraph(f"{presses} at {plural(len(by_label(loads)), 'location')}; {_in_words(loads, measured)}")
+        yield from _registration(result, measured.values("registered_centre_of_mass_error", loads))
         phases = list(dict.fromkeys(load.phase for load in loads))
         for phase in phases:
             members = [load for load in loads if load.phase == phase]
-            blocks.append(_figure(members, run, measured, f"Phase {phase}. " if len(phases) > 1 else ""))
-            blocks += _by_strain(members, measured)
-            blocks.append(_table(members, result, measured))
-        return Section("Locations", tuple(blocks))
+            yield _figure(members, run, measured, f"Phase {phase}. " if len(phases) > 1 else "")
+            yield from (*_by_strain(members, measured), _table(members, result, measured))
 
 
 def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured, phase: str) -> Figure:
@@ -76,14 +71,12 @@ def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Mea
     scale = arrow_scale(seen)
     cross = "was not detected" if _placed(loads, measured) else "was not measured"
     longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
-    return location_map_figure(
-        seen,
-        run.record.sensor_type,
-        caption=f"{phase}Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
-        f" indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's"
-        f" centre of mass, {longer}. Right: every press; a diamond is outside its limit, a cross"
-        f" {cross}.",
-        alternative=_in_words(loads, measured),
+    return Figure(
+        f"{phase}Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
+        " indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's centre"
+        f" of mass, {longer}. Right: every press; a diamond is outside its limit, a cross {cross}.",
+        _in_words(loads, measured),
+        location_map_figure(seen, run.record.sensor_type),
     )
 
 
@@ -95,9 +88,8 @@ def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Blo
     rows: list[list[str]] = []
     for strain in strains:
         members = [load for load in loads if round(load.record.load.strain, 9) == strain]
-        values = [measured.values(name, members) for name, _, _ in SPATIAL]
-        spreads = [spread_text(values_of, unit) for values_of, (_, _, unit) in zip(values, SPATIAL, strict=True)]
-        rows.append([f"{100 * strain:g}", *spreads, _force(members), f"{len(values[0])} of {len(members)}"])
+        *spreads, seen = spatial_spreads(measured, members)
+        rows.append([f"{100 * strain:g}", *spreads, _force(members), seen])
     columns = ("Strain [%]", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Force [N]", "Loads seen")
     caption = "Each strain: mean ± standard deviation over all locations and trials."
     return [text_table(caption, columns, rows, tuple(range(len(columns))))]
@@ -153,7 +145,7 @@ def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measur
     rows = []
     for label, members in places.items():
         place = members[0].record.load
-        row = [Cell(label), Cell(f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−"))]
+        row = [Cell(label), Cell(place_text(place.x_mm, place.y_mm))]
         row += [Cell(str(len(members)))] if several else []
         error, overlap, deviation = (_cell(name, members, measured) for name, _, _ in SPATIAL)
         row += [error, overlap, Cell(_bands(members, measured)), deviation, Cell(_force(members))]
@@ -195,25 +187,16 @@ def _force(members: Sequence[LoadObservation]) -> str:
     return spread_text(forces)
 
 
-class MaskComparison:
+class MaskComparison(ObservedSection):
     """Section that compares the masks on the grid of locations (paper: Table 3, Figs 10 and E.23)."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where no grid was pressed or one mask was used."""
-        run = observed(result)
-        if run is None or not isinstance(result, RunResult) or len(run.settings.masks) < 2:
-            return None
-        if not loads_of(run, Role.GRID):
-            return None
-        blocks: list[Block] = [_table_mask_comparison(result, run)]
-        blocks += [_figure_mask_comparison(timeline, run) for timeline in run.timelines]
-        return Section("Masks compared", tuple(blocks))
+    title = "Masks compared"
 
-
-def held_loads(run: RunObservation, phase: str) -> list[Held]:
-    """Return when each load of a phase was held."""
-    loads = [load.record for load in run.loads if load.phase == phase]
-    return [Held(record.load.label, record.hold_start_s, record.release_start_s) for record in loads]
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return the table and a figure for each grid; nothing where no grid was pressed or one mask was used."""
+        if len(run.settings.masks) > 1 and loads_of(run, Role.GRID):
+            yield _table_mask_comparison(result, run)
+            yield from (_figure_mask_comparison(timeline, run) for timeline in run.timelines)
 
 
 def _table_mask_comparison(result: RunResult, run: RunObservation) -> Table:
@@ -221,10 +204,8 @@ def _table_mask_comparison(result: RunResult, run: RunObservation) -> Table:
     rows = []
     for fraction in run.settings.masks:
         qualifier = mask_qualifier(run, fraction)
-        values = [measured.values(name, loads, qualifier) for name, _, _ in SPATIAL]
-        spreads = [spread_text(values_of, unit) for values_of, (_, _, unit) in zip(values, SPATIAL, strict=True)]
         decides = "" if qualifier else " (decides)"
-        rows.append([f"{100 * fraction:g} %{decides}", *spreads, f"{len(values[0])} of {len(loads)}"])
+        rows.append([f"{100 * fraction:g} %{decides}", *spatial_spreads(measured, loads, qualifier)])
     columns = ["Mask", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Loads seen"]
     caption = (
         "Mean ± standard deviation over all locations and trials of the steady images, for each percentage mask. A"
@@ -235,10 +216,9 @@ def _table_mask_comparison(result: RunResult, run: RunObservation) -> Table:
 
 def _figure_mask_comparison(timeline: MetricTimeline, run: RunObservation) -> Figure:
     behind = " The force is drawn behind in light orange." if timeline.force is not None else ""
-    return mask_timeline_figure(
-        timeline,
-        held_loads(run, timeline.phase),
-        caption=f"Phase {timeline.phase}: spatial metrics of every frame taken while a load was held, for each"
-        f" mask.{behind} A line that is missing for a hold means that no blob was seen.",
-        alternative=f"Three panels against time, one line for each of {len(timeline.masks)} masks.",
+    return Figure(
+        f"Phase {timeline.phase}: spatial metrics of every frame taken while a load was held, for each mask.{behind}"
+        " A line that is missing for a hold means that no blob was seen.",
+        f"Three panels against time, one line for each of {len(timeline.masks)} masks.",
+        mask_timeline_figure(timeline, held_loads(run, timeline.phase)),
     )

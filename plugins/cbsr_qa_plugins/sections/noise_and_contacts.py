@@ -1,13 +1,12 @@
 """Noise of the readings and of the images, and the health of every electrode contact."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import largest_by_reading, reciprocity_errors, signal_to_noise_dB
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
     Block,
     Cell,
@@ -16,10 +15,9 @@ from cbsr_qa.domain.results import (
     Outcome,
     RunObservation,
     RunResult,
-    Section,
     Table,
 )
-from cbsr_qa.report import limit_text, number, observed, quantity, scaled_unit, text_table, value_cell
+from cbsr_qa.report import ObservedSection, limit_text, number, quantity, scaled_unit, text_table, value_cell
 from cbsr_qa.report.draw import channel_map_figure, pair_bar_figure
 
 #: Measurements that belong here, by the beginning of their name.
@@ -30,25 +28,23 @@ _WORDS: Final = ("noise", "conductance_noise", "channel", "reciprocity", "drift"
 _ALIKE = 0.01
 
 
-class NoiseAndContacts:
+class NoiseAndContacts(ObservedSection):
     """Section of noise figure, noise floor, signal-to-noise ratio per channel and resistance per electrode pair."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where nothing could be analysed."""
-        run = observed(result)
-        if run is None or not isinstance(result, RunResult):
-            return None
-        blocks: list[Block] = [_table(result, run)]
+    title = "Noise and contacts"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return a table, then a figure for each quantity that was measured."""
+        yield _table(result, run)
         ratio_dB = signal_to_noise_dB(run.unloaded)
         if ratio_dB is not None:
-            blocks.append(_channels(run, ratio_dB))
+            yield _channels(run, ratio_dB)
         pairs, errors = reciprocity_errors(run.reference, run.record.sensor_type.pattern, run.usable)
         if errors.size:
-            blocks.append(_reciprocity(run, pairs, errors))
+            yield _reciprocity(run, pairs, errors)
         contacts = [m for m in result.measurements if m.name == "contact_resistance" and m.qualifier]
         if any(m.value is not None for m in contacts):
-            blocks.append(_contacts(contacts))
-        return Section("Noise and contacts", tuple(blocks))
+            yield _contacts(contacts)
 
 
 def _table(result: RunResult, run: RunObservation) -> Table:
@@ -69,28 +65,22 @@ def _table(result: RunResult, run: RunObservation) -> Table:
 def _channels(run: RunObservation, ratio_dB: NDArray[np.float64]) -> Figure:
     used = ratio_dB[run.usable & np.isfinite(ratio_dB)]
     words = "no usable reading" if not used.size else f"median {np.median(used):.0f} dB, lowest {used.min():.0f} dB"
-    return channel_map_figure(
-        ratio_dB,
-        label="level over noise",
-        unit="dB",
-        used=run.usable,
-        caption=f"Signal-to-noise ratio of each reading on the rested sheet ({len(run.unloaded)} frames): {words}."
-        " Grey: readings that are not imaged.",
-        alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
+    return Figure(
+        f"Signal-to-noise ratio of each reading on the rested sheet ({len(run.unloaded)} frames): {words}. Grey:"
+        " readings that are not imaged.",
+        f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
+        channel_map_figure(ratio_dB, label="level over noise", unit="dB", used=run.usable),
     )
 
 
 def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: NDArray[np.float64]) -> Figure:
     largest = largest_by_reading(pairs, errors, run.usable.shape)
     words = f"rms {number(100 * float(np.sqrt(np.mean(errors**2))), 2)} %, largest {number(100 * errors.max(), 2)} %"
-    return channel_map_figure(
-        100 * largest,
-        label="reciprocity error",
-        unit="%",
-        used=largest >= 0,
-        caption=f"Change of each reading of the reference frame when drive and measure pair are exchanged, of the rms"
-        f" reading: {words}. One electrode whose row and column stand out is a contact; a whole triangle is memory.",
-        alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
+    return Figure(
+        "Change of each reading of the reference frame when drive and measure pair are exchanged, of the rms reading:"
+        f" {words}. One electrode whose row and column stand out is a contact; a whole triangle is memory.",
+        f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
+        channel_map_figure(100 * largest, label="reciprocity error", unit="%", used=largest >= 0),
     )
 
 
@@ -112,14 +102,16 @@ def _contacts(pairs: Sequence[Measurement]) -> Figure:
     )
     words = f"median {quantity(median, pairs[0].unit)}, {furthest}"
     words += f"; without a value: {', '.join(lost)}" if lost else ""
-    return pair_bar_figure(
-        values / scale,
-        [name.replace("-", "–") for name, _, _ in known],
-        label="resistance",
-        unit=unit,
-        limits=(None if low is None else low / scale, None if high is None else high / scale),
-        outside=[rank for rank, (_, _, outcome) in enumerate(known) if outcome is Outcome.FAIL],
-        caption=f"Resistance of each electrode pair on the rested sheet, contacts included: {words}. One electrode"
-        " with a bad contact raises both pairs it belongs to.",
-        alternative=f"Bars of {len(known)} electrode pairs; {words}.",
+    return Figure(
+        f"Resistance of each electrode pair on the rested sheet, contacts included: {words}. One electrode with a bad"
+        " contact raises both pairs it belongs to.",
+        f"Bars of {len(known)} electrode pairs; {words}.",
+        pair_bar_figure(
+            values / scale,
+            [name.replace("-", "–") for name, _, _ in known],
+            label="resistance",
+            unit=unit,
+            limits=(None if low is None else low / scale, None if high is None else high / scale),
+            outside=[rank for rank, (_, _, outcome) in enumerate(known) if outcome is Outcome.FAIL],
+        ),
     )

@@ -5,15 +5,15 @@ Channels and noise of a recording.
 Presses found in a recording: when, where, which way, how clearly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from cbsr_qa.analysis.recording import nominal_disc
 from cbsr_qa.domain.geometry import Disc
 from cbsr_qa.domain.readings import LoadEvent, RecordingResult, ScanKind
-from cbsr_qa.domain.results import Block, Figure, Paragraph, RunResult, Section, Table, Trace
-from cbsr_qa.report import capital, fixed, number, plural, text_table
+from cbsr_qa.domain.results import Block, Figure, Paragraph, Table, Trace
+from cbsr_qa.report import RecordingSection, capital, dashed, fixed, number, plural, text_table
 from cbsr_qa.report.draw import (
     ChannelMark,
     ImagePanel,
@@ -26,17 +26,16 @@ from cbsr_qa.report.draw import (
 )
 
 
-class RecordingChannels:
+class RecordingChannels(RecordingSection):
     """Section of saturated and stuck channels, reading memory, noise and its steps."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None for runs."""
-        if not isinstance(result, RecordingResult):
-            return None
-        blocks: list[Block] = [_facts(result), _map(result)]
+    title = "Channels and noise"
+
+    def blocks(self, result: RecordingResult) -> Iterator[Block]:
+        """Return a table, a map, and steps of the noise where there are any."""
+        yield from (_facts(result), _map(result))
         if result.noise.steps:
-            blocks.append(_steps(result))
-        return Section("Channels and noise", tuple(blocks))
+            yield _steps(result)
 
 
 def _facts(result: RecordingResult) -> Table:
@@ -77,16 +76,18 @@ def _map(result: RecordingResult) -> Figure:
         return tuple((0, measure) for _, measure in pairs) if one_row else pairs
 
     saturated, stuck = len(channels.saturated), len(channels.stuck)
-    return channel_map_figure(
-        level,
-        label="median level",
-        unit=recording.frames.unit.value,
-        marks=(
-            ChannelMark(at(channels.saturated), "x", "saturated"),
-            ChannelMark(at(channels.stuck), "o", "stuck"),
+    return Figure(
+        f"Level of each channel. Saturated: {saturated or 'none'}; stuck: {stuck or 'none'}.",
+        f"Map of {level.shape[0]} by {level.shape[1]} channels; {saturated} saturated, {stuck} stuck.",
+        channel_map_figure(
+            level,
+            label="median level",
+            unit=recording.frames.unit.value,
+            marks=(
+                ChannelMark(at(channels.saturated), "x", "saturated"),
+                ChannelMark(at(channels.stuck), "o", "stuck"),
+            ),
         ),
-        caption=f"Level of each channel. Saturated: {saturated or 'none'}; stuck: {stuck or 'none'}.",
-        alternative=f"Map of {level.shape[0]} by {level.shape[1]} channels; {saturated} saturated, {stuck} stuck.",
     )
 
 
@@ -102,23 +103,20 @@ def _steps(result: RecordingResult) -> Table:
 _MOST_IMAGES = 12
 
 
-class RecordingEvents:
+class RecordingEvents(RecordingSection):
     """Section of the events of a recording, with the image of each."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None for runs."""
-        if not isinstance(result, RecordingResult):
-            return None
-        blocks: list[Block] = []
+    title = "Events"
+
+    def blocks(self, result: RecordingResult) -> Iterator[Block]:
+        """Return the events as a table and as images, or why there are none, and their traces."""
         if result.events:
-            still = result.frame_rate_hz is None
-            blocks += [_table(result.events, still=still), *_moving(result.events)]
-            blocks += [_images(result), _imaging(result), _imaged(result.events)]
+            yield from (_table(result.events, still=result.frame_rate_hz is None), *_moving(result.events))
+            yield from (_images(result), _imaging(result), _imaged(result.events))
         else:
-            blocks.append(Paragraph(f"No event: {result.events_why}.", "note"))
+            yield Paragraph(f"No event: {result.events_why}.", "note")
         if timeline := _timeline(result):
-            blocks.append(timeline)
-        return Section("Events", tuple(blocks))
+            yield timeline
 
 
 def _name(rank: int) -> str:
@@ -139,16 +137,16 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         row = [_name(rank), *times, fixed(event.electrode, 2), fixed(event.r_over_R, 2)]
         row += ["conducts more" if event.sign > 0 else "conducts less", fixed(event.snr, 1)]
         if named:
-            row += ["–" if at is None else fixed(at, 1) for at in (event.x_mm, event.y_mm)]
+            row += [dashed(at, lambda mm: fixed(mm, 1)) for at in (event.x_mm, event.y_mm)]
         if forced:
-            row.append("–" if event.force_N is None else fixed(event.force_N, 2))
+            row.append(dashed(event.force_N, lambda newtons: fixed(newtons, 2)))
         if beside:
             row.append(event.fate or "–")
         rows.append(row)
     numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "The place", "Beside others"))
     caption = (
-        "Events, found without being told where or when. Electrode: direction as a fractional electrode number."
-        " SNR: change over the noise of such changes in this recording."
+        "Events, found without being told where or when. Electrode: direction as a fractional electrode number. SNR:"
+        " change over the noise of such changes in this recording."
         + (" Beside others held at its peak: whether the image shows it as a region of its own." if beside else "")
     )
     return text_table(caption, columns, rows, numeric)
@@ -185,8 +183,8 @@ def _imaged(events: Sequence[LoadEvent]) -> Table:
         rows.append([_name(rank), *shown])
     columns = ("Event", "Electrode", "r/R", "Largest change [%]", "Area above half of it [% of the sheet]")
     caption = (
-        "Where the images show the events: centre of mass of the region that belongs to the place of the best fit."
-        " A dash: the image shows no region there."
+        "Where the images show the events: centre of mass of the region that belongs to the place of the best fit. A"
+        " dash: the image shows no region there."
     )
     if any(event.imaged is not None and event.imaged.largest < -1 for event in events):
         caption += (
@@ -214,14 +212,11 @@ def _images(result: RecordingResult) -> Figure:
         " Line: the way of what moves, from the ring to the dot." if any(p.track is not None for p in panels) else ""
     )
     scale = " Each image has its own colour scale, below it." if len(panels) > 1 else ""
-    return image_figure(
-        panels,
-        sheet=sheet,
-        electrodes=sensor.electrodes,
-        shared_scale=False,
-        caption="Change each event made against the frames just before it (or against the reference). Marked: the"
-        f" place of the best fit of a small load, which the blur of the image does not move.{moved}{scale}{left}",
-        alternative="; ".join(f"{panel.title}: {panel.note}" for panel in panels),
+    return Figure(
+        "Change each event made against the frames just before it (or against the reference). Marked: the place of"
+        f" the best fit of a small load, which the blur of the image does not move.{moved}{scale}{left}",
+        "; ".join(f"{panel.title}: {panel.note}" for panel in panels),
+        image_figure(panels, sheet=sheet, electrodes=sensor.electrodes, shared_scale=False),
     )
 
 
@@ -237,26 +232,25 @@ def _timeline(result: RecordingResult) -> Figure | None:
     spans = [Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
     what = "one row a frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
     count = plural(len(spans), "event") if spans else "no event"
-    return timeline_figure(
-        traces,
-        spans,
-        caption=f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {count}.",
-        alternative=f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {count}.",
+    return Figure(
+        f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {count}.",
+        f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {count}.",
+        timeline_figure(traces, spans),
     )
 
 
 _MOST_ROWS = 200
 
 
-class RecordingRows:
-    """Section of rejected rows and notes."""
+class RecordingRows(RecordingSection):
+    """Section of rejected rows and notes; none of files about which nothing needs to be said."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None for runs, and for files about which nothing needs to be said."""
-        if not isinstance(result, RecordingResult):
-            return None
+    title = "Rows of the file"
+
+    def blocks(self, result: RecordingResult) -> Iterator[Block]:
+        """Return notes, and the rows that were rejected or noted."""
         recording = result.recording
-        blocks: list[Block] = [Paragraph(f"{capital(note)}.", "note") for note in recording.notes]
+        yield from (Paragraph(f"{capital(note)}.", "note") for note in recording.notes)
         shown = sorted(recording.problems, key=lambda p: (not p.rejected, p.line))[:_MOST_ROWS]
         if shown:
             left = len(recording.problems) - len(shown)
@@ -264,5 +258,4 @@ class RecordingRows:
             caption = f"{plural(recording.rows_rejected, 'row')} rejected{cost}; the rest is noted."
             caption += f" {left} more are not shown." if left else ""
             rows = [[str(p.line), "rejected" if p.rejected else "noted", p.what] for p in shown]
-            blocks.append(text_table(caption, ("Line", "What became of it", "Why"), rows, (0,)))
-        return Section("Rows of the file", tuple(blocks)) if blocks else None
+            yield text_table(caption, ("Line", "What became of it", "Why"), rows, (0,))

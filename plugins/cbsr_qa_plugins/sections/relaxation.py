@@ -1,11 +1,10 @@
 """Relaxations after presses and releases: fits on their traces, and settling times."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
 from cbsr_qa.calibration.fits import SHAPE_MARGIN, restricted_mean
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.readings import RecordingResult
 from cbsr_qa.domain.results import (
     Block,
     Cell,
@@ -17,14 +16,14 @@ from cbsr_qa.domain.results import (
     RelaxationObservation,
     RunObservation,
     RunResult,
-    Section,
     Table,
 )
 from cbsr_qa.report import (
+    ObservedSection,
     alike,
+    dashed,
     loads_of,
     number,
-    observed,
     plain,
     plural,
     settled_loads,
@@ -35,53 +34,50 @@ from cbsr_qa.report import (
 from cbsr_qa.report.draw import SettledLoad, agreement_figure, relaxation_figure, settling_figure
 
 
-class RelaxationFits:
+class RelaxationFits(ObservedSection):
     """Section of relaxation fits and settling times (paper: Figs D.19 to D.22)."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None where no relaxation was fitted."""
-        run = observed(result)
-        loads = settled_loads(run.loads) if run else ()
-        if run is None or not loads or not isinstance(result, RunResult):
-            return None
+    title = "Relaxation and settling"
+
+    def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return traces, fits, settling times and rejected fits; nothing where no relaxation was fitted."""
+        loads = settled_loads(run.loads)
+        if not loads:
+            return
         signals = list(dict.fromkeys(r.signal for load in loads for r in load.relaxations))
         shown = _shown(loads, settled_loads(loads_of(run, Role.RELAXATION)))
-        blocks: list[Block] = [_traces(loads, shown, signals), _fits(shown)]
-        blocks += _together(result.measurements)
-        blocks += [_times(loads, signals), _by_strain(loads, signals)]
-        blocks += _agreements(run, result.measurements)
+        yield from (_traces(loads, shown, signals), _fits(shown))
+        yield from _together(result.measurements)
+        yield from (_times(loads, signals), _by_strain(loads, signals))
+        yield from _agreements(run, result.measurements)
         rejected = [r.fit for load in loads for r in load.relaxations if r.fit.status is FitStatus.REJECTED]
         if rejected:
-            blocks.append(Paragraph(_rejections(rejected, run.settings.r_squared_gate), "note"))
-        return Section("Relaxation and settling", tuple(blocks))
+            yield Paragraph(_rejections(rejected, run.settings.r_squared_gate), "note")
 
 
 def _shown(loads: Sequence[SettledLoad], apart: Sequence[SettledLoad]) -> SettledLoad:
     """Return the load worth pointing out: one that was held for this, else the one whose fits explain most."""
     wanted = apart[0] if apart else None
     near = [load for load in loads if wanted and (load.label, load.group) == (wanted.label, wanted.group)]
-    return near[0] if near else _best(loads)
+    return near[0] if near else max(loads, key=lambda load: sum(r.fit.r_squared for r in load.relaxations))
 
 
 def _traces(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str]) -> Figure:
-    return relaxation_figure(
-        loads,
-        shown,
-        signals,
-        caption=f"Relaxation of {shown.label} ({shown.group}): readings (dots), fit of one or two"
-        " exponentials (line), settling band (shaded) and settling time (dashed). Grey: all other presses.",
-        alternative=f"Traces and fits of {', '.join(signals)} after the press and after the release.",
+    return Figure(
+        f"Relaxation of {shown.label} ({shown.group}): readings (dots), fit of one or two exponentials (line),"
+        " settling band (shaded) and settling time (dashed). Grey: all other presses.",
+        f"Traces and fits of {', '.join(signals)} after the press and after the release.",
+        relaxation_figure(loads, shown, signals),
     )
 
 
 def _times(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Figure:
-    return settling_figure(
-        loads,
-        signals,
-        caption="Settling time of every press (filled) and release (open), in the order they were made. Lines:"
-        " means, where at least half of the loads gave a time. A triangle is a lower bound: it was still outside the"
-        " band at the end of its window.",
-        alternative="Settling times of all loads, for loading and unloading.",
+    return Figure(
+        "Settling time of every press (filled) and release (open), in the order they were made. Lines: means, where"
+        " at least half of the loads gave a time. A triangle is a lower bound: it was still outside the band at the"
+        " end of its window.",
+        "Settling times of all loads, for loading and unloading.",
+        settling_figure(loads, signals),
     )
 
 
@@ -101,15 +97,13 @@ def _together(measurements: Sequence[Measurement]) -> list[Block]:
     return [text_table(caption, ("Signal, after", "Common [s]", "Mean [s]", "Common fit"), rows, (1, 2))]
 
 
-def _agreements(run: RunObservation, measurements: Sequence[Measurement]) -> list[Block]:
+def _agreements(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[Block]:
     """What relaxes alike, as far as this run's metrics ask: the whole image as the blobs, the sheet as a strip."""
     wanted = {m.name for m in measurements}
-    blocks: list[Block] = []
     if "relaxation_shape_difference" in wanted:
-        blocks += _agreement(image_against_blobs(run), "The whole image against the blobs")
+        yield from _agreement(image_against_blobs(run), "The whole image against the blobs")
     if "strip_relaxation_difference" in wanted:
-        blocks += _agreement(sheet_against_strip(run), "The sheet against a strip of its material (2D against 1D)")
-    return blocks
+        yield from _agreement(sheet_against_strip(run), "The sheet against a strip of its material (2D against 1D)")
 
 
 def _agreement(compared: Sequence[DirectedAgreement], words: str) -> list[Block]:
@@ -125,26 +119,27 @@ def _agreement(compared: Sequence[DirectedAgreement], words: str) -> list[Block]
     shapes = "; ".join(
         f"{agreement.direction}: {agreement.found.why or agreement.found.shape}" for agreement in compared
     )
-    return [agreement_figure(compared, caption=caption, alternative=f"{words}. {shapes}.")]
+    return [
+        Figure(
+            caption,
+            f"{words}. {shapes}.",
+            agreement_figure(compared),
+        )
+    ]
 
 
 def _rejections(fits: Sequence[RelaxationFit], gate: float) -> str:
     """Count rejected fits by reason, those of a low R² with their range."""
     low = [fit.r_squared for fit in fits if fit.why.startswith("R²")]
-    others: dict[str, list[str]] = {}
+    reasons: dict[str, list[str]] = {}
     for fit in fits:
         if not fit.why.startswith("R²"):
-            others.setdefault(alike(fit.why), []).append(fit.why)
-    lowest, highest = (f"{number(bound, 2)}" for bound in (min(low, default=0.0), max(low, default=0.0)))
-    values = lowest if lowest == highest else f"{lowest} to {highest}"
-    words = [f"{len(low)} with R² below {gate:g} ({values})"] if low else []
-    words += [f"{len(why)} because {why[0]}" for why in others.values()]
+            reasons.setdefault(alike(fit.why), []).append(fit.why)
+    words = [f"{len(why)} because {why[0]}" for why in reasons.values()]
+    if low:
+        values = " to ".join(dict.fromkeys(number(bound, 2) for bound in (min(low), max(low))))
+        words.insert(0, f"{len(low)} with R² below {gate:g} ({values})")
     return f"{plural(len(fits), 'fit was', 'fits were')} rejected: {', '.join(words)}."
-
-
-def _best(loads: Sequence[SettledLoad]) -> SettledLoad:
-    """Return the load whose fits explain most: the one worth pointing out where none was held for this."""
-    return max(loads, key=lambda load: sum(r.fit.r_squared for r in load.relaxations))
 
 
 def _fits(load: SettledLoad) -> Table:
@@ -155,28 +150,18 @@ def _fits(load: SettledLoad) -> Table:
 
 
 def _fit_row(relaxation: RelaxationObservation) -> list[str]:
-    fit = relaxation.fit
-    after = "press" if relaxation.loading else "release"
-    rejected = fit.status is FitStatus.REJECTED
-    pairs = [] if rejected else list(zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=False))
-    taus = [with_uncertainty(tau, stderr) for tau, stderr in pairs] + ["–", "–"]
-    offset = "–" if rejected else with_uncertainty(fit.offset, fit.offset_stderr)
-    return [
-        relaxation.signal,
-        after,
-        fit.status.value,
-        offset,
-        *taus[:2],
-        f"{fit.r_squared:.3f}",
-        _settled(relaxation),
-    ]
+    fit, settling = relaxation.fit, relaxation.settling
+    values = ["–"] * 3
+    if fit.status is not FitStatus.REJECTED:
+        pairs = zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=False)
+        taus = [with_uncertainty(tau, stderr) for tau, stderr in pairs]
+        values = [with_uncertainty(fit.offset, fit.offset_stderr), *taus, "–", "–"][:3]
+    settled = dashed(settling.value_s, lambda value_s: f"{'≥ ' if settling.censored else ''}{value_s:.1f}")
+    return [relaxation.signal, _after(relaxation.loading), fit.status.value, *values, f"{fit.r_squared:.3f}", settled]
 
 
-def _settled(relaxation: RelaxationObservation) -> str:
-    settling = relaxation.settling
-    if settling.value_s is None:
-        return "–"
-    return f"{'≥ ' if settling.censored else ''}{settling.value_s:.1f}"
+def _after(loading: bool) -> str:
+    return "press" if loading else "release"
 
 
 def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
@@ -213,15 +198,11 @@ def _strain_row(signal: str, loading: bool, strain: str, relaxations: Sequence[R
         return []
     timed = [(r.settling.value_s, r.settling.censored) for r in relaxations if r.settling.value_s is not None]
     censored = sum(late for _, late in timed)
-    rejected = len(relaxations) - len(timed)
-    mean = (
-        "–"
-        if not timed or 2 * len(timed) < len(relaxations)
-        else _mean_text([time for time, _ in timed], [late for _, late in timed])
-    )
-    after = "press" if loading else "release"
-    counts = (len(timed) - censored, censored, rejected)
-    return [signal, after, strain, mean, *map(str, counts)]
+    mean = "–"
+    if timed and 2 * len(timed) >= len(relaxations):
+        mean = _mean_text([time for time, _ in timed], [late for _, late in timed])
+    counts = (len(timed) - censored, censored, len(relaxations) - len(timed))
+    return [signal, _after(loading), strain, mean, *map(str, counts)]
 
 
 def _mean_text(times_s: list[float], censored: list[bool]) -> str:

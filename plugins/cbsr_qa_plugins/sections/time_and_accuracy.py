@@ -1,46 +1,45 @@
 """Where the time went, and what accuracy it bought."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from cbsr_qa.analysis.run import MapCost, map_costs, run_force
-from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Block, Figure, Paragraph, RunObservation, RunResult, Section, Table
+from cbsr_qa.domain.results import Block, Figure, Paragraph, RunObservation, RunResult, Table
 from cbsr_qa.domain.run import PhaseRecord
-from cbsr_qa.report import SPATIAL, Measured, duration, number, observed, plural, spread_text, text_table
-from cbsr_qa.report.draw import Budget, Held, budget_figure, waiting_figure
+from cbsr_qa.report import (
+    Measured,
+    RunSection,
+    dashed,
+    duration,
+    held_loads,
+    number,
+    plural,
+    spatial_spreads,
+    text_table,
+)
+from cbsr_qa.report.draw import Budget, budget_figure, waiting_figure
 
 
-class TimeAndAccuracy:
-    """Section that puts seconds beside millimetres."""
+class TimeAndAccuracy(RunSection):
+    """Section that puts seconds beside millimetres; none where no time was recorded."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None for a recording, or where no time was recorded."""
-        if not isinstance(result, RunResult):
-            return None
-        budgets = [
-            Budget(title, parts)
-            for title, parts in (
-                ("Station", _named(result.record.spent)),
-                ("Computing", _named(result.compute_s)),
-            )
-            if sum(seconds for _, seconds in parts) > 0
-        ]
+    title = "Time, and what accuracy it bought"
+
+    def blocks(self, result: RunResult) -> Iterator[Block]:
+        """Return where the time went and, of an observed run, what each phase bought."""
+        spent = (("Station", result.record.spent), ("Computing", result.compute_s))
+        budgets = [Budget(title, _named(parts)) for title, parts in spent if sum(seconds for _, seconds in parts) > 0]
         if not budgets:
-            return None
-        computing = sum(seconds for _, seconds in result.compute_s)
-        told = (
-            f"The sensor occupied the station for {duration(result.record.station_s)};"
-            f" computing took {duration(computing)} until this report was rendered."
+            return
+        words = (
+            f"The sensor occupied the station for {duration(result.record.station_s)}; computing took"
+            f" {duration(sum(seconds for _, seconds in result.compute_s))} until this report was rendered."
         )
-        blocks: list[Block] = [Paragraph(told)]
+        yield Paragraph(words)
         caption = "Where the time went, largest part first. Station time is what a test costs."
-        blocks.append(budget_figure(budgets, caption=caption, alternative=told))
-        run = observed(result)
-        if run is not None:
-            blocks.append(_bought(result, run))
-            blocks += _map_bought(result, run)
-            blocks += _waiting(run)
-        return Section("Time, and what accuracy it bought", tuple(blocks))
+        yield Figure(caption, words, budget_figure(budgets))
+        if result.observation is not None:
+            run = result.observation
+            yield from (_bought(result, run), *_map_bought(result, run), *_waiting(run))
 
 
 def _named(parts: tuple[tuple[str, float], ...]) -> tuple[tuple[str, float], ...]:
@@ -63,7 +62,7 @@ def _phase_row(phase: PhaseRecord, run: RunObservation, measured: Measured) -> l
     cycle = sum(load.record.rest_end_s - load.record.press_start_s for load in loads) / len(loads)
     counts = sorted({load.steady_frames for load in loads})
     averaged = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    spatial = [spread_text(measured.values(name, loads), unit) for name, _, unit in SPATIAL[:2]]
+    spatial = spatial_spreads(measured, loads)[:2]
     return [phase.name, duration(seconds), str(len(loads)), duration(cycle), averaged, *spatial]
 
 
@@ -74,17 +73,10 @@ def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
     costs = map_costs(run, run_force(run))
     if not costs:
         return []
-    rows = [
-        [
-            str(cost.places),
-            str(cost.loads),
-            duration(cost.station_s),
-            _percent(cost.stated),
-            _seen(cost),
-            _percent(cost.expected),
-        ]
-        for cost in costs
-    ]
+    rows = []
+    for cost in costs:
+        spent = (str(cost.places), str(cost.loads), duration(cost.station_s))
+        rows.append([*spent, _percent(cost.stated), _seen(cost), _percent(cost.expected)])
     columns = ("Places", "Loads", "Station time", "Stated error [%]", "Left out: error [%]", "Left out: stated [%]")
     caption = (
         "What fewer loads would have given: standard error of the map in the calibrated area, and its error at the"
@@ -118,24 +110,16 @@ def _seen(cost: MapCost) -> str:
 
 
 def _percent(value: float | None) -> str:
-    return "–" if value is None else number(100 * value, 2)
+    return dashed(value, lambda share: number(100 * share, 2))
 
 
-def _waiting(run: RunObservation) -> list[Figure]:
-    figures = []
+def _waiting(run: RunObservation) -> Iterator[Figure]:
     for timeline in run.timelines:
         mask = min(range(len(timeline.masks)), key=lambda k: abs(timeline.masks[k] - run.main_mask))
-        records = [load.record for load in run.loads if load.phase == timeline.phase]
-        held = [Held(r.load.label, r.hold_start_s, r.release_start_s) for r in records]
-        figures.append(
-            waiting_figure(
-                timeline,
-                mask,
-                held,
-                caption=f"What waiting buys ({timeline.phase}): error and overlap of single frames against the time"
-                " held, mean over the presses with the middle half of them shaded. Where the line is flat, a shorter"
-                " hold costs no accuracy.",
-                alternative="Error and overlap against the time a load was held.",
-            )
+        yield Figure(
+            f"What waiting buys ({timeline.phase}): error and overlap of single frames against the time held, mean"
+            " over the presses with the middle half of them shaded. Where the line is flat, a shorter hold costs no"
+            " accuracy.",
+            "Error and overlap against the time a load was held.",
+            waiting_figure(timeline, mask, held_loads(run, timeline.phase)),
         )
-    return figures

@@ -3,13 +3,14 @@
 How the station stood when the run was made: its latest check, and its control charts.
 """
 
+from collections.abc import Iterator
+from datetime import datetime
 from typing import Final
 
-from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Block, EndReason, Paragraph, RunObservation, RunResult, Section, Table
+from cbsr_qa.domain.results import Block, EndReason, Paragraph, RunObservation, RunResult, Table
 from cbsr_qa.domain.run import ChangeHistory, RunRecord, RunSession, VerdictOverride
 from cbsr_qa.domain.sensor import ElectrodeKind, Electrodes, PlacedElectrodes, SensorType
-from cbsr_qa.report import chart_blocks, duration, number, quantity, station_blocks, text_table
+from cbsr_qa.report import RunSection, chart_blocks, duration, number, quantity, station_blocks, text_table
 
 _OUTLINES: Final = {
     "contour": "bounded by a contour inside the elements",
@@ -17,25 +18,23 @@ _OUTLINES: Final = {
 }
 
 
-class Traceability:
+class Traceability(RunSection):
     """Section of instruments with identity and due dates, software versions, digest, geometry and settings."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None for a recording."""
-        if not isinstance(result, RunResult):
-            return None
+    title = "Traceability"
+
+    def blocks(self, result: RunResult) -> Iterator[Block]:
+        """Return the tables; those of overrides and sessions only where there are any."""
         record = result.record
-        blocks: list[Block] = [_instruments(record), _sensor(record)]
+        yield from (_instruments(record), _sensor(record))
         if result.observation is not None:
-            blocks.append(_analysis(result.observation))
+            yield _analysis(result.observation)
         if result.overrides:
-            blocks.append(_overrides(result.overrides))
-        blocks.append(_changes(result.history))
-        blocks.append(_phases(record))
+            yield _overrides(result.overrides)
+        yield from (_changes(result.history), _phases(record))
         if len(record.sessions) > 1:
-            blocks.append(_sessions(record))
-        blocks.append(_software(record))
-        return Section("Traceability", tuple(blocks))
+            yield _sessions(record)
+        yield _software(record)
 
 
 def _instruments(record: RunRecord) -> Table:
@@ -115,13 +114,7 @@ def _weighting(run: RunObservation) -> str:
 
 def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
     rows = [
-        [
-            f"{override.at:%Y-%m-%d %H:%M} UTC",
-            override.verdict.value,
-            override.outcome.value,
-            override.by,
-            override.why,
-        ]
+        [_minute(override.at), override.verdict.value, override.outcome.value, override.by, override.why]
         for override in overrides
     ]
     caption = "Decisions against the verdict, oldest first; the latest holds, and none issues a calibration."
@@ -137,33 +130,21 @@ def _changes(history: ChangeHistory) -> Block:
     )
     if not history.changes:
         return Paragraph(f"Recipe, limits, station, sensor type and material: no change was noted {since}.")
-    rows = [
-        [
-            f"{change.at:%Y-%m-%d %H:%M} UTC",
-            f"{change.kind} {change.name}",
-            change.words(12),
-            f"{change.old_digest[:12]} → {change.new_digest[:12]}",
-            change.by or "not stated",
-            change.why,
-            change.run,
-        ]
-        for change in history.changes
-    ]
+    rows = []
+    for change in history.changes:
+        content = f"{change.old_digest[:12]} → {change.new_digest[:12]}"
+        who = (change.by or "not stated", change.why, change.run)
+        rows.append([_minute(change.at), f"{change.kind} {change.name}", change.words(12), content, *who])
     columns = ("When", "File", "What changed", "Content (SHA-256)", "By", "Why", "First run with it")
     return text_table(f"Changes of recipe, limits, station, sensor type and material {since}.", columns, rows)
 
 
 def _phases(record: RunRecord) -> Table:
-    rows = [
-        [
-            phase.name,
-            phase.sequence,
-            duration(phase.ended_s - phase.started_s),
-            str(0 if phase.frames is None else len(phase.frames)),
-            str(len(phase.loads) + len(phase.loops)),
-        ]
-        for phase in record.phases
-    ]
+    rows = []
+    for phase in record.phases:
+        frames, presses = 0 if phase.frames is None else len(phase.frames), len(phase.loads) + len(phase.loops)
+        spent = duration(phase.ended_s - phase.started_s)
+        rows.append([phase.name, phase.sequence, spent, str(frames), str(presses)])
     columns = ("Phase", "Sequence", "Time", "Frames", "Presses")
     return text_table("What was done.", columns, rows, (2, 3, 4))
 
@@ -172,17 +153,10 @@ def _sessions(record: RunRecord) -> Table:
     """The run was interrupted: when, how, who went on, and what of it does not count."""
     first, *later = record.sessions
     ends = [_ended(session, following) for session, following in zip(record.sessions, later, strict=False)]
-    rows = [["begun", _who(first), duration(0.0), "", _versions(first)]]
-    rows += [
-        [
-            f"resumed by {session.operator or 'somebody'}",
-            _who(session),
-            duration(session.started_s),
-            end,
-            _versions(session),
-        ]
-        for session, end in zip(later, ends, strict=True)
-    ]
+    rows = [["begun", _begun(first), duration(0.0), "", _versions(first)]]
+    for session, end in zip(later, ends, strict=True):
+        by = f"resumed by {session.operator or 'somebody'}"
+        rows.append([by, _begun(session), duration(session.started_s), end, _versions(session)])
     aside = f"{record.set_aside} frames" if record.set_aside else "no frame"
     times = "once" if len(later) == 1 else f"{len(later)} times"
     caption = (
@@ -198,8 +172,12 @@ def _ended(session: RunSession, following: RunSession) -> str:
     return f"was {session.end}: {session.detail}" if session.detail else f"was {session.end}"
 
 
-def _who(session: RunSession) -> str:
-    return "not noted" if session.noted_at is None else f"{session.noted_at:%Y-%m-%d %H:%M} UTC"
+def _begun(session: RunSession) -> str:
+    return "not noted" if session.noted_at is None else _minute(session.noted_at)
+
+
+def _minute(at: datetime) -> str:
+    return f"{at:%Y-%m-%d %H:%M} UTC"
 
 
 def _versions(session: RunSession) -> str:
@@ -211,13 +189,13 @@ def _software(record: RunRecord) -> Table:
     return text_table("Software.", ("Distribution", "Version"), rows)
 
 
-class StationChecked:
+class StationChecked(RunSection):
     """Section of the station's control charts that signal, and its latest check before the run."""
 
-    def render(self, result: RunResult | RecordingResult) -> Section | None:
-        """Return the section; None for a recording."""
-        if not isinstance(result, RunResult):
-            return None
+    title = "Station"
+
+    def blocks(self, result: RunResult) -> Iterator[Block]:
+        """Return what charts and check say."""
         identity = result.record.identity
-        checked = station_blocks(identity.station, result.station_check, identity.started_at)
-        return Section("Station", (*chart_blocks(result.station_charts), *checked))
+        yield from chart_blocks(result.station_charts)
+        yield from station_blocks(identity.station, result.station_check, identity.started_at)
