@@ -1,9 +1,4 @@
-"""Finding loads and measurements: what several sections ask for.
-
-Loads as figures and tables show them, joined with what was measured of them.
-
-The verdict of each location: the worst of all that was judged there.
-"""
+"""Loads as figures and tables show them, joined with what was measured of them, and the verdict of each location."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -173,12 +168,7 @@ class LocationVerdict:
 
 
 def location_verdicts(run: RunObservation, judged: Sequence[Measurement]) -> tuple[LocationVerdict, ...]:
-    """Return the verdicts of all places where a single load was judged, in the order they were pressed.
-
-    Parameters
-    ----------
-    judged : measurements with a limit; those that are not about one load are left out.
-    """
+    """Return the verdicts of all places where a single load was judged, in the order they were pressed."""
     at = {(load.phase, load.record.index): load.record.load for load in run.loads}
     groups: dict[tuple[str, str, float, float], list[Measurement]] = {}
     for m in judged:

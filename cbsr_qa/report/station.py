@@ -1,7 +1,4 @@
-"""What a run's report says of its station's control charts.
-
-What pages say of a station's check: its lines as a table, how old it is, and what to do.
-"""
+"""What reports and pages say of a station: its latest check, and its control charts."""
 
 from collections.abc import Sequence
 from datetime import datetime

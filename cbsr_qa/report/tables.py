@@ -1,7 +1,4 @@
-"""Cells and rows that several sections write alike.
-
-Numbers as a reader expects them: as many digits as the uncertainty allows, with a unit, never an ``e-05``.
-"""
+"""Cells, numbers and words that sections write alike: as many digits as the uncertainty allows, with a unit."""
 
 from collections.abc import Callable, Iterable, Sequence
 from math import floor, log10
@@ -36,13 +33,7 @@ def unit_shown(unit: str) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Write a number with this many significant digits; large and small ones as a power of ten.
-
-    Parameters
-    ----------
-    value : any finite number.
-    digits : significant digits, at least 1.
-    """
+    """Write a number with this many significant digits; large and small ones as a power of ten."""
     if value == 0:
         return "0"
     exponent = floor(log10(abs(value)))

@@ -1,10 +1,7 @@
 """Conformance of instrument drivers: what the runner relies on, whatever stands behind the driver.
 
-:func:`check_frame_source`, :func:`check_applicator` and :func:`check_sampler` each run what applies to a role, on an
-instrument that is open and linked; :mod:`cbsr_qa.testing.scanning` has those of meters and multiplexers.
-:func:`check_closing` comes last. Over an emulated or a simulated instrument they take station time and hardly any of
-ours. On a real bench :func:`check_applicator` moves the head, and presses. A check that fails raises AssertionError
-and says which driver did what.
+Each check takes an instrument that is open and linked. Over an emulated or simulated one it takes station time and
+hardly any of ours; on a real bench :func:`check_applicator` moves the head, and presses.
 """
 
 import math
@@ -51,13 +48,7 @@ def check_frame_source(source: FrameSource, clock: Clock, sensor_type: SensorTyp
 
     Parameters
     ----------
-    clock : the one the source was opened with.
-    sensor_type : likewise.
-
-    Raises
-    ------
-    AssertionError
-        Naming the driver, what it did and what is promised.
+    clock, sensor_type : those the source was opened with.
     """
     done = check_instrument(source, FrameSource)
     period_s = source.frame_period_s
@@ -89,11 +80,6 @@ def check_sampler(
     clock : the one the sampler was opened with.
     within_s : how old its last sample may be; a station's ``stale_s`` stops runs whose force is older.
     wait : lets samples fall due; by default so much time passes on the clock.
-
-    Raises
-    ------
-    AssertionError
-        Naming the driver, what it did and what is promised.
     """
     done = check_instrument(sampler, Sampler)
     channel, unit = sampler.channel, sampler.unit
@@ -136,11 +122,6 @@ def check_applicator(
     places : where, from the sheet's centre; the first is where its surface is found.
     depth_now_mm : where somebody else than the driver says the head is below the surface, negative above it: an
         emulated world, a gauge. Without it only the time is looked at, and the time a movement takes.
-
-    Raises
-    ------
-    AssertionError
-        Naming the driver, what it did and what is promised.
     """
     done = check_instrument(head, ForceApplicator)
     seen = _Seen(head, depth_now_mm, motion)

@@ -1,8 +1,6 @@
 """Conformance of reconstruction plugins: what an image must do whatever the method.
 
-:func:`check_reconstruction` runs everything that applies to a method; each check can be run by itself as well. A
-check that fails raises AssertionError and says which method did what where. Checks that do not apply are named in
-what is returned, with the reason: nothing is passed over in silence.
+Each check can be run by itself as well; those that do not apply are returned with the reason.
 """
 
 import numpy as np

@@ -24,11 +24,6 @@ def check_source_meter(meter: SourceMeter, clock: Clock, *, current_A: float = 1
     ----------
     clock : the one the meter was opened with.
     current_A : what it is told to give; something must be connected that takes it below the compliance.
-
-    Raises
-    ------
-    AssertionError
-        Naming the driver, what it did and what is promised.
     """
     done = check_instrument(meter, SourceMeter)
     for what, value in (("reading takes", meter.reading_period_s), ("compliance is", meter.compliance_V)):
@@ -53,13 +48,7 @@ def check_source_meter(meter: SourceMeter, clock: Clock, *, current_A: float = 1
 
 
 def check_multiplexer(multiplexer: Multiplexer, pattern: DrivePattern) -> tuple[Checked, ...]:
-    """Check a multiplexer: its order holds every combination once, and it can begin again from anywhere.
-
-    Raises
-    ------
-    AssertionError
-        Naming the driver, what it did and what is promised.
-    """
+    """Check a multiplexer: its order holds every combination once, and it can begin again from anywhere."""
     done = check_instrument(multiplexer, Multiplexer)
     order, (drives, measures) = multiplexer.order(), pattern.shape
     wanted = {(drive, measure) for drive in range(drives) for measure in range(measures)}
@@ -84,11 +73,6 @@ def check_self_test(instrument: SelfTesting) -> tuple[Checked, ...]:
     Parameters
     ----------
     instrument : open and linked, and well: a driver of which a line fails here cannot be told from one that is wrong.
-
-    Raises
-    ------
-    AssertionError
-        Naming the driver, what it did and what is promised.
     """
     demand(instrument, isinstance(instrument, SelfTesting), "has no self_test")
     first, again = instrument.self_test(), instrument.self_test()

@@ -1,11 +1,7 @@
-"""Targets on a small problem, and the blobs images make of them: what the conformance checks look at.
+"""Targets and the blobs images make of them, a problem that is exactly symmetric, and images of a fresh process.
 
-What a reconstruction answers in a fresh process, with another number of threads and another hash seed.
-
-A coarse imaging problem that is exactly the same after a turn by one electrode.
-
-Meshes of a sensor type are filled by a smoothing iteration and come near to the electrodes' symmetry only. Here rings
-of nodes are joined by hand, and voltages and images share the mesh: what a method does to the symmetry is its own.
+Meshes of sensor types come near to the electrodes' symmetry only: here rings of nodes are joined by hand, and
+voltages and images share the mesh.
 """
 
 import os
@@ -92,13 +88,7 @@ _CONTACT_MM = 0.5  # contact impedance times sheet conductance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SymmetricProblem:
-    """A problem and what a turn by one electrode does to it.
-
-    Parameters
-    ----------
-    problem : voltages and images on one mesh.
-    turned : (e,) int64, the element each element comes to lie on.
-    """
+    """A problem on one mesh, and the element (e,) that each one comes to lie on after a turn by one electrode."""
 
     problem: ImagingProblem
     turned: Indices
@@ -207,12 +197,7 @@ def noise(problem: ImagingProblem, random: np.random.Generator, frames: int) -> 
 
 
 def signal(problem: ImagingProblem, at: tuple[float, float], contrast: float) -> Array:
-    """Readings' change for an indenter-sized target, (m,).
-
-    Parameters
-    ----------
-    at : in units of the sheet's radius. contrast : Δγ/γ₀.
-    """
+    """Change of readings (m,) by an indenter-sized target of contrast Δγ/γ₀; ``at`` in units of the radius."""
     radius = problem.sensor_type.radius_mm
     return target_signal(
         problem, x_mm=at[0] * radius, y_mm=at[1] * radius, radius_mm=_TARGET_RADIUS * radius, contrast=contrast

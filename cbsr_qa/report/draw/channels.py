@@ -1,7 +1,4 @@
-"""Readings of a reference ring against its closed form.
-
-Per-channel quantities: the map of all drive and measure pairs, and the ring of electrode pairs.
-"""
+"""Values of single readings and electrode pairs, and readings of a reference ring against its closed form."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -85,13 +82,12 @@ def pair_bar_figure(
     limits: tuple[float | None, float | None] = (None, None),
     outside: Sequence[int] = (),
 ) -> Canvas:
-    """Draw one bar per electrode pair, with the allowed range and the median.
+    """Draw one bar per electrode pair, with the allowed range (where there is one) and the median.
 
     Parameters
     ----------
     values : (pairs,) float64, finite, at least one.
     names : of the pairs, e.g. ``"3–4"``.
-    limits : lower and upper bound, drawn where given.
     outside : pairs drawn in the warning colour.
     """
     figure = canvas(2.0)

@@ -69,10 +69,7 @@ def _draw_line(
 ) -> None:
     """Cycles as faint dots, means with deviations, strains left out open; the line only where it was fitted.
 
-    Parameters
-    ----------
-    place, change : attributes of a cycle, drawn across and up.
-    scale : of the place.
+    ``place`` (times ``scale``) and ``change`` are attributes of a cycle, drawn across and up.
     """
     highest = 0.0
     for level in characterised.levels:

@@ -1,7 +1,4 @@
-"""What a data sheet shows: change against stress with its best line, response and stiffness over the sheet.
-
-A loop of output against stress, and how far its branches lie apart.
-"""
+"""Change against stress with its best line, loops of output against stress, and values over the sheet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,8 +47,7 @@ def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve]) -> Canva
 
     Parameters
     ----------
-    curves : of the places, without what had not relaxed.
-    read : the same as they were read; may be empty.
+    curves, read : without what had not relaxed, and as they were read (may be empty).
     """
     figure = canvas(2.75)
     end_kPa = 1.04 * max(float(curve.stress_kPa[curve.peak]) for curve in curves)
@@ -89,13 +85,7 @@ class PlaceValue:
 
 @dataclass(frozen=True, slots=True)
 class PlaceMap:
-    """Numbers at places of the sheet, to be coloured.
-
-    Parameters
-    ----------
-    title, unit : over the map and at its scale.
-    about : centre of a scale in two colours; None for one from little to much.
-    """
+    """Numbers at places of the sheet, in two colours about ``about``, or from little to much where that is None."""
 
     title: str
     unit: str
@@ -130,12 +120,7 @@ def characteristic_figure(
 
 @drawn
 def place_maps_figure(maps: Sequence[PlaceMap], sensor: SensorType) -> Canvas:
-    """Draw one or two sheets beside each other with a coloured disc at every place.
-
-    Parameters
-    ----------
-    maps : one or two, each with a place.
-    """
+    """Draw one or two sheets beside each other with a coloured disc at every place."""
     figure = canvas(3.05)
     for number, shown in enumerate(maps):
         axes = sheet_axes(figure, (0.5 * number, 0.0, 0.4, 0.92), sensor)

@@ -70,12 +70,7 @@ class PlacedLoad:
 
 @drawn
 def estimates_figure(loads: Sequence[PlacedLoad], sensor: SensorType) -> Canvas:
-    """Draw the sheet with both places of every load, lengthened errors, and their sizes beside it.
-
-    Parameters
-    ----------
-    caption : must say by how much errors and ellipses are lengthened: see :func:`error_scale`.
-    """
+    """Draw the sheet with both places of every load and their errors, lengthened by :func:`error_scale`."""
     figure = canvas(3.75)
     _draw_places(sheet_axes(figure, (0.0, 0.01, 0.545, 0.98), sensor), loads, error_scale(loads))
     side = plot(figure, (0.64, 0.115, 0.345, 0.8), "error [mm]: × image, ● estimate", grid="x")

@@ -54,7 +54,7 @@ def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canva
 
     Parameters
     ----------
-    panels : one or two, each with a load.
+    panels : one or two.
     flat : the same loads with one response for the whole sheet, drawn faintly among the errors.
     """
     figure = canvas(4.9)
@@ -93,12 +93,7 @@ class RatioPoints:
 
 @drawn
 def ratio_figure(points: RatioPoints) -> Canvas:
-    """Draw the ratio against force: as seen, and with what the map explains taken out.
-
-    Parameters
-    ----------
-    points : at least one.
-    """
+    """Draw the ratio of at least one load against force: as seen, and with what the map explains taken out."""
     figure = canvas(2.5)
     axes = plot(figure, (0.075, 0.175, 0.55, 0.74), "each load of the calibration", x="measured force [N]")
     axes.set_ylabel("seen over predicted change")

@@ -1,7 +1,4 @@
-"""Images of the sheet: electrodes, what conducts more or less, and what was found there.
-
-Where on the sheet limits were met and where not, to be read without colour.
-"""
+"""Images of the sheet with what was found there, and where on the sheet limits were met."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,12 +47,7 @@ _LOOK: Final[dict[Outcome, dict[str, Any]]] = {
 
 @drawn
 def verdict_figure(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> Canvas:
-    """Draw a sheet for each phase with the outcome of every place.
-
-    Parameters
-    ----------
-    verdicts : at least one.
-    """
+    """Draw a sheet for each phase with the outcome of every place."""
     phases = list(dict.fromkeys(verdict.phase for verdict in verdicts))
     height_in = ceil(len(phases) / _ACROSS) * _ROW_IN
     figure = canvas(height_in)
@@ -97,13 +89,7 @@ _SCALE_IN: Final = 0.42  #: room for a scale below each image
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """A place on an image.
-
-    Parameters
-    ----------
-    x, y : in the unit of the image's mesh.
-    label : short; empty for none.
-    """
+    """A place on an image, in the unit of its mesh; the label may be empty."""
 
     x: float
     y: float
@@ -135,21 +121,15 @@ def image_figure(
     columns: int = 3,
     shared_scale: bool = True,
 ) -> Canvas:
-    """Draw images side by side, with electrodes and markers.
+    """Draw images side by side, with electrodes and markers: blue conducts more [%], brown less.
 
     Parameters
     ----------
     panels : at least one; all in the same unit of length.
     sheet : its outline in that unit (a disc of radius 1 where lengths are in units of the radius).
-    electrodes : drawn and numbered where they are known; a ring is drawn on a disc's edge where it would be
-        outside of it, the disc being in another unit than millimetres.
+    electrodes : drawn and numbered where they are known, on a disc's edge where the disc is in another unit.
     columns : at most this many side by side.
     shared_scale : one colour scale for all, below them; otherwise each image has its own below it.
-
-    Returns
-    -------
-    Figure
-        Colours show the relative conductance change in percent: blue conducts more, brown less.
     """
     across = min(columns, len(panels))
     each_in, below_in = (0.0, 0.6) if shared_scale else (_SCALE_IN, 0.1)

@@ -85,12 +85,7 @@ class SeenLoad:
 
 @drawn
 def load_images_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, columns: int = 6) -> Canvas:
-    """Draw every load's image with the indenter over the outline of the sensed blob.
-
-    Parameters
-    ----------
-    loads : at least one, all imaged on one mesh; headings are drawn where the group changes.
-    """
+    """Draw every load's image with the indenter over the outline of the sensed blob, by group."""
     rows, sheet = ceil(len(loads) / columns), sensor.outline
     low_x, high_x, low_y, high_y = sheet.extent_mm
     radius, middle = reach(sheet), ((low_x + high_x) / 2, (low_y + high_y) / 2)
@@ -130,10 +125,7 @@ def load_images_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, columns
 def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas:
     """Draw the sheet with indenter (dashed), blob outlines, error arrows, and each location's metrics beside it.
 
-    Parameters
-    ----------
-    loads : trials of the same location share a label.
-    caption : must say by how much the arrows are lengthened: see :func:`arrow_scale`.
+    Trials of a location share a label. Arrows are lengthened by :func:`arrow_scale`.
     """
     figure = canvas(3.75)
     axes = sheet_axes(figure, (0.0, 0.01, 0.545, 0.98), sensor)

@@ -1,7 +1,4 @@
-"""How strongly each place of the sheet answers, and how surely that is known.
-
-The baseline conductance ρ̄₀ over the sheet, with its uncertainty.
-"""
+"""How strongly each place of the sheet answers: baseline conductance at loads, and the map of the response."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,12 +46,7 @@ from cbsr_qa.report.tables import with_uncertainty
 
 @drawn
 def baseline_figure(places: Sequence[BaselineConductance], sensor: SensorType, indenter: Indenter) -> Canvas:
-    """Draw ρ̄₀ at its places on the sheet, and the same values with error bars around their mean.
-
-    Parameters
-    ----------
-    places : at least one with a value.
-    """
+    """Draw ρ̄₀ at its places on the sheet, and the same values with error bars around their mean."""
     figure = canvas(3.5)
     values = [place.value for place in places if place.value is not None]
     low, high = min(values), max(values)

@@ -1,7 +1,4 @@
-"""Size of regions against size of what presses.
-
-Spatial metrics against time (the paper's Figs 10 and E.23), and what waiting buys.
-"""
+"""Spatial metrics against time (the paper's Figs 10 and E.23), and size of regions against size of what presses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,12 +45,7 @@ class Held:
 
 @drawn
 def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held]) -> Canvas:
-    """Draw the three spatial metrics of every frame for every mask, with the force behind.
-
-    Parameters
-    ----------
-    held : stretches in which something was pressed; lines are broken in between.
-    """
+    """Draw the three spatial metrics of every frame for every mask, while a load was held, with the force behind."""
     figure = canvas(5.0)
     grid = figure.add_gridspec(3, 1, left=0.075, right=0.845, bottom=0.085, top=0.945, hspace=0.14)
     rows = (
@@ -79,12 +71,7 @@ def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held]) -> Canv
 
 @drawn
 def waiting_figure(timeline: MetricTimeline, mask: int, held: Sequence[Held]) -> Canvas:
-    """Draw error and overlap against the time held, mean and spread over the loads: what waiting buys.
-
-    Parameters
-    ----------
-    mask : index of the mask that counts.
-    """
+    """Draw error and overlap of one mask against the time held: what waiting buys."""
     figure = canvas(1.95)
     grid = figure.add_gridspec(1, 2, left=0.075, right=0.985, bottom=0.2, top=0.88, wspace=0.2)
     rows = (("error E_CoM [mm]", timeline.error_mm[mask]), ("overlap A_OL [%]", timeline.overlap_percent[mask]))

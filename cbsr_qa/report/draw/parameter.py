@@ -37,14 +37,7 @@ _FEW: Final = 30  #: with fewer values those looked at are drawn as dots
 
 @dataclass(frozen=True, slots=True)
 class ParameterMark:
-    """What one criterion says, and the noise figure there.
-
-    Parameters
-    ----------
-    title : name of the criterion.
-    value, noise_figure : None where the criterion has no answer.
-    chosen : whether it is the one that decided.
-    """
+    """What one criterion says, and the noise figure there; None where it has no answer."""
 
     title: str
     value: float | None
@@ -56,10 +49,7 @@ class ParameterMark:
 def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name: str) -> Canvas:
     """Draw the noise figure over all that was searched, with the chosen value, and again large around all marks.
 
-    Parameters
-    ----------
-    marks : one for each criterion; those that have no answer are named without a mark.
-    name : of the parameter.
+    Criteria without an answer are named without a mark.
     """
     figure = canvas(2.35)
     label = name if curve.discrete else f"{name} (no unit)"

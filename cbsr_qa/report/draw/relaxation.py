@@ -1,7 +1,4 @@
-"""Relaxations: traces with their fits, and settling times (the paper's Figs D.19 to D.22).
-
-Two relaxations side by side, and their difference within the margins of equivalence.
-"""
+"""Relaxations with their fits and settling times (the paper's Figs D.19 to D.22), and two of them compared."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,12 +37,7 @@ _NINETY: Final = 1.6449
 
 @drawn
 def agreement_figure(compared: Sequence[DirectedAgreement]) -> Canvas:
-    """Draw both curves (above) and their difference with its 90 % interval and the margin (below), by direction.
-
-    Parameters
-    ----------
-    compared : one column each; those without curves say why.
-    """
+    """Draw both curves (above) and their difference with its 90 % interval and the margin (below), by direction."""
     figure, grid = _panels(3.3, 2, len(compared), hspace=0.18, height_ratios=(1.2, 1.0))
     labelled: list[Axes] = []
     for column, agreement in enumerate(compared):
@@ -107,15 +99,7 @@ _QUIET_POINTS: Final = 90
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettledLoad:
-    """The relaxations of one load.
-
-    Parameters
-    ----------
-    label : e.g. ``"L3"``.
-    group : the phase it belongs to.
-    strain : as a fraction.
-    relaxations : of all signals and both directions.
-    """
+    """The relaxations of one load, all signals and both directions; ``group`` is its phase, ``strain`` a fraction."""
 
     label: str
     group: str
@@ -128,25 +112,14 @@ class SettledLoad:
 
 
 def relaxation_value(fit: RelaxationFit, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Evaluate G(t) = a₀ + Σ aᵢ e^(−t/τᵢ) (paper Eq 3).
-
-    Parameters
-    ----------
-    time_s : (n,) from the end of the ramp [s].
-    """
+    """Evaluate G(t) = a₀ + Σ aᵢ e^(−t/τᵢ) (paper Eq 3) at times (n,) from the end of the ramp [s]."""
     terms = zip(fit.amplitudes, fit.time_constants_s, strict=True)
     return fit.offset + sum((a * np.exp(-time_s / tau) for a, tau in terms), np.zeros_like(time_s))
 
 
 @drawn
 def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str]) -> Canvas:
-    """Draw the traces of all loads in grey and one with its fit, settling band and settling time.
-
-    Parameters
-    ----------
-    shown : the load that is pointed out.
-    signals : one row each.
-    """
+    """Draw a row for each signal: all loads in grey, one with its fit, settling band and settling time."""
     figure, grid = _panels(1.75 * len(signals) + 0.45, len(signals), 2, hspace=0.34)
     labelled: list[Axes] = []
     for row, signal in enumerate(signals):

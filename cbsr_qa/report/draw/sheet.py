@@ -1,7 +1,4 @@
-"""How the sheet, its electrodes and what lies on it are drawn; shared by every figure that shows a place.
-
-Outlines of regions and heads, and pictures of images, ready to be drawn.
-"""
+"""How the sheet, its electrodes and what lies on it are drawn."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -27,12 +24,7 @@ Point = tuple[float, float]
 
 
 def rings(region: Region) -> list[NDArray[np.float64]]:
-    """Trace the perimeter of a region, holes included.
-
-    Returns
-    -------
-    Closed rings, each (n, 2) [mm] with the first point repeated; outer rings counterclockwise, holes clockwise.
-    """
+    """Trace a region's perimeter: closed rings (n, 2) [mm], outer ones counterclockwise, holes clockwise."""
     starts, ends = region.rim_mm()
     following: dict[Point, list[Point]] = defaultdict(list)
     for start, end in zip(map(tuple, starts.tolist()), map(tuple, ends.tolist()), strict=True):
@@ -119,12 +111,7 @@ def sheet_axes(figure: Canvas, place: Box, sensor: SensorType, *, numbered: bool
 
 
 def disc_radius_mm(places_mm: Sequence[tuple[float, float]], sensor: SensorType, least: float = 0.03) -> float:
-    """Radius of discs at these places that lets most neighbours stand clear of each other.
-
-    Parameters
-    ----------
-    least : of the sheet's radius.
-    """
+    """Radius of discs that lets most neighbours stand clear; at least ``least`` of the sheet's radius."""
     at = np.array(places_mm)
     apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
     apart[apart < 1e-9] = np.inf
@@ -222,12 +209,7 @@ def draw_circles(
     width: float = 0.8,
     dashed: bool = False,
 ) -> None:
-    """Draw equal circles, e.g. the indenter at many places, as one collection.
-
-    Parameters
-    ----------
-    centres_mm : (n, 2).
-    """
+    """Draw equal circles at (n, 2) centres as one collection."""
     round_ = _arc(0.0, 2 * np.pi, radius_mm)
     collection = PolyCollection(
         [round_ + centre for centre in np.asarray(centres_mm).reshape(-1, 2)],
@@ -264,12 +246,7 @@ def add_scale(
     place: str,
     bottom_in: float = 0.36,
 ) -> None:
-    """Draw a slim colour scale beside (``"right"``) or below (``"bottom"``) the axes.
-
-    Parameters
-    ----------
-    bottom_in : height of a scale below above the figure's lower edge [in].
-    """
+    """Draw a slim colour scale beside (``"right"``) or below (``"bottom"``) the axes, there ``bottom_in`` up."""
     box = axes.get_position()
     beside = place == "right"
     if beside:

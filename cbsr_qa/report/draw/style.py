@@ -1,10 +1,4 @@
-"""One look for all figures: type sizes, line weights and colours that survive colour blindness and a grey printer.
-
-Figures are made with matplotlib's object API; there is no pyplot state. The settings are applied while a figure is
-drawn (:func:`drawing`) and taken back afterwards.
-
-From a matplotlib figure to an inline SVG, and the check every SVG passes before it enters a page.
-"""
+"""One look for all figures, readable without colour and in grey, and the way from a figure to a safe inline SVG."""
 
 import hashlib
 import io
@@ -190,10 +184,7 @@ def dots(
 def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
     """Align the labels of vertical axes clear of their numbers, and widen the left margin until both have room.
 
-    Parameters
-    ----------
-    grid : of the figure, with its margins set.
-    labelled : its first column, drawn in full: numbers decide how wide they are.
+    ``labelled`` is the first column of the grid, drawn in full: numbers decide how wide they are.
     """
     figure.align_ylabels(labelled)
     boxes = [axes.yaxis.get_tightbbox(None) for axes in labelled]
@@ -225,17 +216,7 @@ def bare(axes: Axes) -> None:
 
 
 def spread_labels(places: list[float], gap: float) -> list[float]:
-    """Move labels apart along one axis so that none overlap, keeping their order and their mean.
-
-    Parameters
-    ----------
-    places : wanted positions.
-    gap : smallest distance between neighbours.
-
-    Returns
-    -------
-    New positions in the order of ``places``.
-    """
+    """Move labels at least ``gap`` apart along one axis, keeping their order and their mean."""
     order = sorted(range(len(places)), key=lambda i: places[i])
     moved = [places[i] for i in order]
     for _ in range(50 * len(moved)):
@@ -293,8 +274,7 @@ def checked_svg(svg: str) -> str:
     Raises
     ------
     RefusedError
-        If it is not well-formed, or holds a script, a style sheet, an event handler, an embedded document, a
-        comment or declaration, or a reference to anything outside itself.
+        If it is not well-formed, or holds anything but drawing, or refers to anything outside itself.
     """
     if "<!" in svg or "<?" in svg:
         raise RefusedError("a figure holds a comment or a declaration; an inline SVG needs neither")

@@ -1,7 +1,4 @@
-"""Quantities against time, with the events that explain them.
-
-Where the time went.
-"""
+"""Traces against time, and where the time went."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,14 +62,7 @@ _POINTS: Final = 1600
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A stretch of time worth pointing at.
-
-    Parameters
-    ----------
-    start_s, end_s : on the traces' clock; equal for a moment.
-    label : short.
-    peak_s : marked with a tick where given.
-    """
+    """A stretch of time worth pointing at, on the traces' clock; a peak is marked with a tick."""
 
     start_s: float
     end_s: float
@@ -88,13 +78,9 @@ def timeline_figure(
     time_label: str = "time since the first complete frame [s]",
     panel_height_in: float = 1.35,
 ) -> Canvas:
-    """Draw traces below each other over one time axis; traces of equal unit share a panel.
+    """Draw traces below each other over one time axis, those of equal unit in one panel [in].
 
-    Parameters
-    ----------
-    traces : at least one; a trace without points is left out.
-    spans : shaded through all panels and named above the first.
-    panel_height_in : of each panel [in].
+    Spans are shaded through all panels and named above the first. Traces without points are left out.
     """
     panels = _by_unit(traces)
     height_in = panel_height_in * len(panels) + 0.75

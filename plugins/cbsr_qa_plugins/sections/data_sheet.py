@@ -1,7 +1,4 @@
-"""The data sheet of this sensor: repeatability, nonlinearity, creep and the like, with how each was found.
-
-The baseline conductance ρ̄₀ at each location.
-"""
+"""The data sheet of a sensor, and its baseline conductance ρ̄₀ at each location."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final

@@ -1,9 +1,4 @@
-"""GREIT's figures of merit by location, what was seen where nothing pressed, and how close two loads may be.
-
-What the areas of regions say about the sizes of loads: the other side of the overlap.
-
-How much the images are smoothed: the regularisation parameter, what chose it, and what it could have been.
-"""
+"""Figures of merit of images, what areas of regions say about sizes, and the regularisation parameter."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial

@@ -1,9 +1,4 @@
-"""Random loads on a polar plot, with the error each was seen with.
-
-Loads estimated from their readings, beside where their images show them.
-
-Every load's image with the indenter over the blob.
-"""
+"""Images of loads, random loads, and loads estimated from their readings."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

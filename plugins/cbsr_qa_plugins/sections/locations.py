@@ -1,7 +1,4 @@
-"""The percentage masks side by side: table of means, and metrics against time with the force behind.
-
-The grid of locations: where each load was seen, table and map.
-"""
+"""The grid of locations: where each load was seen, and the percentage masks side by side."""
 
 from collections.abc import Iterator, Sequence
 from statistics import fmean

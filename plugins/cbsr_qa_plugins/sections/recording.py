@@ -1,9 +1,4 @@
-"""Rows of a recording that were not used, by line, and what else is worth knowing about the file.
-
-Channels and noise of a recording.
-
-Presses found in a recording: when, where, which way, how clearly.
-"""
+"""Sections of a recording: channels and noise, events, and rows of the file that were not used."""
 
 from collections.abc import Iterator, Sequence
 

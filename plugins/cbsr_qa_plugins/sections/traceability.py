@@ -1,7 +1,4 @@
-"""What the numbers can be traced to: instruments, software, settings.
-
-How the station stood when the run was made: its latest check, and its control charts.
-"""
+"""What the numbers can be traced to, and how the station stood when the run was made."""
 
 from collections.abc import Iterator
 from datetime import datetime

@@ -2,18 +2,11 @@
 
 from dataclasses import replace
 
-import pytest
-from report_samples import sample_run
 from section_texts import tables, texts
 
 from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome
 from cbsr_qa_plugins.sections.limits import Limits
 from cbsr_qa_plugins.sections.relaxation import RelaxationFits
-
-
-@pytest.fixture(scope="module")
-def result():
-    return sample_run(size_mm=6.0)
 
 
 def test_of_many_limits_the_closest_are_shown_and_the_others_folded(result):

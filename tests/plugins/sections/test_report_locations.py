@@ -5,7 +5,7 @@ from statistics import fmean
 
 import numpy as np
 import pytest
-from report_samples import sample_run, without_blobs
+from report_samples import without_blobs
 from section_texts import tables, texts
 
 from cbsr_qa.domain.plan import Role
@@ -13,11 +13,6 @@ from cbsr_qa.domain.results import Figure, Limit, Measurement, Outcome
 from cbsr_qa.report import Measured, loads_of
 from cbsr_qa_plugins.sections.loads import RandomLoads
 from cbsr_qa_plugins.sections.locations import MaskComparison, NineLocations
-
-
-@pytest.fixture(scope="module")
-def result():
-    return sample_run(size_mm=6.0)
 
 
 def test_the_location_table_holds_the_measured_values(result):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recording_samples import sample_recording
-from report_samples import ended_early, sample_run, without_blobs
+from report_samples import ended_early, without_blobs
 from section_texts import tables, texts
 
 from cbsr_qa.analysis.run import signal_to_noise_dB
@@ -28,11 +28,6 @@ OF_A_RUN = {
     for kind, name, target in BUILT_IN
     if kind is Kind.SECTION and not name.startswith(("recording", "characterisation"))
 }
-
-
-@pytest.fixture(scope="module")
-def result():
-    return sample_run(size_mm=6.0)
 
 
 def made(name):
