@@ -12,7 +12,6 @@ from cbsr_qa.domain.results import Figure, Paragraph, Table
 from cbsr_qa.eit.inverse import central_signal, evidence_of, imaging_problem, laplace_matrix, noser
 from cbsr_qa.report import number
 from cbsr_qa.report.draw import INK, checked_svg, drawing, parameter_figure
-from cbsr_qa.report.draw.parameter import log_ticks
 from cbsr_qa_plugins.reconstruction.direct import Greit, LinearBackProjection, TruncatedSvd
 from cbsr_qa_plugins.reconstruction.one_step import (
     GaussNewtonIndenter,
@@ -262,14 +261,3 @@ def test_the_few_values_that_greit_tried_are_drawn_as_they_were(problem, canvas_
     for axes in canvas_of(prepared):
         assert marks(axes)[1] == [(choice.value, choice.noise_figure)]
         assert len(curve.values) in {len(line.get_xdata()) for line in axes.lines if line.get_marker() == "."}
-
-
-@pytest.mark.parametrize(
-    ("low", "high"), [(0.9, 1.2), (0.19, 1.1), (0.04, 0.4), (3e-4, 2e-2), (1e-7, 1e3), (0.3, 1400)]
-)
-def test_every_scale_has_some_ticks_and_not_too_many(low, high):
-    ticks = log_ticks(low, high)
-    assert 1 <= len(ticks) <= 9
-    assert len(ticks) >= 3 or high < 2 * low
-    assert ticks == sorted(set(ticks))
-    assert low <= ticks[0] <= ticks[-1] <= high

@@ -28,6 +28,7 @@ from cbsr_qa.eit.mesh import image_mesh
 from cbsr_qa.report.draw.channels import ChannelMark, channel_map_figure
 from cbsr_qa.report.draw.images import ImagePanel, Marker, image_figure
 from cbsr_qa.report.draw.metrics import Held, held_profile
+from cbsr_qa.report.draw.parameter import log_ticks
 from cbsr_qa.report.draw.relaxation import SettledLoad, relaxation_figure, relaxation_value
 from cbsr_qa.report.draw.sheet import Raster, rings
 from cbsr_qa.report.draw.style import checked_svg, drawing, name_rows, spread_labels
@@ -303,3 +304,14 @@ def test_rows_are_named_as_closely_as_they_can_be_read(count, named):
     assert len(found) == named
     assert all(label == f"L{tick}" for tick, label in found)
     assert axes.get_ylim() == (count - 0.4, -0.6)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.9, 1.2), (0.19, 1.1), (0.04, 0.4), (3e-4, 2e-2), (1e-7, 1e3), (0.3, 1400)]
+)
+def test_every_scale_has_some_ticks_and_not_too_many(low, high):
+    ticks = log_ticks(low, high)
+    assert 1 <= len(ticks) <= 9
+    assert len(ticks) >= 3 or high < 2 * low
+    assert ticks == sorted(set(ticks))
+    assert low <= ticks[0] <= ticks[-1] <= high
