@@ -23,14 +23,12 @@ from cbsr_qa.report.draw.sheet import (
     draw_sheet,
     fit_sheet,
     reach,
-    sheet_axes,
+    show_sheet,
 )
 from cbsr_qa.report.draw.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm, drawn, note
 from cbsr_qa.report.select import SIGNS, LocationVerdict
 
 _ACROSS: Final = 3
-_SIDE_IN: Final = 2.1
-_ROW_IN: Final = 2.62
 #: As dark in grey print as the outcome is bad; the edge tells them apart besides.
 _LOOK: Final[dict[Outcome, dict[str, Any]]] = {
     Outcome.PASS: {"facecolor": "#e9f5f0", "edgecolor": "#00664b", "linewidth": 0.8},
@@ -49,16 +47,9 @@ _LOOK: Final[dict[Outcome, dict[str, Any]]] = {
 def verdict_figure(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> Canvas:
     """Draw a sheet for each phase with the outcome of every place."""
     phases = list(dict.fromkeys(verdict.phase for verdict in verdicts))
-    height_in = ceil(len(phases) / _ACROSS) * _ROW_IN
-    figure = canvas(height_in)
-    across = min(len(phases), _ACROSS)
-    step_in = WIDTH_IN / across if across > 1 else _SIDE_IN + 0.2
-    for number, phase in enumerate(phases):
-        row, column = divmod(number, _ACROSS)
-        left_in = column * step_in + (step_in - _SIDE_IN) / 2 * (across > 1)
-        bottom_in = height_in - (row + 1) * _ROW_IN + 0.24
-        box = (left_in / WIDTH_IN, bottom_in / height_in, _SIDE_IN / WIDTH_IN, _SIDE_IN / height_in)
-        axes = sheet_axes(figure, box, sensor, numbered=False)
+    figure, places = _laid_out(len(phases), min(len(phases), _ACROSS))
+    for phase, axes in zip(phases, places, strict=True):
+        show_sheet(axes, sensor, numbered=False)
         _draw_phase(axes, phase, [verdict for verdict in verdicts if verdict.phase == phase], sensor)
     return figure
 
@@ -150,7 +141,7 @@ def image_figure(
     return figure
 
 
-def _laid_out(count: int, across: int, *, each_in: float, below_in: float) -> tuple[Canvas, list[Axes]]:
+def _laid_out(count: int, across: int, *, each_in: float = 0.0, below_in: float = 0.0) -> tuple[Canvas, list[Axes]]:
     """Square axes in rows, with room for a title above and a note (and more) below each, and below them all."""
     side_in = min((WIDTH_IN - 0.6) / across, 2.9)
     row_in = side_in + 0.42 + each_in

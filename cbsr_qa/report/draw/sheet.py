@@ -100,14 +100,19 @@ _SIDES: Final = 72
 Shift = tuple[float, float]
 
 
-def sheet_axes(figure: Canvas, place: Box, sensor: SensorType, *, numbered: bool = True) -> Axes:
+def sheet_axes(figure: Canvas, place: Box, sensor: SensorType) -> Axes:
     """Add axes that show a sensor's sheet with its electrodes, to scale."""
     axes = figure.add_axes(place)
+    show_sheet(axes, sensor)
+    return axes
+
+
+def show_sheet(axes: Axes, sensor: SensorType, *, numbered: bool = True) -> None:
+    """Draw a sensor's sheet with its electrodes, to scale."""
     bare(axes)
     draw_sheet(axes, sensor.outline, filled=True)
     draw_electrodes(axes, sensor.electrodes, sensor.outline, numbered=numbered)
     fit_sheet(axes, sensor.outline)
-    return axes
 
 
 def disc_radius_mm(places_mm: Sequence[tuple[float, float]], sensor: SensorType, least: float = 0.03) -> float:

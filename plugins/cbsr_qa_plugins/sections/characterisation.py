@@ -214,8 +214,8 @@ def _assumed(material: Characterisation) -> str:
     contacts = parts.get("contacts of the pins")
     words = (
         f"A small change under the head shows between the pins as {100 * strip.head_share:.3g} % of itself: the rest"
-        " of the strip and the pins' contacts lie in series. That share is the forward model's. Of the contacts two"
-        f" pins tell nothing: {settings.contact_length_mm:g} ± {settings.contact_length_stderr_mm:g} mm times the"
+        " of the strip and the pins' contacts lie in series. That share is the forward model's. Two pins say nothing"
+        f" of their contacts: {settings.contact_length_mm:g} ± {settings.contact_length_stderr_mm:g} mm times the"
         f" sheet resistance is assumed, {100 * strip.contact_share:.2g} % of the resistance between the pins."
     )
     if contacts is not None:

@@ -197,8 +197,7 @@ def _characteristic(run: RunObservation) -> Iterator[Figure]:
     bars = "" if scatter is None else "; bars: repeatability over the root of the number of presses"
     yield Figure(
         "Sensed change against relaxed stress. Grey: each location, in % of its own span. Blue: their mean. Red: its"
-        " best straight line. Right: what is left over from that line; shaded: the largest deviation of the mean,"
-        f" which is the nonlinearity{bars}.",
+        f" best straight line. Right: deviations from it; shaded: the nonlinearity{bars}.",
         f"Change against stress at {plural(len(curves), 'location')}; the mean leaves its best straight line by at"
         f" most {number(100 * line.largest, 2)} % of the span.",
         characteristic_figure(curves, mean, line, scatter),
@@ -216,9 +215,8 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> It
         error = "" if hysteresis.uncertainty is None else f" ± {number(hysteresis.uncertainty, 2)}"
         yield Figure(
             "Output against relaxed stress through strains reached from below (blue, filled) and from above (red,"
-            " open) without lifting the head, mean over the cycles of each location. Right: the way down less the way"
-            " up at the same stress, with one standard error; grey crosses: the same as read at the end of each hold,"
-            " in which creep passes for hysteresis.",
+            " open) without lifting the head, mean over the cycles of each location. Right: down less up at the same"
+            " stress, with one standard error; grey crosses: as read at the end of each hold, creep included.",
             f"Loops at {plural(len(curves), 'location')}; the branches differ by at most"
             f" {number(hysteresis.value, 2)}{error} % of the span.",
             loop_figure(curves, read),

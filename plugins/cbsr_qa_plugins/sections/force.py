@@ -154,9 +154,8 @@ def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
     places = places_mm(force.used)
     return Figure(
         "How strongly each place answers, over what a sheet of the nominal material would (left; brown less, blue"
-        " more), and the standard error of that (right). White dots: loads the map was learned from; red crosses:"
-        " loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map goes back to its"
-        " mean, and its error says so.",
+        " more), and the standard error of that (right). White dots: loads it was learned from; red crosses: refused"
+        " loads. Dashed: the calibrated area, beyond which the map returns to its mean.",
         _map_words(run, force, learned),
         force_map_figure(
             [
@@ -203,10 +202,9 @@ def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
     return [
         Figure(
             f"Force of {plural(len(shown), 'load')} {which}, as the sensor tells it against the load cell, bars:"
-            " stated standard error. Full: loads all over the sheet; open: presses of the noise figure and the like,"
-            " at one place again and again, which the figures in the text leave out. Below: the errors, in bands of"
-            " one and two stated standard errors; small diamonds: the same loads with one response for the whole"
-            " sheet, place known (triangles: beyond the edge). A red cross on the axis was not detected.",
+            " stated standard error. Open: repeated presses of one place, which the values in the text leave out."
+            " Below: errors, in bands of one and two stated standard errors; diamonds: with one response for the"
+            " whole sheet, place known (triangles: beyond the edge). Red cross: not detected.",
             " ".join(_tested_words(tests)),
             force_figure(panels, faint),
         )
@@ -269,9 +267,8 @@ def _ratios(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figu
     variance += 2 * stress * (learned.line.covariance or 0.0)
     ratio = learned.ratio[used]
     return Figure(
-        "Change seen under the head over what the material's line predicts for its force. Diamonds: as seen; the"
-        " spread is the sheet's. Dots: with the map at their places taken out, bars: noise of readings and load cell."
-        " Red: what the line of this sensor does to that (its intercept lifts or lowers light loads), shaded: its"
+        "Change seen under the head over what the material's line predicts for its force. Diamonds: as seen. Dots:"
+        " without the map at their places, bars: noise of readings and load cell. Red: line of this sensor with its"
         " standard error. Right: what map and line leave over, of single loads.",
         _line_words(learned),
         ratio_figure(
@@ -301,9 +298,9 @@ def _assumed_words(learned: LearnedForce) -> str:
     return (
         f"Taken as given: the slope α_σ = {number(alpha.value)} /kPa ({alpha.source}); what is wrong with it is in"
         f" the map. {_line_words(learned)} Of what earlier loads left behind just before a press"
-        f" {with_uncertainty(share, stderr)} is taken to be there still at its steady frames. The head is known, one"
-        " at a time, pressed flat, and steady: drift, temperature and hysteresis are in the errors above as far as"
-        " this run had them."
+        f" {with_uncertainty(share, stderr)} is taken to be there still at its steady frames. One known head is"
+        " pressed flat and held; drift, temperature and hysteresis are in the errors above as far as this run had"
+        " them."
     )
 
 

@@ -105,8 +105,7 @@ class SizeResponses(ObservedSection):
         if seen:
             caption = (
                 f"Diameter of a circle with the region's area (mask {100 * run.main_mask:g} %) against the diameter"
-                " of what presses, without noise. On the dashed line regions are as large as their loads; a level"
-                " line is a method that answers every load with the same region."
+                " of what presses, without noise. On the dashed line regions are as large as their loads."
             )
             yield Figure(caption, words, size_figure(seen, run.record.indenter.diameter_mm))
         yield _table_size_response(responses)
@@ -144,9 +143,8 @@ def in_words(responses: Sequence[SizeResponse]) -> str:
     )
     if any(response.flat for response in seen):
         return (
-            f"{words} The response is flat: this reconstruction answers loads of every size with nearly the same"
-            " region. An overlap near 100 % says that the region fits this head, not that its size was measured, and"
-            " the area of a region says nothing about an unknown load. The load estimate measures sizes."
+            f"{words} The response is flat: loads of every size give nearly the same region, so that neither its area"
+            " nor an overlap near 100 % says how large a load is. The load estimate measures sizes."
         )
     return f"{words} Regions follow the size of what presses."
 

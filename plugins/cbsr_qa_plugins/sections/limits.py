@@ -84,9 +84,8 @@ def _by_location(result: RunResult, judged: Sequence[Measurement]) -> list[Block
         return []
     words = verdicts_in_words(verdicts)
     caption = (
-        "Outcome of each place: the worst of all that was judged there, over its trials and strains. ✓ pass, ≈"
-        " marginal (dashed edge), ✗ fail (dark), ? not measured (dotted edge). Limits of the whole run are in the"
-        " table only."
+        "Outcome of each place: the worst of its trials and strains. ✓ pass, ≈ marginal, ✗ fail, ? not measured."
+        " Limits of the whole run are in the table only."
     )
     return [
         Paragraph(words),
@@ -158,8 +157,8 @@ def _others_of(measurements: Sequence[Measurement], phases: Sequence[str]) -> Ta
     columns = ("Measurement", *(phase or "whole run" for phase in phases))
     where = "in a phase" if any(phases) else "of the whole run"
     caption = (
-        f"Everything else that was measured {where}; no limit was set for it. Several values are given as mean ±"
-        " standard deviation with their number, a single one with its own uncertainty."
+        f"What else was measured {where}, without a limit. Several values: mean ± standard deviation and their"
+        " number; one: with its uncertainty."
     )
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
 

@@ -134,8 +134,8 @@ def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Mea
         )
     caption = (
         "Errors of place by the image (E_CoM) and by the readings, ± one standard error along an axis. Contrast with"
-        " the head's radius given; radius and area × contrast A·c (against the mean of both conductances) without. A"
-        " dash for the radius: the readings do not determine it at this place and strength. d′: detectability."
+        " the head's radius given; radius and area × contrast A·c without. No radius: the readings do not determine"
+        " it there. d′: detectability."
     )
     table = text_table(caption, _COLUMNS, rows, tuple(range(1, len(_COLUMNS))))
     return replace(table, folded=len(rows) > _MOST_ROWS)

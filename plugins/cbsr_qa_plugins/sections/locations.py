@@ -70,8 +70,8 @@ def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Mea
     longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
     return Figure(
         f"{phase}Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
-        " indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's centre"
-        f" of mass, {longer}. Right: every press; a diamond is outside its limit, a cross {cross}.",
+        " indenter. Blue: outline of the sensed blob. Arrows: from the indenter's centre to the blob's centre of"
+        f" mass, {longer}. Right: every press; a diamond is outside its limit, a cross {cross}.",
         _in_words(loads, measured),
         location_map_figure(seen, run.record.sensor_type),
     )
@@ -154,7 +154,7 @@ def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measur
         rows.append(tuple(row))
     caption = (
         "Each location: error of the centre of mass, mutual overlap with its band, deviation of the outline, force."
-        " Over several presses: mean ± standard deviation; a single press stands without one."
+        " Over several presses: mean ± standard deviation."
     )
     return Table(caption, tuple(columns), tuple(rows), tuple(numeric))
 
@@ -205,8 +205,7 @@ def _table_mask_comparison(result: RunResult, run: RunObservation) -> Table:
         rows.append([f"{100 * fraction:g} %{decides}", *spatial_spreads(measured, loads, qualifier)])
     columns = ["Mask", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Loads seen"]
     caption = (
-        "Mean ± standard deviation over all locations and trials of the steady images, for each percentage mask. A"
-        " higher mask cuts the blob closer to its peak."
+        "Mean ± standard deviation over all locations and trials of the steady images, for each percentage mask."
     )
     return text_table(caption, columns, rows, (1, 2, 3, 4))
 

@@ -78,7 +78,7 @@ def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: NDArray[
     words = f"rms {number(100 * float(np.sqrt(np.mean(errors**2))), 2)} %, largest {number(100 * errors.max(), 2)} %"
     return Figure(
         "Change of each reading of the reference frame when drive and measure pair are exchanged, of the rms reading:"
-        f" {words}. One electrode whose row and column stand out is a contact; a whole triangle is memory.",
+        f" {words}. A row and column that stand out: a contact; a triangle: memory of the readings.",
         f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
         channel_map_figure(100 * largest, label="reciprocity error", unit="%", used=largest >= 0),
     )

@@ -183,8 +183,8 @@ def _imaged(events: Sequence[LoadEvent]) -> Table:
     )
     if any(event.imaged is not None and event.imaged.largest < -1 for event in events):
         caption += (
-            " No sheet conducts less than nothing: a change below −100 % says that the change is too large for the"
-            " method, or the scale of the readings is not known; places hold, amplitudes do not."
+            " A change below −100 % is impossible: it is too large for the method, or the scale of the readings is"
+            " not known. Places hold, amplitudes do not."
         )
     return text_table(caption, columns, rows, (1, 2, 3, 4))
 

@@ -74,8 +74,7 @@ def _traces(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[
 def _times(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Figure:
     return Figure(
         "Settling time of every press (filled) and release (open), in the order they were made. Lines: means, where"
-        " at least half of the loads gave a time. A triangle is a lower bound: it was still outside the band at the"
-        " end of its window.",
+        " at least half of the loads gave a time. Triangle: a lower bound.",
         "Settling times of all loads, for loading and unloading.",
         settling_figure(loads, signals),
     )
@@ -174,9 +173,8 @@ def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
                 rows.append(_strain_row(signal, loading, words, [r for r in relaxations if r is not None]))
     columns = ("Signal", "After", "Strain [%]", "Settling [s]", "Settled", "Later than window", "Rejected")
     caption = (
-        "Settling by strain: mean ± standard deviation. Presses not settled within their window count with their"
-        " window (Kaplan–Meier), so that the mean is then a lower bound, marked ≥. Where more than half were rejected"
-        " there is none."
+        "Settling by strain: mean ± standard deviation. ≥: a lower bound, as presses not settled within their window"
+        " count with it (Kaplan–Meier). No mean where more than half were rejected."
     )
     return text_table(caption, columns, [row for row in rows if row], (2, 3, 4, 5, 6))
 

@@ -79,9 +79,9 @@ def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
         rows.append([*spent, _percent(cost.stated), _seen(cost), _percent(cost.expected)])
     columns = ("Places", "Loads", "Station time", "Stated error [%]", "Left out: error [%]", "Left out: stated [%]")
     caption = (
-        "What fewer loads would have given: standard error of the map in the calibrated area, and its error at the"
-        " places left out, without the noise of their loads, beside what it states there (root mean squares; fewer"
-        " places: over three ways to choose them). Places left out lie further from others than most places do."
+        "What fewer loads would have given: standard error of the map in the calibrated area, and at places left out"
+        " its error, without the noise of their loads, beside the stated one (root mean squares, over three choices"
+        " of places)."
     )
     return [Paragraph(_map_words(costs)), text_table(caption, columns, rows, (0, 1, 2, 3, 4, 5))]
 
@@ -98,10 +98,7 @@ def _map_words(costs: Sequence[MapCost]) -> str:
             f" One load at each of them would have taken {duration(before.station_s)} and left"
             f" {_percent(before.stated)} %."
         )
-    return (
-        f"{words} With fewer places, as far apart as they can be, it would have been as in the table: learned again"
-        " from them, and held against the places left out."
-    )
+    return f"{words} The table says the same of fewer places, as far apart as they can be."
 
 
 def _seen(cost: MapCost) -> str:
@@ -118,8 +115,7 @@ def _waiting(run: RunObservation) -> Iterator[Figure]:
         mask = min(range(len(timeline.masks)), key=lambda k: abs(timeline.masks[k] - run.main_mask))
         yield Figure(
             f"What waiting buys ({timeline.phase}): error and overlap of single frames against the time held, mean"
-            " over the presses with the middle half of them shaded. Where the line is flat, a shorter hold costs no"
-            " accuracy.",
+            " over the presses, middle half shaded. Where the line is flat, a shorter hold costs no accuracy.",
             "Error and overlap against the time a load was held.",
             waiting_figure(timeline, mask, held_loads(run, timeline.phase)),
         )

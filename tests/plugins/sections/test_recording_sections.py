@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from board_files import BoardFile, counts
+from section_texts import blocks, tables, texts
 
 from cbsr_qa.analysis.recording import analyse_recording
 from cbsr_qa.domain.readings import ReadOptions
-from cbsr_qa.domain.results import Figure, Paragraph, Table
+from cbsr_qa.domain.results import Figure, Paragraph
 from cbsr_qa.report import render_recording
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
@@ -26,25 +27,19 @@ def result(tmp_path_factory):
     return analyse_recording(ErtBoardCsv().read(path, ReadOptions()), GaussNewtonNoser())
 
 
-def texts(section):
-    for block in section.blocks:
-        if isinstance(block, Paragraph):
-            yield block.text
-        elif isinstance(block, Table):
-            yield from (cell.text for row in block.rows for cell in row)
-            yield block.caption
-        elif isinstance(block, Figure):
-            yield block.caption
+def words(section):
+    said = [paragraph.text for paragraph in blocks(section, Paragraph)]
+    return [*said, *(text for table in tables(section) for row in texts(table) for text in row)]
 
 
 def test_no_event_is_said_with_its_reason(result):
-    said = " ".join(texts(SECTIONS[0].render(result)))
+    said = " ".join(words(SECTIONS[0].render(result)))
     assert result.events_why in said
     assert "not reciprocal" in said
 
 
 def test_channels_say_noise_and_reciprocity(result):
-    said = list(texts(SECTIONS[1].render(result)))
+    said = words(SECTIONS[1].render(result))
     assert f"{result.channels.reciprocity_error:.3f}" in said
     assert np.isfinite(result.noise.rms)
 
@@ -55,12 +50,12 @@ def test_channels_say_noise_and_reciprocity(result):
 )
 def test_the_map_counts_what_is_marked_on_it(result, saturated, said):
     marked = replace(result, channels=replace(result.channels, saturated=saturated, stuck=()))
-    (figure,) = [block for block in SECTIONS[1].render(marked).blocks if isinstance(block, Figure)]
+    (figure,) = blocks(SECTIONS[1].render(marked), Figure)
     assert figure.caption == f"Level of each channel. {said}"
 
 
 def test_rejected_rows_come_first_with_line_and_reason(result):
-    (table,) = [block for block in SECTIONS[2].render(result).blocks if isinstance(block, Table)]
+    (table,) = tables(SECTIONS[2].render(result))
     assert [cell.text for cell in table.rows[0]][:2] == ["41", "rejected"]
     assert "watchdog" in table.rows[-1][2].text
     assert "1 row rejected, 1 frame dropped" in table.caption

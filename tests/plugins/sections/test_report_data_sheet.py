@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from load_samples import Sampler
 from report_samples import sample_run
+from section_texts import blocks
 
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import Figure, LoopObservation, Measurement, Table, Trace
@@ -32,10 +33,6 @@ def result():
     metrics = (Repeatability(), Nonlinearity(), ApparentModulus())
     measured = tuple(m for metric in metrics for m in metric.measure_run(observation))
     return replace(plain, observation=observation, measurements=measured)
-
-
-def blocks(section, kind):
-    return [block for block in section.blocks if isinstance(block, kind)]
 
 
 def rows(section):

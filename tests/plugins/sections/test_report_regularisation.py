@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from recording_samples import sample_recording
 from report_samples import sample_run
+from section_texts import blocks, tables, texts
 from sensor_samples import SENSOR
 
-from cbsr_qa.domain.results import Figure, Paragraph, Table
+from cbsr_qa.domain.results import Figure, Paragraph
 from cbsr_qa.eit.inverse import central_signal, evidence_of, imaging_problem, laplace_matrix, noser
 from cbsr_qa.report import number
 from cbsr_qa.report.draw import INK, checked_svg, drawing, parameter_figure
@@ -64,10 +65,6 @@ def canvas_of(section_of, monkeypatch):
         return canvases[0].axes
 
     return make
-
-
-def blocks(section, kind):
-    return [block for block in section.blocks if isinstance(block, kind)]
 
 
 def marks(axes):
@@ -159,8 +156,8 @@ def test_the_words_hold_criterion_value_and_reason(problem, section_of):
     (words,) = blocks(section, Paragraph)
     assert f"λ = {number(prepared.choice.value)}, chosen by generalised cross-validation" in words.text
     assert "32 simulated frames (seed 3)" in words.text
-    (table,) = blocks(section, Table)
-    rows = [[cell.text for cell in row] for row in table.rows]
+    (table,) = tables(section)
+    rows = texts(table)
     assert [row[0] for row in rows] == ["noise figure", "cross-validation (chosen)", "L-curve", "discrepancy"]
     assert rows[0][2] == "1.00"
     assert rows[1][1] == number(prepared.choice.value)
@@ -182,8 +179,8 @@ def test_a_criterion_without_an_answer_is_named_without_a_mark(problem, section_
     prepared = GaussNewtonLaplace(choose="gcv").prepare(sampled)
     assert len(marks(canvas_of(prepared)[1])[0]) == 3
     section = section_of(prepared)
-    (table,) = blocks(section, Table)
-    assert [cell.text for cell in table.rows[3]][:3] == ["discrepancy", "–", "–"]
+    (table,) = tables(section)
+    assert texts(table)[3][:3] == ["discrepancy", "–", "–"]
     assert "no reading is repeated" in table.rows[3][3].text
     (figure,) = blocks(section, Figure)
     assert "no answer" in figure.svg
@@ -216,7 +213,7 @@ def test_counts_are_written_as_such(problem, section_of):
     section = section_of(prepared)
     (words,) = blocks(section, Paragraph)
     assert f"components kept = {prepared.choice.value:.0f}, chosen by" in words.text
-    assert blocks(section, Table)[0].columns[1] == "Components kept"
+    assert tables(section)[0].columns[1] == "Components kept"
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from recording_samples import sample_recording
 from report_samples import ended_early, without_blobs
-from section_texts import tables, texts
+from section_texts import blocks, check_showable, tables, texts
 
 from cbsr_qa.analysis.run import signal_to_noise_dB
-from cbsr_qa.domain.results import Figure, FitStatus, Paragraph, Table
+from cbsr_qa.domain.results import Figure, FitStatus, Paragraph
 from cbsr_qa.plugin import Kind
 from cbsr_qa.report import alike
-from cbsr_qa.report.draw import checked_svg
 from cbsr_qa_plugins.registry import BUILT_IN
 from cbsr_qa_plugins.sections.data_sheet import BaselineConductanceMap
 from cbsr_qa_plugins.sections.loads import LoadImages
@@ -37,17 +36,7 @@ def made(name):
 
 @pytest.mark.parametrize("name", OF_A_RUN)
 def test_every_section_has_content_that_can_be_shown(name, result):
-    section = made(name).render(result)
-    assert section.blocks
-    for block in section.blocks:
-        if isinstance(block, Figure):
-            checked_svg(block.svg)
-            assert block.caption
-            assert block.alternative
-        if isinstance(block, Table):
-            assert block.rows
-            assert all(len(row) == len(block.columns) for row in block.rows)
-            assert max(block.numeric, default=0) < len(block.columns)
+    check_showable(made(name).render(result))
 
 
 @pytest.mark.parametrize("name", OF_A_RUN)
@@ -88,7 +77,7 @@ def test_rejected_fits_are_counted_by_reason(result):
         loads.append(replace(load, relaxations=(bad, *load.relaxations[1:])))
     observation = replace(result.observation, loads=tuple(loads))
     section = RelaxationFits().render(replace(result, observation=observation))
-    (told,) = [block.text for block in section.blocks if isinstance(block, Paragraph)]
+    (told,) = [block.text for block in blocks(section, Paragraph)]
     assert told == (
         "23 fits were rejected: 22 with R² below 0.85 (0.40 to 0.62), 1 because the data do not determine a time"
         " constant."
@@ -104,7 +93,7 @@ def test_reasons_that_differ_in_numbers_only_are_alike():
 
 def test_the_baseline_section_says_what_was_assumed_and_reduced(result):
     section = BaselineConductanceMap().render(result)
-    words = [block.text for block in section.blocks if isinstance(block, Paragraph)]
+    words = [block.text for block in blocks(section, Paragraph)]
     assert any("α and β against stress" in text and "not measured" in text for text in words)
     assert any("only one strain" in text for text in words)
     assert BaselineConductanceMap().render(replace(result, calibration=None)) is None
@@ -115,7 +104,7 @@ def test_a_baseline_without_any_value_is_said_without_a_figure(result):
     section = BaselineConductanceMap().render(
         replace(result, calibration=replace(result.calibration, baseline=empty))
     )
-    assert not [block for block in section.blocks if isinstance(block, Figure)]
+    assert not blocks(section, Figure)
     assert {row[4] for row in texts(tables(section)[0])} == {"no blob"}
 
 
@@ -142,7 +131,7 @@ def test_a_reading_that_never_changes_has_no_finite_ratio(result):
 def test_the_worst_contact_is_named(result):
     bad = [replace(m, value=95e3) if m.qualifier == "pair 7-8" else m for m in result.measurements]
     section = NoiseAndContacts().render(replace(result, measurements=tuple(bad)))
-    captions = " ".join(block.caption for block in section.blocks if isinstance(block, Figure))
+    captions = " ".join(block.caption for block in blocks(section, Figure))
     assert re.search(r"pair 7.8 with 95.0.kΩ", captions)
 
 
