@@ -30,6 +30,7 @@ from .select import (
     location_verdicts as location_verdicts,
     mask_qualifier as mask_qualifier,
     mean_deviation as mean_deviation,
+    outcome_counts as outcome_counts,
     seen_loads as seen_loads,
     settled_loads as settled_loads,
     spatial_spreads as spatial_spreads,

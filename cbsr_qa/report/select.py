@@ -1,6 +1,7 @@
 """Loads as figures and tables show them, joined with what was measured of them, and the verdict of each location."""
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
@@ -13,6 +14,7 @@ from cbsr_qa.domain.results import (
     Measurement,
     Outcome,
     RunObservation,
+    metric_words,
     relative_margin,
     worst,
 )
@@ -148,6 +150,12 @@ SIGNS: Final = {Outcome.PASS: "✓", Outcome.FAIL: "✗", Outcome.MARGINAL: "≈
 _MOST_NAMED: Final = 6
 
 
+def outcome_counts(outcomes: Sequence[Outcome]) -> str:
+    """Count outcomes in words, the best first: ``7 pass, 1 marginal, 1 fail``."""
+    counts = Counter(outcomes)
+    return ", ".join(f"{counts[outcome]} {outcome.value}" for outcome in reversed(SEVERITY) if counts[outcome])
+
+
 @dataclass(frozen=True, slots=True)
 class LocationVerdict:
     """What was judged at one place of a phase, over all its trials and strains.
@@ -200,7 +208,7 @@ def verdicts_in_words(verdicts: Sequence[LocationVerdict]) -> str:
 def _named(verdict: LocationVerdict) -> str:
     m = verdict.deciding
     assert m.limit is not None
-    name = m.name.replace("_", " ").replace("snr", "SNR")
+    name = metric_words(m.name)
     if m.value is None:
         return f"{verdict.label} ({verdict.phase}) {verdict.outcome}, {name}: {m.how}"
     value, limit = value_cell(m, unit=True).text, limit_text(m.limit)

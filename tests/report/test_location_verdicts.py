@@ -7,8 +7,8 @@ from report_samples import sample_run
 from sensor_samples import SENSOR
 
 from cbsr_qa.domain.results import Figure, Limit, Measurement, Outcome
-from cbsr_qa.report.draw import checked_svg, outcome_counts, verdict_figure
-from cbsr_qa.report.select import location_verdicts, verdicts_in_words
+from cbsr_qa.report.draw import checked_svg, verdict_figure
+from cbsr_qa.report.select import location_verdicts, outcome_counts, verdicts_in_words
 from cbsr_qa_plugins.sections.limits import Limits
 
 
@@ -82,7 +82,7 @@ def test_the_picture_says_outcomes_without_colour(run, phases, value):
     sign, word = {0.1: ("✓", "pass"), 1.8: ("≈", "marginal"), 50.0: ("✗", "fail"), None: ("?", "not measured")}[value]
     assert figure.count(f">{sign}") == len(verdicts)
     assert f" {word}</text>" in figure
-    assert outcome_counts(verdicts) == f"{len(verdicts)} {word}"
+    assert outcome_counts([verdict.outcome for verdict in verdicts]) == f"{len(verdicts)} {word}"
 
 
 def test_the_section_shows_it_where_loads_are_judged(run):

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.results import Bound, EndReason, Measurement
+from cbsr_qa.domain.results import Bound, EndReason, Measurement, metric_words
 from cbsr_qa.domain.run import CheckOutcome, CheckResult
 from cbsr_qa.report import fixed, number, unit_shown, with_uncertainty
 from cbsr_qa.stats import FEWEST_VALUES, Prediction, predicted
@@ -138,7 +138,7 @@ def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
     """Line of a figure that could not be measured: a failure where earlier runs had it."""
     why, lost = "it could not be measured in this run", len(had) >= FEWEST_VALUES
     return CheckResult(
-        _shown(name),
+        metric_words(name),
         CheckOutcome.FAILED if lost else CheckOutcome.NOT_DONE,
         said=f"{why}; {_runs(len(had))} had it" if lost else why,
         remedy="the report of this run says why" if lost else "",
@@ -171,7 +171,7 @@ def _rests_on(here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike:
 def _line(
     name: str, figure: Figure, compared: Mapping[str, list[float]], comparisons: int, subject: str
 ) -> CheckResult:
-    value, shown = figure.value, _shown(name)
+    value, shown = figure.value, metric_words(name)
     if not compared:
         why = f"fewer than {FEWEST_VALUES} earlier runs to hold it against"
         return CheckResult(shown, CheckOutcome.NOT_DONE, value=value, unit=figure.unit, said=why, subject=subject)
@@ -210,7 +210,3 @@ def _stations(runs: Sequence[GoldenRun]) -> str:
 
 def _runs(count: int) -> str:
     return f"{count} earlier run{'' if count == 1 else 's'}"
-
-
-def _shown(name: str) -> str:
-    return name.replace("_", " ").replace("snr", "SNR")

@@ -54,6 +54,7 @@ from .measurement import (
     Verdict as Verdict,
     decide as decide,
     explained as explained,
+    metric_words as metric_words,
     relative_margin as relative_margin,
     worst as worst,
 )

@@ -197,8 +197,13 @@ class Measurement:
         """Name with location, repetition and qualifier, for people."""
         parts = [self.location, f"trial {self.trial + 1}" if self.trial else "", self.qualifier]
         detail = ", ".join(part for part in parts if part)
-        name = self.name.replace("_", " ").replace("snr", "SNR")
+        name = metric_words(self.name)
         return f"{name} ({detail})" if detail else name
+
+
+def metric_words(name: str) -> str:
+    """Write the name of a measurement as words."""
+    return name.replace("_", " ").replace("snr", "SNR")
 
 
 @dataclass(frozen=True, slots=True)

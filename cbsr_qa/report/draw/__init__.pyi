@@ -27,7 +27,6 @@ from .images import (
     ImagePanel as ImagePanel,
     Marker as Marker,
     image_figure as image_figure,
-    outcome_counts as outcome_counts,
     sheet_radius as sheet_radius,
     verdict_figure as verdict_figure,
 )

@@ -26,7 +26,7 @@ from cbsr_qa.report.draw.sheet import (
     show_sheet,
 )
 from cbsr_qa.report.draw.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm, drawn, note
-from cbsr_qa.report.select import SIGNS, LocationVerdict
+from cbsr_qa.report.select import SIGNS, LocationVerdict, outcome_counts
 
 _ACROSS: Final = 3
 #: As dark in grey print as the outcome is bad; the edge tells them apart besides.
@@ -54,12 +54,6 @@ def verdict_figure(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> C
     return figure
 
 
-def outcome_counts(verdicts: Sequence[LocationVerdict]) -> str:
-    """Count outcomes in words, the best first: ``7 pass, 1 marginal, 1 fail``."""
-    counts = [(outcome, sum(verdict.outcome is outcome for verdict in verdicts)) for outcome in reversed(SEVERITY)]
-    return ", ".join(f"{count} {outcome.value}" for outcome, count in counts if count)
-
-
 def _draw_phase(axes: Axes, phase: str, verdicts: Sequence[LocationVerdict], sensor: SensorType) -> None:
     radius_mm = disc_radius_mm([(verdict.x_mm, verdict.y_mm) for verdict in verdicts], sensor, least=0.06)
     # The worst last, so that none hides below a neighbour that passed.
@@ -71,7 +65,7 @@ def _draw_phase(axes: Axes, phase: str, verdicts: Sequence[LocationVerdict], sen
         text.set_color("white" if verdict.outcome is Outcome.FAIL else INK)
         text.set_fontweight("normal" if verdict.outcome is Outcome.PASS else "bold")
     axes.set_title(phase, loc="center", pad=2, fontweight="normal")
-    note(axes, 0.5, -0.015, outcome_counts(verdicts), ha="center", va="top")
+    note(axes, 0.5, -0.015, outcome_counts([verdict.outcome for verdict in verdicts]), ha="center", va="top")
 
 
 _SCALE_LABEL: Final = "conductance change Δγ/γ₀ [%]"

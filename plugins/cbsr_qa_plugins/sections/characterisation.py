@@ -129,13 +129,7 @@ def _cycles(record: RunRecord) -> list[Figure]:
     start_s, end_s = loads[0].press_start_s - 5.0, loads[-1].rest_end_s
     traces = [*_resistance(phase, start_s, end_s), *_force(phase, record.indenter.area_mm2, start_s, end_s)]
     caption = f"{plural(len(loads), 'cycle')} of {100 * strain:g} % strain, as they were read."
-    return [
-        Figure(
-            caption,
-            caption,
-            timeline_figure(traces, [], time_label="time since their first press [s]"),
-        )
-    ]
+    return [Figure(caption, caption, timeline_figure(traces, [], time_label="time since their first press [s]"))]
 
 
 def _resistance(phase: PhaseRecord, start_s: float, end_s: float) -> list[Trace]:

@@ -240,11 +240,7 @@ def _figure(choice: ParameterChoice, curve: ParameterCurve, marks: list[Paramete
         if mark.value is not None
     ]
     alternative = f"Noise figure over {choice.name}: {', '.join(words)}."
-    return Figure(
-        caption,
-        alternative,
-        parameter_figure(curve, marks, choice.name),
-    )
+    return Figure(caption, alternative, parameter_figure(curve, marks, choice.name))
 
 
 def _table_regularisation(choice: ParameterChoice, curve: ParameterCurve, marks: list[ParameterMark]) -> Table:

@@ -15,6 +15,7 @@ from cbsr_qa.domain.results import (
     Paragraph,
     RunResult,
     Table,
+    metric_words,
     relative_margin,
 )
 from cbsr_qa.report import (
@@ -25,6 +26,7 @@ from cbsr_qa.report import (
     limit_text,
     location_verdicts,
     margin_text,
+    outcome_counts,
     plural,
     spread_text,
     text_table,
@@ -71,8 +73,7 @@ class Limits(RunSection):
 def _in_words(judged: Sequence[Measurement]) -> str:
     if not judged:
         return "The recipe sets no limit on anything that was measured."
-    counts = [(outcome, sum(m.outcome is outcome for m in judged)) for outcome in reversed(SEVERITY)]
-    words = ", ".join(f"{count} {outcome.value}" for outcome, count in counts if count)
+    words = outcome_counts([m.outcome for m in judged])
     return f"{plural(len(judged), 'limit')} judged: {words}. The closest to failing comes first."
 
 
@@ -89,11 +90,7 @@ def _by_location(result: RunResult, judged: Sequence[Measurement]) -> list[Block
     )
     return [
         Paragraph(words),
-        Figure(
-            caption,
-            words,
-            verdict_figure(verdicts, run.record.sensor_type),
-        ),
+        Figure(caption, words, verdict_figure(verdicts, run.record.sensor_type)),
     ]
 
 
@@ -170,7 +167,7 @@ def _grouped(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]
         qualifiers.setdefault(m.name, set()).add(m.qualifier)
     groups: dict[str, list[Measurement]] = {}
     for m in measurements:
-        words = m.name.replace("_", " ").replace("snr", "SNR")
+        words = metric_words(m.name)
         each = 1 < len(qualifiers[m.name]) <= _MOST_QUALIFIERS or qualifiers[m.name] == {m.qualifier}
         title = f"{words} ({m.qualifier})" if m.qualifier and each else words
         groups.setdefault(unit_column(title, m.unit), []).append(m)
@@ -197,7 +194,7 @@ def _refused(measurements: Sequence[Measurement]) -> Table:
     rows = []
     for (name, phase, _), members in groups.items():
         why = members[0].how if len({m.how for m in members}) == 1 else f"for example: {members[0].how}"
-        rows.append([name.replace("_", " "), phase or "whole run", _where(members), why])
+        rows.append([metric_words(name), phase or "whole run", _where(members), why])
     return text_table("What could not be measured, and why.", ("Measurement", "Phase", "Where", "Why"), rows)
 
 

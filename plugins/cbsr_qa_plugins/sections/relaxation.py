@@ -118,13 +118,7 @@ def _agreement(compared: Sequence[DirectedAgreement], words: str) -> list[Block]
     shapes = "; ".join(
         f"{agreement.direction}: {agreement.found.why or agreement.found.shape}" for agreement in compared
     )
-    return [
-        Figure(
-            caption,
-            f"{words}. {shapes}.",
-            agreement_figure(compared),
-        )
-    ]
+    return [Figure(caption, f"{words}. {shapes}.", agreement_figure(compared))]
 
 
 def _rejections(fits: Sequence[RelaxationFit], gate: float) -> str:
