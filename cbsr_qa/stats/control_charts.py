@@ -112,10 +112,10 @@ def individuals(
     return _judged("individuals", array, standard.mean, standard.deviation, standard.deviation, count, rules)
 
 
-def moving_range(values: Iterable[float], *, reference: Reference = None, what: str = "moving range") -> Chart:
+def moving_range(values: Iterable[float], *, reference: Reference = None) -> Chart:
     """Return the chart of |x_i − x_(i−1)|; its point 0 belongs to values 0 and 1. See :func:`individuals`."""
-    array = sample(values, what, least=2)
-    standard, count = _standard(array, reference, what)
+    array = sample(values, "moving range", least=2)
+    standard, count = _standard(array, reference, "moving range")
     return _ranges("moving range", np.abs(np.diff(array)), 2, standard.deviation, max(count - 1, 0))
 
 
@@ -124,7 +124,6 @@ def means_and_ranges(
     *,
     reference: Reference = None,
     rules: Collection[Rule] = ALL_RULES,
-    what: str = "subgroups",
 ) -> tuple[Chart, Chart]:
     """Return the charts of means and ranges of subgroups.
 
@@ -137,7 +136,7 @@ def means_and_ranges(
     NumericsError
         Missing values, subgroups of different sizes or of one value, or a reference without range.
     """
-    sizes = sorted({len(group) for group in subgroups})
+    what, sizes = "subgroups", sorted({len(group) for group in subgroups})
     if len(sizes) != 1:
         raise NumericsError(f"{what}: sizes {', '.join(map(str, sizes)) or 'none'}; a chart of ranges needs one size")
     if sizes[0] < 2:
@@ -156,22 +155,10 @@ def means_and_ranges(
     return chart, _ranges("ranges", ranges, sizes[0], standard.deviation, count)
 
 
-def ewma(
-    values: Iterable[float],
-    *,
-    weight: float = 0.2,
-    width: float = 3.0,
-    reference: Reference = None,
-    steady: bool = False,
-    what: str = "EWMA",
-) -> Chart:
+def ewma(values: Iterable[float], *, weight: float = 0.2, width: float = 3.0, reference: Reference = None) -> Chart:
     """Return the exponentially weighted moving average, which detects small lasting shifts.
 
-    Parameters
-    ----------
-    weight : λ, above 0 and at most 1.
-    width : L, in standard deviations of the average.
-    steady : limits of a long series from the first point on, instead of the exact ones.
+    ``weight``: λ, above 0 and at most 1; ``width``: L, in standard deviations of the average.
 
     Raises
     ------
@@ -179,18 +166,15 @@ def ewma(
         A weight or width out of range, or as :func:`individuals`.
     """
     if not (0 < weight <= 1 and width > 0):
-        raise NumericsError(
-            f"{what}: weight {weight:g} and width {width:g}; allowed are 0 < weight ≤ 1 and width > 0"
-        )
-    array = sample(values, what)
-    standard, count = _standard(array, reference, what)
+        raise NumericsError(f"EWMA: weight {weight:g} and width {width:g}; allowed are 0 < weight ≤ 1 and width > 0")
+    array = sample(values, "EWMA")
+    standard, count = _standard(array, reference, "EWMA")
     points, age = np.empty(len(array)), np.empty(len(array))
     for part in _phases(len(array), count):
         steps = accumulate(array[part], lambda z, x: (1 - weight) * z + weight * x, initial=standard.mean)
         points[part] = list(steps)[1:]
         age[part] = np.arange(1, len(array[part]) + 1)
-    grown = 1.0 if steady else 1 - (1 - weight) ** (2 * age)
-    half = width * standard.deviation * np.sqrt(weight / (2 - weight) * grown) * np.ones(len(array))
+    half = width * standard.deviation * np.sqrt(weight / (2 - weight) * (1 - (1 - weight) ** (2 * age)))
     return _bounded("EWMA", points, standard, standard.mean - half, standard.mean + half, count)
 
 
@@ -200,14 +184,10 @@ def cusum(
     slack: float = 0.5,
     threshold: float = 5.0,
     reference: Reference = None,
-    what: str = "CUSUM",
 ) -> tuple[Chart, Chart]:
     """Return the tabular cumulative sums above and below the mean, the lower one drawn downwards.
 
-    Parameters
-    ----------
-    slack : k, in deviations: half the shift that is to be found.
-    threshold : h, in deviations.
+    ``slack``: k, half the shift that is to be found; ``threshold``: h; both in deviations.
 
     Raises
     ------
@@ -215,9 +195,9 @@ def cusum(
         A slack or threshold out of range, or as :func:`individuals`.
     """
     if not (slack >= 0 and threshold > 0):
-        raise NumericsError(f"{what}: slack {slack:g}, threshold {threshold:g}; allowed: slack ≥ 0, threshold > 0")
-    array = sample(values, what)
-    standard, count = _standard(array, reference, what)
+        raise NumericsError(f"{SUM}: slack {slack:g}, threshold {threshold:g}; allowed: slack ≥ 0, threshold > 0")
+    array = sample(values, SUM)
+    standard, count = _standard(array, reference, SUM)
     above, below = (_sums(sign * (array - standard.mean), slack * standard.deviation, count) for sign in (1, -1))
     limit, zero = np.full(len(array), threshold * standard.deviation), np.zeros(len(array))
     centre = Standard(0.0, standard.deviation)

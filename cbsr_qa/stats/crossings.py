@@ -1,9 +1,7 @@
 """Designs of groups and stations: which differences the runs can estimate.
 
-Groups (batches, materials, periods) and stations are the two sides of a graph; every run joins its group to its
-station. Differences between groups, with the stations' taken out, exist within a connected part of the graph and
-nowhere else (Searle 1971, section 7.4): a batch that was seen on one station only, which saw no other batch, cannot
-be told from that station.
+Groups and stations are the two sides of a graph; every run joins its group to its station. Differences between
+groups, with the stations' taken out, exist within a connected part of the graph only (Searle 1971, section 7.4).
 """
 
 from collections.abc import Sequence

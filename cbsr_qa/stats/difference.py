@@ -1,20 +1,13 @@
-"""Difference of two group means, with tests of difference and equivalence.
+"""Difference of two group means, with tests of difference and equivalence; p values of many tests.
 
-Welch 1947 (deviations may differ; ν by Welch–Satterthwaite) and Student's pooled test:
+Welch 1947 (deviations may differ; ν by Welch–Satterthwaite), which knows of no stations:
 
-    Δ = x̄₁ − x̄₂,  SE² = s₁²/n₁ + s₂²/n₂,  ν = SE⁴ / (Σ (s_g²/n_g)² / (n_g − 1));  pooled: SE² = s_p² (1/n₁ + 1/n₂).
-
-Neither knows of stations: groups measured on different stations are compared by :mod:`cbsr_qa.stats.mixed_model`.
-
-An estimated difference with its standard error: interval, p value, and whether it is small enough not to matter.
+    Δ = x̄₁ − x̄₂,  SE² = s₁²/n₁ + s₂²/n₂,  ν = SE⁴ / (Σ (s_g²/n_g)² / (n_g − 1)).
 
 Two one-sided tests (Schuirmann 1987) call a difference Δ equivalent to none where both Δ ≤ −m and Δ ≥ m are refuted
 at level α, which is the same as the 1 − 2α interval lying within ± m.
 
-Many tests at once: p values adjusted so that a page of thirty metrics does not find one difference by chance.
-
-Sources: Holm 1979 (family-wise error); Benjamini & Hochberg 1995 (false discovery rate of independent or positively
-dependent tests). Both are the step-down or step-up procedure turned into adjusted values, capped at 1.
+Holm 1979 (family-wise error); Benjamini & Hochberg 1995 (false discovery rate), as adjusted values, capped at 1.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,8 +18,8 @@ import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.stats.intervals import noncentrality
-from cbsr_qa.stats.samples import LEAST_SPREAD, Estimate, Interval, Summary, sample, share, summary
+from cbsr_qa.stats.intervals import Judged, noncentrality
+from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, Summary, sample, share, summary
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +41,7 @@ class Equivalence:
 
 
 @dataclass(frozen=True, slots=True)
-class Contrast:
+class Contrast(Judged):
     """An estimate that is t-distributed about its true value in units of its standard error.
 
     Parameters
@@ -61,24 +54,12 @@ class Contrast:
     standard_error: float
     freedom: float
 
-    def statistic(self, null: float = 0.0) -> float:
-        """Return t of the hypothesis that the true value is ``null``."""
-        return (self.value - null) / self.standard_error
+    def p_value(self) -> float:
+        """Return the two-sided p value of zero."""
+        return float(2 * stats.t.sf(abs(self.statistic()), self.freedom))
 
-    def p_value(self, null: float = 0.0) -> float:
-        """Return the two-sided p value of the hypothesis that the true value is ``null``."""
-        return float(2 * stats.t.sf(abs(self.statistic(null)), self.freedom))
-
-    def interval(self, confidence: float = 0.95) -> Interval:
-        """Return value ± t × standard error."""
-        share(confidence, "confidence")
-        half = float(stats.t.isf((1 - confidence) / 2, self.freedom)) * self.standard_error
-        return Interval(self.value - half, self.value + half, confidence)
-
-    def estimate(self, confidence: float = 0.95) -> Estimate:
-        """Return the fields for documents."""
-        inside = self.interval(confidence)
-        return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
+    def _half(self, tail: float) -> float:
+        return float(stats.t.isf(tail, self.freedom)) * self.standard_error
 
     def equivalence(self, margin: float, *, level: float = 0.05) -> Equivalence:
         """Test whether the true value lies within ± ``margin``.
@@ -144,19 +125,6 @@ def welch(first: Iterable[float], second: Iterable[float], names: tuple[str, str
     return checked(one.mean - two.mean, sqrt(variance), freedom, _title(names))
 
 
-def pooled(first: Iterable[float], second: Iterable[float], names: tuple[str, str] = ("first", "second")) -> Contrast:
-    """Return the difference first − second with equal deviations; see :func:`welch`.
-
-    Raises
-    ------
-    NumericsError
-        Fewer than two values each, missing values, or no variance in either group.
-    """
-    one, two = _both(first, second, names)
-    error = pooled_deviation(one, two) * sqrt(1 / one.count + 1 / two.count)
-    return checked(one.mean - two.mean, error, one.count + two.count - 2, _title(names))
-
-
 def hedges(
     first: Iterable[float],
     second: Iterable[float],
@@ -166,16 +134,13 @@ def hedges(
 ) -> EffectSize:
     """Return Hedges' g of first − second.
 
-    Notes
-    -----
-    J = Γ(ν/2) / (√(ν/2) Γ((ν − 1)/2)), which makes g unbiased (Hedges 1981). The interval inverts the noncentral t of
-    the pooled statistic (Steiger & Fouladi 1997): exact for normal values of equal deviation, and about δ itself, so
-    that it needs no J.
+    J = Γ(ν/2) / (√(ν/2) Γ((ν − 1)/2)) makes g unbiased (Hedges 1981). The interval of δ inverts the noncentral t of
+    the pooled statistic (Steiger & Fouladi 1997).
 
     Raises
     ------
     NumericsError
-        As :func:`pooled`.
+        A group of one, missing values, or no variance in either group.
     """
     one, two = _both(first, second, names)
     share(confidence, "confidence")
@@ -218,42 +183,28 @@ def _title(names: tuple[str, str]) -> str:
 
 
 def holm(p_values: Sequence[float]) -> Array:
-    """Return Holm's adjusted values: max over j ≤ i of (m − j + 1) p_(j), in the order given.
-
-    Parameters
-    ----------
-    p_values : (m,), of the tests that were made; leave out those that were refused.
-
-    Returns
-    -------
-    (m,) ndarray
+    """Return Holm's adjusted values (m,) of p values (m,): max over j ≤ i of (m − j + 1) p_(j), in the order given.
 
     Raises
     ------
     NumericsError
         A value is missing or not between 0 and 1.
     """
-    values, order = _ordered(p_values)
+    values = _shares(p_values)
+    order, adjusted = np.argsort(values, kind="stable"), np.empty_like(values)
     factors = np.arange(len(values), 0, -1)
-    return _back(np.maximum.accumulate(factors * values[order]), order)
+    adjusted[order] = np.minimum(np.maximum.accumulate(factors * values[order]), 1.0)
+    return adjusted
 
 
 def benjamini_hochberg(p_values: Sequence[float]) -> Array:
     """Return Benjamini and Hochberg's adjusted values: min over j ≥ i of m p_(j) / j; see :func:`holm`."""
-    values, order = _ordered(p_values)
-    raised = len(values) / np.arange(1, len(values) + 1) * values[order]
-    return _back(np.minimum.accumulate(raised[::-1])[::-1], order)
+    return np.asarray(stats.false_discovery_control(_shares(p_values)), dtype=np.float64)
 
 
-def _ordered(p_values: Sequence[float]) -> tuple[Array, "np.ndarray[tuple[int], np.dtype[np.intp]]"]:
+def _shares(p_values: Sequence[float]) -> Array:
     values = sample(p_values, "p values", least=0)
     outside = values[(values < 0) | (values > 1)]
     if len(outside):
         raise NumericsError(f"p values: {outside[0]:g} is not between 0 and 1")
-    return values, np.argsort(values, kind="stable")
-
-
-def _back(adjusted: Array, order: "np.ndarray[tuple[int], np.dtype[np.intp]]") -> Array:
-    result = np.empty_like(adjusted)
-    result[order] = np.minimum(adjusted, 1.0)
-    return result
+    return values

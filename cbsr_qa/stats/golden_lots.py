@@ -1,11 +1,7 @@
 """Tolerance limits from a golden lot: share of good sensors within a limit, with stated confidence.
 
-Sensors are the unit. A run judges every value of a measurement (nine locations, three trials) against one limit and
-fails by the worst, so each run of a sensor counts with its worst value, and a bound is asked to hold the worst value
-of a stated share of good sensors: places that differ and values of one sensor that go together need no model. Runs of
-one sensor are told from sensors by :mod:`~cbsr_qa.stats.variance_components`.
-
-Which distribution a lot may be taken for, and which of its values lie far out.
+Sensors are the unit. A run fails by its worst value, so each run of a sensor counts with its worst value, and a bound
+is asked to hold the worst value of a stated share of good sensors.
 """
 
 from collections.abc import Sequence
@@ -52,17 +48,9 @@ class Fit:
 
 
 def fits_worst_of(values: Array, count: int, level: float) -> Fit:
-    """Test whether values may be the largest of ``count`` normal ones each (plain normal ones for 1).
+    """Test whether values (n,), n ≥ 3, may be the largest of ``count`` normal ones each (plain ones for 1).
 
-    Parameters
-    ----------
-    values : (n,) ndarray, n ≥ 3, not all equal.
-    level : probability of refuting it where it is true.
-
-    Notes
-    -----
-    Mean and deviation are fitted, the values turned into normal scores of the fitted distribution, and these given
-    to Shapiro and Wilk's test, which does not depend on mean and scale.
+    Values are turned into normal scores of the fitted distribution, and given to Shapiro and Wilk's test.
     """
     standard = (values - values.mean()) / values.std(ddof=1)
     scores = np.sort(worst_of(count).normal_scores(standard))
@@ -192,17 +180,14 @@ class LotLimits:
 def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimits:
     """Propose bounds for a measurement.
 
+    Where fewer than four runs repeat a sensor only first runs count. Two bounds of one value a run are mean ± k s; of
+    several values they are two one-sided bounds, each with half of what may lie outside and half of the doubt
+    (Bonferroni).
+
     Parameters
     ----------
     smallest, largest : of each run of each sensor: the smallest and the largest of its values.
     values : how many a run has; 1 where both are the same.
-    ask : bounds, coverage and confidence.
-
-    Notes
-    -----
-    Where fewer than four runs repeat a sensor only first runs count. Two bounds of one value a run are mean ± k s. Of
-    several values they are two one-sided bounds, each with half of what may lie outside and half of the doubt
-    (Bonferroni), which is cautious.
     """
     smallest, largest, count = telling_runs(smallest), telling_runs(largest), len(largest)
     if count < FEWEST_SENSORS:

@@ -1,14 +1,10 @@
 """Guard bands inside a limit and the remaining risks (JCGM 106:2012, clauses 8.3 and 9).
 
-Consumer's and producer's risk of a limit judged with an uncertain measurement (JCGM 106:2012, clause 9).
-
 The true value η of a sensor has a density g (the lot's), the measured one is normal about it with standard deviation
 u. Behind an upper limit T with acceptance limit A = T − w,
 
     consumer's risk = ∫_{η > T} P(measured ≤ A | η) g(η) dη     a bad sensor is accepted
     producer's risk = ∫_{η ≤ T} P(measured > A | η) g(η) dη     a good sensor is rejected
-
-Both are global risks: shares of all sensors of the population that the lot was drawn from.
 """
 
 from collections.abc import Callable
@@ -43,14 +39,9 @@ class Risks:
 
 
 def risks_of_bound(density: Density, limit: float, guard: float, uncertainty: float) -> Risks:
-    """Return the risks of an upper limit; for a lower one give the mirrored density and limit.
+    """Return the risks of an upper limit T with a guard band w ≥ 0 inside it and standard uncertainty u > 0.
 
-    Parameters
-    ----------
-    density : of the true values.
-    limit : T, in the density's unit.
-    guard : w ≥ 0, width of the guard band inside the limit.
-    uncertainty : u > 0, standard uncertainty of a measurement.
+    For a lower limit give the mirrored density and limit.
     """
     accepted_to = limit - guard
 
@@ -121,15 +112,9 @@ def repeatability(runs: Runs, source: str) -> Uncertainty | None:
 def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
     """Return consumer's and producer's risk of one bound; None if the lot cannot determine them.
 
-    Parameters
-    ----------
-    guard : width of the band inside the bound that is not accepted; 0 where marginal passes are accepted.
-
-    Notes
-    -----
-    The density of true worst values has the shape that was fitted, and the variance of the lot without that of the
-    measurement. On a logarithmic scale the uncertainty is taken relative to the geometric mean. None for order
-    statistics (no density), and where the uncertainty explains all of the lot's spread.
+    The density of true worst values has the fitted shape, and the variance of the lot without that of the
+    measurement. On a logarithmic scale the uncertainty is relative to the geometric mean. ``guard``: width of the
+    band that is not accepted.
     """
     if bound.distribution is Distribution.ANY:
         return None

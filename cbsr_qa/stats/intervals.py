@@ -1,20 +1,17 @@
 """Exact intervals: noncentral t, tolerance and prediction limits, and estimates with an uncertain reference.
 
 Uncertain reference: half width = √((t(ν) s)² + (z u)²), where s is the standard error of the readings on ν degrees of
-freedom and u the standard uncertainty of the reference. Effective degrees of freedom (Welch and Satterthwaite, GUM
-G.4) would multiply √(s² + u²) by one t of more degrees of freedom. With three readings that shrinks t by more than u
-adds, so a stated uncertainty narrowed intervals and their coverage was too low (92.5 % instead of 95 %). Here each
-part has its own factor, so u always widens the interval. In simulation coverage is at least as stated, and higher for
-few readings with an uncertainty as large as their scatter (95 % intervals of three readings: up to 97.5 %).
+freedom and u the standard uncertainty of the reference. Effective degrees of freedom (GUM G.4) would let a stated
+uncertainty narrow intervals of few readings; here u always widens them, and coverage is at least as stated.
 
 Tolerance limits: NIST/SEMATECH e-Handbook 7.2.6.3 (normal, one-sided by the noncentral t), Krishnamoorthy & Mathew
-2009, chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. Factors take the number of values behind the
-mean and the degrees of freedom of the standard deviation apart; for a plain sample of n they are n and n − 1.
+2009, chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. The number of values behind the mean and the
+degrees of freedom of the standard deviation are given apart; for a plain sample of n they are n and n − 1.
 
-Prediction intervals: Hahn & Meeker, Statistical Intervals (1991), section 4.7: mean ± t s √(1 + 1/n), exact for
-normal values.
+Prediction intervals: Hahn & Meeker 1991, section 4.7: mean ± t s √(1 + 1/n), exact for normal values.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,8 +22,8 @@ import numpy as np
 from scipy import optimize, special, stats
 from scipy.optimize import brentq
 
-from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.stats.samples import Estimate, Interval, largest_rank, share, smallest
+from cbsr_qa.domain import Array
+from cbsr_qa.stats.samples import Estimate, Interval, largest_rank, sample, share, smallest
 
 #: Beyond it the normal part of a noncentral t is nothing beside its χ part (1e-8), and its series no longer converge.
 _LARGE = 1e4
@@ -36,18 +33,9 @@ _MOST_NEEDED: Final = 10**12
 
 
 def noncentrality(t: float, freedom: float, below: float) -> float:
-    """Return δ for which a noncentral t of these degrees of freedom lies below ``t`` with this probability.
+    """Return δ for which a noncentral t of ν ``freedom`` lies below ``t`` with this probability.
 
-    Parameters
-    ----------
-    t : observed statistic.
-    freedom : ν > 0.
-    below : share between 0 and 1; the larger, the smaller δ.
-
-    Notes
-    -----
-    T = (Z + δ)/√(χ²_ν/ν). For |t| > 10⁴, Z is left out: δ = t √(χ²/ν) at the quantile of χ² that is exceeded with
-    this probability.
+    T = (Z + δ)/√(χ²_ν/ν). For |t| > 10⁴, Z is left out.
     """
     if t < 0:
         return -noncentrality(-t, freedom, 1 - below)  # the mirrored tail keeps its digits
@@ -82,7 +70,6 @@ def integrated(t: float, freedom: float, delta: float) -> float:
 
 @lru_cache(maxsize=1)
 def _legendre() -> tuple[Array, Array]:
-    """Nodes and weights of Gauss–Legendre quadrature between −1 and 1, cached."""
     nodes, weights = special.roots_legendre(_NODES)
     return nodes, weights
 
@@ -138,19 +125,13 @@ def _held(k: float, coverage: float, mean_size: float, freedom: float) -> float:
 def spacings_outside(count: int, coverage: float, confidence: float) -> int:
     """Return how many spacings between ordered values may lie outside a distribution-free tolerance interval.
 
-    With r of them the bound is the r-th value from the end; shared between both ends for two bounds. 0 where
-    ``count`` values are too few even for their extremes.
+    Shared between both ends for two bounds; 0 where ``count`` values are too few even for their extremes.
     """
     return largest_rank(count, 1 - coverage, 1 - confidence)
 
 
 def count_needed(coverage: float, confidence: float, sides: int) -> int:
-    """Return how many values make their extremes a tolerance interval for any distribution.
-
-    Parameters
-    ----------
-    sides : 1 or 2 bounds.
-    """
+    """Return how many values make their extremes a tolerance interval of 1 or 2 sides for any distribution."""
 
     def enough(count: int) -> bool:
         return spacings_outside(count, coverage, confidence) >= sides
@@ -186,27 +167,15 @@ class Prediction:
 
 
 def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
-    """Predict one further value of the population of a sample.
-
-    Parameters
-    ----------
-    values : independent, of one normal population; at least three.
-    confidence : with which the interval holds the further value, between 0 and 1.
+    """Predict one further value of the normal population of a sample of at least three independent values.
 
     Raises
     ------
     NumericsError
         If there are fewer than three, one is not finite, or the confidence is no share.
     """
-    given = np.asarray(values, dtype=np.float64)
-    if len(given) < FEWEST_VALUES:
-        raise NumericsError(
-            f"{len(given)} values are too few to predict the next", remedy=f"at least {FEWEST_VALUES} are needed"
-        )
-    if not np.isfinite(given).all():
-        raise NumericsError("a value is not a finite number")
-    if not 0 < confidence < 1:
-        raise NumericsError(f"confidence is {confidence:g}", remedy="it must lie between 0 and 1")
+    given = sample(values, "values to predict the next from", least=FEWEST_VALUES)
+    share(confidence, "confidence")
     count, mean = len(given), float(given.mean())
     deviation = float(given.std(ddof=1))
     reach = float(stats.t.ppf((1 + confidence) / 2, count - 1)) * deviation * float(np.sqrt(1 + 1 / count))
@@ -217,8 +186,46 @@ def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
 _LEAST_TAIL = 1e-300
 
 
+class Judged(ABC):
+    """An estimate with a standard error: its statistic and interval follow from ``_half``."""
+
+    __slots__ = ()
+
+    value: float
+    standard_error: float
+
+    @abstractmethod
+    def p_value(self) -> float:
+        """Return the two-sided p value of zero."""
+
+    @abstractmethod
+    def _half(self, tail: float) -> float:
+        """Half width that leaves this much on each side."""
+
+    def statistic(self, null: float = 0.0) -> float:
+        """Return the distance of the estimate above ``null`` in standard errors."""
+        return (self.value - null) / self.standard_error
+
+    def interval(self, confidence: float = 0.95) -> Interval:
+        """Return value ± half width.
+
+        Raises
+        ------
+        NumericsError
+            The confidence is not between 0 and 1.
+        """
+        share(confidence, "confidence")
+        half = self._half((1 - confidence) / 2)
+        return Interval(self.value - half, self.value + half, confidence)
+
+    def estimate(self, confidence: float = 0.95) -> Estimate:
+        """Return the fields for documents."""
+        inside = self.interval(confidence)
+        return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
+
+
 @dataclass(frozen=True, slots=True)
-class Referenced:
+class Referenced(Judged):
     """An estimate with one estimated and one known standard error.
 
     Parameters
@@ -235,34 +242,13 @@ class Referenced:
     known: float = 0.0
 
     @property
-    def standard_error(self) -> float:
+    def standard_error(self) -> float:  # type: ignore[override]
         """Return the combined standard error."""
         return hypot(self.scatter, self.known)
 
-    def statistic(self, null: float = 0.0) -> float:
-        """Return the distance of the estimate above ``null`` in standard errors."""
-        return (self.value - null) / self.standard_error
-
-    def interval(self, confidence: float = 0.95) -> Interval:
-        """Return value ± half width; a known uncertainty never narrows it.
-
-        Raises
-        ------
-        NumericsError
-            The confidence is not between 0 and 1.
-        """
-        share(confidence, "confidence")
-        half = self._half((1 - confidence) / 2)
-        return Interval(self.value - half, self.value + half, confidence)
-
-    def estimate(self, confidence: float = 0.95) -> Estimate:
-        """Return the fields for documents."""
-        inside = self.interval(confidence)
-        return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
-
-    def p_value(self, null: float = 0.0) -> float:
-        """Return the two-sided p value of ``null``: 1 − the confidence of the interval that just reaches it."""
-        away = abs(self.value - null)
+    def p_value(self) -> float:
+        """Return the two-sided p value of zero: 1 − the confidence of the interval that just reaches it."""
+        away = abs(self.value)
         # t is wider than z: the p value lies between those of t with the scatter alone and with both errors.
         low = float(stats.t.sf(away / self.scatter, self.freedom))
         high = float(stats.t.sf(away / self.standard_error, self.freedom))
@@ -275,6 +261,5 @@ class Referenced:
         return 2 * exp(tail)
 
     def _half(self, tail: float) -> float:
-        """Half width that leaves this much on each side."""
         estimated = float(stats.t.isf(tail, self.freedom)) * self.scatter
         return hypot(estimated, float(stats.norm.isf(tail)) * self.known)

@@ -1,9 +1,8 @@
 """Nelson's eight tests for special causes (Journal of Quality Technology 16, 1984, 237), on standardised points.
 
-A signal is given at the point that completes a pattern. In two-of-three and four-of-five the completing point itself
-is beyond its line. A false alarm is given at a point of an undisturbed process with the probability that is named.
+A signal is given at the point that completes a pattern.
 
-Mean and deviation of the range of n normal values, by quadrature instead of printed tables.
+Mean and deviation of the range of n normal values, by quadrature:
 
     d₂ = ∫ [1 − Φⁿ − (1 − Φ)ⁿ] dx,   d₃² = E R² − d₂²,
     E R² = 2 ∫∫_{x<y} [1 − Φ(y)ⁿ − (1 − Φ(x))ⁿ + (Φ(y) − Φ(x))ⁿ] dx dy
@@ -15,6 +14,7 @@ from collections.abc import Callable, Collection
 from enum import StrEnum
 from functools import lru_cache
 from math import sqrt
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,13 +29,7 @@ MOST = 1000  #: values of which a range is taken; more have no range chart
 
 @lru_cache(maxsize=64)
 def d2_d3(count: int) -> tuple[float, float]:
-    """Return mean and standard deviation of the range of ``count`` standard normal values.
-
-    Raises
-    ------
-    NumericsError
-        Fewer than two values have no range; more than 1000 are not worked out.
-    """
+    """Return mean and deviation of the range of ``count`` standard normal values; NumericsError beyond 2 to 1000."""
     if not 2 <= count <= MOST:
         raise NumericsError(f"range: {count} values; allowed are 2 to {MOST}")
     y, weights = _FAR * _NODES, _FAR * _WEIGHTS
@@ -76,16 +70,7 @@ ALL_RULES = tuple(Rule)
 
 
 def nelson(standard: Array, rules: Collection[Rule] = ALL_RULES) -> dict[Rule, Flags]:
-    """Return the points at which each rule signals.
-
-    Parameters
-    ----------
-    standard : (n,) ndarray, (point − centre)/σ of the plotted statistic.
-
-    Returns
-    -------
-    (n,) flags of each rule asked for, in the order of the rules
-    """
+    """Return the points (n,) at which each rule asked for signals, of (point − centre)/σ (n,)."""
     return {rule: _TESTS[rule](standard) for rule in Rule if rule in rules}
 
 
@@ -102,47 +87,20 @@ def _lasting(flags: Flags, window: int) -> Flags:
     return whole
 
 
-def _beyond(z: Array) -> Flags:
-    """0.0027."""
-    return _lasting(np.abs(z) > 3, 1)
+def _steps(z: Array) -> Array:
+    """Differences to the point before; not a number for the first."""
+    return np.diff(z, prepend=np.nan)
 
 
-def _same_side(z: Array) -> Flags:
-    """2/2⁹ = 0.0039."""
-    return _lasting(z > 0, 9) | _lasting(z < 0, 9)
+def _turns(z: Array) -> Flags:
+    """Where a rise follows a fall, or a fall a rise."""
+    steps = _steps(z)
+    return np.concatenate([[False], steps[1:] * steps[:-1] < 0])[: len(z)]
 
 
-def _trend(z: Array) -> Flags:
-    """2/6! = 0.0028."""
-    steps = np.diff(z, prepend=np.nan)
-    return _lasting(steps > 0, 5) | _lasting(steps < 0, 5)
-
-
-def _alternating(z: Array) -> Flags:
-    """2 E₁₄/14! = 0.0046, E₁₄ the number of alternating orders."""
-    steps = np.diff(z, prepend=np.nan)
-    turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0]) if len(z) else np.zeros(0, dtype=bool)
-    return _lasting(turns, 12)
-
-
-def _two_of_three(z: Array) -> Flags:
-    """2 q (1 − (1 − q)²) = 0.0020, q = 0.0228."""
-    return _most_beyond(z, 2, 2, 3) | _most_beyond(-z, 2, 2, 3)
-
-
-def _four_of_five(z: Array) -> Flags:
-    """2 q P(3 or 4 of 4) = 0.0044, q = 0.159."""
-    return _most_beyond(z, 1, 4, 5) | _most_beyond(-z, 1, 4, 5)
-
-
-def _hugging(z: Array) -> Flags:
-    """0.683¹⁵ = 0.0033."""
-    return _lasting(np.abs(z) < 1, 15)
-
-
-def _avoiding(z: Array) -> Flags:
-    """0.317⁸ = 0.0001."""
-    return _lasting(np.abs(z) > 1, 8)
+def _either(test: Callable[[Array], Flags]) -> Callable[[Array], Flags]:
+    """The test on either side of the centre."""
+    return lambda z: test(z) | test(-z)
 
 
 def _most_beyond(z: Array, line: float, least: int, window: int) -> Flags:
@@ -150,13 +108,14 @@ def _most_beyond(z: Array, line: float, least: int, window: int) -> Flags:
     return found
 
 
-_TESTS: dict[Rule, Callable[[Array], Flags]] = {
-    Rule.BEYOND: _beyond,
-    Rule.SAME_SIDE: _same_side,
-    Rule.TREND: _trend,
-    Rule.ALTERNATING: _alternating,
-    Rule.TWO_OF_THREE: _two_of_three,
-    Rule.FOUR_OF_FIVE: _four_of_five,
-    Rule.HUGGING: _hugging,
-    Rule.AVOIDING: _avoiding,
+#: With the probability of a false alarm at a point.
+_TESTS: Final[dict[Rule, Callable[[Array], Flags]]] = {
+    Rule.BEYOND: lambda z: np.abs(z) > 3,  # 0.0027
+    Rule.SAME_SIDE: _either(lambda z: _lasting(z > 0, 9)),  # 2/2⁹ = 0.0039
+    Rule.TREND: _either(lambda z: _lasting(_steps(z) > 0, 5)),  # 2/6! = 0.0028
+    Rule.ALTERNATING: lambda z: _lasting(_turns(z), 12),  # 2 E₁₄/14! = 0.0046, E₁₄ alternating orders
+    Rule.TWO_OF_THREE: _either(lambda z: _most_beyond(z, 2, 2, 3)),  # 2 q (1 − (1 − q)²) = 0.0020, q = 0.0228
+    Rule.FOUR_OF_FIVE: _either(lambda z: _most_beyond(z, 1, 4, 5)),  # 2 q P(3 or 4 of 4) = 0.0044, q = 0.159
+    Rule.HUGGING: lambda z: _lasting(np.abs(z) < 1, 15),  # 0.683¹⁵ = 0.0033
+    Rule.AVOIDING: lambda z: _lasting(np.abs(z) > 1, 8),  # 0.317⁸ = 0.0001
 }

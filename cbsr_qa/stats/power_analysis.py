@@ -1,16 +1,12 @@
 """Sample sizes: to detect a difference, and to show equivalence within a margin.
 
-To find it: power of the two-sided two-sample t test, exact by the noncentral t.
+Power of the two-sided two-sample t test (Cohen 1988, chapter 2):
 
     power = P(|T| > t_(1−α/2, ν)),  T noncentral t with ν = n₁ + n₂ − 2 and δ = (Δ/σ) √(n₁n₂/(n₁ + n₂))
 
-To show two groups alike within ± m: power of two one-sided tests where they do not differ, with X = √(χ²_ν/ν)
-the estimated deviation in units of the true one.
+Power of two one-sided tests where the groups do not differ, with X = √(χ²_ν/ν) (Schuirmann 1987; Phillips 1990):
 
     power = P(|Z| < δ − t_(1−α, ν) X) = ∫ (2 Φ(δ − t x) − 1) f_X(x) dx over x < δ/t,  δ = (m/σ) √(n₁n₂/(n₁ + n₂))
-
-Sources: Cohen 1988, chapter 2, with the noncentral t instead of his tables' approximation; Schuirmann 1987 and
-Phillips 1990, the integral by Gauss and Legendre's rule instead of Owen's Q.
 """
 
 from collections.abc import Callable
@@ -31,18 +27,12 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(128)
 
 
 def power(size: float, first: int, second: int, *, level: float = 0.05) -> float:
-    """Return the probability of detecting a difference.
-
-    Parameters
-    ----------
-    size : Δ/σ, the true difference in deviations.
-    first, second : sensors a group, at least three in all.
-    level : of the two-sided test.
+    """Return the probability of detecting a difference of ``size`` deviations, Δ/σ, by the two-sided test.
 
     Raises
     ------
     NumericsError
-        Groups that have no test, or a level that is not between 0 and 1.
+        Groups that have no test (fewer than three sensors in all), or a level that is not between 0 and 1.
     """
     freedom, shift = _test(size, first, second, level)
     critical = float(stats.t.isf(level / 2, freedom))
@@ -55,18 +45,12 @@ def power(size: float, first: int, second: int, *, level: float = 0.05) -> float
 
 
 def power_of_equivalence(margin: float, first: int, second: int, *, level: float = 0.05) -> float:
-    """Return the probability of showing equivalence within ± ``margin`` for two equal groups.
-
-    Parameters
-    ----------
-    margin : m/σ, in deviations.
-    first, second : sensors a group, at least three in all.
-    level : of each of the two one-sided tests.
+    """Return the probability of showing equivalence within ± ``margin`` deviations for two equal groups.
 
     Raises
     ------
     NumericsError
-        Groups that have no test, or a level that is not between 0 and 1.
+        As :func:`power`.
     """
     freedom, shift = _test(max(margin, 0.0), first, second, level)
     critical = float(stats.t.isf(level, freedom))
@@ -81,19 +65,12 @@ def power_of_equivalence(margin: float, first: int, second: int, *, level: float
 
 
 def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> int:
-    """Return the size of each of two equal groups needed to detect a difference.
-
-    Parameters
-    ----------
-    size : Δ/σ of the difference that must not be missed; its sign does not matter.
-    wanted : power, above the level.
-    level : of the two-sided test.
+    """Return the size of each of two equal groups needed to detect a difference of ``size`` deviations, Δ/σ.
 
     Raises
     ------
     NumericsError
-        No difference is asked for, more than 10⁹ sensors would be needed, or a share is not between 0
-        and 1.
+        No difference is asked for, more than 10⁹ sensors would be needed, or a share is not between 0 and 1.
     """
     _check_wanted(wanted, level)
     if not abs(size) > 0:
@@ -102,19 +79,12 @@ def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> 
 
 
 def sensors_to_show_alike(margin: float, *, wanted: float = 0.8, level: float = 0.05) -> int:
-    """Return the size of each of two equal groups needed to show equivalence within ± margin.
-
-    Parameters
-    ----------
-    margin : m/σ, in deviations.
-    wanted : power, above the level.
-    level : of each of the two one-sided tests.
+    """Return the size of each of two equal groups needed to show equivalence within ± margin deviations.
 
     Raises
     ------
     NumericsError
-        The margin is not a positive number, more than 10⁹ sensors would be needed, or a share is not between 0
-        and 1.
+        The margin is not positive, more than 10⁹ sensors would be needed, or a share is not between 0 and 1.
     """
     _check_wanted(wanted, level)
     if not margin > 0:

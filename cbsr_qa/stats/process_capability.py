@@ -5,19 +5,14 @@ With the deviation σ̂ within subgroups (short term, ν = N − k degrees of fr
     Cp = (U − L)/6σ̂,  Cpk = min(U − x̄, x̄ − L)/3σ̂,  Pp and Ppk the same with s;  one limit: that side's index only.
 
 Intervals, for normal values: Cp exact by χ² (e-Handbook 7.1.6); an index of one limit exact by the noncentral t,
-3√N Ĉ ~ t'_ν(3√N C); Cpk of two limits by Bissell 1990, Ĉ ± z √(1/9N + Ĉ²/2ν). Where subgroups differ, the mean moves
-by more than σ̂/√N, and only the intervals of Pp and Ppk, which take all values for one sample, mean what they say.
+3√N Ĉ ~ t'_ν(3√N C); Cpk of two limits by Bissell 1990, Ĉ ± z √(1/9N + Ĉ²/2ν).
 
 Where limits on both sides judge several values of a run, the lower one judges its least value l and the upper one its
-greatest g (:func:`capability_of_extremes`):
+greatest g, with joint (Bonferroni) intervals:
 
-    Cpk = min((U − ḡ)/3σ_g, (l̄ − L)/3σ_l),  Cp = (U − L − (ḡ − l̄))/(3σ_g + 3σ_l),
+    Cpk = min((U − ḡ)/3σ_g, (l̄ − L)/3σ_l),  Cp = (U − L − (ḡ − l̄))/(3σ_g + 3σ_l).
 
-Cp being, as ever, the Cpk of the same process moved to the best place. Their intervals are joint ones (Bonferroni).
-
-Shares of sensors that passed, with intervals.
-
-Source: Wilson 1927 (score interval; its mean coverage is the stated one), as in NIST/SEMATECH e-Handbook 7.2.4.1.
+Yield by the score interval of Wilson 1927, as in e-Handbook 7.2.4.1.
 """
 
 from collections.abc import Iterable, Sequence
@@ -124,15 +119,12 @@ def capability_of_extremes(
 ) -> Capability:
     """Return the indices of runs of several values each, judged by two limits.
 
+    Mean and deviations are the middle of both sides'; intervals hold at least the stated share of samples.
+
     Parameters
     ----------
     least, greatest : values of each subgroup's runs, in the same order, in the unit of the limits.
     lower, upper, what : see :func:`capability`.
-
-    Returns
-    -------
-    Indices whose intervals hold at least the stated share of samples; mean and deviations are the middle of both
-    sides'.
 
     Raises
     ------
@@ -247,15 +239,5 @@ def passed_share(passed: int, count: int, *, confidence: float = 0.95) -> Yield:
     share(confidence, "confidence")
     if count < 1 or not 0 <= passed <= count:
         raise NumericsError(f"yield: {passed} of {count} is not a yield", remedy="count at least one sensor")
-    value = passed / count
-    return Yield(passed, count, value, _wilson(passed, count, confidence))
-
-
-def _wilson(passed: int, count: int, confidence: float) -> Interval:
-    """(p̂ + z²/2n ± z √(p̂q̂/n + z²/4n²)) / (1 + z²/n)."""
-    z, value = float(stats.norm.isf((1 - confidence) / 2)), passed / count
-    centre = value + z**2 / (2 * count)
-    half = z * sqrt(value * (1 - value) / count + z**2 / (4 * count**2))
-    below = 0.0 if passed == 0 else (centre - half) / (1 + z**2 / count)
-    above = 1.0 if passed == count else (centre + half) / (1 + z**2 / count)
-    return Interval(below, above, confidence)
+    low, high = stats.binomtest(passed, count).proportion_ci(confidence, method="wilson")
+    return Yield(passed, count, passed / count, Interval(float(low), float(high), confidence))

@@ -1,13 +1,10 @@
-"""Validated samples and intervals, shared by all statistics.
-
-Mean, deviation, lag-1 autocorrelation and quantiles of one sample, to the digits that double precision allows.
+"""Validated samples and intervals, shared by all statistics; mean, deviation, autocorrelation, quantiles.
 
 With d_i = x_i − m for m near the mean (subtraction of close numbers is exact),
 
     mean = m + Σd/n,    s² = (Σd² − (Σd)²/n) / (n − 1),    r₁ = Σ e_i e_(i+1) / Σ e_i²,  e = d − Σd/n
 
-with sums that are rounded once (:func:`math.fsum`). Sources: NIST Statistical Reference Datasets, univariate summary
-statistics (definitions and certified values); Chan, Golub & LeVeque 1983 for the corrected two-pass sum.
+with sums that are rounded once (NIST StRD, univariate summary statistics; Chan, Golub & LeVeque 1983).
 """
 
 from collections.abc import Callable, Iterable
@@ -80,7 +77,7 @@ class Estimate:
 
 
 def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool = False) -> Array:
-    """Return values as an array that statistics can be made of.
+    """Return values as an array (n,) that statistics can be made of.
 
     Parameters
     ----------
@@ -88,10 +85,6 @@ def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool =
     what : whose they are, for messages.
     least : fewest values that will do.
     spread : whether they must differ.
-
-    Returns
-    -------
-    (n,) ndarray
 
     Raises
     ------
@@ -175,12 +168,7 @@ class Quantile:
 
 
 def summary(values: Iterable[float], what: str = "values") -> Summary:
-    """Return mean, deviation and lag-1 autocorrelation.
-
-    Parameters
-    ----------
-    values : in the order they were measured in.
-    what : whose they are, for messages.
+    """Return mean, deviation and lag-1 autocorrelation of values in the order they were measured in.
 
     Raises
     ------
@@ -202,16 +190,7 @@ def summary(values: Iterable[float], what: str = "values") -> Summary:
 
 
 def centred(array: Array) -> tuple[float, Array]:
-    """Return the mean and the deviations from it, the mean's own rounding taken out of them.
-
-    Parameters
-    ----------
-    array : (n,) ndarray, n ≥ 1.
-
-    Returns
-    -------
-    mean, (n,) ndarray
-    """
+    """Return the mean of (n,) values and the deviations from it, the mean's own rounding taken out of them."""
     near = fsum(array) / len(array)
     away = array - near
     correction = fsum(away) / len(array)
@@ -219,17 +198,10 @@ def centred(array: Array) -> tuple[float, Array]:
 
 
 def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95, what: str = "values") -> Quantile:
-    """Return a quantile with a distribution-free interval.
+    """Return a quantile with a distribution-free interval (x_(l), x_(u)) (Conover 1999, section 3.2).
 
-    Parameters
-    ----------
-    below : share of the population below the quantile.
-    confidence : of the interval; what it reaches is at least this.
-
-    Notes
-    -----
-    The interval is (x_(l), x_(u)): x_(k) lies above the quantile with probability P(B < k), B binomial with n and the
-    share, and each end may miss with (1 − confidence)/2 at most (Conover 1999, section 3.2).
+    x_(k) lies above the quantile with probability P(B < k), B binomial with n and the share, and each end may miss
+    with (1 − confidence)/2 at most.
 
     Raises
     ------

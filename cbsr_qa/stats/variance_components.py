@@ -48,16 +48,14 @@ class Components:
     def bound_factor(self, coverage: float, confidence: float, values: int = 1) -> float:
         """Return k of mean + k deviation, below which this share of single runs of single sensors lies.
 
+        Exact for one run a sensor and one value. With repeated runs by the generalised pivotal quantity of
+        Krishnamoorthy & Mathew 2009, chapter 5 (unweighted means), which holds the share in at least the stated share
+        of lots.
+
         Parameters
         ----------
         coverage, confidence : shares between 0 and 1.
         values : each number is the largest of this many normal ones, see :mod:`cbsr_qa.stats.worst_value`.
-
-        Notes
-        -----
-        Exact for one run a sensor and one value. With repeated runs by the generalised pivotal quantity of
-        Krishnamoorthy & Mathew 2009, chapter 5 (unweighted means), which holds the share in at least the stated
-        share of lots; Satterthwaite's degrees of freedom would hold it in 93 to 94 % of them instead of 95 %.
         """
         quantile = worst_of(values).quantile(coverage)
         raised = raised_for_skewness(coverage, confidence, values, self.sensors)

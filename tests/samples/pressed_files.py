@@ -10,13 +10,14 @@ from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.forward import disc_coverage
 from cbsr_qa.eit.inverse import nominal_model
+from cbsr_qa.eit.loads import LocalUpdate
 
 DISC: SensorType = nominal_disc(None, 16)
 
 
 def pressed_frames(x, y, *, contrast, n=80, start=30, end=60, seed=1):
     """Volts of a disc with one press, by the forward model; (n, 16, 16)."""
-    model = nominal_model(DISC)
+    model = LocalUpdate(nominal_model(DISC))
     empty = model.model.voltages()
     elements, share = disc_coverage(model.model.mesh, 50 * x, 50 * y, 6.5)
     full = model.voltages(elements, contrast * share)
@@ -28,7 +29,7 @@ def pressed_frames(x, y, *, contrast, n=80, start=30, end=60, seed=1):
 
 def moving_frames(places, *, contrast, seed=1):
     """Volts of a disc with a load that is at another place in each frame; places (n, 2) in radii, (n, 16, 16)."""
-    model = nominal_model(DISC)
+    model = LocalUpdate(nominal_model(DISC))
     empty = model.model.voltages()
     frames = []
     for x, y in places:

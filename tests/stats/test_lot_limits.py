@@ -128,17 +128,18 @@ def test_a_sensor_far_from_the_others_is_named_and_stays_in():
 
 
 @pytest.mark.parametrize(
-    ("lot", "why"),
-    [(np.array([[1.0], [2.0]]), "2 sensors are too few"), (np.full((9, 1), 0.3), "every sensor has 0.3")],
+    ("runs", "why"),
+    [
+        ([[1.0], [2.0]], "2 sensors are too few"),
+        ([[0.3]] * 9, "every sensor has 0.3"),
+        ([[1.0, 3.0]] * 6, "every sensor has 2"),
+        (1e-300 * np.arange(1.0, 9.0)[:, None], "too small to be squared"),
+        (1e200 * np.arange(1.0, 9.0)[:, None], "too large to be squared"),
+    ],
 )
-def test_lots_that_say_nothing_are_refused(lot, why):
-    assert why in proposed(lot).why
-    assert why in proposed(lot, BOTH).why
-
-
-def test_sensors_that_do_not_differ_are_refused_though_their_runs_do():
-    runs = [[1.0, 3.0]] * 6
-    assert "every sensor has 2" in lot_limits(runs, runs, 1, UPPER).why
+def test_lots_that_say_nothing_are_refused(runs, why):
+    for ask in (UPPER, BOTH):
+        assert why in lot_limits(runs, runs, 1, ask).why
 
 
 def test_numbers_of_any_size_are_judged_or_refused_and_never_overflow():
@@ -218,13 +219,5 @@ def test_no_risk_is_made_up_where_the_uncertainty_explains_the_lot():
     bound = proposed(np.random.default_rng(16).normal(5, 1, (30, 1))).upper
     assert risks(bound, 0.0, Uncertainty(3.0, None, "stated")) is None
     ordered = Ask(0.9, 0.5, lower=False, upper=True, distribution=Distribution.ANY)
-    assert risks(proposed(np.random.default_rng(16).normal(5, 1, (30, 1)), ordered).upper, 0.1, bound_u()) is None
-
-
-def bound_u():
-    return Uncertainty(0.1, None, "stated")
-
-
-@pytest.mark.parametrize(("size", "why"), [(1e-300, "too small to be squared"), (1e200, "too large to be squared")])
-def test_values_that_cannot_be_squared_are_not_called_without_spread(size, why):
-    assert why in proposed(size * np.arange(1.0, 9.0)[:, None]).why
+    bound = proposed(np.random.default_rng(16).normal(5, 1, (30, 1)), ordered).upper
+    assert risks(bound, 0.1, Uncertainty(0.1, None, "stated")) is None

@@ -26,8 +26,8 @@ def test_five_values_reach_as_far_as_the_table_of_t_says():
 @pytest.mark.parametrize(
     ("values", "confidence", "said"),
     [
-        ([1.0, 2.0], 0.95, "2 values are too few to predict"),
-        ([1.0, np.nan, 2.0], 0.95, "not a finite number"),
+        ([1.0, 2.0], 0.95, "2 values instead of at least 3"),
+        ([1.0, np.nan, 2.0], 0.95, "missing or infinite"),
         ([1.0, 2.0, 3.0], 1.0, "confidence is 1"),
     ],
 )

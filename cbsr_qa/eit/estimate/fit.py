@@ -1,10 +1,7 @@
 """Least-squares fit of one round load to each of many frames at once, by damped Gauss–Newton steps.
 
-Covariance of a weak load's estimate, where the Fisher matrix at the estimate is too good to be true.
-
-At d′ of 10 to 30 a place is known to millimetres, over which the sheet's sensitivity changes: an estimate that
-happens to lie nearer to an electrode than the load has a Fisher matrix that promises too much. Averaging the inverse
-over places one standard error to each side takes most of it out. What is left at second order falls as 1/d′².
+At d′ of 10 to 30 the sheet's sensitivity changes over the place's error, and the Fisher matrix at the estimate
+promises too much: its inverse is averaged over places one standard error to each side.
 """
 
 from dataclasses import dataclass
@@ -53,13 +50,7 @@ class Fits:
 
 
 class LoadFitter:
-    """Fits loads to rows of unit noise.
-
-    Parameters
-    ----------
-    model : of the sheet.
-    readings : how frames become rows.
-    """
+    """Fits loads to rows of unit noise."""
 
     def __init__(self, model: RoundLoadModel, readings: MergedReadings) -> None:
         self.model = model
@@ -76,14 +67,7 @@ class LoadFitter:
         return np.concatenate(change), np.concatenate(slope)
 
     def fit(self, data: Array, start: Array, *, square: bool) -> Fits:
-        """Fit.
-
-        Parameters
-        ----------
-        data : (n, rows).
-        start : (n, 4) parameters.
-        square : whether the square is fitted too; else it stays as given.
-        """
+        """Fit data (n, rows) from parameters (n, 4); the square as well, or it stays as given."""
         run = _Run(self, data, start, square)
         for _ in range(_MOST_STEPS):
             if not run.active.any():
@@ -101,8 +85,8 @@ class LoadFitter:
 
         Returns
         -------
-        (n, 4) parameters; (n,) whose square was cut; (n,) that are on the sheet at all, clear of electrodes, and no
-        stronger than a disc of that clearance can be.
+        (n, 4) parameters; (n,) whose square was cut; (n,) that are on the sheet, clear of electrodes, and no stronger
+        than a disc of that clearance can be.
         """
         least = _LEAST_CLEARANCE * self.model.surroundings.radius_mm
         clear = self.model.surroundings.clearance_mm(parameters[:, :2])
@@ -217,17 +201,7 @@ _BEYOND: Final = 8.0
 
 
 def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, square: bool) -> Array:
-    """Average the covariance over the places it allows; for loads near an electrode it is already large enough.
-
-    Parameters
-    ----------
-    fits : of n loads. detectability : (n,) their d′.
-    square : whether the square was fitted.
-
-    Returns
-    -------
-    (n, 4, 4).
-    """
+    """Average the covariance (n, 4, 4) over the places it allows, for loads of d′ (n,)."""
     covariance = fits.covariance
     place = covariance[:, :2, :2]
     size, axes = np.linalg.eigh(place)

@@ -1,11 +1,9 @@
 """Maximum-likelihood estimate of place and strength of a round load, with uncertainties.
 
-The image plays no part but for a place to start from: weighted least squares on the readings' changes is unbiased
-and as precise as the Cramér–Rao bound allows, which an image masked at 85 % is not. What the readings do not
-determine is not reported: a load that does not stand out, a place known to no better than a third of the radius, a
-radius whose own standard error is above a third of it. The rules compare standard errors with the *expected* radius,
-not with the radius that was found: a rule on the estimate itself would keep the lucky ones, and what is kept would be
-biased.
+Weighted least squares on the readings' changes, started from an image, is unbiased and as precise as the Cramér–Rao
+bound allows. A place known to no better than a third of the radius, or a radius whose standard error is above a third
+of it, is not reported. The rules compare standard errors with the *expected* radius: a rule on the estimate itself
+would bias what is kept.
 """
 
 from dataclasses import dataclass, replace
@@ -73,8 +71,7 @@ class LoadEstimator:
     ----------
     model : readings of the sheet under a round load, at unit sheet conductance.
     readings : which readings, with their noise.
-    expected_radius_mm : of what presses: the length against which places and radii count as resolved, and the size a
-        fit begins with.
+    expected_radius_mm : of what presses: what places and radii are resolved against, and where a fit begins.
     known : whether the load has exactly that radius, which then is not estimated.
     """
 
@@ -253,7 +250,7 @@ def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
 
 
 def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> Array:
-    """Response to weak loads, smaller near an electrode: a cheap starting point."""
+    """Response to weak loads, smaller near an electrode."""
     clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
     radius = np.minimum(radius_mm, _SMALL * clear)
     changes = np.empty((len(places_mm), *model.pattern.shape))
@@ -287,10 +284,7 @@ def contrast_of(reflection: float, stderr: float) -> Estimated:
 def radius_of(square_mm2: float, stderr_mm2: float, excess_mm2: float = 0.0) -> Estimated:
     """Radius Re √(q + iσ) of an estimate q ± σ of its square: never negative, and free of bias to second order.
 
-    Parameters
-    ----------
-    excess_mm2 : by how much the square would be larger, had it not been held where the load touches an electrode. The
-        interval then ends there, and holds 68 % of what a normal distribution has below.
+    ``excess_mm2``: by how much the square would be larger, had it not been held; the interval then ends there.
     """
     value = sqrt((square_mm2 + sqrt(square_mm2**2 + stderr_mm2**2)) / 2)
     below, above = square_mm2 - stderr_mm2, square_mm2 + stderr_mm2

@@ -1,7 +1,4 @@
-"""Readings prepared for least squares: reciprocal pairs merged, rows scaled to unit noise.
-
-The load model of a sensor type, made once per process.
-"""
+"""Readings prepared for least squares: reciprocal pairs merged, rows scaled to unit noise; the load model."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,9 +17,9 @@ _MESH_SIZE: Final = 0.12  # edge length, of the radius: fields are read from the
 
 @lru_cache(maxsize=8)
 def load_model(sensor_type: SensorType) -> RoundLoadModel:
-    """Readings of the even sheet under a round load, at unit sheet conductance.
+    """Readings of the even sheet under a round load, at unit sheet conductance; made once per process.
 
-    A disc with pins has its fields exactly; any other sheet, or one with a mesh of its own, by finite elements.
+    Exact fields for a disc with pins, finite elements for any other sheet, or one with a mesh of its own.
     """
     round_sheet = isinstance(sensor_type.outline, Disc) and sensor_type.mesh is None
     if round_sheet and sensor_type.electrodes.kind is ElectrodeKind.PIN:
@@ -68,8 +65,7 @@ def merged_readings(pattern: DrivePattern, used: Mask, variance: Array) -> Merge
 
     Parameters
     ----------
-    variance : (drives, measures) of the readings' changes; only used ones are looked at. Noise of different readings
-        is taken as independent.
+    variance : (drives, measures) of the readings' changes, independent of each other; only used ones are looked at.
 
     Raises
     ------

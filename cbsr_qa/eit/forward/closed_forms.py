@@ -57,15 +57,12 @@ def arc_transfer_impedance(
 ) -> Array:
     """Complete electrode model with arcs on the edge, by Legendre–Galerkin on the electrodes (Somersalo et al. 1992).
 
-    The current density of an electrode is expanded in Legendre polynomials, whose Fourier coefficients are spherical
-    Bessel functions. ``modes=1`` is the gap model: uniform current density, mean potential.
-
     Parameters
     ----------
     angles_rad : (electrodes,) centres.
     half_width_rad : half the angle of an arc.
     contact_impedance : z [Ω·mm].
-    modes : polynomials an electrode; the error falls fast for z ≥ 0.01 R/γ, slowly for z → 0 (edge singularity).
+    modes : Legendre polynomials an electrode; 1 is the gap model. The error falls fast for z ≥ 0.01 R/γ.
     harmonics : Fourier terms; what is left out falls with their square.
 
     Returns
@@ -96,7 +93,7 @@ def grounded(impedance: Array) -> Array:
 
 
 def _lags(angles_rad: Array) -> tuple[Array, Indices]:
-    """Different angles between electrodes, and which of them each (row, column) has: equal spacing has few."""
+    """Different angles between electrodes, and which of them each (row, column) has."""
     apart = np.round((angles_rad[:, None] - angles_rad) % (2 * np.pi), 12) % np.round(2 * np.pi, 12)
     lags, which = np.unique(apart, return_inverse=True)
     return lags, which.reshape(apart.shape)
@@ -118,10 +115,9 @@ FEWEST_RESISTORS = 3
 def ring_impedance(resistances_ohm: Sequence[float] | Array) -> Array:
     """Transfer impedance of a ring of resistors, for currents that sum to zero and differences of potentials.
 
-    Between electrodes i and j lie two arcs in parallel, of s and S − s ohms where S is the whole ring: their
-    resistance is r = s (S − s) / S, for equal resistors R k (n − k) / n at distance k (Klein and Randić, Resistance
-    distance, J. Math. Chem. 12 (1993) 81–95). A current from a to b makes between c and d the voltage
-    (r_bc + r_ad − r_ac − r_bd) / 2 per ampere, so that −r / 2 is a transfer impedance.
+    The resistance between two electrodes is that of two arcs in parallel, r = s (S − s) / S with S the whole ring; a
+    current from a to b makes (r_bc + r_ad − r_ac − r_bd) / 2 between c and d, so that −r / 2 is a transfer impedance
+    (Klein & Randić 1993).
 
     Parameters
     ----------
@@ -168,9 +164,5 @@ def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePatter
 
 
 def lead_readings(pattern: DrivePattern) -> Array:
-    """Contribution of each electrode's lead resistance to a reading: (drives, measures, electrodes) of −1, 0, +1.
-
-    A pair that is measured through a lead which carries current reads the drop over it as well: +1 where the source
-    and the plus terminal, or the sink and the minus terminal, share the electrode.
-    """
+    """Contribution of each electrode's lead resistance to a reading: (drives, measures, electrodes) of −1, 0, +1."""
     return pattern.drive_currents().T[:, None, :] * pattern.measure_matrix().T[None, :, :]

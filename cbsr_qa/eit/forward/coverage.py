@@ -21,12 +21,7 @@ _STEP = 1e-4  # of an element's size, for the derivative of the distance from an
 
 
 def disc_coverage(mesh: Mesh, x_mm: float, y_mm: float, radius_mm: float) -> tuple[Indices, Array]:
-    """Fraction of each element's area inside a circle.
-
-    Returns
-    -------
-    elements : (k,) int64, rising, those the disc touches.
-    fraction : (k,) float64 in (0, 1].
+    """Fraction of each element's area inside a circle: (k,) elements the disc touches, rising, and (k,) in (0, 1].
 
     Raises
     ------
@@ -46,8 +41,8 @@ class Cover:
     ----------
     elements : (k,) int64, rising, those it touches.
     share : (k,) covered fraction of their area, in (0, 1].
-    spread : (k, q) covered fraction about each integration point: its mean is the share, and for the second order its
-        first moments are those of the covered part. May leave [0, 1], as the best line through a step does.
+    spread : (k, q) covered fraction about each integration point: its mean is the share. May leave [0, 1], as the
+        best line through a step does.
     across : (k, q, 2) unit normal of the load's outline near each point.
     """
 
@@ -59,18 +54,17 @@ class Cover:
     def change(self, conductance: Array, relative: float | Array) -> Array:
         """Change of the conductance of each element.
 
-        A cut element conducts as a stack of layers does: along the outline the conductances add, across it the
-        resistances. Scaling by the covered fraction alone overrates it across the outline, by an error of first order
-        in the element's size (Farjadpour et al. 2006 for the same in optics).
+        A cut element conducts as a stack of layers: conductances add along the outline, resistances across it
+        (Farjadpour et al. 2006 for the same in optics).
 
         Parameters
         ----------
         conductance : (e,) of all elements without the load [S].
-        relative : change of the covered material, above −1: one, or (k,) one for each element.
+        relative : change of the covered material, above −1: one, or (k,).
 
         Returns
         -------
-        (k, q, 2, 2) [S]. Linear in a small change, where its trace is twice the spread.
+        (k, q, 2, 2) [S].
 
         Raises
         ------
@@ -103,13 +97,7 @@ class Cover:
 
 
 def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
-    """Area of each element covered by a load of any outline; exact for any mesh.
-
-    Parameters
-    ----------
-    elements : of either order; triangles are taken as straight.
-    footprint : of the load.
-    """
+    """Area of each element covered by a load of any outline, exactly; triangles are taken as straight."""
     mesh = elements.mesh
     near = elements_near(elements, footprint)
     share = shares(footprint, mesh.corners_mm[near])
@@ -145,11 +133,7 @@ def elements_near(elements: FiniteElements, footprint: Footprint) -> Indices:
 
 
 def slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
-    """Linear function whose moments over the element are those of its covered part, less the mean: (k, 3).
-
-    The moment of a barycentric coordinate is the integral over s of the covered area where it is above s, and that is
-    a corner of the triangle.
-    """
+    """Linear function whose moments over the element are those of its covered part, less the mean: (k, 3)."""
     levels, weights = np.polynomial.legendre.leggauss(_LEVELS)
     parts = _corners((levels + 1) / 2)
     small = np.einsum("ipcb,kbx->kipcx", parts, corners)
@@ -193,14 +177,10 @@ def _signed_distance(footprint: Footprint, places: Array) -> Array:
 class NestedCover:
     """Coverage of elements by nested outlines, at their integration points.
 
-    Between one outline and the next smaller one lies a layer, in which the load is as strong as the weights of all
-    outlines around it together.
-
     Parameters
     ----------
-    elements : (k,) int64, rising, those any of them touches.
-    layers : (k, q, j + 1) share of each layer about each integration point: that outside all outlines first, that
-        inside the smallest last. They add up to one.
+    elements : (k,) int64, rising, those any outline touches.
+    layers : (k, q, j + 1) share of each layer about each integration point, outside first, inside the smallest last.
     levels : (j + 1,) relative strength in each layer, 0 outside.
     across : (k, q, 2) unit normal of the largest outline near each point.
     """
@@ -211,15 +191,12 @@ class NestedCover:
     across: Array
 
     def change(self, conductance: Array, relative: float | Array) -> Array:
-        """Change of the conductance of each element.
-
-        Along the outlines the layers' conductances add, across them the resistances, as
-        :meth:`Cover.change` has it for a single outline.
+        """Change of the conductance of each element, as :meth:`Cover.change`.
 
         Parameters
         ----------
         conductance : (e,) of all elements without the load [S].
-        relative : change where the level is one, or (k,) one for each element.
+        relative : change where the level is one, or (k,).
 
         Returns
         -------
@@ -250,11 +227,10 @@ class NestedCover:
 def nested_cover(
     elements: FiniteElements, largest: Footprint, centre_mm: tuple[float, float], sizes: Array, weights: Array
 ) -> NestedCover:
-    """Area of each element covered by nested outlines of one shape; exact for any mesh.
+    """Area of each element covered by nested outlines of one shape, exactly; triangles are taken as straight.
 
     Parameters
     ----------
-    elements : of either order; triangles are taken as straight.
     largest : the largest outline.
     centre_mm : about which the others are smaller.
     sizes : (j,) of the outlines over the largest's, at most 1, falling.

@@ -1,10 +1,6 @@
 """Finite elements of first and second order, and electrodes on them: everything that depends on geometry alone.
 
-Plain numpy instead of scikit-fem: the matrices are needed per element, unassembled, so that the conductance enters as
-a scale and a local change touches its own elements only.
-
-Shape functions of triangles and their edges, of first and second order, in barycentric coordinates.
-
+Matrices stay per element, so that the conductance enters as a scale and a local change touches its own elements only.
 Nodes of a triangle are its corners, then the middles of the edges from corner j to j + 1; those of an edge its ends,
 then its middle.
 """
@@ -21,13 +17,12 @@ from cbsr_qa.domain.sensor import Mesh
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """Shape functions at an element's integration points.
+    """Shape functions at an element's integration points, in barycentric coordinates.
 
     Parameters
     ----------
-    points : (q, 3) barycentric coordinates of the points inside a triangle, all of one weight.
-    slopes : (q, k, 2) derivatives of the triangle's functions along its first and its third edge turned round, that
-        is by the second and by the third barycentric coordinate.
+    points : (q, 3) points inside a triangle, all of one weight.
+    slopes : (q, k, 2) derivatives by the second and by the third barycentric coordinate.
     edge_weights : (g,) of the points along an edge, with sum 1.
     edge_values, edge_slopes : (g, b) functions of the edge and their derivatives from end to end.
     """
@@ -61,7 +56,6 @@ def _quadratic() -> Shapes:
 
 
 def _free(slopes: Array) -> Array:
-    """Derivatives by the coordinates that are free once their sum is one."""
     return slopes[..., 1:] - slopes[..., :1]
 
 
@@ -77,12 +71,11 @@ SHAPES: Final = {1: _linear(), 2: _quadratic()}
 class FiniteElements:
     """Continuous functions that are polynomials on each element, with one unknown a node.
 
-    Elements of second order follow the mesh's arcs (isoparametric); those of first order are the mesh's triangles.
-
     Parameters
     ----------
-    mesh : its nodes come first among those here, in the same order.
-    order : 1 or 2. The second has the middles of the mesh's edges as further nodes.
+    mesh : its nodes come first among those here.
+    order : 1, the mesh's triangles; or 2, with the middles of edges as further nodes, following the mesh's arcs
+        (isoparametric).
 
     Raises
     ------
@@ -114,7 +107,7 @@ class FiniteElements:
 
     @cached_property
     def elements_per_node(self) -> Indices:
-        """To how many elements each node belongs, (n,) int64."""
+        """Number of elements at each node, (n,) int64."""
         return np.bincount(self.cells.ravel(), minlength=self.count).astype(np.int64)
 
     @cached_property
@@ -139,17 +132,7 @@ class FiniteElements:
         return _outer(root, root)
 
     def directional_stiffness(self, elements: Indices, conductance: Array) -> Array:
-        """∫ ∇φ_i·Γ∇φ_j over some elements, for conductances that differ by direction and place.
-
-        Parameters
-        ----------
-        elements : (m,) int64.
-        conductance : (m, q, 2, 2) symmetric Γ at the integration points [S].
-
-        Returns
-        -------
-        (m, k, k) [S].
-        """
+        """∫ ∇φ_i·Γ∇φ_j over elements (m,) for symmetric Γ (m, q, 2, 2) at the integration points: (m, k, k) [S]."""
         gradients = self.gradients[elements]
         weighted = (self.weights_mm2[elements][..., None, None] * conductance)[:, :, None]
         return _outer((weighted @ gradients[..., None])[..., 0], gradients)
@@ -208,7 +191,6 @@ def reaches_mm(mesh: Mesh) -> Array:
 
 
 def _outer(first: Array, second: Array) -> Array:
-    """Σ over points and directions of first ⊗ second: two (m, q, k, 2) to (m, k, k)."""
     count, q, k, _ = first.shape
     flat = (part.transpose(0, 2, 1, 3).reshape(count, k, 2 * q) for part in (first, second))
     one, other = flat
@@ -264,11 +246,7 @@ def edge_contacts(elements: FiniteElements) -> Contacts:
 
 
 def point_contacts(elements: FiniteElements, nodes: Indices) -> Contacts:
-    """Electrodes that are single nodes: the limit of narrow ones, away from themselves.
-
-    Parameters
-    ----------
-    nodes : (electrodes,) nodes of the mesh, each once.
+    """Electrodes that are single nodes (electrodes,) of the mesh.
 
     Raises
     ------

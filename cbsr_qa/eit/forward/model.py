@@ -14,7 +14,7 @@ from cbsr_qa.domain.sensor import DrivePattern, Mesh
 from cbsr_qa.eit.forward.closed_forms import grounded
 from cbsr_qa.eit.forward.elements import FiniteElements, edge_contacts, point_contacts
 from cbsr_qa.eit.forward.prepared import PreparedSheet
-from cbsr_qa.eit.forward.value_range import check_contacts, check_contrast, check_values, far_apart, least_and_most
+from cbsr_qa.eit.forward.value_range import check_range, check_values
 
 
 class ForwardModel:
@@ -24,18 +24,17 @@ class ForwardModel:
     ----------
     mesh : e elements, with electrode edges.
     pattern : drive and measure pairs.
-    conductance : (e,) sheet conductance γ [S], positive; or (e, q, 2, 2), symmetric and positive definite, where it
-        differs by direction and by integration point of an element (1 for the first order, 3 for the second).
+    conductance : (e,) sheet conductance γ [S], positive; or (e, q, 2, 2), positive definite, by direction and
+        integration point (1 for the first order, 3 for the second).
     contact_impedance : (electrodes,) z [Ω·mm], positive.
-    order : of the elements, 1 or 2. The second follows the mesh's arcs and is far more accurate for its time.
-    prepared : of another model on the same mesh, in place of ``order``; :meth:`changed` passes it on.
+    order : of the elements, 1 or 2.
+    prepared : of another model on the same mesh, in place of ``order``.
 
     Raises
     ------
     NumericsError
-        If the mesh is in pieces or has electrodes without edges, or a conductance or contact impedance is not a
-        positive finite number, or ``prepared`` belongs to another mesh. If conductances are more than 1e8 apart, or
-        z γ/|E| of an electrode is not within 1e-9 and 1e9 (:mod:`cbsr_qa.eit.forward.value_range`).
+        If the mesh is in pieces or has electrodes without edges, a value is not a positive finite number or out of
+        range (:mod:`cbsr_qa.eit.forward.value_range`), or ``prepared`` belongs to another mesh.
     """
 
     def __init__(
@@ -89,13 +88,7 @@ class ForwardModel:
         return self.changed(conductance=conductance, contact_impedance=contact_impedance)
 
     def check_elements(self, elements: Indices) -> None:
-        """Refuse numbers (m,) that are not elements of the mesh.
-
-        Raises
-        ------
-        NumericsError
-            Naming the range.
-        """
+        """Refuse numbers (m,) that are not elements of the mesh; NumericsError names the range."""
         count = len(self.mesh.elements)
         if elements.size and not 0 <= elements.min() <= elements.max() < count:
             raise NumericsError(
@@ -115,15 +108,9 @@ class ForwardModel:
         return conductance[:, None, None] * self.stiffness[elements]
 
     def solve(self, load: Array) -> Array:
-        """Solve for the nodes' potentials caused by currents into nodes.
+        """Potentials (n, k) [V] of the finite elements' nodes for currents (n, k) [A] into them.
 
-        Parameters
-        ----------
-        load : (n, k) [A]; columns that do not sum to zero raise the whole sheet by some constant.
-
-        Returns
-        -------
-        (n, k) [V], for the n nodes of the finite elements, the mesh's first.
+        Columns that do not sum to zero raise the whole sheet by some constant.
         """
         return self._factors.solve(load, refine=self._far_apart)
 
@@ -131,28 +118,17 @@ class ForwardModel:
     def electrode_fields(self) -> Array:
         """Potentials for a unit current into each electrode, returned evenly through all.
 
-        Returns
-        -------
         (n, electrodes) float64 [V/A], up to a constant in each column.
         """
         return self._fields_at(np.arange(self.elements.count))
 
     @cached_property
     def transfer_impedance(self) -> Array:
-        """Electrode potentials per electrode current Z.
-
-        Returns
-        -------
-        (electrodes, electrodes) float64 [Ω], U = Z·I for ΣI = 0, with ΣU = 0.
-        """
+        """Z of U = Z·I for ΣI = 0, with ΣU = 0: (electrodes, electrodes) [Ω]."""
         return grounded(self._sheet_impedance + np.diag(self._own_impedance))
 
     def voltages(self) -> Array:
-        """Readings per unit current: (drives, measures) [V/A].
-
-        What the contacts of driven electrodes drop is added to the readings that touch them alone: poor contacts cost
-        the others no digits.
-        """
+        """Readings per unit current: (drives, measures) [V/A]."""
         return self.readings(self._sheet_impedance) + self.readings(np.diag(self._own_impedance))
 
     def readings(self, transfer_impedance: Array) -> Array:
@@ -161,14 +137,10 @@ class ForwardModel:
         return (transfer_impedance @ driven).T @ measured
 
     def jacobian(self) -> Array:
-        """Change of every reading per change of every element's conductance.
+        """Change of every reading per change of every element's conductance: (drives, measures, e) [V/A per S].
 
         ∂V_kl/∂γ_e = −∫_e ∇u_k·∇u_l with u_k the field of the drive and u_l of a unit current through the measured
-        pair (Lionheart 2004); the adjoint field needs no further factorisation because the system is symmetric.
-
-        Returns
-        -------
-        (drives, measures, e) [V/A per S].
+        pair (Lionheart 2004).
         """
         driven, measured = self._pair_fields
         jacobian = np.empty((*self.pattern.shape, len(self.mesh.elements)))
@@ -177,16 +149,7 @@ class ForwardModel:
         return np.negative(jacobian, out=jacobian)
 
     def jacobian_rows(self, drive: Indices, measure: Indices) -> Array:
-        """Rows of :meth:`jacobian` for chosen readings alone, such as those that are not each other's reciprocals.
-
-        Parameters
-        ----------
-        drive, measure : (m,) numbers of the readings' drive and measure pairs.
-
-        Returns
-        -------
-        (m, e) [V/A per S].
-        """
+        """Rows (m, e) of :meth:`jacobian` for readings by their drive and measure pairs (m,) [V/A per S]."""
         driven, measured = self._pair_fields
         rows = np.empty((len(drive), len(self.mesh.elements)))
         for row, k, m in zip(rows, drive, measure, strict=True):
@@ -194,13 +157,9 @@ class ForwardModel:
         return np.negative(rows, out=rows)
 
     def contact_jacobian(self) -> Array:
-        """Change of every reading per change of every contact impedance.
+        """Change of readings per change of contact impedances: (drives, measures, electrodes) [V/A per Ω·mm].
 
         ∂V_kl/∂z_n = ∫ j_k j_l ds over electrode n, with j = I/|E| + (ū − u)/z the current density under it.
-
-        Returns
-        -------
-        (drives, measures, electrodes) [V/A per Ω·mm].
         """
         contacts = self.prepared.contacts
         electrodes = len(contacts.nodes)
@@ -264,10 +223,7 @@ class ForwardModel:
 
     @cached_property
     def _ordered(self) -> tuple[Array, Array | None]:
-        """Fields of all electrodes but the first, in the order of elimination, and their rounding error if known.
-
-        (n, electrodes − 1) each [V/A].
-        """
+        """Fields (n, electrodes − 1) of all electrodes but the first, by elimination, and their rounding error."""
         drives = self.prepared.ordered_drives
         return (
             self._factors.refined_ordered(drives) if self._far_apart else (self._factors.solve_ordered(drives), None)
@@ -284,24 +240,17 @@ class ForwardModel:
         directional = (len(self.elements.shapes.points), 2, 2) if self.conductance.ndim > 1 else ()
         check_values("conductance", self.conductance, (count, *directional))
         check_values("contact impedance", self.contact_impedance, (electrodes,))
-        least, most = least_and_most(self.conductance)
-        check_contrast(least, most)
-        prepared = self.prepared
-        self._far_apart = far_apart(least, most, self.contact_impedance, prepared.contacts.lengths_mm)
-        check_contacts(least, most, self.contact_impedance, prepared.contacts.lengths_mm, prepared.beside)
+        lengths_mm = self.prepared.contacts.lengths_mm
+        self._far_apart = check_range(self.conductance, self.contact_impedance, lengths_mm, self.prepared.beside)
 
 
 def point_model(
     mesh: Mesh, nodes: Indices, pattern: DrivePattern, conductance: Array, *, order: int = 1
 ) -> ForwardModel:
-    """Model with point electrodes, the limit of narrow ones: currents go in at single nodes.
+    """Model with point electrodes, the limit of narrow ones: currents go in at nodes (electrodes,), each once.
 
-    Readings that touch a driven electrode grow without bound as the mesh is refined; the others converge. There is no
-    contact impedance: the model's is one everywhere, and nothing depends on it.
-
-    Parameters
-    ----------
-    nodes : (electrodes,) nodes of the mesh, each once.
+    Readings that touch a driven electrode grow without bound as the mesh is refined; the others converge. The model's
+    contact impedance is one everywhere and has no effect.
 
     Raises
     ------

@@ -1,16 +1,9 @@
 """Prepared system of equations of a sheet: a new conductance only scales, factorises and solves it.
 
-The matrix is linear in the elements' conductance and in the reciprocal contact impedance, so that its entries are two
-sparse products; where they go, and the order in which nodes are eliminated, depend on the mesh alone.
-
-Iterative refinement of potentials: what rounding lets leak from good conductors is put back.
-
-A row of the matrix holds the sum of its conductances on the diagonal. Rounding that sum leaks some 1e-16 of the best
-conductor's current out of the sheet, which counts against the worst conductor that current has to pass: with
-contrasts of 1e8, readings that the problem itself would determine to 1e-15 were right to 1e-8. Here residuals are
-formed without the diagonal, as Σ_j K_ij (u_j − u_i), of potentials in twice the precision (Dekker 1971): what flows
-into a node then flows out of it again to the last digit. Corrections from the same factors are added until they
-vanish or are of rounding (Wilkinson 1963; Demmel et al. 2006), which takes two or three.
+The matrix is linear in the elements' conductance and in the reciprocal contact impedance. Where potentials are
+refined, residuals are formed without the diagonal, as Σ_j K_ij (u_j − u_i), of potentials in twice the precision
+(Dekker 1971): with contrasts of 1e8, rounding of the diagonal would cost readings half their digits. Corrections from
+the same factors are added until they are of rounding (Wilkinson 1963; Demmel et al. 2006).
 """
 
 from collections.abc import Callable
@@ -38,17 +31,15 @@ def refined(
 
     Parameters
     ----------
-    conductors : a symmetric matrix whose rows sum to zero, as conductances between its nodes; its diagonal does not
-        count, and no column is empty.
+    conductors : symmetric, rows sum to zero; its diagonal does not count, and no column is empty.
     load : (n, k) currents into the nodes, columns that sum to zero [A].
     solve : gives potentials of a load, nearly.
     potentials : (n, k) to begin with [V].
-    ground : a node; potentials are returned against it, small ones near it with all their digits.
+    ground : node against which potentials are returned.
 
     Returns
     -------
-    (n, k) and (n, k) [V], rounded and what rounding took: their sum has differences that are right to their own size,
-    as between nodes of a good conductor.
+    (n, k) and (n, k) [V], rounded and what rounding took.
 
     Raises
     ------
@@ -83,7 +74,6 @@ def _out_of(conductors: sparse.csc_matrix, high: Array, low: Array) -> Array:
 
 
 def _share(correction: Array, potentials: Array) -> float:
-    """Largest correction of a column over its largest potential, of all columns the worst."""
     largest = np.abs(potentials).max(axis=0)
     share: float = (np.abs(correction).max(axis=0)[largest > 0] / largest[largest > 0]).max(initial=0.0)
     return float(share)
@@ -108,15 +98,8 @@ _SYMMETRIC: Final[dict[str, Any]] = {
 class PreparedSheet:
     """Complete electrode model over the nodes (Vauhkonen et al. 1999, eq 12).
 
-    Departs from the usual form in that the electrodes' potentials are eliminated, U_l = z_l I_l/|E_l| + mean of u on
-    E_l: contacts of 1e8 Ω·mm then cost no digits of the readings that do not feel them. The free constant is fixed at
-    one node of the best conductor: currents sum to zero, so that the solution does not feel how, but what is taken
-    from the inverse between nodes would lose the digits of a constant that a poor conductor makes large.
-
-    Parameters
-    ----------
-    elements : of either order.
-    contacts : where its electrodes touch.
+    The electrodes' potentials are eliminated, U_l = z_l I_l/|E_l| + mean of u on E_l: poor contacts cost no digits of
+    the readings that do not feel them. The free constant is fixed at one node of the best conductor.
 
     Raises
     ------
@@ -163,13 +146,7 @@ class PreparedSheet:
         return tuple(touching)
 
     def factorise(self, conductance: Array, contact_impedance: Array) -> "Factors":
-        """Scale and factorise the matrix.
-
-        Parameters
-        ----------
-        conductance : (e,) [S], or (e, q, 2, 2) by direction and integration point.
-        contact_impedance : (electrodes,) [Ω·mm].
-        """
+        """Scale and factorise the matrix for (e,) or (e, q, 2, 2) [S] and (electrodes,) [Ω·mm]."""
         even, uneven = _split(conductance)
         values = self._scale @ np.concatenate([even, 1 / contact_impedance])
         if uneven.size:
@@ -191,9 +168,9 @@ class Factors:
 
     Parameters
     ----------
-    factors : of the matrix in the order of elimination, with a node held.
+    factors : in the order of elimination, with a node held.
     place : (n,) each node's place in that order.
-    conductors : of the matrix, without what holds the node.
+    conductors : the matrix without what holds the node.
     ground : place of the node that is held. held_by : what it is held by [S].
     """
 
@@ -217,15 +194,7 @@ class Factors:
         return self._factors.solve(load)
 
     def refined_ordered(self, load: Array) -> tuple[Array, Array]:
-        """The same to rounding for any spread of conductances and contacts, and the rounding error.
-
-        What columns do not sum to zero by leaves at the node that is held.
-
-        Raises
-        ------
-        NumericsError
-            As :func:`~cbsr_qa.eit.forward.prepared.refined`.
-        """
+        """The same to rounding for any values, and the rounding error; see :func:`refined`."""
         total = load.sum(axis=0)
         balanced = load.copy()
         balanced[self._ground] -= total
@@ -237,13 +206,7 @@ class Factors:
 
 
 def check_connected(mesh: Mesh) -> None:
-    """Refuse a mesh in several pieces, or with nodes that belong to no element.
-
-    Raises
-    ------
-    NumericsError
-        Naming how many pieces there are.
-    """
+    """Refuse a mesh in several pieces, or with nodes that belong to no element; NumericsError counts the pieces."""
     count = len(mesh.nodes_mm)
     first, second = mesh.elements[:, [0, 1, 2]].ravel(), mesh.elements[:, [1, 2, 0]].ravel()
     graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
@@ -256,7 +219,7 @@ def check_connected(mesh: Mesh) -> None:
 
 
 def _entries(elements: FiniteElements, contacts: Contacts) -> tuple[Indices, Indices, Indices, Array]:
-    """Rows, columns, sources and values of all entries, where a source is an element or, after them, an electrode."""
+    """Rows, columns, sources and values of all entries; a source is an element or, after them, an electrode."""
     cells, count = elements.cells, len(elements.cells)
     k = cells.shape[1]
     rows, columns = [np.repeat(cells, k, axis=1).ravel()], [np.tile(cells, k).ravel()]

@@ -2,12 +2,9 @@
 
 Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest entry: of the best conductor, and of
 |E|/z under a contact. The leak counts against the worst conductor the current has to pass. Where values are more than
-a hundred apart potentials are therefore refined (:mod:`cbsr_qa.eit.forward.prepared`); readings that touch no driven
-electrode are then right to 1e-13 in norm over all that is allowed here, also after local updates (1e-12 where every
-element has a conductance of its own, over eight decades: entries of the matrix are rounded sums). Without, they would
-err by 4e-16 |E|/(z γ) where contacts are good and by up to 1.5e-14 of the contrast, where good conductors round the
-electrodes are parted by a poor one. What refinement needs is that the factors have digits left at all; beyond these
-ranges, which no sheet comes near, values are taken for mistakes.
+a hundred apart potentials are refined (:mod:`cbsr_qa.eit.forward.prepared`); readings that touch no driven electrode
+are then right to 1e-13 in norm over all that is allowed here, also after local updates (1e-12 where every element has
+a conductance of its own, over eight decades).
 """
 
 from typing import Final
@@ -42,16 +39,7 @@ class ValueRangeError(NumericsError):
 
 
 def least_and_most(conductance: Array) -> tuple[Array, Array]:
-    """Smallest and largest conductance in any direction.
-
-    Parameters
-    ----------
-    conductance : (m,) [S], or (m, q, 2, 2) by integration point, symmetric and positive definite.
-
-    Returns
-    -------
-    (m,) and (m,) [S].
-    """
+    """Smallest and largest conductance in any direction, (m,) [S] each, of (m,) or (m, q, 2, 2)."""
     if conductance.ndim == 1:
         return conductance, conductance
     xx, xy, yy = conductance[..., 0, 0], conductance[..., 0, 1], conductance[..., 1, 1]
@@ -60,18 +48,27 @@ def least_and_most(conductance: Array) -> tuple[Array, Array]:
     return least.min(axis=1), most.max(axis=1)
 
 
-def check_contrast(least: Array, most: Array) -> None:
-    """Refuse conductances further apart than :data:`MOST_CONTRAST`.
+def check_range(conductance: Array, impedance: Array, lengths_mm: Array, beside: tuple[Indices, ...]) -> bool:
+    """Refuse values of which rounding would decide the readings.
 
     Parameters
     ----------
-    least, most : (e,) [S], of :func:`least_and_most`.
+    conductance : (e,) [S], or (e, q, 2, 2) by integration point.
+    impedance : (electrodes,) z [Ω·mm].
+    lengths_mm : (electrodes,) |E|; infinite for points, which have no contact impedance.
+    beside : of each electrode, the elements that touch it.
+
+    Returns
+    -------
+    Whether rounding would cost readings more than some two of their digits, so that potentials are refined.
 
     Raises
     ------
     ValueRangeError
-        Naming the elements of the smallest and the largest.
+        Conductances further apart than :data:`MOST_CONTRAST`, naming the two elements; or a contact out of
+        :data:`CONTACT_RANGE`, naming the first electrode, its ratio z γ/|E| and what is allowed.
     """
+    least, most = least_and_most(conductance)
     low, high = int(least.argmin()), int(most.argmax())
     if most[high] / MOST_CONTRAST > least[low] * _ROUNDING:
         raise ValueRangeError(
@@ -79,46 +76,17 @@ def check_contrast(least: Array, most: Array) -> None:
             f" {MOST_CONTRAST:g}: rounding would decide the readings",
             remedy=f"bring conductances to within a factor of {MOST_CONTRAST:g} of each other",
         )
-
-
-def far_apart(least: Array, most: Array, impedance: Array, lengths_mm: Array) -> bool:
-    """Whether rounding would cost readings more than some two of their digits, so that potentials are refined.
-
-    Parameters
-    ----------
-    least, most : (e,) [S], of :func:`least_and_most`. impedance, lengths_mm : (electrodes,) [Ω·mm], [mm].
-    """
     best, worst = most.max(), least.min()
-    contact = (lengths_mm / impedance)[np.isfinite(lengths_mm)].max(initial=0.0)
-    return bool(max(best, contact) > REFINED_ABOVE * worst)
-
-
-def check_contacts(
-    least: Array, most: Array, impedance: Array, lengths_mm: Array, beside: tuple[Indices, ...]
-) -> None:
-    """Refuse contacts so good or so poor that readings lose their digits.
-
-    Parameters
-    ----------
-    least, most : (e,) [S], of :func:`least_and_most`.
-    impedance : (electrodes,) z [Ω·mm].
-    lengths_mm : (electrodes,) |E|; infinite for points, which have no contact impedance.
-    beside : of each electrode, the elements that touch it.
-
-    Raises
-    ------
-    ValueRangeError
-        Naming the first electrode, its ratio z γ/|E| and what is allowed.
-    """
     if np.isinf(lengths_mm).any():
-        return
+        return bool(best > REFINED_ABOVE * worst)
     length = impedance / lengths_mm
     near = np.array([least[of].min() for of in beside]), np.array([most[of].max() for of in beside])
-    for where, (low, high), allowed in (
+    for where, (lowest, highest), allowed in (
         ("the conductance next to it", near, CONTACT_RANGE),
-        ("the sheet's smallest or largest conductance", (least.min(), most.max()), FAR_CONTACT_RANGE),
+        ("the sheet's smallest or largest conductance", (worst, best), FAR_CONTACT_RANGE),
     ):
-        _check_ratios(length * low, length * high, impedance, where, allowed)
+        _check_ratios(length * lowest, length * highest, impedance, where, allowed)
+    return bool(max(best, (lengths_mm / impedance).max()) > REFINED_ABOVE * worst)
 
 
 def _check_ratios(low: Array, high: Array, impedance: Array, where: str, allowed: tuple[float, float]) -> None:

@@ -1,13 +1,15 @@
 """Blobs: connected regions of the elements above a mask's threshold, from the noise floor to the components.
 
 A run's noise floor is subtracted from its images, a percentage of the maximum masks them, and connected elements make
-a blob. Components of small graphs are found several times faster than through a sparse matrix.
+a blob.
 """
 
 from collections.abc import Sequence
 from typing import Final, TypeVar
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import Blob, Image, Region
@@ -17,19 +19,9 @@ _TIE: Final = 4 * np.finfo(np.float64).eps
 
 
 def percentage_mask(values: Array, fraction: float) -> Mask:
-    """Keep the elements that reach a fraction of the image's maximum.
+    """Keep the elements (e,) that reach a fraction in (0, 1] of the image's maximum.
 
-    Values on the threshold are kept, ties to within rounding included; zero and negative values never survive,
-    so that an image without a positive element keeps nothing.
-
-    Parameters
-    ----------
-    values : (e,) float64, response-signed, noise floor subtracted.
-    fraction : p in (0, 1].
-
-    Returns
-    -------
-    (e,) bool.
+    Values on the threshold are kept, ties to within rounding included; zero and negative values never survive.
 
     Raises
     ------
@@ -58,17 +50,7 @@ def threshold(values: Array, fraction: float) -> float:
 
 
 def noise_floor(images: Array) -> float:
-    """Return the largest value that noise alone put anywhere into the unloaded images.
-
-    Per element the largest |value| over the images, then the maximum over the elements (paper, section 3.3.2).
-
-    Parameters
-    ----------
-    images : (k, e) float64, k ≥ 1 images of the rested, unloaded sheet, relative.
-
-    Returns
-    -------
-    float ≥ 0, relative.
+    """Return the largest |value| in unloaded images (k, e), relative (paper, section 3.3.2).
 
     Raises
     ------
@@ -86,16 +68,7 @@ def noise_floor(images: Array) -> float:
 
 
 def floored(values: Array, floor: float) -> Array:
-    """Subtract the noise floor, for masks and blobs only: amplitudes are taken from un-subtracted images.
-
-    Parameters
-    ----------
-    values : (…, e) float64, response-signed.
-    floor : ≥ 0, same unit.
-
-    Returns
-    -------
-    float64 of the same shape, ≥ 0: zero below the floor (and for every negative value), value − floor above it.
+    """Subtract the noise floor from values (…, e), for masks and blobs only; zero below it.
 
     Raises
     ------
@@ -107,32 +80,10 @@ def floored(values: Array, floor: float) -> Array:
     return np.maximum(values - floor, 0.0)
 
 
-def component_labels(count: int, first: Indices, second: Indices) -> Indices:
-    """Label the vertices of a graph by the lowest vertex each is connected to (Shiloach & Vishkin 1982).
-
-    Every label is a vertex of its component. Joining components along all edges at once and then following labels
-    to their end takes a number of rounds that grows with the logarithm of the components' size.
-
-    Parameters
-    ----------
-    count : vertices.
-    first, second : (k,) ends of the edges.
-
-    Returns
-    -------
-    (count,) int64.
-    """
-    label = np.arange(count)
-    while True:
-        near, far = label[first], label[second]
-        apart = near != far
-        if not apart.any():
-            return label
-        first, second, near, far = first[apart], second[apart], near[apart], far[apart]
-        lower = np.minimum(near, far)
-        np.minimum.at(label, near, lower)
-        np.minimum.at(label, far, lower)
-        label = _followed(label)
+def component_labels(count: int, edges: Indices) -> Indices:
+    """Number the component of each vertex of a graph with edges (k, 2), by lowest vertex: (count,)."""
+    graph = coo_array((np.ones(len(edges), dtype=np.bool_), edges.T), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def groups(labels: Indices) -> dict[int, Indices]:
@@ -142,27 +93,11 @@ def groups(labels: Indices) -> dict[int, Indices]:
     return {int(labels[part[0]]): part for part in parts if part.size}
 
 
-def _followed(label: Indices) -> Indices:
-    while True:
-        further = label[label]
-        if (further == label).all():
-            return label
-        label = further
-
-
 AnyRegion = TypeVar("AnyRegion", bound=Region)
 
 
 def find_blobs(image: Image, keep: Mask) -> tuple[Blob, ...]:
-    """Find the connected components of kept elements over shared edges.
-
-    Elements that meet in a corner only are not connected. A kept element without a positive value is dropped:
-    it would have no weight. The mesh remembers its neighbours, so a further image costs the components alone.
-
-    Parameters
-    ----------
-    image : response-signed, noise floor subtracted.
-    keep : (e,) bool.
+    """Find the connected components of kept elements (e,) over shared edges; a kept value must be positive.
 
     Returns
     -------
@@ -179,11 +114,7 @@ def find_blobs(image: Image, keep: Mask) -> tuple[Blob, ...]:
 
 
 def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, ...], ...]:
-    """Find the blobs that several percentage masks leave of one image, at little more than the cost of the laxest.
-
-    Returns
-    -------
-    One tuple per mask, in the order given, each as :func:`find_blobs` returns it.
+    """Find the blobs of several percentage masks of one image: one tuple per mask, as of :func:`find_blobs`.
 
     Raises
     ------
@@ -196,10 +127,7 @@ def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, 
 
 
 def nearest_blob(blobs: Sequence[AnyRegion], x_mm: float, y_mm: float) -> AnyRegion | None:
-    """Return the region whose centre of mass is nearest to a place, or None if there is no region.
-
-    Of regions equally near, the first is taken: the heaviest comes first.
-    """
+    """Return the region whose centre of mass is nearest to a place, of equals the first; None without region."""
     place = np.array([x_mm, y_mm])
     return min(blobs, key=lambda blob: float(np.hypot(*(blob.centre_mm() - place))), default=None)
 
@@ -217,10 +145,6 @@ def _components(image: Image, keeps: Mask) -> tuple[tuple[Blob, ...], ...]:
     pairs = number[:, image.mesh.neighbours[anywhere[first] & anywhere[second]]].reshape(-1, 2)
     pairs = pairs[(pairs[:, 0] >= 0) & (pairs[:, 1] >= 0)]
     blobs_of: tuple[list[Blob], ...] = tuple([] for _ in keeps)
-    for piece in groups(component_labels(element.size, pairs[:, 0], pairs[:, 1])).values():
+    for piece in groups(component_labels(element.size, pairs)).values():
         blobs_of[mask[piece[0]]].append(Blob(image, element[piece].astype(np.int64)))
-    return tuple(tuple(sorted(blobs, key=_heaviest_first)) for blobs in blobs_of)
-
-
-def _heaviest_first(blob: Blob) -> tuple[float, int]:
-    return -blob.weight, int(blob.elements[0])
+    return tuple(tuple(sorted(blobs, key=lambda b: (-b.weight, int(b.elements[0])))) for blobs in blobs_of)

@@ -1,10 +1,7 @@
 """Regions bounded by a contour inside elements, so that masks do not jump by whole elements.
 
-An image of one value per element becomes one value per node (:func:`nodal_values`), linear in between; a region is
-where that field reaches a share of its maximum. ``contour_regions(image, fraction)`` returns them heaviest first
-(:func:`masked_contours` those of several masks at once); E_CoM, A_OL and SD of :mod:`.shape` take them
-as they take blobs, and all three are then exact for the linear field. ``nearest_blob`` of
-:mod:`cbsr_qa.eit.imaging.blobs` picks the sensed one.
+An image of one value per element becomes one value per node, linear in between; a region is where that field reaches
+a share of its maximum. The metrics of :mod:`.shape` are exact for the linear field.
 """
 
 from collections.abc import Iterator, Sequence
@@ -79,26 +76,18 @@ class ContourRegion:
 def nodal_values(mesh: Mesh, values: Array) -> Array:
     """Return at each node the linear function that fits the elements around it best, by area: (e,) → (n,).
 
-    That is the area-weighted mean of these elements, moved from their centre of mass to the node. The mean alone
-    (which would keep the integral exactly) is wrong by the distance between the two, a first-order error on uneven
-    meshes; moved, it is exact for linear images and of second order in the element size for smooth ones, integral
-    included. On the edge of the mesh the mean stays where it is: there the fit would be an extrapolation.
+    It is exact for linear images and of second order in the element size for smooth ones. On the edge of the mesh the
+    area-weighted mean stays where it is.
     """
     return _fit_at_nodes(mesh) @ values
 
 
 def contour_regions(image: Image, fraction: float) -> tuple[ContourRegion, ...]:
-    """Find the connected regions where the field of nodal values reaches a fraction of its maximum.
-
-    Parameters
-    ----------
-    image : response-signed, noise floor subtracted.
-    fraction : p in (0, 1).
+    """Find the connected regions where the field of nodal values reaches a fraction in (0, 1) of its maximum.
 
     Returns
     -------
-    Heaviest first; empty where no node is positive. Specks of a billionth of an element, whose figures would be
-    rounding, are left out.
+    Heaviest first; empty where no node is positive. Specks of a billionth of an element are left out.
 
     Raises
     ------
@@ -109,11 +98,7 @@ def contour_regions(image: Image, fraction: float) -> tuple[ContourRegion, ...]:
 
 
 def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[ContourRegion, ...], ...]:
-    """Find the regions of several masks, at little more than the cost of the laxest.
-
-    Returns
-    -------
-    One tuple per mask, in the order given, each as :func:`contour_regions` returns it.
+    """Find the regions of several masks: one tuple per mask, as of :func:`contour_regions`.
 
     Raises
     ------
@@ -132,14 +117,7 @@ def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[Con
 def field_regions(mesh: Mesh, nodal: Array, levels: Array) -> tuple[tuple[ContourRegion, ...], ...]:
     """Find the connected regions where a field, linear in every element, is at or above levels.
 
-    Parameters
-    ----------
-    nodal : (n,) float64, the field at the nodes.
-    levels : (k,) float64, at least one, positive.
-
-    Returns
-    -------
-    One tuple per level, heaviest first.
+    ``nodal``: (n,) the field at the nodes; ``levels``: (k,) positive. One tuple per level, heaviest first.
     """
     regions_of: tuple[list[ContourRegion], ...] = tuple([] for _ in levels)
     least = _SPECK * float(mesh.areas_mm2.mean())
@@ -170,13 +148,9 @@ def _fit_at_nodes(mesh: Mesh) -> csr_array:
 class _Cut:
     """Elements cut at several levels. Corners are numbered level by level: node k at level j is j × nodes + k.
 
-    Attributes
-    ----------
-    whole, tips, stumps : (…, 3) corners of elements with three, one and two of them at or above the level. The one
-        that differs from the others comes first.
-    tip_cuts, stump_cuts : where the field passes the level from the first corner to the second and to the third.
-    joined : (k, 2), edges with both ends at or above.
-    outer : (k, 2), edges of the sheet's own edge with an end at or above.
+    ``whole``, ``tips``, ``stumps``: (…, 3) corners of elements with three, one and two of them at or above the level,
+    the odd one first; ``tip_cuts``, ``stump_cuts``: where the field passes the level from there to the others;
+    ``joined``: (k, 2) edges at or above; ``outer``: (k, 2) of the sheet's own edge with an end at or above.
     """
 
     def __init__(self, mesh: Mesh, nodal: Array, levels: Array) -> None:
@@ -246,7 +220,7 @@ def _regions(cut: _Cut) -> Iterator[tuple[int, ContourRegion]]:
     """Put the pieces of each connected region together; with the number of its level."""
     corners_mm, values, anchor = _inside(cut)
     start, end, rim_anchor = _rim(cut)
-    label = component_labels(len(cut.above), cut.joined[:, 0], cut.joined[:, 1])
+    label = component_labels(len(cut.above), cut.joined)
     rims = groups(label[rim_anchor])
     for number, pieces in groups(label[anchor]).items():
         rim = rims.get(number, pieces[:0])

@@ -1,9 +1,4 @@
-"""Several simultaneous loads: assignment of regions to loads; merged, missed and spurious regions.
-
-Touching loads parted on a mesh: a blob with several peaks is cut along the valleys between them.
-
-Two-touch resolution: how far apart two equal loads must be to be seen as two.
-"""
+"""Several simultaneous loads: regions assigned to loads, touching loads parted, two-touch resolution."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,8 +18,7 @@ from cbsr_qa.eit.imaging.contours import contour_regions
 def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
     """Split blobs with several peaks (watershed by flooding, Vincent & Soille 1991, on the mesh's elements).
 
-    A peak counts where one has to go down by more than the prominence before one can climb to a higher one: so noise
-    on a plateau parts nothing.
+    A peak counts where one has to go down by more than the prominence before one can climb to a higher one.
 
     Parameters
     ----------
@@ -71,11 +65,7 @@ def _neighbours(blob: Blob) -> list[list[int]]:
 
 
 def _flooded(values: Array, around: list[list[int]], depth: float) -> Indices:
-    """Number of the basin, by its peak, of every element: the level falls from the highest peak to the rim.
-
-    An element between basins goes to that of its highest neighbour. Where two meet, the lower one is joined to the
-    higher one unless its peak stands above the valley by more than the depth.
-    """
+    """Number of the basin, by its peak, of every element: the level falls from the highest peak to the rim."""
     into = list(range(len(values)))  # a basin that was joined to another points to it
     basin = np.full(len(values), -1, dtype=np.int64)
 
@@ -138,14 +128,10 @@ class Assignment:
 def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gate_mm: float) -> Assignment:
     """Assign regions to loads so that the sum over the loads of min(distance, gate) is the least there is.
 
-    The distance is that of the region's centre of mass from the load's centre; a load without region counts as one
-    at the gate (the cut-off distance of OSPA, Schuhmacher, Vo & Vo 2008). A region can belong to a load that is
-    within the gate, or whose centre it covers. A load left without a region of its own is *merged* with the owner of
-    one that could have been its own, and *missed* where there is none.
-
-    Parameters
-    ----------
-    gate_mm : beyond this distance a region says nothing about a load; the diameter of the head is a fair choice.
+    The distance is that of the region's centre of mass from the load's centre; a load without region counts as one at
+    the gate (the cut-off distance of OSPA, Schuhmacher, Vo & Vo 2008). A region can belong to a load within the gate,
+    or whose centre it covers. A load without a region of its own is *merged* with the owner of one that could have
+    been its own, and *missed* where there is none.
 
     Raises
     ------
@@ -219,9 +205,8 @@ def two_touch_resolution(
 ) -> TwoTouch:
     """Move two equal loads apart along a line through the sheet's centre until they stay resolved.
 
-    They are two where :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is nearer to
-    it than to the other. The readings are those of the linearised model, without noise: the figure says what the
-    method can part, not what a noisy frame lets it. Heads cannot overlap, so none is smaller than the head is wide.
+    They are two where :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is nearer to it than
+    to the other. Readings are those of the linearised model, without noise.
 
     Parameters
     ----------

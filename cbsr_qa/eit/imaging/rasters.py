@@ -91,10 +91,7 @@ def find_regions(raster: Raster, fraction: float) -> tuple[PixelRegion, ...]:
 def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tuple[PixelRegion, ...]:
     """Find regions, and split those with several peaks along the valleys between them (watershed).
 
-    Parameters
-    ----------
-    separation_mm : peaks closer than this belong to one load; the image is smoothed over a quarter of it first,
-        so that noise on one load's plateau does not part it.
+    Peaks closer than the separation belong to one load; the image is smoothed over a quarter of it first.
 
     Raises
     ------
@@ -119,11 +116,7 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
 
 
 def pixel_image(raster: Raster, where: Mask | None = None) -> Image:
-    """Return a raster as an image on a mesh: two triangles a pixel, for figures that want areas.
-
-    Parameters
-    ----------
-    where : (rows, columns), the pixels of the sheet; all by default.
+    """Return a raster as an image on a mesh, two triangles for each pixel of ``where`` (rows, columns), or of all.
 
     Raises
     ------
@@ -144,14 +137,7 @@ def pixel_image(raster: Raster, where: Mask | None = None) -> Image:
 
 
 def outlines(raster: Raster, level: float) -> tuple[Array, ...]:
-    """Closed outlines at a level, with sub-pixel accuracy (marching squares), longest first.
-
-    The raster is continued with zeros, so that a region on its rim is closed too.
-
-    Returns
-    -------
-    tuple of (k, 2) float64 [mm], first and last point equal; what is above the level lies to the left.
-    """
+    """Closed outlines (k, 2) [mm] at a level, by marching squares, longest first; above the level to their left."""
     contours = _measure.find_contours(np.pad(raster.values, 1), level, positive_orientation="high")
     # Rows rise with y: (row, column) to (x, y) is a reflection, which turns outlines round.
     closed = [raster.places_mm(contour[::-1] - 1) for contour in contours]

@@ -44,20 +44,15 @@ class Registration:
 
 
 def register(nominal_mm: Array, seen_mm: Array) -> Registration:
-    """Find the similarity that explains most of the errors of places.
+    """Find the similarity that explains most of the errors of places, by complex regression (Umeyama 1991 by an SVD).
 
-    In the complex plane it is a line q = b + a p, and least squares are a regression (Umeyama 1991 gives the same by
-    an SVD; reflections are not looked for). Errors of places are taken as independent and alike along x and y.
-
-    Parameters
-    ----------
-    nominal_mm, seen_mm : (n, 2) places, n at least 3.
+    Errors of places are taken as independent and alike along x and y. Places are (n, 2), n at least 3.
 
     Raises
     ------
     NumericsError
-        If there are fewer than three places, two distinct ones are lacking, a number is not finite, all are seen
-        at one place, in the order of a mirror image, or in no order that any turn explains.
+        If there are fewer than three places, two distinct ones are lacking, a number is not finite, all are seen at
+        one place, in the order of a mirror image, or in no order that any turn explains.
     """
     if nominal_mm.shape != seen_mm.shape or nominal_mm.ndim != 2 or nominal_mm.shape[1:] != (2,):
         raise NumericsError(f"places {nominal_mm.shape} and {seen_mm.shape} do not match; both must be (n, 2)")
@@ -103,10 +98,8 @@ def _one_place(places: NDArray[np.complex128], size: float) -> bool:
 def _not_mirrored(factor: complex, mirrored: complex, size: float) -> None:
     """Refuse places that no turn explains.
 
-    Parameters
-    ----------
-    factor, mirrored : that turn and scale the places, or their mirror image, onto what is seen.
-    size : squared distances that are seen over those that were pressed, of which |factor|² is explained.
+    ``factor``, ``mirrored``: that map the places, or their mirror image, onto what is seen; ``size``: squared
+    distances seen over those pressed.
     """
     turned_left, mirrored_left = size - abs(factor) ** 2, size - abs(mirrored) ** 2
     if abs(mirrored) ** 2 >= _MIRRORED * size and mirrored_left < _CLEARLY * turned_left - _ROUNDING * size:

@@ -1,10 +1,6 @@
-"""The paper's spatial metrics of a sensed region against the indenter (Eqs 4 to 6).
+"""The paper's spatial metrics of a sensed region against the indenter (Eqs 4 to 6), and bands of the overlap.
 
-Bands of the area overlap, and when they count.
-
-Exact area of mesh elements inside an outline.
-
-The figures of merit of Adler et al. 2009 (Physiol. Meas. 30 S35), area-weighted and exact on a mesh.
+Figures of merit of Adler et al. 2009 (Physiol. Meas. 30 S35), area-weighted and exact on a mesh.
 """
 
 from collections.abc import Sequence
@@ -40,16 +36,9 @@ class SpatialFigures:
 def spatial_figures(
     regions: Sequence[Region | None], indenter: Footprint, *, clipping: str = "exact", perimeter: str = "length"
 ) -> tuple[SpatialFigures | None, ...]:
-    """Return the figures of several regions, e.g. the sensed ones of several masks, in one pass over all perimeters.
+    """Return the figures of several regions in one pass over all perimeters; None where there is no region.
 
-    Parameters
-    ----------
-    indenter : where it pressed.
-    clipping, perimeter : modes of :func:`area_overlap_percent` and :func:`shape_deviation_mm2`.
-
-    Returns
-    -------
-    One for each region; None where there is no region.
+    ``clipping``, ``perimeter``: modes of :func:`area_overlap_percent` and :func:`shape_deviation_mm2`.
 
     Raises
     ------
@@ -74,9 +63,7 @@ def spatial_figures(
 def centre_of_mass_error_mm(region: Region, indenter: Footprint) -> float:
     """Return E_CoM = ‖M − F‖, the distance of the region's centre of mass from the indenter's centre [mm].
 
-    Paper Eq 4, read with area weights: unweighted, the centre would depend on the mesh. Read as a mean of element
-    distances it would give 4.3 mm for a perfect blob under a 13 mm head, which the paper's 0.67 mm excludes. F of an
-    indenter that is not round is the centre of mass of its area.
+    Paper Eq 4, read with area weights. F of an indenter that is not round is the centre of mass of its area.
     """
     return float(np.hypot(*(region.centre_mm() - np.array(indenter.centre_mm))))
 
@@ -86,7 +73,6 @@ def area_overlap_percent(region: Region, indenter: Footprint, mode: str = "exact
 
     Parameters
     ----------
-    indenter : where it pressed.
     mode : ``"exact"`` clips the region against the indenter's outline; ``"centroid"`` counts elements whose centroid
         lies inside, as the paper does, and jumps with the mesh.
 
@@ -101,13 +87,10 @@ def area_overlap_percent(region: Region, indenter: Footprint, mode: str = "exact
 def shape_deviation_mm2(region: Region, indenter: Footprint, mode: str = "length") -> float:
     """Return SD, the mean squared distance of the region's perimeter from the indenter's outline [mm²] (paper Eq 6).
 
-    For a round indenter that is the mean of (‖P − F‖ − r)². Points inside the indenter count like those outside.
-
     Parameters
     ----------
-    indenter : where it pressed.
     mode : ``"length"`` integrates along the perimeter's edges, exactly for a round indenter and to 1e-9 of its area
-        for another; ``"nodes"`` is the paper's mean over perimeter nodes, which weighs finely meshed stretches more.
+        for another; ``"nodes"`` is the paper's mean over perimeter nodes.
 
     Raises
     ------
@@ -190,18 +173,13 @@ def overlap_grade(
     bands: Sequence[OverlapBand] = DEFAULT_BANDS,
     size_ratio: tuple[float, float] = DEFAULT_SIZE_RATIO,
 ) -> str:
-    """Name the band of an area overlap, or say that the blob's size makes it meaningless.
+    """Name the band of an area overlap [%], ``"likely poor: size"`` for an area ratio out of range, or ``"no band"``.
 
     Parameters
     ----------
-    overlap_percent : A_OL [%].
     area_ratio : A_b/A_FA.
     bands : [lower, upper) each; the highest band includes its upper end.
     size_ratio : both ends inclusive.
-
-    Returns
-    -------
-    The band's name, ``"likely poor: size"``, or ``"no band"`` where the bands leave a gap.
     """
     lowest, highest = size_ratio
     if not lowest <= area_ratio <= highest:
@@ -238,39 +216,29 @@ class GreitFigures:
     ringing: float | None
 
 
-def greit_figures(
-    image: Image, target: Footprint, *, contrast: float | None = None, fraction: float = QUARTER
-) -> GreitFigures | None:
-    """Measure an image of one target.
+def greit_figures(image: Image, target: Footprint, *, contrast: float | None = None) -> GreitFigures | None:
+    """Measure an image of one target; None for an image without a positive element.
 
-    The set q and the circle are taken over the whole image, as Adler et al. do: a second blob in q deforms the shape.
-    Elements that the circle cuts count with the share it cuts off, where the paper counts pixels. The centre of q is
-    that of its area, without weights. A raster is measured as :func:`~cbsr_qa.eit.imaging.pixel_image`.
+    The set q and the circle are taken over the whole image (Adler et al. 2009). Elements that the circle cuts count
+    with the share it cuts off. The centre of q is that of its area.
 
     Parameters
     ----------
     image : turned so that the target is positive; nothing subtracted, since ringing is what is negative.
     target : where it was.
     contrast : relative conductance change of the target, of the sign of the image; for AR.
-    fraction : of the maximum, for q.
-
-    Returns
-    -------
-    GreitFigures; None for an image without a positive element.
 
     Raises
     ------
     NumericsError
-        If the fraction is outside (0, 1], or the contrast not positive.
+        If the contrast is not positive.
     """
-    if not 0 < fraction <= 1:
-        raise NumericsError(f"threshold is {fraction:g} of the maximum; it must be above 0 and at most 1")
     if contrast is not None and not contrast > 0:
         raise NumericsError(f"contrast is {contrast:g}; it must be positive", remedy="invert image and contrast")
     mesh, values = image.mesh, image.values
     if values.max() <= 0:
         return None
-    kept = values >= threshold(values, fraction)
+    kept = values >= threshold(values, QUARTER)
     area = float(mesh.areas_mm2[kept].sum())
     centre = mesh.areas_mm2[kept] @ mesh.centroids_mm[kept] / area
     inside = overlap_mm2(RoundFootprint(float(centre[0]), float(centre[1]), np.sqrt(area / np.pi)), mesh.corners_mm)

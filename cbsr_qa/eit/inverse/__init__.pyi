@@ -10,7 +10,11 @@ from .noise_figures import (
     noise_figure as noise_figure,
     target_radius_mm as target_radius_mm,
 )
-from .one_step import OneStep as OneStep, RidgeCurves as RidgeCurves, RidgeSearch as RidgeSearch
+from .one_step import (
+    RidgeCurves as RidgeCurves,
+    RidgeSearch as RidgeSearch,
+    ridge_reconstruction as ridge_reconstruction,
+)
 from .overlap import overlap_fractions as overlap_fractions
 from .pixels import pixel_imaging as pixel_imaging
 from .priors import (

@@ -1,15 +1,12 @@
 """One-step Gauss–Newton in dual form: a system of the size of the readings, not of the elements.
 
 With P = R⁻¹, (JᵀWJ + λ²R)⁻¹JᵀW = PJᵀ (JPJᵀ + λ²W⁻¹)⁻¹. With one eigendecomposition of W^½ JPJᵀ W^½ every λ costs a
-product. To form that matrix squares the condition number of J: what is below 1e-8 of its largest singular value is
-gone. Where P = HᵀH has a root that can be multiplied with, the eigenvectors and the roots of the eigenvalues are
-singular vectors and values of H JᵀW^½ instead, found by QR and SVD, and every λ down to 0 (Moore–Penrose) can be had.
+product. Where P = HᵀH has a root that can be multiplied with, singular vectors and values of H JᵀW^½ are found
+instead, by QR and SVD: the condition number is not squared, and every λ down to 0 (Moore–Penrose) can be had.
 
-Where R has a null space N (a constant image costs nothing under a smoothness prior) R⁻¹ does not exist, yet the image
-does as long as the readings see N. It is x = PJᵀW^½ d + N c with any generalised inverse P of R, where the
-coefficients d are orthogonal to T = W^½JN (Wahba 1990, section 1.3; universal kriging): with [Q₁ Q₂] the complete
-orthogonal factor of T, d = Q₂ (Q₂ᵀAQ₂ + λ²I)⁻¹ Q₂ᵀ W^½y, A = W^½JPJᵀW^½, and c fits Tc to W^½y − Ad. Nothing is added
-to R to make it regular, and the part of the readings that N explains is not regularised at all.
+Where R has a null space N the image is x = PJᵀW^½ d + N c with any generalised inverse P of R, where the coefficients
+d are orthogonal to T = W^½JN (Wahba 1990, section 1.3): with [Q₁ Q₂] the complete orthogonal factor of T,
+d = Q₂ (Q₂ᵀAQ₂ + λ²I)⁻¹ Q₂ᵀ W^½y, A = W^½JPJᵀW^½, and c fits Tc to W^½y − Ad.
 """
 
 from dataclasses import dataclass, replace
@@ -28,7 +25,7 @@ _UNSEEN: Final = 1e-12  # of what the readings could see at most
 
 
 def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, variance: Array | None = None) -> Array:
-    """Imaging matrix of one hyperparameter, by singular values, or one Cholesky factorisation where P has no root.
+    """Imaging matrix (e, m) of one hyperparameter.
 
     Parameters
     ----------
@@ -36,10 +33,6 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
     prior : of the image; an array is the diagonal of R, (e,) positive.
     hyperparameter : λ.
     variance : (m,) diagonal of W⁻¹, None for ones.
-
-    Returns
-    -------
-    (e, m) float64.
 
     Raises
     ------
@@ -83,8 +76,7 @@ class DualSpectrum:
     ----------
     basis : (e, k + f) image of each eigenvector; the last f are of what R leaves free (none where R is regular).
     values : (k,) eigenvalues, rising, not negative.
-    analysis : (k + f, m) from readings to eigenvectors. Its rows have unit variance under the readings' noise, and
-        no covariance.
+    analysis : (k + f, m) from readings to eigenvectors; rows have unit variance under the noise, and no covariance.
     """
 
     basis: Array
@@ -110,7 +102,7 @@ def dual_spectrum(jacobian: Array, prior: Prior | Array, variance: Array | None 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _System:
-    """The dual system before λ: images of the readings' coefficients, and their forward projection.
+    """The dual system before λ.
 
     Parameters
     ----------

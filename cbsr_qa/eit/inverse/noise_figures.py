@@ -1,8 +1,6 @@
-"""Noise figure of a linear imaging matrix: input over output signal-to-noise ratio.
+"""Noise figure of a linear imaging matrix: input over output signal-to-noise ratio; and λ for a noise figure.
 
-What a parameter is chosen on: a small central target, and changes measured or made up, with their noise.
-
-Choosing the hyperparameter for a noise figure, without knowing any truth.
+Parameters are chosen on a small central target, and on changes measured or simulated, with their noise.
 """
 
 from collections.abc import Callable
@@ -153,9 +151,7 @@ def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
 def simulated_evidence(problem: ImagingProblem, draws: int, frames: int) -> Evidence:
     """Changes for a central target in noise: a press as deep as the paper's, the noise of a good instrument.
 
-    Parameters
-    ----------
-    draws : of noise that are made. frames : of them that are chosen on, for the words.
+    ``draws``: of noise; ``frames``: of them that are chosen on, for the words.
     """
     deviation = 10 ** (-NOISE_DB / 20) * float(np.abs(problem.reference).mean())
     relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
@@ -176,8 +172,7 @@ def noise_figure_of(
 ) -> Callable[[float], float]:
     """Noise figure (Adler et al. 2009) as a function of λ, at a matrix–vector product a call.
 
-    The noise term needs no matrix: the rows of the analysis have unit variance and no covariance, so
-    Σ(A R)²v = Σ_k (Σ_e A_e²B_ek²) g_k².
+    The rows of the analysis have unit variance and no covariance: Σ(A R)²v = Σ_k (Σ_e A_e²B_ek²) g_k².
     """
     basis = areas[:, None] * spectrum.basis
     energy = (basis**2).sum(axis=0)
@@ -219,7 +214,7 @@ def hyperparameter_for(
 
 
 def rounded(value: float) -> float:
-    """Ten digits: those beyond depend on how many threads the linear algebra has."""
+    """Ten digits: those beyond depend on the number of threads."""
     return float(f"{value:.10g}")
 
 

@@ -1,7 +1,6 @@
-"""One-step Gauss–Newton with any prior: the code its plugins share, and the criteria that choose its λ from readings.
+"""One-step Gauss–Newton with any prior, and the criteria that choose its λ from readings.
 
-All criteria need the residual, the size of the image and the degrees of freedom as functions of λ, and these are sums
-over the dual spectrum: with eigenvalues Λ of W^½JPJᵀW^½ and z the readings' coefficients,
+With eigenvalues Λ of W^½JPJᵀW^½ and z the readings' coefficients,
 
     ‖W^½(y − Jx)‖² = Σ (λ²/(Λ + λ²))² z²,   xᵀRx = Σ Λ/(Λ + λ²)² z²,   trace(I − H) = Σ λ²/(Λ + λ²)
 
@@ -17,7 +16,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
-from cbsr_qa.eit.inverse.dual import DualSpectrum, check_hyperparameter, dual_matrix, dual_spectrum
+from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_matrix, dual_spectrum
 from cbsr_qa.eit.inverse.noise_figures import (
     Evidence,
     central_signal,
@@ -38,8 +37,13 @@ _STILL: Final = 1e-6  # slope of the residual, at the ends of what is searched
 _REMEDY: Final = "choose by noise figure, or give the hyperparameter itself"
 
 
-class OneStep:
-    """x = (JᵀWJ + λ²R)⁻¹JᵀW y, solved in its dual form on folded readings.
+def ridge_reconstruction(
+    method: str,
+    problem: ImagingProblem,
+    prior_of: Callable[[ImagingProblem], Prior],
+    regularisation: Regularisation,
+) -> LinearReconstruction:
+    """Prepare x = (JᵀWJ + λ²R)⁻¹JᵀW y, solved in its dual form on folded readings.
 
     Parameters
     ----------
@@ -50,33 +54,15 @@ class OneStep:
     Raises
     ------
     NumericsError
-        If a given λ is negative or not finite.
+        If λ is out of range, cannot be chosen or is too small to determine the image, or the prior cannot be made.
     """
-
-    def __init__(
-        self, method: str, prior_of: Callable[[ImagingProblem], Prior], regularisation: Regularisation
-    ) -> None:
-        if regularisation.given is not None:
-            check_hyperparameter(regularisation.given)
-        self._method = method
-        self._prior_of = prior_of
-        self._regularisation = regularisation
-
-    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix.
-
-        Raises
-        ------
-        NumericsError
-            If λ cannot be chosen, is too small to determine the image, or the prior cannot be made.
-        """
-        value, how, curve = self._regularisation.choose(problem, lambda base: RidgeSearch(base, self._prior_of(base)))
-        fold, prior = ReadingFold.of(problem), self._prior_of(problem)
-        matrix = fold.unfold(dual_matrix(fold.rows(problem.jacobian), prior, value, fold.variance))
-        areas, variance = problem.mesh.areas_mm2, problem.noise_variance
-        figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
-        choice = ParameterChoice(value, how, figure, curve=curve, criterion=self._regularisation.decided_by)
-        return LinearReconstruction(self._method, problem, matrix, choice)
+    value, how, curve = regularisation.choose(problem, lambda base: RidgeSearch(base, prior_of(base)))
+    fold, prior = ReadingFold.of(problem), prior_of(problem)
+    matrix = fold.unfold(dual_matrix(fold.rows(problem.jacobian), prior, value, fold.variance))
+    areas, variance = problem.mesh.areas_mm2, problem.noise_variance
+    figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
+    choice = ParameterChoice(value, how, figure, curve=curve, criterion=regularisation.decided_by)
+    return LinearReconstruction(method, problem, matrix, choice)
 
 
 class RidgeSearch:
@@ -96,7 +82,7 @@ class RidgeSearch:
 
     @property
     def shown(self) -> Array:
-        """λ four times as close together as those that are searched: a noise figure costs 0.1 ms."""
+        """λ four times as close together as those that are searched."""
         grid = searched(self._spectrum)
         return np.geomspace(grid[0], grid[-1], 4 * (len(grid) - 1) + 1)
 
@@ -126,13 +112,7 @@ class RidgeSearch:
 
 
 def noise_level(evidence: Evidence, readings: int) -> float:
-    """Weighted squared residual that noise alone leaves, of all frames and this many independent readings.
-
-    Raises
-    ------
-    NumericsError
-        If nobody knows the noise.
-    """
+    """Weighted squared residual of all frames that noise leaves; NumericsError if nobody knows the noise."""
     if evidence.variance is None:
         raise NumericsError(
             "the discrepancy principle needs the noise, and no reading is repeated to estimate it from",
@@ -210,13 +190,7 @@ class RidgeCurves:
 
 
 def by_cross_validation(curves: RidgeCurves) -> float:
-    """λ of the lowest GCV function.
-
-    Raises
-    ------
-    NumericsError
-        If it has no minimum in the range searched: the readings are all signal, or all noise.
-    """
+    """λ of the lowest GCV function; NumericsError if it has no minimum in the range searched."""
     where = int(np.argmin(curves.cross_validation(curves.grid)))
     return _refined(
         curves, where, lambda s: float(np.log(curves.cross_validation(s))), "generalised cross-validation"
@@ -224,13 +198,7 @@ def by_cross_validation(curves: RidgeCurves) -> float:
 
 
 def by_l_curve(curves: RidgeCurves) -> float:
-    """λ of the sharpest corner of the L-curve.
-
-    Raises
-    ------
-    NumericsError
-        If the curve has no corner in the range searched.
-    """
+    """λ of the sharpest corner of the L-curve; NumericsError if it has none in the range searched."""
     bend = curves.curvature(curves.grid)
     # At both ends one of the two logarithms stands still and the quotient is one of roundings.
     steep = np.abs(np.gradient(np.log(curves.residual(curves.grid)), curves.grid)) > _STILL
@@ -242,11 +210,7 @@ def by_l_curve(curves: RidgeCurves) -> float:
 
 
 def by_discrepancy(curves: RidgeCurves, level: float) -> float:
-    """λ at which the residual is as large as the noise (Morozov 1966).
-
-    Parameters
-    ----------
-    level : expected weighted squared residual of all frames together, number of readings times noise variance.
+    """λ at which the residual of all frames is ``level``, number of readings times noise variance (Morozov 1966).
 
     Raises
     ------

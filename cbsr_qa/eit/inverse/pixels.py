@@ -1,8 +1,7 @@
 """Linear images on square pixels: one matrix from readings to pixels.
 
 A pixel is the mean of the image over the part of the sheet it covers, by exact overlap. The matrix takes folded
-readings and is kept in single precision: what that rounds is as much as readings of 24 bits would, 144 dB below
-themselves, where good instruments are at 60 to 80 dB.
+readings and is kept in single precision: rounding 144 dB below the readings.
 """
 
 import math
@@ -62,15 +61,7 @@ class PixelImaging:
         return inside.reshape(self.pixels, self.pixels)
 
     def image(self, changes: Array) -> Pixels:
-        """Image one frame.
-
-        Parameters
-        ----------
-        changes : (m,) float64, scaled changes of the used readings, as :meth:`LinearReconstruction.images` takes.
-
-        Returns
-        -------
-        (pixels, pixels) float32, relative conductance change.
+        """Image one frame of scaled changes (m,): (pixels, pixels) float32, relative conductance change.
 
         Raises
         ------
@@ -102,13 +93,7 @@ class PixelImaging:
 
 
 def pixel_imaging(reconstruction: LinearReconstruction, pixels: int = 32) -> PixelImaging:
-    """Put a linear reconstruction on a raster over the extent of its sheet.
-
-    Raises
-    ------
-    NumericsError
-        If there are no pixels.
-    """
+    """Put a linear reconstruction on a raster over the extent of its sheet; NumericsError without pixels."""
     if pixels < 1:
         raise NumericsError(f"raster has {pixels} pixels a side; it must have at least 1")
     problem = reconstruction.problem

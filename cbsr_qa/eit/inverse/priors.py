@@ -1,10 +1,4 @@
-"""Priors: the R of (JᵀWJ + λ²R), in the form the dual system needs.
-
-That form is P = R⁻¹ as a product with columns. Diagonal priors are a division; the Laplace prior is one sparse
-factorisation; the priors with a length (:mod:`cbsr_qa.eit.inverse.priors`) are built from P or its root.
-
-Priors with a length: the Gaussian high-pass filter and the indenter's own smoothness.
-"""
+"""Priors: the R of (JᵀWJ + λ²R), in the form the dual system needs: P = R⁻¹ as a product with columns."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,11 +19,9 @@ class Prior:
 
     Parameters
     ----------
-    covariance : (e, k) → (e, k), the product with P = R⁻¹; with a symmetric generalised inverse of R that is exact
-        on columns orthogonal to ``free``, where R is singular.
+    covariance : (e, k) → (e, k), the product with P = R⁻¹, or with a symmetric generalised inverse of R.
     free : (e, f) null space of R, images that cost nothing; None where there is none.
-    half : (e, k) → (n, k), the product with a root H of P = HᵀH. Where a prior has one, the dual system is decomposed
-        without being formed, which would square its condition number. None where it has none.
+    half : (e, k) → (n, k), the product with a root H of P = HᵀH; None where it has none.
     """
 
     covariance: Callable[[Array], Array]
@@ -44,17 +36,11 @@ class Prior:
 
 
 def noser(jacobian: Array, exponent: float) -> Array:
-    """Diagonal of the NOSER prior, diag(JᵀJ)^p (Cheney et al. 1990; exponents below 1 are EIDORS's).
-
-    p = 0 is Tikhonov's identity, p = 1 makes the penalty as strong where the readings are sensitive as elsewhere.
+    """Diagonal (e,) of the NOSER prior, diag(JᵀJ)^p (Cheney et al. 1990; exponents below 1 are EIDORS's).
 
     Parameters
     ----------
-    jacobian : (m, e). exponent : p in 0 … 1.
-
-    Returns
-    -------
-    (e,) float64, positive.
+    jacobian : (m, e). exponent : p in 0 (Tikhonov's identity) … 1.
 
     Raises
     ------
@@ -79,8 +65,7 @@ def noser(jacobian: Array, exponent: float) -> Array:
 def laplace_matrix(mesh: Mesh) -> sparse.csc_matrix:
     """Laplace prior of EIDORS: twice the graph Laplacian of elements that share an edge, (e, e) sparse.
 
-    xᵀRx = 2 Σ (x_i − x_j)² over neighbours; edge lengths and distances do not enter, so on graded meshes it is no
-    discrete Laplacian (Vauhkonen et al. 1998 weigh alike).
+    xᵀRx = 2 Σ (x_i − x_j)² over neighbours; edge lengths and distances do not enter (Vauhkonen et al. 1998).
     """
     differences = neighbour_differences(mesh)
     return sparse.csc_matrix(2 * (differences.T @ differences))
@@ -96,11 +81,9 @@ def neighbour_differences(mesh: Mesh) -> sparse.csr_matrix:
 
 
 def laplace(mesh: Mesh) -> Prior:
-    """Prior of :func:`laplace_matrix`; a constant image costs nothing.
+    """Prior of :func:`laplace_matrix`, R = 2 DᵀD with D the differences between neighbours; constants cost nothing.
 
-    P is the inverse with the last element held at zero. It differs from any other generalised inverse by constants,
-    which the dual form determines from the readings. R = 2 DᵀD with D the differences between neighbours; √2 DP is a
-    root of P.
+    P is the inverse with the last element held at zero; √2 DP is a root of it.
     """
     differences = np.sqrt(2.0) * neighbour_differences(mesh)
     factors = splu(
@@ -133,13 +116,10 @@ _LONGEST: Final = 10.0  #: of either, of the sheet's extent
 def indenter_smoothness(mesh: Mesh, length_mm: float) -> Prior:
     """Matérn covariance of smoothness 3/2, P_ij = (1 + r) e^(−r) with r = √3 |c_i − c_j| / length.
 
-    A load is as wide as the head that makes it: with the head's radius as the length, what is smoother than a load
-    costs nothing more and what is rougher costs much. Its images have one derivative; the Gaussian covariance, which
-    has all of them, places loads a quarter worse at the same noise figure.
-
     Parameters
     ----------
-    length_mm : correlation length [mm], a millionth of an element's edge to ten times the sheet.
+    length_mm : correlation length [mm], a millionth of an element's edge to ten times the sheet; the head's radius
+        fits.
 
     Raises
     ------
@@ -163,14 +143,12 @@ def indenter_smoothness(mesh: Mesh, length_mm: float) -> Prior:
 def high_pass(mesh: Mesh, width_mm: float) -> Prior:
     """Gaussian high-pass prior R = FᵀF, F = I − G (Adler & Guardo 1996).
 
-    G is a Gaussian low-pass filter of this width at half height, weighted by the elements' areas and normalised on
-    each element, also near the edge, so that a constant image passes and costs nothing (EIDORS's filter knows no
-    areas). With w the left null vector of F, P = F₁⁻¹ (I − wwᵀ/wᵀw) F₁⁻ᵀ, F₁ = F + 1wᵀ/wᵀ1.
+    G is a Gaussian low-pass filter, weighted by the elements' areas and normalised on each element, so that a
+    constant image costs nothing. With w the left null vector of F, P = F₁⁻¹ (I − wwᵀ/wᵀw) F₁⁻ᵀ, F₁ = F + 1wᵀ/wᵀ1.
 
     Parameters
     ----------
-    width_mm : at half height [mm], half of an element's edge to ten times the sheet; a narrower filter would pass
-        nothing between elements, and F be nothing but rounding. Adler & Guardo take a tenth of the sheet's diameter.
+    width_mm : at half height [mm], half of an element's edge to ten times the sheet.
 
     Raises
     ------

@@ -1,14 +1,10 @@
 """The linearised problem of a sensor type: a fine mesh for voltages, a coarse one for the image.
 
-Sensitivity of readings to the elements of an image, from fields on another mesh.
-
 ∂V_kl/∂γ over an image element is −∫∇u_k·∇u_l over it. The element is cut along the field's mesh, and the product is
 taken at the centroid of each piece: exact for fields of the first order, of second order in the size of the pieces
-for those of the second. To divide the integrals over the fields' own elements by area would be of first order, and
-six times as far off at the sizes in use (a few thousand elements: 2.5 % of the Jacobian's norm against 0.4 %).
+for those of the second.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -26,17 +22,12 @@ from cbsr_qa.eit.mesh import image_mesh, sheet_mesh
 
 
 def image_jacobian(model: ForwardModel, mesh: Mesh, drive: Indices, measure: Indices) -> Array:
-    """Change of readings per change of the conductance of a mesh's elements.
+    """Change of readings per change of the conductance of a mesh's elements: (m, e) float64 [V/A per S].
 
     Parameters
     ----------
-    model : its mesh covers the same sheet.
-    mesh : of the image, e elements.
+    mesh : of the image, e elements, over the model's sheet.
     drive, measure : (m,) numbers of the readings' drive and measure pairs.
-
-    Returns
-    -------
-    (m, e) float64 [V/A per S].
     """
     pieces = overlap_pieces(model.mesh, mesh)
     fields = _fields_at(model, pieces)
@@ -88,41 +79,37 @@ def imaging_problem(
 ) -> ImagingProblem:
     """Linearise a sensor type around its unloaded homogeneous sheet.
 
+    Prepared once per process, sensor type and image size; further masks only choose rows.
+
     Parameters
     ----------
-    used : (drives, measures) bool, readings to image from; by default those that touch no driven electrode. Bad
-        channels are left out here, never set to zero. Up to three whole electrodes may be missing.
+    used : (drives, measures) bool, readings to image from; by default those that touch no driven electrode. Up to
+        three whole electrodes may be missing.
     noise_variance : (drives, measures) or (m,) float64, variances of the readings in any common unit; None for equal
-        noise. They are kept relative to their harmonic mean, so that λ means the same with equal noise and without.
-        The largest of the used ones is at most 1e12 times the smallest.
+        noise. Kept relative to their harmonic mean. The largest used one is at most 1e12 times the smallest.
     image_size_mm : edge length of the image's elements [mm].
     sample, measured : (k, drives, measures) or (k, m), and without k, as of :class:`ImagingProblem`; scaled as its
         reference.
 
-    Returns
-    -------
-    ImagingProblem
-        Prepared once per process, sensor type and image size; further masks only choose rows.
-
     Raises
     ------
     NumericsError
-        If the mask has another shape, fewer than :data:`~cbsr_qa.domain.sensor.FEWEST_INDEPENDENT` independent
-        readings or more than three electrodes fewer are left, a variance is not a positive finite number or too far
-        from the others, or a sample or measured frame does not fit or is not of finite real numbers.
+        If the mask has another shape, too few independent readings or electrodes are left, a variance is not a
+        positive finite number or too far from the others, or a sample or measured frame does not fit or is not
+        finite.
     """
-    nominal = _nominal(sensor_type, float(image_size_mm))
+    mesh, jacobian, reference = _nominal(sensor_type, float(image_size_mm))
     whole = sensor_type.pattern.usable()
     used = whole if used is None else np.array(used, dtype=np.bool_)
     _check_used(sensor_type.pattern, used)
-    full = ImagingProblem(sensor_type, nominal.mesh, nominal.jacobian[whole], nominal.reference[whole], whole)
+    full = ImagingProblem(sensor_type, mesh, jacobian[whole], reference[whole], whole)
     if noise_variance is None and sample is None and measured is None and np.array_equal(used, whole):
         return full
     return ImagingProblem(
         sensor_type,
-        nominal.mesh,
-        nominal.jacobian[used],
-        nominal.reference[used],
+        mesh,
+        jacobian[used],
+        reference[used],
         used,
         None if noise_variance is None else _relative_variance(real_numbers(noise_variance, "noise variances"), used),
         full,
@@ -143,56 +130,49 @@ def masked_electrodes(pattern: DrivePattern, used: Mask) -> tuple[int, ...]:
 def even_model(sensor_type: SensorType, mesh_size: float) -> ForwardModel:
     """Homogeneous sheet of unit conductance with nominal contacts, in elements of the second order.
 
-    Parameters
-    ----------
-    mesh_size : edge length far from electrodes, of the sheet's radius.
+    ``mesh_size``: edge length far from electrodes, of the sheet's radius.
     """
     mesh = sheet_mesh(sensor_type, size_mm=mesh_size * sensor_type.radius_mm, order=2)
     contact = np.full(sensor_type.electrodes.count, NOMINAL_CONTACT_MM)
     return ForwardModel(mesh, sensor_type.pattern, np.ones(len(mesh.elements)), contact, order=2)
 
 
-@lru_cache(maxsize=8)
-def nominal_model(sensor_type: SensorType) -> LocalUpdate:
-    """Homogeneous sheet at unit conductance, ready for local changes; made once per process and sensor type."""
-    return LocalUpdate(even_model(sensor_type, _FORWARD_SIZE))
+def nominal_model(sensor_type: SensorType) -> ForwardModel:
+    """Homogeneous sheet at unit conductance; made once per process and sensor type."""
+    return even_model(sensor_type, _FORWARD_SIZE)
 
 
 def target_signal(problem: ImagingProblem, *, x_mm: float, y_mm: float, radius_mm: float, contrast: float) -> Array:
-    """Simulate the used readings' changes for a disc of other conductance, on the forward mesh.
+    """Simulated changes (m,) of the used readings [V/(A·Ω)] for a disc of another conductance, on the forward mesh.
+
+    The same to the last bit whatever was computed before.
 
     Parameters
     ----------
     contrast : relative conductance change Δγ/γ₀, above −1.
-
-    Returns
-    -------
-    (m,) float64, scaled as the problem's Jacobian [V/(A·Ω)].
 
     Raises
     ------
     NumericsError
         If the disc does not touch the sheet, or the contrast leaves no conductance.
     """
-    local = nominal_model(problem.sensor_type)
-    model = local.model
+    return _disc_change(problem.sensor_type, x_mm, y_mm, radius_mm, contrast)[problem.used]
+
+
+@lru_cache(maxsize=64)
+def _disc_change(sensor_type: SensorType, x_mm: float, y_mm: float, radius_mm: float, contrast: float) -> Array:
+    model = nominal_model(sensor_type)
     covered = cover(model.elements, RoundFootprint(x_mm, y_mm, radius_mm))
     if not covered.elements.size:
         raise NumericsError(f"a target of radius {radius_mm} mm at ({x_mm}, {y_mm}) mm does not touch the sheet")
-    change = local.voltages(covered.elements, covered.change(model.conductance, contrast)) - model.voltages()
-    return change[problem.used]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Nominal:
-    mesh: Mesh
-    jacobian: Array  # (drives, measures, e)
-    reference: Array  # (drives, measures)
+    loaded = LocalUpdate(model).voltages(covered.elements, covered.change(model.conductance, contrast))
+    return loaded - model.voltages()
 
 
 @lru_cache(maxsize=8)
-def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
-    model = nominal_model(sensor_type).model
+def _nominal(sensor_type: SensorType, image_size_mm: float) -> tuple[Mesh, Array, Array]:
+    """Image mesh, Jacobian (drives, measures, e) and reference (drives, measures)."""
+    model = nominal_model(sensor_type)
     mesh = image_mesh(sensor_type, size_mm=image_size_mm)
     group, sign = sensor_type.pattern.reading_groups()
     _, first, number = np.unique(group, return_index=True, return_inverse=True)
@@ -202,7 +182,7 @@ def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
     jacobian = distinct[number] * (sign * sign.ravel()[first][number])[..., None]
     reference = model.voltages()
     jacobian.flags.writeable = reference.flags.writeable = False  # shared by everybody who asks
-    return _Nominal(mesh, jacobian, reference)
+    return mesh, jacobian, reference
 
 
 def _check_used(pattern: DrivePattern, used: Mask) -> None:

@@ -1,25 +1,16 @@
 """Noise variance of each reading, shrunk towards a common value, and folding of reciprocal readings.
 
-The variance of one reading over n frames is known to √(2/(n − 2)) of itself, a third of it from twenty frames. Taken
-as it is, a reading that happened to be quiet would count too much. So variances are *moderated* (Smyth 2004, eqs 6, 8
-and 10): readings' true variances are taken to scatter about a common one by a scaled inverse χ² law of ν₀ degrees of
-freedom, ν₀ and the common s₀² are found from the scatter of the logarithms over all readings, and
+Variances are *moderated* (Smyth 2004, eqs 6, 8 and 10): readings' true variances are taken to scatter about a common
+one by a scaled inverse χ² law of ν₀ degrees of freedom, ν₀ and the common s₀² are found from the scatter of the
+logarithms over all readings, and
 
     s̃² = (ν₀ s₀² + ν s²) / (ν₀ + ν),    ν = n − 2,
 
-of which 1/s̃² is the posterior mean of a reading's weight. Where the readings scatter no more than equal noise would,
-ν₀ = ∞ and all count alike; where they differ in earnest, each keeps its own. ν₀ is not made robust against few loud
-readings, as it could be (Phipson et al. 2016): that would draw exactly the readings inwards that are to count less.
+of which 1/s̃² is the posterior mean of a reading's weight. ν₀ is not made robust against few loud readings (as by
+Phipson et al. 2016): that would draw those inwards that are to count less.
 
-G. K. Smyth, Linear models and empirical Bayes methods for assessing differential expression in microarray
-experiments, Stat. Appl. Genet. Mol. Biol. 3 (2004) 3.
-
-Readings that must be equal by reciprocity, folded into one.
-
-Drive a pair and measure another, or the other way round: the readings, and their sensitivities, are the same
-(Geselowitz 1971). With noise variances v the weighted mean Σ(y/v)/Σ(1/v), of variance 1/Σ(1/v), says everything about
-the image that the readings say (a sufficient statistic), so a linear problem of 208 readings is one of 104 and its
-solution is the same to rounding. What the readings differ by says how large their noise is.
+Reciprocal readings are equal (Geselowitz 1971): their weighted mean Σ(y/v)/Σ(1/v), of variance 1/Σ(1/v), is a
+sufficient statistic. What they differ by says how large their noise is.
 """
 
 from dataclasses import dataclass
@@ -145,9 +136,8 @@ class ReadingNoise:
 def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
     """Estimate the noise of readings from frames in which nothing happens but drift.
 
-    Deviations are from a straight line in time, and count up to three times their spread (Huber's winsorised fit).
-    No variance is below that of rounding to the converter's step, step²/12; the step is the median over readings of
-    the smallest difference between two values of one.
+    Deviations are from a straight line in time, and count up to three times their spread (Huber's winsorised fit). No
+    variance is below that of rounding to the converter's step, step²/12.
 
     Parameters
     ----------

@@ -79,15 +79,10 @@ class Regularisation:
     def choose(
         self, problem: ImagingProblem, search_on: Callable[[ImagingProblem], ParameterSearch]
     ) -> tuple[float, str, ParameterCurve | None]:
-        """Choose the value.
+        """Choose the value; return it, how it was chosen, and what there was to choose from.
 
-        A noise figure, and whatever has no measured changes to look at, is settled on the sensor type's nominal
-        problem: what belongs to the type is the same for all of its sensors. Measured changes are looked at with the
-        readings and the noise they were measured with.
-
-        Returns
-        -------
-        The value, how it was chosen, and what there was to choose from.
+        A noise figure, and whatever has no measured changes, is settled on the sensor type's nominal problem;
+        measured changes with the readings and the noise they were measured with.
 
         Raises
         ------

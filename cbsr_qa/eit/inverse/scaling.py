@@ -37,22 +37,14 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
 
 
 def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
-    """Cosine between a reference frame and the unit model's, in −1 … 1.
-
-    Near 1 the geometry, electrode order and polarity are right; near −1 the polarity is turned.
-    """
+    """Cosine between a reference frame and the unit model's; near −1 the polarity is turned."""
     readings = _used_once(reference_voltages, problem)
     length = float(np.linalg.norm(readings) * np.linalg.norm(problem.reference))
     return float(readings @ problem.reference) / length if length else 0.0
 
 
 def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[str, ...]:
-    """Warnings about the scale of a reference frame; empty if there are none.
-
-    A frame that lies on an offset, or has its electrodes in another order, has a scale all the same, and images over
-    it are of any size. Simulated sensors with every imperfection there is agree with the model to 0.97, one with an
-    electrode off and not masked to 0.93; an offset that swamps the readings leaves 0.81 or less.
-    """
+    """Warnings about the scale of a reference frame; empty where its cosine with the model's is 0.9 or more."""
     alike = agreement(reference_voltages, problem)
     if abs(alike) >= _LEAST_ALIKE:
         return ()

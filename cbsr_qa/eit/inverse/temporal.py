@@ -1,20 +1,17 @@
 """One-step images of consecutive frames with a temporal prior: slow materials change little between frames.
 
 The prior of a block of images is P = R⁻¹ between elements times Γ between frames, Γ_ts = a^|t−s| with a = exp(−1/τ)
-(Adler, Dai & Lionheart 2007, there for a window of frames). In the coordinates of the dual spectrum the block falls
-apart into one autoregressive sequence for each eigenvector, of variance Λ and observed with noise λ², so that a
-scalar Kalman filter and Rauch–Tung–Striebel smoother give the estimate exactly: nothing is truncated to a window and
-no matrix is larger than one frame's. Departs from the paper in that alone.
-
-a = 0 is the one-step image of each frame by itself. With a = 1 all frames are one image, the one-step image of their
-mean with λ²/n.
+(Adler, Dai & Lionheart 2007). In the coordinates of the dual spectrum the block falls apart into one autoregressive
+sequence for each eigenvector, of variance Λ and observed with noise λ²: a scalar Kalman filter and
+Rauch–Tung–Striebel smoother give the estimate exactly. a = 0 is the one-step image of each frame by itself; with
+a = 1 all frames are one image.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.eit.inverse.dual import DualSpectrum
 from cbsr_qa.eit.inverse.noise_figures import central_signal
@@ -29,29 +26,12 @@ class Correlation:
 
     Parameters
     ----------
-    frames : correlation time τ in frames; 0 for frames that know nothing of each other, ∞ for one lasting image.
-    lag : later frames an image may look at; 0 for images while frames come in, None for all of the block.
-
-    Raises
-    ------
-    NumericsError
-        If the time is negative or no number, or the lag negative.
+    frames : correlation time τ in frames, at least 0; 0 for independent frames, ∞ for one lasting image.
+    lag : later frames an image may use, at least 0; None for all of the block.
     """
 
     frames: float
     lag: int | None = None
-
-    def __post_init__(self) -> None:
-        if not self.frames >= 0:
-            raise NumericsError(
-                f"correlation_frames is {self.frames}; it must be zero, a positive number or infinite",
-                remedy="give a number of frames, or 0 for independent images",
-            )
-        if self.lag is not None and self.lag < 0:
-            raise NumericsError(
-                f"lag is {self.lag}; it must be zero or a number of frames",
-                remedy="give 0 for live images, or leave it out to use all frames of a block",
-            )
 
     @property
     def between(self) -> float:
@@ -143,11 +123,7 @@ class TemporalImages:
 def lasting_noise_figure(
     problem: ImagingProblem, spectrum: DualSpectrum, hyperparameter: float, correlation: Correlation
 ) -> float:
-    """Noise figure (Adler et al. 2009) of a change that lasts, amid a long block; 0 for one lasting image.
-
-    The smoother's response to a single frame says both: its sum is what a lasting change becomes, its energy what
-    noise becomes.
-    """
+    """Noise figure (Adler et al. 2009) of a change that lasts, amid a long block; 0 for one lasting image."""
     if np.isinf(correlation.frames):
         return 0.0
     reach = min(_LONGEST, int(np.ceil(_LASTS * correlation.frames)) + 1)

@@ -1,7 +1,7 @@
 """Truncated singular value decomposition of W^½J, with no other regularisation.
 
-On a symmetric sheet singular values come in pairs, a pattern and its turned twin. Half a pair would prefer one
-direction over another, so that cuts are made between values that differ by more than a mesh makes them differ.
+On a symmetric sheet singular values come in pairs: cuts are made between values that differ by more than a mesh makes
+them differ.
 """
 
 from typing import Final
@@ -59,8 +59,7 @@ class Truncation:
     def within(self, target: float) -> int:
         """Most components whose noise figure is at most a target, for a problem that is not the type's nominal one.
 
-        Noise is that of the quiet readings (harmonic mean of the variances): a reading that is loud beyond all
-        others is as good as missing, and its noise must not raise what the others are allowed to add.
+        Noise is that of the quiet readings (harmonic mean of the variances).
 
         Raises
         ------

@@ -50,12 +50,8 @@ class MaskingEffect:
 def masking_effect(problem: ImagingProblem) -> MaskingEffect | None:
     """Compare the Cramér–Rao bounds on a load's place with those of all readings, at equal noise.
 
-    Place and strength of a smooth bump as wide as the indenter are unknown, its size is known. The ratio depends on
-    no method and on no noise level. Looked at are places up to 0.8 of the way to the sheet's edge.
-
-    Returns
-    -------
-    None where no reading is left out.
+    Place and strength of a smooth bump as wide as the indenter are unknown, its size is known; places up to 0.8 of
+    the way to the sheet's edge. None where no reading is left out.
     """
     if problem.nominal is None or len(problem.reference) == len(problem.nominal.reference):
         return None

@@ -1,12 +1,10 @@
 """Bodies other than sheets: a cylindrical tank with electrodes at mid-height, and a strip with two pins.
 
-In a cylinder of radius 1 and depth H, with electrodes at mid-height, the potential is a sum over modes cos(κz),
-κ = 2πk/H, each of which solves ∇²u = κ²u in the plane: Bessel functions I_m(κρ) cos(mθ) instead of ρᵐ cos(mθ). H → 0
-is the sheet. Far readings decay faster the deeper the tank is, which is how its depth can be estimated.
+In a cylinder of radius 1 and depth H the potential is a sum over modes cos(κz), κ = 2πk/H, each of which solves
+∇²u = κ²u in the plane: Bessel functions I_m(κρ) cos(mθ) instead of ρᵐ cos(mθ). H → 0 is the sheet.
 
 On a strip, the current between the pins passes their contacts, the strip beside the head and the strip under it, in
-series. Only the last changes under load, so the reading changes by less than the material does (about a third on the
-shipped strip). How much less follows from the forward model of the strip, and from the assumed contacts.
+series; only the last changes under load.
 """
 
 from functools import cached_property
@@ -28,13 +26,7 @@ _CHANGES: Final = np.expm1(np.linspace(-np.log(20.0), np.log(20.0), 41))  # of c
 
 
 def check_strip(sensor_type: SensorType) -> None:
-    """Refuse a sensor type that is not a strip.
-
-    Raises
-    ------
-    NumericsError
-        Saying what makes one.
-    """
+    """Refuse a sensor type that is not a strip of two pins; NumericsError says what makes one."""
     pattern = sensor_type.pattern
     if sensor_type.electrodes.count != 2 or pattern.drive[0] != pattern.measure[0]:
         raise NumericsError(
@@ -50,9 +42,8 @@ class StripModel:
     Parameters
     ----------
     sensor_type : of two electrodes, whose first drive pair is also its first measure pair.
-    indenter : the head, with its axis over the place.
+    indenter : the head, with its axis over ``place_mm``.
     contact_length_mm : contact impedance of a pin over the strip's sheet resistance.
-    place_mm : of the head's axis.
 
     Raises
     ------
@@ -162,12 +153,11 @@ class DeepTank:
     def changes(self, places: Array, radius: float, *, conducts: bool) -> Array:
         """Changes of the readings for balls in the electrodes' plane, linear in their volume.
 
-        A ball scatters the gradient at its centre and, with (radius)², the second derivatives there; of higher orders
-        none is counted.
+        Dipole and quadrupole at the ball's centre; no higher orders.
 
         Parameters
         ----------
-        places : (p, 2), in units of the radius; inside 0.95.
+        places : (p, 2), in units of the tank's radius; inside 0.95.
         radius : of the balls.
         conducts : whether they are perfect conductors; else insulators.
 
@@ -187,8 +177,8 @@ class DeepTank:
     def _derivatives(self, places: Array) -> tuple[Array, Array]:
         """Gradient (p, electrodes, 2) and second derivatives (p, electrodes, 4) of each electrode's potential.
 
-        The second derivatives are weighted so that their scalar product is that of the whole matrices: along ρ and θ,
-        across (√2 ∂ρθ), and along z, which Laplace's equation gives.
+        The second derivatives, along ρ and θ, across (√2 ∂ρθ) and along z, are weighted to have the matrices' scalar
+        product.
         """
         radius = np.maximum(np.hypot(places[:, 0], places[:, 1]), 1e-3)
         angle = np.arctan2(places[:, 1], places[:, 0])

@@ -1,9 +1,8 @@
 """Loads of fixed shape and varying strength: their response on the rim, tabulated.
 
-Everything about such a load is a smooth function of one number. With X = (I + ΔΛ W)⁻¹ ΔΛ what a patch answers to the
-fields that reach its rim (:mod:`cbsr_qa.eit.loads.local`), X/s is analytic in the strength s wherever all elements
-still conduct, and so is the change of the elements over s: a Chebyshev series of a few terms is exact to rounding
-(Trefethen 2013, theorem 8.2). It is summed where the exact way would be to assemble and to solve.
+With X = (I + ΔΛ W)⁻¹ ΔΛ what a patch answers to the fields that reach its rim (:mod:`cbsr_qa.eit.loads.local`), X/s
+is analytic in the strength s wherever all elements still conduct, and so is the change of the elements over s: a
+Chebyshev series of a few terms is exact to rounding (Trefethen 2013, theorem 8.2).
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ import numpy as np
 
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.eit.forward import ForwardModel
-from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, check_change
+from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, Sized, check_change
 from cbsr_qa.eit.loads.rims import InverseEntries, own_rim, seen_outside
 
 #: Loads that overlap are residues where all together are no stronger than this, and are no more than so many.
@@ -81,7 +80,7 @@ def _transformed(values: Array) -> Array:
     return np.tensordot(matrix, values, 1)
 
 
-class StackedSeries:
+class StackedSeries(Sized):
     """Changes of elements by several loads, added up where they overlap.
 
     Parameters
@@ -123,11 +122,6 @@ class StackedSeries:
             change[self._places[number]] += self._series[number](float(strengths[number]))
         return change
 
-    @property
-    def nbytes(self) -> int:
-        """Memory it takes."""
-        return self._terms.nbytes
-
     def most(self, strengths: Sequence[float]) -> float:
         """More than any entry of the sum; infinite where a strength is beyond its series."""
         if (np.abs(strengths) > self._reach).any():
@@ -150,14 +144,7 @@ class LoadFamily:
 
 
 class Patch:
-    """The elements of one load, or of several that overlap, as seen from their rim.
-
-    Parameters
-    ----------
-    model : the unchanged sheet.
-    inverse : gives K₀⁻¹ between its nodes.
-    families : the loads.
-    """
+    """The elements of one load, or of several that overlap, as seen from their rim."""
 
     def __init__(self, model: ForwardModel, inverse: InverseEntries, families: Sequence[LoadFamily]) -> None:
         self.families = tuple(families)
@@ -185,8 +172,7 @@ class Patch:
     def answer(self, strengths: Sequence[float]) -> Array:
         """X for the strengths of its loads, without a series: (b, b) [S].
 
-        Residues of loads that overlap are answered to second order in their strengths, which leaves out less than
-        what changes of 1e-7 may do.
+        Residues of loads that overlap are answered to second order in their strengths.
 
         Raises
         ------

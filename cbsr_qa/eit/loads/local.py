@@ -1,24 +1,19 @@
 """Exact voltages after local conductance changes, without a new factorisation.
 
-Changed elements form patches. A node whose elements all belong to one patch, and which lies on no electrode, is seen
-by nobody outside: it is condensed away. With E the discrete harmonic extension from a patch's rim to its inside (E of
-the new conductance, E₀ of the old), the patch seen from its rim changes by
+Changed elements form patches. A node whose elements all belong to one patch, and which lies on no electrode, is
+condensed away. With E the discrete harmonic extension from a patch's rim to its inside (E of the new conductance, E₀
+of the old), the patch seen from its rim changes by
 
     ΔΛ = Eᵀ ΔK E₀
 
-which is the difference of the two Schur complements without their cancellation (Eᵀ K = [Λ 0], K₀ E₀ = [Λ₀ 0]ᵀ). With
-F the fields of the electrodes on all rims and W = K₀⁻¹ between rim nodes the transfer impedance changes by
-−Fᵀ (I + ΔΛ W)⁻¹ ΔΛ F (Woodbury; Hager 1989). These are identities, not approximations. F, W and E₀ do not depend on
-the change, so each further change on the same elements costs dense solves of the size of each patch's inside and rim.
+which is the difference of the two Schur complements without their cancellation. With F the fields of the electrodes
+on all rims and W = K₀⁻¹ between rim nodes the transfer impedance changes by −Fᵀ (I + ΔΛ W)⁻¹ ΔΛ F (Woodbury; Hager
+1989). F, W and E₀ do not depend on the change. What patches send to each other's rims is smooth there: to rounding it
+lies in a space of some fifteen dimensions, and one system over all patches in these links them.
 
-Several patches feel each other. What one sends to another's rim is smooth there, and so is what the electrodes send:
-to rounding it lies in a space of some fifteen dimensions, fewer than the rim has nodes. Each patch's answer
-(I + ΔΛ W)⁻¹ ΔΛ is formed for these alone, and one system over all patches, as large as these are many, links them.
-
-A contact is such a patch too, all rim: with z only the matrix under its electrode changes, by
-Δ(1/z) ∫ (u − ū)(v − v̄), and what the electrode adds to its own potential, Δz/|E|.
-
-Where so much changes that this would take longer than factorising the whole sheet again, that is what is done.
+A contact is such a patch too, all rim: only the matrix under its electrode changes, by Δ(1/z) ∫ (u − ū)(v − v̄), and
+the electrode's own potential by Δz/|E|. Where so much changes that this would take longer, the whole sheet is
+factorised again.
 """
 
 from collections import OrderedDict
@@ -38,21 +33,14 @@ _MOST_WORK: Final = 2e8  # cubes of the patches' nodes, about as long as factori
 
 
 class LocalUpdate:
-    """Voltages of a model whose conductance changes on a few elements at a time.
+    """Voltages of a model whose conductance changes on a few elements at a time."""
 
-    Parameters
-    ----------
-    model : the unchanged sheet; its factorisation is used for every new rim node, once.
-    kept_bytes : memory for what is kept of sets of elements; those unused for longest go first.
-    """
-
-    def __init__(self, model: ForwardModel, *, kept_bytes: int = KEPT_BYTES) -> None:
+    def __init__(self, model: ForwardModel) -> None:
         self.model = model
         self._unchanged = model.voltages()
         self._inverse = InverseEntries(model)
         self._touched = np.concatenate(model.prepared.contacts.nodes)
         self._kept: OrderedDict[bytes, Patches | None] = OrderedDict()
-        self._kept_bytes = kept_bytes
 
     @property
     def nbytes(self) -> int:
@@ -60,24 +48,19 @@ class LocalUpdate:
         return self._inverse.nbytes + self._kept_now()
 
     def voltages(self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None) -> Array:
-        """Readings after the conductance of some elements has changed, or the contacts, or both.
+        """Readings (drives, measures) [V/A] after conductances of some elements, or contacts, have changed.
 
         Parameters
         ----------
         elements : (k,) int64; changes of an element named twice add up.
-        conductance_change : (k,) [S] against the model's conductance; or (k, q, 2, 2) by integration point and
-            direction, as of :meth:`Cover.change <cbsr_qa.eit.forward.coverage.Cover.change>`.
+        conductance_change : (k,) [S] against the model's conductance; or (k, q, 2, 2) as of
+            :meth:`Cover.change <cbsr_qa.eit.forward.coverage.Cover.change>`.
         contact_impedance : (electrodes,) z in place of the model's [Ω·mm].
-
-        Returns
-        -------
-        (drives, measures) float64 [V per A].
 
         Raises
         ------
         NumericsError
-            If an element is not in the mesh, or its new conductance is not a positive finite number, or as a matrix
-            not positive definite; or a contact impedance is not a positive finite number.
+            If an element is not in the mesh, or a new conductance or contact impedance is not positive and finite.
         """
         changed = self._changed(elements, conductance_change, contact_impedance)
         if isinstance(changed, ForwardModel):
@@ -88,10 +71,7 @@ class LocalUpdate:
     def transfer_impedance(
         self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None
     ) -> Array:
-        """Electrode potentials per electrode current, as :meth:`voltages`: (electrodes, electrodes) [V/A].
-
-        Holds for currents that sum to zero, and differences of potentials.
-        """
+        """Transfer impedance (electrodes, electrodes) [V/A] after the same changes, for currents that sum to zero."""
         change = self._changed(elements, conductance_change, contact_impedance)
         if isinstance(change, ForwardModel):
             return change.transfer_impedance
@@ -112,13 +92,7 @@ class LocalUpdate:
         return patches.correction(change, contact_change), own
 
     def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
-        """Change of 1/z [S/mm], or None if unchanged, and change of each electrode's own potential.
-
-        Raises
-        ------
-        NumericsError
-            If a contact impedance is not a positive finite number.
-        """
+        """Change of 1/z [S/mm], or None if unchanged, and change of each electrode's own potential."""
         before = self.model.contact_impedance
         if impedance is None or np.array_equal(impedance, before):
             return None, np.zeros((len(before), len(before)))
@@ -148,16 +122,13 @@ class LocalUpdate:
             short = dense_work(self.model, elements) < _MOST_WORK
             short = short and (not contacts or self.contacts_can_be_patches(elements))
             self._kept[key] = Patches(self.model, elements, self._inverse, contacts=contacts) if short else None
-            while len(self._kept) > 1 and self._kept_now() > self._kept_bytes:
+            while len(self._kept) > 1 and self._kept_now() > KEPT_BYTES:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
 
     def contacts_can_be_patches(self, elements: Indices) -> bool:
-        """Whether no element touches an electrode, and contacts are not so good that their own part is all rounding.
-
-        What K₀⁻¹ has of a contact is some z γ/|E| of the whole, twice: an error of rounding over its square.
-        """
+        """Whether no element touches an electrode, and no contact is so good that its own part is all rounding."""
         if np.isin(self.model.elements.cells[elements], self._touched).any():
             return False
         conductance = self.model.conductance

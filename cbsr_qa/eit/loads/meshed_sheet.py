@@ -1,10 +1,9 @@
 """Fields of a meshed sheet of uniform conductance, expanded about interior points from boundary values.
 
 Inside an even sheet every field is harmonic, and Green's identity with the pole p = (z − c)⁻ᵐ reads its coefficients
-off the edge: 2πm A_m = ∮ (p ∂u/∂n − u ∂p/∂n) ds. Where the mesh puts its elements inside does not show, so that what
-follows is smooth in the place c, and of twice the elements' order of accuracy, like every such integral. What edge
-and electrodes send back to a pole follows alike: with b_p the weak form's load of a pole, K the sheet's matrix and
-⟨p, g⟩ an integral over the edge, it is b_pᵀ K⁻¹ b_g + ⟨p, g⟩, which is symmetric.
+off the edge: 2πm A_m = ∮ (p ∂u/∂n − u ∂p/∂n) ds, smooth in the place c and of twice the elements' order of accuracy.
+What edge and electrodes send back to a pole is b_pᵀ K⁻¹ b_g + ⟨p, g⟩, symmetric, with b_p the weak form's load of a
+pole, K the sheet's matrix and ⟨p, g⟩ an integral over the edge.
 """
 
 from collections.abc import Iterator
@@ -91,7 +90,7 @@ class MeshedSheet:
         return self.model.transfer_impedance
 
     def fields(self, place_mm: Array, reach_mm: Array, orders: int) -> Array:
-        """Fields of unit currents about places, as in an :class:`~cbsr_qa.eit.loads.round_load.Expansion`."""
+        """Fields of unit currents about places, as in :class:`~cbsr_qa.eit.loads.round_load.Expansion`."""
         parts = [self._about(*part, orders) for part in _parts(place_mm, reach_mm)]
         return np.concatenate([part.fields(self._fields) for part in parts])
 
@@ -185,12 +184,7 @@ def _parts(place_mm: Array, reach_mm: Array) -> Iterator[tuple[Complex, Array]]:
 
 
 def _spread(place: Indices, values: Array, lengths: Array) -> sparse.csr_matrix:
-    """Matrix from a density at the points along the edge to loads of its nodes: (nodes, g).
-
-    Parameters
-    ----------
-    place : (b, k) nodes of each edge. values : (g, k) shape functions at an edge's points. lengths : (b·g,).
-    """
+    """Matrix (nodes, b·g) from a density along edges with nodes (b, k), shape functions (g, k), to nodal loads."""
     count, points = len(place), len(values)
     entries = (lengths.reshape(count, points, 1) * values).ravel()
     rows = np.repeat(place[:, None], points, axis=1).ravel()

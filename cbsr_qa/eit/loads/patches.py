@@ -22,15 +22,22 @@ _NEGLIGIBLE: Final = 1e-14
 _NEGLIGIBLE_CONTACT: Final = 1e-12  # contacts are round and small: what is left out of their fields is not sent back
 
 
-class PatchStack:
+class Sized:
+    """Counts the memory of its arrays."""
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of its arrays [bytes]."""
+        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
+
+
+class PatchStack(Sized):
     """Patches of about one size, each of elements that hang together; those inside are condensed away.
 
-    All arrays are filled up to the largest patch, so that one call serves the whole stack: with zeros on the rim, and
-    with ones on the diagonal inside.
+    All arrays are filled up to the largest patch: with zeros on the rim, and with ones on the diagonal inside.
 
     Parameters
     ----------
-    model : the unchanged sheet.
     patches : elements of each, (k,) int64, each once.
     rims : whether a node is seen from outside, for the sorted nodes of each patch.
     """
@@ -59,11 +66,6 @@ class PatchStack:
         eye = np.tile(np.eye(self._rim), (len(patches), 1, 1))
         self._extension = np.concatenate([eye, -self._inside(self._base)], axis=1)
 
-    @property
-    def nbytes(self) -> int:
-        """Memory it takes."""
-        return _nbytes(self)
-
     def rim_changes(self, change: Array) -> Array:
         """How the stiffness that each rim feels changes, ΔΛ = Eᵀ ΔK E₀: (g, b, b) [S].
 
@@ -87,13 +89,8 @@ class PatchStack:
         return np.asarray(assembled.reshape(self._shape), dtype=np.float64)
 
 
-class ContactStack:
-    """The electrodes' contacts, which a change of their impedance changes as if each were a patch that is all rim.
-
-    Parameters
-    ----------
-    model : the unchanged sheet.
-    """
+class ContactStack(Sized):
+    """The electrodes' contacts, as patches that are all rim."""
 
     def __init__(self, model: ForwardModel) -> None:
         contacts = model.prepared.contacts
@@ -105,33 +102,24 @@ class ContactStack:
             self.rims[number, : len(nodes)] = nodes
             self._masses[number, : len(nodes), : len(nodes)] = mass
 
-    @property
-    def nbytes(self) -> int:
-        """Memory it takes."""
-        return _nbytes(self)
-
     def rim_changes(self, change: Array) -> Array:
         """Change of the matrix under each electrode: (g,) of 1/z [S/mm] to (g, b, b) [S]."""
         return change[:, None, None] * self._masses
 
 
-class Patches:
+class Patches(Sized):
     """A set of changed elements as patches that share no node, with the coupling of their rims.
 
-    Fields from outside are described on each rim by the few that are ever met, without their mean, which no change of
-    conductance feels.
+    Fields from outside are described on each rim by the few that are ever met, without their mean.
 
     Parameters
     ----------
-    model : the unchanged sheet.
     elements : (k,) int64, each once.
     inverse : gives K₀⁻¹ between rim nodes.
     contacts : whether the contacts' impedances change too; no element may then touch one.
     """
 
-    def __init__(
-        self, model: ForwardModel, elements: Indices, inverse: InverseEntries, *, contacts: bool = False
-    ) -> None:
+    def __init__(self, model: ForwardModel, elements: Indices, inverse: InverseEntries, *, contacts: bool) -> None:
         members = list(connected_parts(model.elements.cells[elements]))
         rims = [seen_outside(model, elements[part]) for part in members]
         groups = list(_alike([(int(rim.sum()), int((~rim).sum())) for rim in rims]))
@@ -150,19 +138,15 @@ class Patches:
         """Memory it takes."""
         parts = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
         arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met, *self._linked]
-        return _nbytes(self) + parts + sum(array.nbytes for array in arrays)
+        return super().nbytes + parts + sum(array.nbytes for array in arrays)
 
-    def correction(self, change: Array, contact_change: Array | None = None) -> Array:
-        """Decrease of the transfer impedance.
+    def correction(self, change: Array, contact_change: Array | None) -> Array:
+        """Decrease of the transfer impedance, (electrodes, electrodes) [V/A].
 
         Parameters
         ----------
         change : (k,) or (k, q, 2, 2) [S] of each element's conductance, leaving it positive.
         contact_change : (electrodes,) of 1/z [S/mm], where contacts change too.
-
-        Returns
-        -------
-        (electrodes, electrodes) float64 [V/A].
         """
         scattered = []
         parts = zip(self._rim_changes(change, contact_change), self._own, self._met, self._linked, strict=True)
@@ -184,7 +168,6 @@ class Patches:
             yield self._contacts.rim_changes(contact_change)
 
     def _link(self, model: ForwardModel, inverse: InverseEntries) -> None:
-        """Describe the fields that each patch sees, and the coupling of patches and electrodes."""
         of_contacts = [stack is self._contacts for stack in self._stacks for _ in stack.rims]
         least = [_NEGLIGIBLE_CONTACT if contact else _NEGLIGIBLE for contact in of_contacts]
         counts = [len(stack.rims) for stack in self._stacks]
@@ -200,13 +183,8 @@ class Patches:
         ]
 
 
-class ElementChanges:
-    """Changes of elements' matrices by changes of their conductance.
-
-    Parameters
-    ----------
-    model, elements : (k,) int64.
-    """
+class ElementChanges(Sized):
+    """Changes of the matrices of elements (k,) by changes of their conductance."""
 
     def __init__(self, model: ForwardModel, elements: Indices) -> None:
         self._stiffness = model.stiffness[elements]
@@ -221,11 +199,6 @@ class ElementChanges:
         matrices: Array = np.einsum("kqia,kqjb->kqabij", weighted, gradients).reshape(count, -1, entries)
         return matrices
 
-    @property
-    def nbytes(self) -> int:
-        """Memory it takes."""
-        return _nbytes(self)
-
     def of(self, change: Array) -> Array:
         """Changes (k,) or (k, q, 2, 2) [S] to matrices (k, n, n) [S]."""
         if change.ndim == 1:
@@ -235,12 +208,7 @@ class ElementChanges:
 
 
 def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
-    """Refuse a change of conductance that leaves an element without any.
-
-    Parameters
-    ----------
-    elements : (k,) int64, each once.
-    change : (k,) or (k, q, 2, 2) [S].
+    """Refuse a change (k,) or (k, q, 2, 2) [S] that leaves one of the elements (k,) without conductance.
 
     Raises
     ------
@@ -261,10 +229,6 @@ def dense_work(model: ForwardModel, elements: Indices) -> float:
     """Sum of the cubed numbers of nodes of patches that elements (k,) form."""
     cells = model.elements.cells[elements]
     return float(sum(len(np.unique(cells[part])) ** 3 for part in connected_parts(cells)))
-
-
-def _nbytes(of: object) -> int:
-    return sum(value.nbytes for value in vars(of).values() if isinstance(value, np.ndarray))
 
 
 def _alike(sizes: Sequence[tuple[int, int]]) -> Iterator[list[int]]:

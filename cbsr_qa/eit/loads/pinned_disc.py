@@ -2,12 +2,8 @@
 
 A potential is the real part of an analytic function. A pin that carries a current is a logarithm at its centre plus
 poles d_n (z − p)⁻ⁿ that hold its rim at one potential behind the contact impedance; the sheet's edge adds the image
-of every source, f(z) + conj f(R²/z̄) (Milne-Thomson's circle theorem for a wall without flux). A pin is small, so a
-few poles reach rounding. Everything here is in units of the sheet's radius and at unit sheet conductance. The
-readings agree with ``benchmarks/reference_solutions.py``, which solves the same by boundary integrals.
-
-Complex coefficients are kept as real vectors, all real parts before all imaginary parts, because images and pins are
-linear over the real numbers only.
+of every source, f(z) + conj f(R²/z̄) (Milne-Thomson's circle theorem). Everything here is in units of the sheet's
+radius and at unit sheet conductance. Complex coefficients are kept as real vectors, real parts before imaginary ones.
 """
 
 from math import ceil, comb, log
@@ -48,7 +44,7 @@ class PinnedDisc:
         pins = electrodes.positions_mm() @ np.array([1, 1j]) / radius_mm
         # The image of a pin in the very centre would be infinitely far.
         self._pins: Complex = np.where(np.abs(pins) > _CENTRAL, pins, _CENTRAL + 0j)
-        self._images = _inverse(self._pins.conj())
+        self._images = 1 / self._pins.conj()
         self._rim = electrodes.width_mm / 2 / radius_mm
         self._poles = self._pole_count()
         self._impedance = contact_mm / (electrodes.width_mm / 2)  # of a rim's harmonic 1, over the sheet's
@@ -78,7 +74,7 @@ class PinnedDisc:
         return clear
 
     def fields(self, place_mm: Array, reach_mm: Array, orders: int) -> Array:
-        """Fields of unit currents about places, as in an :class:`~cbsr_qa.eit.loads.round_load.Expansion`."""
+        """Fields of unit currents about places, as in :class:`~cbsr_qa.eit.loads.round_load.Expansion`."""
         return self._about(place_mm, reach_mm, orders)[0]
 
     def expansion(self, place_mm: Array, reach_mm: Array, orders: int) -> Expansion:
@@ -100,8 +96,8 @@ class PinnedDisc:
         """Fields of currents and of the pins' poles about places, and their scales."""
         centre, reach = self._centres(place_mm), np.asarray(reach_mm) / self.radius_mm
         scale = np.concatenate([_powers(reach, orders)] * 2, axis=-1)[..., None]
-        near = _powers(_inverse(self._pins - centre[:, None]), orders + self._poles)
-        far = _powers(_inverse(self._images - centre[:, None]), orders + self._poles)
+        near = _powers(1 / (self._pins - centre[:, None]), orders + self._poles)
+        far = _powers(1 / (self._images - centre[:, None]), orders + self._poles)
         poles = self._fields_of_poles(near, far, orders) * scale
         logs = (near + far)[..., :orders].transpose(0, 2, 1) / (2 * np.pi * np.arange(1, orders + 1)[:, None])
         return _stacked(logs) * scale + poles @ self._driven, poles, scale
@@ -113,7 +109,7 @@ class PinnedDisc:
         impedance = -np.log(np.abs(apart) * np.abs(1 - self._pins[:, None] * self._pins.conj())) / (2 * np.pi)
         impedance += np.eye(len(self._pins)) * (self._impedance - log(self._rim)) / (2 * np.pi)
         np.fill_diagonal(apart, np.inf)
-        direct = _powers(_inverse(apart), self._poles)
+        direct = _powers(1 / apart, self._poles)
         image = _powers(self._pins[:, None] / (1 - self._pins[:, None] * self._pins.conj()), self._poles)
         direct, image = (values.reshape(len(values), -1) for values in (direct, image))
         from_poles = np.concatenate([(direct + image).real, (image - direct).imag], axis=1)
@@ -127,9 +123,7 @@ class PinnedDisc:
     def _fields_of_poles(self, near: Complex, far: Complex, orders: int) -> Array:
         """Coefficients (n, 2·orders, 2·pins·poles) about places of the fields of every pin's poles and their images.
 
-        Parameters
-        ----------
-        near, far : (n, pins, powers) of one over the way to each pin, and to its image.
+        ``near``, ``far`` : (n, pins, powers) of one over the way to each pin, and to its image.
         """
         which = np.arange(orders)[:, None] + np.arange(1, self._poles + 1)  # power m + n of pole n, from 0
         factor = np.array(
@@ -162,8 +156,8 @@ class PinnedDisc:
         """Fields about each pin of the others' poles and of all images, (2K, 2K), and of currents, (2K, pins)."""
         apart = self._pins - self._pins[:, None]  # (about, of)
         np.fill_diagonal(apart, np.inf)  # no pin stands in its own direct field
-        near = _powers(_inverse(apart), 2 * self._poles)
-        far = _powers(_inverse(self._images - self._pins[:, None]), 2 * self._poles)
+        near = _powers(1 / apart, 2 * self._poles)
+        far = _powers(1 / (self._images - self._pins[:, None]), 2 * self._poles)
         poles = self._fields_of_poles(near, far, self._poles)
         logs = (near + far)[..., : self._poles].transpose(0, 2, 1)
         currents = _stacked(logs / (2 * np.pi * np.arange(1, self._poles + 1)[:, None]))
@@ -171,10 +165,6 @@ class PinnedDisc:
             values.reshape(len(values), 2, self._poles, -1).swapaxes(0, 1).reshape(-1, values.shape[-1])
             for values in (poles, currents)
         )
-
-
-def _inverse(values: Complex) -> Complex:
-    return 1 / values
 
 
 def _powers(base: NDArray[np.inexact], count: int) -> NDArray:  # type: ignore[type-arg]

@@ -17,20 +17,10 @@ _AT_ONCE: Final = 16  # nodes solved for together: few enough for their full col
 
 
 class InverseEntries:
-    """The part of K⁻¹ that belongs to a growing set of nodes.
+    """The part of K⁻¹ that belongs to a growing set of nodes; begins anew when it would outgrow its bound."""
 
-    K is symmetric, so the entries of known nodes against a new one are in the new one's column already, and columns
-    need not be kept whole. When the set would outgrow its bound, it begins anew with the nodes asked for.
-
-    Parameters
-    ----------
-    model : its factorisation solves for the columns.
-    most : nodes kept, unless more are asked for at once.
-    """
-
-    def __init__(self, model: ForwardModel, *, most: int = MOST_NODES) -> None:
+    def __init__(self, model: ForwardModel) -> None:
         self._model = model
-        self._most = most
         self._place = np.full(model.elements.count, -1, dtype=np.int64)
         self._known: Indices = np.empty(0, dtype=np.int64)
         self._entries: Array = np.empty((0, 0))
@@ -41,12 +31,7 @@ class InverseEntries:
         return self._entries.nbytes
 
     def between(self, nodes: Indices) -> Array:
-        """Return the entries between nodes: (p, p) [V/A].
-
-        Parameters
-        ----------
-        nodes : (p,) int64, each once.
-        """
+        """Return the entries between nodes (p,), each once: (p, p) [V/A]."""
         missing = self._missing(nodes)
         self._reserve(missing)
         for first in range(0, len(missing), _AT_ONCE):
@@ -56,14 +41,9 @@ class InverseEntries:
         return self._entries[np.ix_(place, place)]
 
     def alone(self, nodes: Indices) -> Array:
-        """Return the entries between nodes as solving for these alone gives them: (p, p) [V/A].
+        """Return the entries between nodes (p,), each once, as solving for these alone gives them: (p, p) [V/A].
 
-        The same to the last bit whatever was asked before, unlike :meth:`between`, whose entries come from the column
-        of whichever node was asked for later. What is solved for is known to :meth:`between` from then on.
-
-        Parameters
-        ----------
-        nodes : (p,) int64, each once.
+        The same to the last bit whatever was asked before, unlike :meth:`between`.
         """
         missing = self._missing(nodes)
         self._reserve(missing)
@@ -79,7 +59,7 @@ class InverseEntries:
     def _missing(self, nodes: Indices) -> Indices:
         """Which of these are not known; all of them where the known ones had to be forgotten."""
         missing = nodes[self._place[nodes] < 0]
-        if missing.size and len(self._known) + missing.size > self._most:
+        if missing.size and len(self._known) + missing.size > MOST_NODES:
             self._forget()
             return nodes
         return missing
@@ -109,10 +89,9 @@ class InverseEntries:
         self._entries[here, :count] = columns[self._known].T
 
     def _make_room(self, used: int, needed: int) -> None:
-        """Grow by doubling, so that adding nodes one after the other costs no more than a few copies in all."""
         if needed <= len(self._entries):
             return
-        size = max(needed, min(2 * len(self._entries), self._most))
+        size = max(needed, min(2 * len(self._entries), MOST_NODES))
         grown = np.zeros((size, size))
         grown[:used, :used] = self._entries[:used, :used]
         self._entries = grown

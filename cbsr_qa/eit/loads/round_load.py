@@ -1,16 +1,13 @@
 """Readings of a sheet under one round load, and their derivatives, without a mesh for the load.
 
-Inside and around a disc of another conductance the field is a power series about its centre. With A_m the
-coefficients of the field the disc stands in, its own field outside are poles −D_m conj(A_m)/(z − c)^m, D_m = μ r²ᵐ,
-μ = (γ_i − γ)/(γ_i + γ): transmission conditions on a circle hold order by order. What edge and electrodes send back
-couples the orders (:class:`Expansion`), which leaves one small dense system per load. The readings change by
-−2π Σ m D_m Re(A_m conj E_m) with E the field of the sheet without the load, by reciprocity; all derivatives are such
-sums of A alone (the shape derivative of a transmission problem, integrated round the circle), so that they cost next
-to nothing.
+With A_m the coefficients of the field a disc stands in, its own field outside are poles −D_m conj(A_m)/(z − c)^m,
+D_m = μ r²ᵐ, μ = (γ_i − γ)/(γ_i + γ). What edge and electrodes send back couples the orders (:class:`Expansion`):
+one small dense system per load. The readings change by −2π Σ m D_m Re(A_m conj E_m) with E the field of the sheet
+without the load, by reciprocity; all derivatives are such sums of A alone (the shape derivative of a transmission
+problem, integrated round the circle).
 
-A load is described by its *strength* s = μ r² and the *square* q = r² of its radius. Readings are nearly linear in s
-and in s·q: D_m = s qᵐ⁻¹ is a polynomial, so that least-squares estimates of s and q are nearly unbiased even where
-the radius is not determined, and q may pass through zero on its way.
+A load is described by its *strength* s = μ r² and the *square* q = r² of its radius: D_m = s qᵐ⁻¹ is a polynomial, so
+that least-squares estimates of s and q are nearly unbiased, and q may pass through zero on its way.
 """
 
 from dataclasses import dataclass

@@ -1,11 +1,8 @@
 """Voltages of a sheet under many loads of fixed shape and varying strength.
 
-As :class:`~cbsr_qa.eit.forward.LocalUpdate`, with which it agrees to eight digits, for sequences of frames: what a
-load answers to the fields about it is tabulated over its strength (:mod:`cbsr_qa.eit.loads.family`), contacts are
-eliminated once for many strengths, and of the fields that reach a rim those below a part in 10⁸ are left out. A
-frame of nine loads is then a system of some two hundred.
-
-A set of loads and contacts that feel each other, whatever their strengths.
+As :class:`~cbsr_qa.eit.loads.LocalUpdate`, with which it agrees to eight digits, for sequences of frames: answers are
+tabulated over strength (:mod:`cbsr_qa.eit.loads.family`), contacts are eliminated once for many strengths, and of the
+fields that reach a rim those below a part in 10⁸ are left out.
 """
 
 from collections import OrderedDict
@@ -31,17 +28,14 @@ _ROUNDING: Final = 1e-14  # a load by itself meets the electrodes' few fields al
 class LinkedPatches:
     """Change of a sheet's impedance by loads on patches that share no element, and by changed contacts.
 
-    Patches side by side share nodes: these are on both rims, for each has elements that do not belong to the other.
-
     With B = K₀⁻¹ between the patches and F the electrodes' fields there, both in the few fields that are ever met,
     and A the patches' answers, the transfer impedance loses Fᵀ (I + A B)⁻¹ A F. Contacts come first: with G what they
     lose in themselves, B − B G B and F − B G F serve all strengths of the loads until the contacts change again.
 
     Parameters
     ----------
-    model : the unchanged sheet.
     inverse : gives K₀⁻¹ between nodes of the rims.
-    patches : of the loads.
+    patches : of the loads; nodes that they share are on both rims.
     contacts : where contacts change too; no load may then touch one.
     """
 
@@ -70,18 +64,15 @@ class LinkedPatches:
         return sum(array.nbytes for array in [*kept, *eliminated])
 
     def corrections(self, loads: Sequence[Mapping[LoadFamily, float]], contact_change: Array | None) -> Array:
-        """Decrease of the transfer impedance, at several moments.
+        """Decrease of the transfer impedance, at several moments: (moments, electrodes, electrodes) [V/A].
+
+        The first moment's is exact. With φ = (I + B A)⁻¹ F what the patches meet then and D what their answers have
+        changed by since, the others' are the first's and φᵀ (D − D (B − B A B) D) φ, right to second order.
 
         Parameters
         ----------
         loads : strength of every load of the patches, at each moment.
         contact_change : (electrodes,) of 1/z [S/mm], where contacts change too, at all moments alike.
-
-        Returns
-        -------
-        (moments, electrodes, electrodes) float64 [V/A]. The first moment's is exact. With φ = (I + B A)⁻¹ F what the
-        patches meet then and D what their answers have changed by since, the others' are the first's and
-        φᵀ (D − D (B − B A B) D) φ: what is left out is D B D B D, and D B A B A B D.
         """
         between, fields, lost = self._without_contacts(contact_change)
         if not self._patches:
@@ -165,12 +156,7 @@ _MOST_WORK: Final = 2e7  # cubes of the patches' elements, which have some two n
 
 
 class LoadedSheet:
-    """Transfer impedances of a model under loads.
-
-    Parameters
-    ----------
-    model : the unloaded sheet.
-    """
+    """Transfer impedances of a model under loads."""
 
     def __init__(self, model: ForwardModel) -> None:
         self.model = model
@@ -185,8 +171,7 @@ class LoadedSheet:
     ) -> Array:
         """Electrode potentials per electrode current at moments that follow each other closely.
 
-        The first moment's are exact; the others' lack what is of third order in what has changed since, see
-        :meth:`LinkedPatches.corrections <cbsr_qa.eit.loads.sheet.LinkedPatches.corrections>`.
+        The first moment's are exact, the others' right to second order in what has changed since.
 
         Parameters
         ----------

@@ -35,7 +35,7 @@ _REACH = 0.13  # of the radius: how far the refinement reaches, so that a family
 
 
 def growth(size: float, radius: float) -> float:
-    """Growth of the edge length per distance from where it is finest."""
+    """Growth of the edge length per distance."""
     return min(_STEEPEST, size / (_REACH * radius))
 
 
@@ -48,10 +48,8 @@ def plain_lengths(size: float, radius: float) -> Grade:
 def smooth_lengths(size: float, radius: float, power: float = _SMOOTH_POWER) -> Grade:
     """Edge lengths for elements of second order by their least and the distance from there.
 
-    They equalise the error of a singularity at the distance 0. Where a field goes as r log r an element of second
-    order errs by (h/r)⁴ r² in energy, and there are r dr/h² of them: both together are least for h ∝ r^(2/3). The
-    power was then measured on discs with arcs. Readings converge with the fourth order of ``size``, whatever the
-    contact impedance.
+    They equalise the error of a singularity at the distance 0: where a field goes as r log r both together are least
+    for h ∝ r^(2/3). Readings converge with the fourth order of ``size``.
 
     Parameters
     ----------
@@ -98,13 +96,7 @@ def ring_edges(count: int) -> Indices:
 
 
 def spread(density: Lengths, places: Lengths, *, at_least: int) -> Lengths:
-    """Places between the first and the last, both included, that share out the integral of a density evenly.
-
-    Parameters
-    ----------
-    density : (n,) edges per length, at (n,) evenly spaced ``places``.
-    at_least : number of stretches.
-    """
+    """Share out the integral of a density (n,) evenly: places from the first to the last, ends included."""
     total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2) * (places[1] - places[0])])
     count = max(at_least, int(np.ceil(total[-1])))
     chosen: Lengths = np.interp(np.arange(count + 1) / count * total[-1], total, places)
@@ -173,10 +165,7 @@ class SizeField:
 def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
     """Where the sheet, or the gap between two parts of it, is too narrow for elements of a size.
 
-    Returns
-    -------
-    places : (w, 2) on the edge.
-    across : (w,) edge length with which enough elements fit, not below ``size`` times :data:`FINEST`.
+    (w, 2) places on the edge, and (w,) the edge length that fits, not below ``size`` times :data:`FINEST`.
     """
     count = min(max(int(np.ceil(4 * curve.perimeter / size)), 16), 4000)
     along = curve.perimeter * np.arange(count) / count
@@ -195,11 +184,7 @@ def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
 
 
 def singular_corners(curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:
-    """Yield the re-entrant corners.
-
-    At a corner of inner angle ω the field is singular as r^(π/ω), at an electrode's end as r^(1/2). Elements are as
-    much finer as the singularity is stronger.
-    """
+    """Yield the re-entrant corners: at an inner angle ω the field is singular as r^(π/ω)."""
     inner = np.pi - curve.turns
     for corner in np.flatnonzero(inner > np.pi + 1e-6):
         exponent = float(np.pi / inner[corner])
@@ -228,10 +213,7 @@ class Edge:
 
 
 def fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float) -> Lengths:
-    """Lengths along an edge at which a node must be, rising: corners, ends of arcs, ends of strips.
-
-    An arc that is shorter than an element has one node, in its middle; a strip that ends next to a corner ends there.
-    """
+    """Lengths along an edge at which a node must be, rising: corners, ends of arcs, ends of strips."""
     begins, ends = curve.begins[:-1], curve.begins[1:]
     middles = (begins + ends) / 2
     short = (curve.curvature != 0) & (curve.length < _SHORT_ARC * sizes(curve.at(middles)))
@@ -248,7 +230,7 @@ def fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float)
 
 
 def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
-    """Where nodes of a closed line are closer together than elements are large: (w, 2) places and (w,) lengths."""
+    """Where nodes of a closed line are closer than elements are large: (w, 2) places and (w,) lengths."""
     ends = np.roll(points, -1, axis=0)
     middles, length = (points + ends) / 2, np.hypot(*(ends - points).T)
     short = length < _SHORT_EDGE * sizes(middles)
@@ -256,14 +238,9 @@ def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
 
 
 def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths, width: float, fewest: int) -> Edge:
-    """Spread nodes along an edge.
+    """Spread nodes along an edge between fixed places.
 
-    Parameters
-    ----------
-    fixed : of :func:`fixed_places`.
-    strips : (l,) lengths along the edge at which the strips' centres lie.
-    width : of each strip.
-    fewest : edges that each strip has at least.
+    ``strips``: (l,) lengths along the edge of the strips' centres; ``fewest``: edges that each strip has at least.
     """
     points: list[Points] = []
     owners: list[int] = []
@@ -292,7 +269,6 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths,
 
 
 def _spread(density: Lengths, places: Lengths, at_least: int) -> Lengths:
-    """Places between the first and the last, both included, that share out the integral of a density evenly."""
     total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(places))])
     count = max(at_least, int(np.ceil(total[-1])))
     chosen: Lengths = np.interp(np.arange(count + 1) / count * total[-1], total, places)

@@ -60,14 +60,14 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
     Parameters
     ----------
     path : ``.npz`` with ``nodes_mm`` and ``elements`` (from 0), or any other format for meshio [mm].
-    electrodes : as there; by default what the file says: ``electrode_edges`` and ``electrode_edge_counts`` of an
-        ``.npz``, groups of lines called "electrode 0", "electrode 1" and so on of another.
+    electrodes : as there; by default ``electrode_edges`` and ``electrode_edge_counts`` of an ``.npz``, groups of
+        lines called "electrode 0", "electrode 1" and so on of another.
     fix : turn clockwise elements and leave out nodes that no element uses.
 
     Raises
     ------
     NumericsError
-        If there is no such file, it is no mesh, meshio is needed and not installed, or the mesh is refused.
+        If the file is missing or no mesh, meshio is needed and not installed, or the mesh is refused.
     """
     if not path.is_file():
         raise NumericsError(f"there is no mesh file {path}", remedy="check its name and folder")

@@ -46,13 +46,7 @@ _OUT_OF_LINE: Final = 0.03
 
 
 def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> Mesh:
-    """Mesh any sheet for its forward model; see :func:`cbsr_qa.eit.mesh.sheet_mesh`.
-
-    Raises
-    ------
-    RefusedError
-        If an electrode does not fit the sheet, or the outline cannot be followed with elements of this size.
-    """
+    """Mesh any sheet for its forward model; see :func:`cbsr_qa.eit.mesh.sheet_mesh`, also for errors."""
     electrodes = sensor_type.electrodes
     for number, what in placement_problems(electrodes, sensor_type.outline):
         which = "its ring of electrodes" if number is None else f"electrode {number}"
@@ -77,13 +71,7 @@ def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> M
 
 
 def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
-    """Mesh any sheet with near-uniform triangles; see :func:`cbsr_qa.eit.mesh.image_mesh`.
-
-    Raises
-    ------
-    RefusedError
-        If the outline cannot be followed with elements of this size.
-    """
+    """Mesh any sheet with near-uniform triangles; see :func:`cbsr_qa.eit.mesh.image_mesh`, also for errors."""
     plain = simplified(outline, _OUT_OF_LINE * size_mm)
     frame = _Frame.of(plain)
     curve = frame.curve

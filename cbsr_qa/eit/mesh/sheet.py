@@ -40,15 +40,13 @@ _COARSEST = 0.25  # largest edge length, of the radius
 def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Mesh:
     """Mesh a sheet for its forward model; the sensor type's own mesh where it comes with one.
 
-    Pins are round holes whose rims are the electrodes; arcs are stretches of the edge, refined at their ends
-    where the current density is singular. All edge lengths scale with ``size_mm`` once there are enough edges on an
-    electrode, so that a sequence of sizes shows a clean order of convergence.
+    Pins are round holes whose rims are the electrodes; arcs are stretches of the edge, refined at their ends. All
+    edge lengths scale with ``size_mm``, so that a sequence of sizes shows a clean order of convergence.
 
     Parameters
     ----------
     size_mm : edge length far from the electrodes [mm], at most a quarter of the radius.
-    order : of the elements that the mesh is to carry. Those of second order want larger steps away from electrodes,
-        and smaller ones at the ends of arcs.
+    order : of the elements that the mesh is to carry.
 
     Raises
     ------

@@ -45,17 +45,12 @@ class Outline:
 
 
 def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, Indices]:
-    """Triangulate an outline.
+    """Triangulate an outline: nodes (n, 2), the outline's first, and elements (e, 3) counterclockwise.
 
     Parameters
     ----------
     start : (n, 2) points to begin with inside the outline; may be empty.
     smoothing : number of smoothing passes, of which the one with the best worst angle is kept; at least one.
-
-    Returns
-    -------
-    nodes : (n, 2), the outline's first, in their order.
-    elements : (e, 3) counterclockwise.
 
     Raises
     ------
@@ -133,7 +128,7 @@ def _check_number(points: int, on_outline: int) -> None:
 
 
 def _spread(points: Points, distance: Array) -> Indices:
-    """Take points in order, leaving out each that is closer than its distance to one already taken."""
+    """Take points in order, leaving out each that is too close to one already taken."""
     near = cKDTree(points).query_ball_point(points, distance, return_sorted=True)
     dropped = np.zeros(len(points), dtype=bool)
     for index, neighbours in enumerate(near):

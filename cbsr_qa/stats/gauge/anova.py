@@ -5,15 +5,11 @@ With p sensors, o stations and r trials the expected mean squares are
     MS_sensor = σ² + r σ²_so + o r σ²_s,    MS_station = σ² + r σ²_so + p r σ²_o,
     MS_inter = σ² + r σ²_so,                MS_trial = σ²
 
-The interaction is pooled with the trials where its p value is above 0.25. Intervals of variances are modified
-large-sample ones, those of shares and categories come from pivots (:mod:`cbsr_qa.stats.gauge.anova`).
+The interaction is pooled with the trials where its p value is above 0.25.
 
-Intervals of sums and differences of mean squares: modified large-sample, and of their ratios by pivots.
-
-For γ = Σ c_q θ_q with independent S_q² ~ θ_q χ²_n/n the limits are γ̂ − √V_L and γ̂ + √V_U, where V_L and V_U are such
-that the interval is exact whenever all but one θ vanish (Graybill & Wang 1980 for sums; Ting, Burdick, Graybill,
-Jeyaratnam & Lu 1990 with differences; Burdick & Graybill 1992, section 3.3). Ratios, for which there is no such form
-in general, take the generalised pivotal quantities n S²/χ²_n (Hamada & Weerahandi 2000).
+Intervals of γ = Σ c_q θ_q are modified large-sample ones, exact whenever all but one θ vanish (Graybill & Wang 1980
+for sums; Ting, Burdick, Graybill, Jeyaratnam & Lu 1990 with differences; Burdick & Graybill 1992, section 3.3).
+Ratios take the generalised pivotal quantities n S²/χ²_n (Hamada & Weerahandi 2000).
 """
 
 from collections.abc import Callable, Sequence
@@ -106,14 +102,7 @@ def _pairs(parts: Sequence[MeanSquare], tails: _Tails) -> float:
 
 
 def pivot_interval(squares: Sequence[MeanSquare], function: Callable[[Array], Array], confidence: float) -> Interval:
-    """Return the interval of a function of the true mean squares.
-
-    Parameters
-    ----------
-    squares : of k sources.
-    function : (k, draws) ndarray of mean squares → (draws,).
-    confidence : share between 0 and 1; draws come from a fixed seed, so that one study has one interval.
-    """
+    """Return the interval of a function (k, draws) → (draws,) of the true mean squares; draws have a fixed seed."""
     random = np.random.default_rng(20000415)
     drawn = np.array([square.freedom * square.value / random.chisquare(square.freedom, _DRAWS) for square in squares])
     tail = (1 - confidence) / 2
@@ -190,9 +179,7 @@ class _Squares:
 def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: float = 0.95) -> GaugeAnova:
     """Return components, shares and intervals of a crossed study.
 
-    Parameters
-    ----------
-    tolerance : width of the metric's limits, in its unit.
+    ``tolerance``: width of the metric's limits, in its unit.
 
     Raises
     ------
@@ -208,7 +195,15 @@ def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: flo
     gauge = _component(squares, (0, 1 / (p * r), (p - 1) / (p * r), (r - 1) / r), confidence)
     station = _component(squares, (0, 1 / (p * r), -1 / (p * r), 0), confidence)
     interaction = None if pooled else _component(squares, (0, 0, 1 / r, -1 / r), confidence)
-    sources, ratio = squares.parts(1, 1, 1, 1), _GaugeShare(study.shape, pooled)
+    sources = squares.parts(1, 1, 1, 1)
+
+    def gauge_share(drawn: Array) -> Array:
+        return _gauge_share(study.shape, drawn)
+
+    def categories(drawn: Array) -> Array:
+        count: Array = CATEGORY_FACTOR * np.sqrt(1 / gauge_share(drawn) - 1)
+        return count
+
     found = _variation(squares, gauge, station, interaction, tolerance, confidence, study.appraiser)
     return GaugeAnova(
         components=found.components,
@@ -219,8 +214,8 @@ def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: flo
         interaction_pooled=pooled,
         appraiser_variance=station.value,
         interaction_variance=None if interaction is None else interaction.value,
-        gauge_percent_contribution_interval=pivot_interval(sources, ratio, confidence).scaled(100.0),
-        categories_interval=pivot_interval(sources, ratio.categories, confidence),
+        gauge_percent_contribution_interval=pivot_interval(sources, gauge_share, confidence).scaled(100.0),
+        categories_interval=pivot_interval(sources, categories, confidence),
     )
 
 
@@ -282,7 +277,9 @@ def _variation(
     apart = _component(squares, (0, 1 / (p * r), (p - 1) / (p * r), -1 / r), confidence)
     sensor = _component(squares, (1 / (o * r), 0, -1 / (o * r), 0), confidence)
     between = station.value + (interaction.value if interaction else 0.0)
-    whole = _component(squares, _total_factors(squares.shape), confidence)
+    # Total = [p MS_s + o MS_o + (po − p − o) MS_so + po(r − 1) MS_t] / (por).
+    total = (1 / (o * r), 1 / (p * r), (p * o - p - o) / (p * o * r), (r - 1) / r)
+    whole = _component(squares, total, confidence)
     both = repeatability.value + between
     named = {appraiser: station, "sensor": sensor} | ({"interaction": interaction} if interaction else {})
     notes = tuple(
@@ -301,29 +298,12 @@ def _variation(
     )
 
 
-def _total_factors(shape: tuple[int, int, int]) -> tuple[float, float, float, float]:
-    """Total = [p MS_s + o MS_o + (po − p − o) MS_so + po(r − 1) MS_t] / (por)."""
+def _gauge_share(shape: tuple[int, int, int], drawn: Array) -> Array:
+    """Return the gauge's share of the total variance, (draws,), of mean squares (4, or 3 where pooled, draws)."""
     p, o, r = shape
-    return 1 / (o * r), 1 / (p * r), (p * o - p - o) / (p * o * r), (r - 1) / r
-
-
-@dataclass(frozen=True, slots=True)
-class _GaugeShare:
-    """The gauge's share of the total variance as a function of mean squares, (3 or 4, draws) → (draws,)."""
-
-    shape: tuple[int, int, int]
-    pooled: bool
-
-    def __call__(self, drawn: Array) -> Array:
-        p, o, r = self.shape
-        sensor, station, inner = drawn[:3]
-        trial = inner if self.pooled else drawn[3]
-        gauge = np.maximum(station - inner, 0) / (p * r) + np.maximum(inner - trial, 0) / r + trial
-        spread = np.maximum(sensor - inner, 0) / (o * r)
-        ratio: Array = gauge / (gauge + spread)
-        return ratio
-
-    def categories(self, drawn: Array) -> Array:
-        """1.41 × √(sensor / gauge variance)."""
-        count: Array = CATEGORY_FACTOR * np.sqrt(1 / self(drawn) - 1)
-        return count
+    sensor, station, inner = drawn[:3]
+    trial = drawn[-1]
+    gauge = np.maximum(station - inner, 0) / (p * r) + np.maximum(inner - trial, 0) / r + trial
+    spread = np.maximum(sensor - inner, 0) / (o * r)
+    ratio: Array = gauge / (gauge + spread)
+    return ratio

@@ -1,8 +1,4 @@
-"""What a crossed gauge study lacks, and the largest balanced part of it.
-
-A crossed study needs every sensor on every station equally often. Stored runs seldom are: the largest balanced part
-is the choice of sensors, stations and trials with the most runs, each at least two.
-"""
+"""What a crossed gauge study lacks, and its largest balanced part: most runs, each cell at least twice."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -40,10 +36,7 @@ class BalancedPart:
 def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str = "station") -> tuple[str, ...]:
     """Return which runs a balanced study lacks or has too many of, in words; none where it is whole.
 
-    Parameters
-    ----------
-    sensors, stations : (N,) names of each run.
-    appraiser : what the stations are: "station", or "operator" where people are compared.
+    ``appraiser``: what the stations are: "station", or "operator" where people are compared.
     """
     cells = _cells(sensors, stations)
     trials = usual_trials(map(len, cells.values()))

@@ -127,12 +127,7 @@ def variation(
     tolerance: float | None,
     notes: tuple[str, ...],
 ) -> Variation:
-    """Return the shares of components.
-
-    Parameters
-    ----------
-    tolerance : width of the metric's limits, in its unit; None where it has one limit or none.
-    """
+    """Return the shares of components; ``tolerance`` is the width of the metric's limits, None without two."""
 
     def share_of(part: Variance) -> Component:
         deviation = sqrt(part.value)

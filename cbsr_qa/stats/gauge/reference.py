@@ -1,15 +1,11 @@
 """A gauge against known values: bias, linearity of the bias over the range, and stability over time.
 
-Source: AIAG MSA 4th edition, chapter III, sections B (guidelines for determining stability, bias and linearity). The
-reference values (of golden sensors) are taken as exact, but for bias and linearity where their uncertainties are
-stated: one of a reference moves all its readings' biases together, so that it does not average out as scatter of
-readings does (:mod:`cbsr_qa.stats.intervals`).
-
-A straight line through points by least squares, with what is known of it anywhere along it.
+Source: AIAG MSA 4th edition, chapter III, sections B. Reference values are exact unless their uncertainty is stated:
+one of a reference moves all its readings' biases together (:mod:`cbsr_qa.stats.intervals`).
 
     y = a + b (x − x̄),  b = Σ(x − x̄)(y − ȳ)/S_xx,  a = ȳ,  s² = Σ(y − ŷ)²/(n − 2)
 
-About x̄, a and b are independent, and a large origin (dates, offsets) costs no digits.
+About x̄, a and b are independent, and a large origin costs no digits.
 """
 
 from collections.abc import Iterable, Sequence
@@ -61,12 +57,7 @@ class RegressionLine:
 
 
 def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") -> RegressionLine:
-    """Fit a line.
-
-    Parameters
-    ----------
-    x, y : (n,), n ≥ 3.
-    what : what it is of, for messages.
+    """Fit a line to (n,) points, n ≥ 3.
 
     Raises
     ------
@@ -121,7 +112,7 @@ class Linearity:
     def _widened(self, contrast: Contrast, level: float, slope: float) -> Referenced:
         """Add the uncertainty of references whose readings have weights level + slope (x − x̄).
 
-        A reference that is u too high reads (1 + b) u too low, b the slope: the truth is further to the left too.
+        A reference that is u too high reads (1 + b) u too low, b the slope.
         """
         line = self.line
         parts = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
@@ -178,24 +169,21 @@ def bias(readings: Iterable[float], reference: float, what: str = "bias", *, unc
 
 
 def linearity(
-    references: Sequence[float],
-    readings: Sequence[float],
-    what: str = "linearity",
-    *,
-    known: Sequence[tuple[int, float, float]] = (),
+    references: Sequence[float], readings: Sequence[float], *, known: Sequence[tuple[int, float, float]] = ()
 ) -> Linearity:
     """Return the bias as a function of the reference value.
 
     Parameters
     ----------
     references, readings : (n,) of each reading the value of its reference, of two references at least.
-    known : (readings, value, standard uncertainty) of references; those that are not named are taken as exact.
+    known : (readings, value, standard uncertainty) of references that are not exact.
 
     Raises
     ------
     NumericsError
         One reference only, fewer than three or missing readings, or biases that lie exactly on a line.
     """
+    what = "linearity"
     values = sample(references, f"{what}, reference values")
     distinct = tuple(float(value) for value in np.unique(values))
     if len(distinct) < 2:
@@ -206,30 +194,23 @@ def linearity(
     return Linearity(straight_line(values, biases - values, what), distinct, tuple(known))
 
 
-def stability(
-    times_day: Sequence[float],
-    readings: Sequence[float],
-    reference: float,
-    *,
-    first: int | None = None,
-    what: str = "stability",
-) -> Stability:
+def stability(times_day: Sequence[float], readings: Sequence[float], reference: float) -> Stability:
     """Return drift and control chart of one reference.
 
     Parameters
     ----------
     times_day : (n,) in days from any origin, in any order.
     readings : (n,), n ≥ 3.
-    first : how many of the earliest readings set the chart's limits; None for all.
 
     Raises
     ------
     NumericsError
         Too few or missing readings, all at one time, or readings that do not differ.
     """
+    what = "stability"
     sample(readings, what, least=3)
     line = straight_line(times_day, readings, what)
     order = np.argsort(np.asarray(times_day, dtype=float), kind="stable")
     ordered = np.asarray(readings, dtype=float)[order]
-    chart = individuals(ordered - reference, reference=first, what=what)
+    chart = individuals(ordered - reference, what=what)
     return Stability(line.rise(), bias(ordered, reference, what), chart)

@@ -2,10 +2,8 @@
 
     y = group (fixed) + station (fixed) + sensor (random, σ²θ) + run (σ²)
 
-by restricted maximum likelihood after the sensor effect is eliminated (:mod:`.reml`), intervals
-by Kenward & Roger's covariance and degrees of freedom. The model is additive: a station that treats one batch
-otherwise than another is not in it. Where no sensor has more than one run, sensor and run cannot be told apart, and
-ordinary least squares says the same with exact t intervals.
+by restricted maximum likelihood (:mod:`.reml`), intervals by Kenward & Roger's covariance and degrees of freedom. The
+model is additive. Where no sensor has more than one run, ordinary least squares says the same with exact t intervals.
 """
 
 from dataclasses import dataclass
@@ -118,8 +116,7 @@ def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
 
     Parameters
     ----------
-    design : of N runs.
-    values : (N,) ndarray, one of each run; leave missing ones out with :meth:`Crossing.only`.
+    values : (N,), one of each run; leave missing ones out with :meth:`Crossing.only`.
     what : the metric, for messages.
 
     Raises

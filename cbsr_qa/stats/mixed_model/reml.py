@@ -1,35 +1,27 @@
 """Variance ratio θ = σ²_sensor/σ² by restricted maximum likelihood, all other parameters profiled out.
 
-With A = XᵀH⁻¹X, R = rᵀH⁻¹r (r the generalised least-squares residuals) and f = N − p, minus twice the log likelihood
-is
+With A = XᵀH⁻¹X, R = rᵀH⁻¹r (r the generalised least-squares residuals) and f = N − p, minus twice the restricted log
+likelihood (lme4's REML criterion) is
 
-    ℓ(θ) = Σ log(1 + n θ) + log|A| + f (1 + log(2πR/f))             restricted (as lme4's REML criterion)
-    ℓ(θ) = Σ log(1 + n θ)          + N (1 + log(2πR/N))             full
+    ℓ(θ) = Σ log(1 + n θ) + log|A| + f (1 + log(2πR/f)).
 
-Its derivative is found in closed form, so that θ is a root and has all its digits. The interval holds the θ ≥ 0 for
-which ℓ exceeds its minimum by no more than χ² of one degree of freedom. Sources: Patterson & Thompson 1971;
-Bates et al. 2015 (the profiled criterion); Pinheiro & Bates 2000, section 2.4 (profile intervals).
-
-What a model with a random sensor needs of its data: cross-products within sensors and between their means.
+The interval holds the θ ≥ 0 for which ℓ exceeds its minimum by no more than χ² of one degree of freedom (Patterson &
+Thompson 1971; Bates et al. 2015; Pinheiro & Bates 2000, section 2.4).
 
 A sensor's n runs have the covariance σ²(I + θ 11ᵀ), whose inverse is I − 11ᵀ/n + (1/(1 + nθ)) 11ᵀ/n over σ². So for
 Z = [X y] and H = V/σ²,
 
     ZᵀH⁻¹Z = W + Σ_n n h_n B_n,   h_n = 1/(1 + nθ),
 
-with W the cross-products of deviations from the sensors' means and B_n those of the means of sensors with n runs: the
-sensor effect is eliminated, and whatever the number of sensors one evaluation costs a few p × p matrices. Nothing is
-subtracted, so that no digits are lost at any θ.
+with W the cross-products of deviations from the sensors' means and B_n those of the means of sensors with n runs: no
+digits are lost at any θ.
 
-Small-sample covariance and degrees of freedom of the fixed effects of a model with a random sensor.
+Small samples (Kenward & Roger 1997, sections 2 and 3): with V = σ²(I + θZZᵀ), Φ = (XᵀV⁻¹X)⁻¹, the covariance W of the
+two variances' estimates, P_i = −XᵀV⁻¹V_iV⁻¹X and Q_ij = XᵀV⁻¹V_iV⁻¹V_jV⁻¹X,
 
-With V = σ²(I + θZZᵀ), Φ = (XᵀV⁻¹X)⁻¹, the covariance W of the two variances' estimates (inverse of the expected
-restricted information), P_i = −XᵀV⁻¹V_iV⁻¹X and Q_ij = XᵀV⁻¹V_iV⁻¹V_jV⁻¹X,
+    Φ_A = Φ + 2 Φ {Σ_ij W_ij (Q_ij − P_i Φ P_j)} Φ,
 
-    Φ_A = Φ + 2 Φ {Σ_ij W_ij (Q_ij − P_i Φ P_j)} Φ
-
-allows for the variances being estimated. A contrast has Satterthwaite's degrees of freedom (Kenward & Roger 1997,
-sections 2 and 3). Everything is in units of σ², which cancels.
+all in units of σ²; a contrast has Satterthwaite's degrees of freedom.
 """
 
 from collections.abc import Callable
@@ -69,17 +61,9 @@ class RandomEffectSums:
         return len(self.within) - 1
 
     def products(self, ratio: Array | float, power: int = 1, times: int = 0) -> Array:
-        """Return the between part Σ_n n^(1 + times) h_n^power B_n, without W.
+        """Return the between part Σ_n n^(1 + times) h_n^power B_n, without W: (…, p + 1, p + 1) for θ of any shape.
 
-        Parameters
-        ----------
-        ratio : θ, any shape.
-        power : of h.
-        times : how often ZZᵀ, the sensors' covariance, stands in the product.
-
-        Returns
-        -------
-        (…, p + 1, p + 1) ndarray
+        ``times``: how often ZZᵀ, the sensors' covariance, stands in the product.
         """
         h = 1 / (1 + np.multiply.outer(np.asarray(ratio, dtype=float), self.sizes))
         summed: Array = np.tensordot(h**power * self.sizes ** (1 + times), self.between, axes=1)
@@ -118,8 +102,8 @@ def random_effect_sums(matrix: SparseArray, response: Array, sensor: IntArray) -
 
     Parameters
     ----------
-    matrix : (N, p) sparse array, X: ones and zeros, so that what does not differ within a sensor gives exact zeros.
-    response : (N,) ndarray, y.
+    matrix : (N, p) sparse array, X: ones and zeros.
+    response : (N,) y.
     sensor : (N,) index of each run's sensor, 0 … q − 1 without gaps.
     """
     counts = np.bincount(sensor)
@@ -147,6 +131,7 @@ def _cross(matrix: SparseArray, response: Array) -> Array:
 #: θ that are tried before the minimum is refined; the likelihood may have two.
 _GRID = np.concatenate([[0.0], np.logspace(-7, 12, 77)])
 _FARTHEST = 1e14
+_CONFIDENCE = 0.95
 _MOST_ELEMENTS = 2_000_000
 
 
@@ -165,18 +150,17 @@ class Likelihood:
     """Profile criterion of θ; see the module."""
 
     sums: RandomEffectSums
-    restricted: bool = True
 
     @property
     def freedom(self) -> int:
-        """Return f: N − p, or N for the full likelihood."""
-        return self.sums.runs - (self.sums.columns if self.restricted else 0)
+        """Return f = N − p."""
+        return self.sums.runs - self.sums.columns
 
     def criterion(self, ratio: Array) -> Array:
         """Return ℓ of θ, (k,) → (k,)."""
         logs = np.concatenate([self._logs(some) for some in np.array_split(ratio, self._blocks(len(ratio)))])
         spread = np.log1p(np.multiply.outer(ratio, self.sums.sizes)) @ self.sums.sensors
-        determinant = 2 * logs[:, :-1].sum(axis=1) if self.restricted else 0.0
+        determinant = 2 * logs[:, :-1].sum(axis=1)
         f = self.freedom
         value: Array = spread + determinant + f * (1 + log(2 * pi / f) + 2 * logs[:, -1])
         return value
@@ -198,7 +182,7 @@ class Likelihood:
         effects = np.linalg.solve(whole[:-1, :-1], whole[:-1, -1])
         turned = np.append(-effects, 1.0)
         lost = np.linalg.solve(whole[:-1, :-1], moved[:-1, :-1])
-        trace = float(np.trace(lost)) if self.restricted else 0.0
+        trace = float(np.trace(lost))
         squares = float(turned @ whole @ turned)
         return self.sums.trace(ratio, 1, 1) - trace - self.freedom * float(turned @ moved @ turned) / squares
 
@@ -208,15 +192,15 @@ class Likelihood:
         return float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / self.freedom
 
 
-def variance_ratio(sums: RandomEffectSums, *, restricted: bool = True, confidence: float = 0.95) -> Ratio:
-    """Return the θ that minimises the criterion; 0 if the likelihood decreases from there on.
+def variance_ratio(sums: RandomEffectSums) -> Ratio:
+    """Return the θ that minimises the criterion, with its 95 % interval; 0 if the likelihood decreases from there on.
 
     Raises
     ------
     NumericsError
         Runs of one sensor differ so little that the ratio has no bound.
     """
-    likelihood = Likelihood(sums, restricted)
+    likelihood = Likelihood(sums)
     values = likelihood.criterion(_GRID)
     best = int(np.argmin(values))
     if best == len(_GRID) - 1:
@@ -224,8 +208,7 @@ def variance_ratio(sums: RandomEffectSums, *, restricted: bool = True, confidenc
     low, high = float(_GRID[max(best - 1, 0)]), float(_GRID[best + 1])
     value = _root(likelihood.slope, low, high)
     least = float(likelihood.criterion(np.array([value]))[0])
-    interval = _interval(likelihood, value, least, confidence)
-    return Ratio(value, interval, least, likelihood.variance(value))
+    return Ratio(value, _interval(likelihood, value, least), least, likelihood.variance(value))
 
 
 def _root(slope: Callable[[float], float], low: float, high: float) -> float:
@@ -236,8 +219,8 @@ def _root(slope: Callable[[float], float], low: float, high: float) -> float:
     return float(optimize.brentq(slope, low, high, xtol=1e-15, rtol=1e-14))
 
 
-def _interval(likelihood: Likelihood, value: float, least: float, confidence: float) -> Interval:
-    allowed = least + float(stats.chi2.ppf(confidence, 1))
+def _interval(likelihood: Likelihood, value: float, least: float) -> Interval:
+    allowed = least + float(stats.chi2.ppf(_CONFIDENCE, 1))
 
     def excess(ratio: float) -> float:
         return float(likelihood.criterion(np.array([ratio]))[0]) - allowed
@@ -248,7 +231,7 @@ def _interval(likelihood: Likelihood, value: float, least: float, confidence: fl
         high *= 4
         if high > _FARTHEST:
             raise NumericsError("sensor variance: the likelihood puts no upper bound on it")
-    return Interval(low, float(optimize.brentq(excess, value, high, rtol=1e-10)), confidence)
+    return Interval(low, float(optimize.brentq(excess, value, high, rtol=1e-10)), _CONFIDENCE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,7 +12,6 @@ from pydantic import Field
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
 from cbsr_qa.eit.inverse import (
     Correlation,
-    OneStep,
     Prior,
     RidgeSearch,
     TemporalImages,
@@ -21,6 +20,7 @@ from cbsr_qa.eit.inverse import (
     laplace,
     lasting_noise_figure,
     noser,
+    ridge_reconstruction,
     target_radius_mm,
 )
 from cbsr_qa.plugin import PluginOptions, WithOptions
@@ -43,7 +43,7 @@ class _OneStepMethod(WithOptions):
             If λ cannot be chosen or is too small to determine the image, an element is felt by no reading, or a
             length does not fit the image.
         """
-        return OneStep(self.name, self.prior, self.options.regularisation()).prepare(problem)
+        return ridge_reconstruction(self.name, problem, self.prior, self.options.regularisation())
 
     def prior(self, problem: ImagingProblem) -> Prior:
         """What is expected of images of a problem."""
@@ -188,8 +188,10 @@ class Temporal(WithOptions):
         """Choose λ and prepare the spectrum; NumericsError if λ cannot be chosen or is too small."""
         options = self.options
         correlation = Correlation(options.correlation_frames, options.lag)
-        one_step = OneStep(self.name, lambda base: _smooth_over_head(base, options), options.regularisation())
-        choice = one_step.prepare(problem).choice
+        regularisation = options.regularisation()
+        choice = ridge_reconstruction(
+            self.name, problem, lambda base: _smooth_over_head(base, options), regularisation
+        ).choice
         spectrum = RidgeSearch(problem, _smooth_over_head(problem, options)).spectrum
         lasting = lasting_noise_figure(problem, spectrum, choice.value, correlation)
         how = f"{choice.how}, for one frame; a change that lasts is imaged with noise figure {lasting:.2f}"

@@ -54,8 +54,6 @@ def test_ringing_is_the_opposite_sign_outside_over_what_is_inside():
 def test_the_quarter_amplitude_set_leaves_out_what_is_lower():
     found = greit_figures(_rings((0, EDGE, 1.0), (EDGE, 20, 0.26), (20, 30, 0.24)), TARGET)
     assert found.resolution == pytest.approx(20 / 50, rel=1e-6)
-    half = greit_figures(_rings((0, EDGE, 1.0), (EDGE, 20, 0.26)), TARGET, fraction=0.5)
-    assert half.resolution == pytest.approx(EDGE / 50, rel=1e-6)
 
 
 def test_elements_at_exactly_a_quarter_belong_to_the_set():
@@ -150,7 +148,7 @@ def test_two_far_pieces_have_no_ringing_to_speak_of():
     assert found.amplitude_response is None
 
 
-@pytest.mark.parametrize("wrong", [{"contrast": 0.0}, {"contrast": -0.2}, {"fraction": 0.0}, {"fraction": 1.5}])
-def test_impossible_contrasts_and_fractions_are_refused(wrong):
-    with pytest.raises(NumericsError, match=r"contrast is|threshold is"):
-        greit_figures(_rings((0, EDGE, 1.0)), TARGET, **wrong)
+@pytest.mark.parametrize("contrast", [0.0, -0.2])
+def test_impossible_contrasts_are_refused(contrast):
+    with pytest.raises(NumericsError, match="contrast is"):
+        greit_figures(_rings((0, EDGE, 1.0)), TARGET, contrast=contrast)

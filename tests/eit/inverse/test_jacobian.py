@@ -113,7 +113,7 @@ def test_nominal_jacobian_has_the_signs_and_the_symmetry_of_its_readings(pin_sen
     turned = tuple(pair[::-1] if k % 2 else pair for k, pair in enumerate(skipping))
     pattern = DrivePattern(16, skipping, turned)
     problem = imaging_problem(replace(sensor, pattern=pattern), image_size_mm=8.0)
-    model = nominal_model(problem.sensor_type).model
+    model = nominal_model(problem.sensor_type)
     drive, measure = np.nonzero(problem.used)
     expected = image_jacobian(model, problem.mesh, drive, measure)
     assert np.abs(problem.jacobian - expected).max() < 1e-10 * np.abs(expected).max()

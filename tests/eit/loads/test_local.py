@@ -7,6 +7,7 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.eit.forward import ForwardModel, cover, disc_coverage
+from cbsr_qa.eit.loads import local, rims
 from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.loads.rims import InverseEntries
 
@@ -141,22 +142,23 @@ def heads(model, count: int) -> list[np.ndarray]:
 
 
 @pytest.mark.rest
-def test_memory_is_bounded_and_what_was_forgotten_comes_back_exactly(model):
-    bounded, unbounded = LocalUpdate(model, kept_bytes=300_000), LocalUpdate(model)
-    entries = bounded._inverse = InverseEntries(model, most=64)
-    for elements in heads(model, 40) * 2:
-        change = 0.2 * model.conductance[elements]
-        np.testing.assert_allclose(
-            bounded.voltages(elements, change), unbounded.voltages(elements, change), rtol=1e-11, atol=0
-        )
-        assert entries.nbytes <= 64 * 64 * 8
-        assert bounded.nbytes <= 300_000 + entries.nbytes
+def test_memory_is_bounded_and_what_was_forgotten_comes_back_exactly(model, monkeypatch):
+    bounded, unbounded = LocalUpdate(model), LocalUpdate(model)
+    changes = [(elements, 0.2 * model.conductance[elements]) for elements in heads(model, 40) * 2]
+    expected = [unbounded.voltages(*change) for change in changes]
+    monkeypatch.setattr(local, "KEPT_BYTES", 300_000)
+    monkeypatch.setattr(rims, "MOST_NODES", 64)
+    for change, voltages in zip(changes, expected, strict=True):
+        np.testing.assert_allclose(bounded.voltages(*change), voltages, rtol=1e-11, atol=0)
+        assert bounded._inverse.nbytes <= 64 * 64 * 8
+        assert bounded.nbytes <= 300_000 + bounded._inverse.nbytes
     assert unbounded.nbytes > 2 * bounded.nbytes
 
 
-def test_a_set_larger_than_the_bounds_is_served_all_the_same(model):
-    update = LocalUpdate(model, kept_bytes=1)
-    update._inverse = InverseEntries(model, most=8)
+def test_a_set_larger_than_the_bounds_is_served_all_the_same(model, monkeypatch):
+    monkeypatch.setattr(local, "KEPT_BYTES", 1)
+    monkeypatch.setattr(rims, "MOST_NODES", 8)
+    update = LocalUpdate(model)
     elements = np.unique(np.concatenate(heads(model, 5)))
     change = 0.2 * model.conductance[elements]
     assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10

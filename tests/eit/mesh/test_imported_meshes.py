@@ -211,14 +211,11 @@ def test_a_sensor_needs_a_mesh_with_electrodes():
         mesh_sensor("bare", imported_mesh(*grid()), adjacent_pattern(10), thickness_mm=1.0)
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [(b"", "damaged"), (b"\0" * 100, "damaged"), (b"PK\x03\x04rest", "damaged")],
-)
-def test_a_damaged_file_is_refused(tmp_path, content, said):
+@pytest.mark.parametrize("content", [b"", b"\0" * 100, b"PK\x03\x04rest"])
+def test_a_damaged_file_is_refused(tmp_path, content):
     path = tmp_path / "mesh.npz"
     path.write_bytes(content)
-    with pytest.raises(NumericsError, match=rf"mesh\.npz: it is {said}"):
+    with pytest.raises(NumericsError, match=r"mesh\.npz: it is damaged"):
         read_mesh(path)
 
 

@@ -270,7 +270,7 @@ def test_stability_finds_a_drift_and_no_other():
     held = stability(days, steady, 5.0)
     assert held.drift.interval(0.99).holds(0.0)
     assert held.bias.interval(0.99).holds(0.0)
-    moved = stability(days, steady + 0.02 * (days - days.min()), 5.0, first=20)
+    moved = stability(days, steady + 0.02 * (days - days.min()), 5.0)
     assert moved.drift.value == pytest.approx(held.drift.value + 0.02, rel=1e-9)
     assert moved.drift.interval().low > 0
     assert not moved.chart.in_control

@@ -2,8 +2,7 @@
 
 Each row of the matrix, one for each node of the image, is a least-squares fit of its own (Adler et al. 2009, eq. 5):
 min Σ_k W_k(x) [r(x)·y_k − d_k(x)]² + λ² |r(x)|², where W lets what is near the target count in full and the rest
-little. Most implementations drop W. But the place and the outline of a masked blob are decided by the top of an image
-alone: to fit far slopes as exactly costs three times the noise.
+little: the top of an image decides place and outline of a masked blob.
 """
 
 from contextlib import suppress
@@ -54,9 +53,7 @@ class GreitRows:
     def solve(self, hyperparameter: float) -> Array:
         """Rows of the nodes, for folded readings of unit variance and each of :data:`WIDTHS`: (n, g, w).
 
-        Parameters
-        ----------
-        hyperparameter : λ, rms noise over rms signal of a reading (of a target, root mean square over all of them).
+        ``hyperparameter``: λ, rms noise over rms signal of a reading (of a target, over all of them).
 
         Raises
         ------
@@ -88,11 +85,7 @@ class GreitRows:
         return rows
 
     def _quieten(self) -> None:
-        """Let errors further out count more in rows that would answer far targets loudly.
-
-        Those are rows near the sheet's edge, and where readings are missing: what is near them is seen so little that
-        fitting it costs large errors elsewhere, which a mask would take for the target.
-        """
+        """Let errors further out count more in rows that would answer far targets loudly, as near the edge."""
         nodes = np.arange(len(self._fit.right))
         for _ in range(_RAISES):
             nodes = nodes[self._loudest(nodes) > _LOUD]
@@ -114,10 +107,7 @@ class GreitRows:
         return loudest
 
     def matrix(self, rows: Array) -> Array:
-        """Imaging matrix (e, m) of rows (n, g).
-
-        Values of elements are the means of their corners', which is the mean of the image that is linear between.
-        """
+        """Imaging matrix (e, m) of rows (n, g): values of elements are the means of their corners'."""
         nodal = self._fold.unfold(rows / np.sqrt(self._fold.variance))
         elements = self.problem.mesh.elements
         return (nodal[elements[:, 0]] + nodal[elements[:, 1]] + nodal[elements[:, 2]]) / 3

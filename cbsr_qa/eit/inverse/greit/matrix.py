@@ -1,9 +1,7 @@
-"""GREIT's imaging matrix for a λ, and the λ for a noise figure; the last matrix is cached.
+"""GREIT's imaging matrix for a λ, and the λ for a noise figure; the last matrices are kept.
 
-Shaping GREIT's images until masked images of targets lie where the targets do, and are as large.
-
-A regularised image is drawn to where readings are strongest, and wider where they are weak. Both are known for every
-target, so that both can be taken back: by a scale of each row, and by the width of the image it is asked for.
+A regularised image is drawn to where readings are strongest, and wider where they are weak. A scale of each row, and
+the width of the image it is asked for, take both back: masked images of targets lie where the targets do.
 """
 
 from collections import OrderedDict
@@ -49,12 +47,7 @@ class Shape:
 
 
 class Calibration:
-    """Shapes the rows of one problem.
-
-    Parameters
-    ----------
-    fits : rows to shape. Where the sheet is so small that no target keeps clear of its edge, they stay as they are.
-    """
+    """Shapes the rows of one problem; where no target keeps clear of the sheet's edge they stay as they are."""
 
     def __init__(self, fits: GreitRows) -> None:
         self._fits = fits
@@ -81,8 +74,8 @@ class Calibration:
         """Find the shape of rows solved for all widths, (n, g, w).
 
         Where the masked image of a target is off by b, the logarithm of the scale is given the slope −b/s, with s the
-        second moment of the image: that moves a Gaussian by −b. One scale is fitted to the slopes of all places by
-        least squares; it is one but for a few per cent. Its mean is such that peaks are those of the desired images.
+        second moment of the image; one scale is fitted to the slopes of all places by least squares. Its mean is such
+        that peaks are those of the desired images.
         """
         variance, nodes = self._fits.design.head_variance_mm2, len(solved)
         scale, width = np.ones(nodes), np.ones(nodes)
@@ -97,12 +90,7 @@ class Calibration:
 
 
 class _SoftMasks:
-    """Centre and spread of masked images, without the jumps of a mask.
-
-    Parameters
-    ----------
-    mesh : n nodes. centres_mm : (t, 2) of the targets. reach_mm : what is further from a target is no part of it.
-    """
+    """Centre and spread of masked images, without the jumps of a mask, within a reach of each target (t, 2)."""
 
     def __init__(self, mesh: Mesh, centres_mm: Array, reach_mm: float) -> None:
         near = neighbours(mesh.nodes_mm, centres_mm, reach_mm)
@@ -115,12 +103,7 @@ class _SoftMasks:
         self._smallest = float(mesh.areas_mm2.mean())  # a mask of one node has no size
 
     def moments(self, images: Array) -> tuple[Array, Array]:
-        """How far masks lie from their targets (t, 2) [mm], and second moments (t,) [mm²] of Gaussians like them.
-
-        Parameters
-        ----------
-        images : (n, t).
-        """
+        """Offsets of masks of images (n, t) from their targets (t, 2) [mm], and second moments (t,) [mm²]."""
         positive = np.where(self._mass > 0, images.T[np.arange(len(self._node))[:, None], self._node], 0.0)
         relative = np.maximum(positive, 0) / np.maximum(positive.max(axis=1), np.finfo(float).tiny)[:, None]
         weight = relative**_MASK_POWER * self._mass

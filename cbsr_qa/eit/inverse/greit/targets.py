@@ -30,9 +30,8 @@ _ALL: Final = slice(None)
 class TargetDesign:
     """Sizes of the targets, and how their images are blurred.
 
-    All images are the targets themselves blurred by *one* Gaussian, so wide that the 85 % contour of the head's image
-    is the head's outline. A linear image of a large target is the sum of images of its parts, so that no matrix can
-    give targets of every size a contour of their own: asking for it only adds errors.
+    All images are the targets blurred by *one* Gaussian, so wide that the 85 % contour of the head's image is the
+    head's outline.
 
     Parameters
     ----------
@@ -109,11 +108,10 @@ class Targets:
         return integral
 
     def desired(self, places_mm: Array, widths: tuple[float, ...] = (1.0,), targets: Indices | slice = _ALL) -> Array:
-        """Images of some targets at some places: Gaussians, each with an integral of one over the sheet.
+        """Images of some targets at places (k, 2): Gaussians, each with an integral of one over the sheet.
 
         Parameters
         ----------
-        places_mm : (k, 2).
         widths : w second moments of the head's image, of its nominal one; the peaks stay as they are.
         targets : t of them, all by default.
 
@@ -144,12 +142,7 @@ def _check_resolved(mesh: Mesh, head_mm: float, radii_mm: tuple[float, ...]) -> 
 
 
 def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesign) -> Targets:
-    """Make targets of every size all over the sheet.
-
-    Readings are linear in the contrast. Those of a disc of +50 % are 0.8 times as large as the linear ones, but
-    differ from them in nothing else by more than 0.6 % (up to 30 mm from the centre of the 100 mm disc; 3 % at
-    40 mm): a disc of any contrast c scatters every multipole as 2/(2 + c) of the linear disc does, and only what
-    the edge returns differs. A matrix that is linear anyway gains nothing from more.
+    """Make targets of every size all over the sheet; readings are taken as linear in the contrast.
 
     Raises
     ------
@@ -175,16 +168,7 @@ def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesig
 
 
 def disc_signals(jacobian: Array, mesh: Mesh, centres_mm: Array, radius_mm: float) -> Array:
-    """Readings of discs, of small contrast, per mm² of them that is on the sheet.
-
-    Parameters
-    ----------
-    jacobian : (g, e). centres_mm : (t, 2).
-
-    Returns
-    -------
-    (g, t) float64 [per mm² and contrast]. What a disc covers of every element is exact.
-    """
+    """Readings (g, t) of discs at (t, 2), of small contrast, per mm² of them on the sheet, by exact overlap."""
     reach = radius_mm + float(reaches_mm(mesh).max())
     near = neighbours(mesh.centroids_mm, centres_mm, reach)
     target = np.repeat(np.arange(len(centres_mm)), [len(elements) for elements in near])

@@ -1,15 +1,13 @@
 """Iterative Gauss–Newton for absolute conductance and contact impedances.
 
 Minimises Φ(θ) = Σ (V(θ) − d)²/σ² + (θ − θ₀)ᵀC⁻¹(θ − θ₀), θ the logarithms of conductance and contact impedance, σ the
-noise, C what is expected of θ before it is measured: the most probable state (Tarantola 2005, section 3.2; absolute
-impedance images with contacts unknown: Vilhunen et al. 2002, Heikkinen et al. 2002). Each step is solved in its dual
-form, as large as the number of readings,
+noise, C the prior covariance: the most probable state (Tarantola 2005, section 3.2; Vilhunen et al. 2002, Heikkinen
+et al. 2002). Each step is solved in its dual form, as large as the number of readings,
 
     θ⁺ = θ₀ + C Jᵀ (J C Jᵀ + σ²)⁻¹ (d − V(θ) + J (θ − θ₀)),
 
-and halved until Φ falls. Unknowns are logarithms, so that conductance and contact impedance stay positive: ln γ of
-each element of the image's mesh and ln z of each electrode. The conductance of an element of the forward mesh is the
-mean over it of the image's. C is never inverted: with θ = θ₀ + C w the second term is wᵀ(θ − θ₀).
+and halved until Φ falls. C is never inverted: with θ = θ₀ + C w the second term is wᵀ(θ − θ₀). The conductance of an
+element of the forward mesh is the mean over it of the image's.
 """
 
 from dataclasses import dataclass
@@ -53,7 +51,7 @@ class SheetState:
 
     @property
     def unknowns(self) -> Array:
-        """All of them, (e + electrodes,)."""
+        """All unknowns, (e + electrodes,)."""
         return np.concatenate([self.log_conductance, self.log_contact])
 
     def moved(self, by: Array) -> "SheetState":
@@ -65,10 +63,7 @@ class SheetState:
 class SheetModel:
     """Folded readings of a problem as a function of the sheet's state.
 
-    Parameters
-    ----------
-    problem : its mesh carries the conductance, its readings are computed.
-    mesh_size : edge length of the forward mesh, of the sheet's radius; elements are of the second order.
+    ``mesh_size``: edge length of the forward mesh (second order), of the sheet's radius.
     """
 
     def __init__(self, problem: ImagingProblem, mesh_size: float) -> None:
@@ -134,7 +129,7 @@ class SheetPrior:
         Raises
         ------
         NumericsError
-            If the mesh has so many elements that the covariance does not fit.
+            As :func:`matern`.
         """
         return cls(spread**2 * matern(mesh, length_mm) + level**2, contact**2)
 
@@ -175,13 +170,7 @@ class FoundState:
 
 
 def matern(mesh: Mesh, length_mm: float) -> Array:
-    """Matérn correlation of smoothness 3/2 between elements, (e, e).
-
-    Raises
-    ------
-    NumericsError
-        If the mesh has so many elements that it does not fit.
-    """
+    """Matérn correlation of smoothness 3/2 between elements, (e, e); NumericsError if there are too many."""
     if len(mesh.elements) > _MOST_ELEMENTS:
         raise NumericsError(
             f"absolute images use a dense covariance: {len(mesh.elements)} elements; at most {_MOST_ELEMENTS}",

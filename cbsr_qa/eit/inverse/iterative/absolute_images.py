@@ -1,14 +1,12 @@
 """Absolute images of a sensor: the unloaded state first, then every frame relative to it."""
 
-from dataclasses import dataclass, fields
-from typing import Final
+from dataclasses import dataclass
 
 import numpy as np
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.eit.inverse.iterative.absolute import (
-    MOST_STEPS,
     FoundState,
     Linearised,
     SheetModel,
@@ -24,58 +22,30 @@ _UNEXPLAINED = 0.1  # of a frame's readings; more means another sheet, or electr
 _KNOWN = 0.5  # of its expected spread: a contact whose error is larger was not measured
 
 
-#: Least and most of each number of :class:`Expected`; none may be zero.
-_RANGES: Final = {
-    "noise_dB": (0.0, 200.0),
-    "spread": (1e-6, 5.0),
-    "length": (1e-3, 10.0),
-    "load_spread": (1e-6, 5.0),
-    "noise_figure": (0.0, 100.0),
-    "load_length": (1e-3, 10.0),
-    "contact_spread": (1e-6, 5.0),
-    "mesh_size": (0.03, 0.25),
-    "iterations": (1, 1000),
-}
-
-
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Prior expectations of a sensor.
+    """Prior expectations of a sensor; all numbers are positive.
 
     Parameters
     ----------
-    noise_dB : how far below the mean reading the noise of readings is.
-    spread, length : standard deviation of ln γ over the unloaded sheet, and the length over which it varies, of the
-        radius.
-    load_spread, load_length : the same of what a load changes. No spread: the one whose first step has
+    noise_dB : noise of readings below the mean reading.
+    spread, length : standard deviation of ln γ over the unloaded sheet, and its correlation length, of the radius.
+    load_spread, load_length : the same of changes under load. None: the spread whose first step has
         ``noise_figure`` on the sensor type's nominal problem.
-    contact_spread : standard deviation of ln z about the nominal contact; loads change it as much as ln γ.
-    mesh_size : edge length of the forward mesh (second order), of the radius, 0.03 to 0.25. At 0.03 a sheet with 16
-        pins takes 11 s to prepare, 0.8 s for each step and 0.8 GB.
-    iterations : Gauss–Newton steps allowed, 1 to 1000.
-
-    Raises
-    ------
-    NumericsError
-        If one is out of its range; says it.
+    contact_spread : standard deviation of ln z about the nominal contact.
+    mesh_size : edge length of the forward mesh (second order), of the radius.
+    iterations : Gauss–Newton steps allowed.
     """
 
-    noise_dB: float = 60.0
-    spread: float = 0.3
-    length: float = 0.3
-    load_spread: float | None = None
-    noise_figure: float = 1.0
-    load_length: float = 0.13
-    contact_spread: float = 1.0
-    mesh_size: float = 0.1
-    iterations: int = MOST_STEPS
-
-    def __post_init__(self) -> None:
-        for name, (least, most) in _RANGES.items():
-            value = getattr(self, name)
-            if value is not None and not (value > 0 and least <= value <= most):
-                allowed = f"{least:g} to {most:g}" if least else f"above 0 and at most {most:g}"
-                raise NumericsError(f"{name} is {value}; it must be {allowed}", remedy=_usual(name))
+    noise_dB: float
+    spread: float
+    length: float
+    load_spread: float | None
+    noise_figure: float
+    load_length: float
+    contact_spread: float
+    mesh_size: float
+    iterations: int
 
     def deviation(self, problem: ImagingProblem) -> float:
         """σ of a reading of unit relative variance; the mean reading is that of the sensor type's nominal problem."""
@@ -100,12 +70,9 @@ class AbsoluteImages:
     Parameters
     ----------
     choice : of the spread of loads, which with the noise is what regularises.
-    expected : of the sensor.
-    model : of the readings.
     reference : the unloaded sheet's state; the nominal one where its readings are not known.
     scale : of the readings over those of a sheet of this state.
-    before_load : the reference, linearised, with what is expected of loads.
-    load : that expectation.
+    before_load : the reference, linearised, with the prior ``load``.
     """
 
     method: str
@@ -160,13 +127,7 @@ class AbsoluteImages:
         return (1 + self.images(changes)) * self.reference.conductance / self.scale
 
     def states(self, changes: Array) -> list[FoundState]:
-        """State of each frame, with its residual and number of steps; contacts are found anew.
-
-        Raises
-        ------
-        RefusedError, NumericsError
-            As :meth:`images`.
-        """
+        """State of each frame, contacts found anew; raises as :meth:`images`."""
         folded = self.model.fold.fold(checked_readings(changes, self.problem)) / self.scale
         solved = [
             most_probable_state(
@@ -199,12 +160,6 @@ class AbsoluteImages:
                 remedy="include reference readings at driven electrodes",
             )
         return self.reference.contact_impedance * self.scale
-
-
-def _usual(name: str) -> str:
-    """Remedy for a number out of range: its default."""
-    default = next(field.default for field in fields(Expected) if field.name == name)
-    return f"leave it out for {default:g}" if isinstance(default, int | float) else "leave it out to have it chosen"
 
 
 def _reference_state(

@@ -1,17 +1,14 @@
 """Total-variation images: piecewise flat, with sharp edges.
 
 Minimises ½‖A x − y‖² + α Σ_k l_k |x_i − x_j| over the edges k between elements i and j, l their length [mm]: the sum
-is ∫|∇x| of an image that is constant on each element (Rudin, Osher & Fatemi 1992; for impedance images Borsic,
-Graham, Adler & Lionheart 2010). By a primal–dual interior point method: with jumps D x = u − v, u, v ≥ 0, and p the
-dual of that, the optimum has
+is ∫|∇x| of a piecewise constant image (Rudin, Osher & Fatemi 1992; Borsic, Graham, Adler & Lionheart 2010). By a
+primal–dual interior point method: with jumps D x = u − v, u, v ≥ 0, and p the dual of that, the optimum has
 
     Aᵀ(A x − y) + Dᵀp = 0,  u (α − p) = 0,  v (α + p) = 0,  |p| ≤ α,
 
-and Newton steps with Mehrotra's (1992) predictor and corrector follow u (α − p) = v (α + p) = μ as μ → 0. Departs
-from Borsic et al. in that nothing smooths the absolute value, and that image and dual go the same way along a step.
-Each step solves (AᵀA + DᵀWD) δx = b: DᵀWD is a graph Laplacian, factorised sparsely, and A has few rows.
-
-The duality gap P(x) − D(A x − y) bounds what is left to gain, and ½‖A (x − x*)‖² with it.
+and Newton steps with Mehrotra's (1992) predictor and corrector follow u (α − p) = v (α + p) = μ as μ → 0; nothing
+smooths the absolute value. Each step solves (AᵀA + DᵀWD) δx = b: DᵀWD is a graph Laplacian, factorised sparsely, and
+A has few rows. The duality gap P(x) − D(A x − y) bounds what is left to gain, and ½‖A (x − x*)‖² with it.
 """
 
 import warnings
@@ -74,21 +71,20 @@ class TotalVariation:
         self._most_steps = most_steps
 
     def image(self, readings: Array, alpha: float) -> TvImage:
-        """Minimise for whitened readings (m,).
+        """Minimise for whitened readings (m,) and a positive α.
 
         Raises
         ------
         NumericsError
-            If α is not a positive finite number, readings or rows are so large or small that their squares are no
+            If readings or rows are so large or small that their squares are no
             numbers, or the gap is not closed within the steps allowed.
         """
-        check_alpha(alpha)
         with np.errstate(all="ignore"), warnings.catch_warnings():  # what is not finite is refused below
             warnings.simplefilter("ignore", linalg.LinAlgWarning)
             return self._flat_image(readings, alpha) or self._converged(readings, alpha)
 
     def flattening(self, readings: Array) -> float:
-        """Return an α at which, and above which, the image of readings is flat; NumericsError as of the image."""
+        """Return an α from which on the image of readings is flat; raises as :meth:`image`."""
         with np.errstate(all="ignore"):
             return self._flattest(readings)[1]
 
@@ -177,15 +173,6 @@ def jump_matrix(mesh: Mesh) -> sparse.csr_matrix:
     jumps = neighbour_differences(mesh)
     jumps.data *= np.repeat(lengths, 2)
     return jumps
-
-
-def check_alpha(alpha: float) -> None:
-    """Refuse α that is not a positive finite number."""
-    if not (np.isfinite(alpha) and alpha > 0):
-        raise NumericsError(
-            f"hyperparameter α is {alpha}; it must be a finite number above zero",
-            remedy="give such a number, or leave it out to have it chosen",
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -163,7 +163,7 @@ def _linearise(sensor_type: SensorType, image_size_mm: float) -> None:
     group, _ = sensor_type.pattern.reading_groups()
     drive, measure = np.unravel_index(np.unique(group, return_index=True)[1], group.shape)
     mesh = image_mesh(sensor_type, size_mm=image_size_mm)
-    image_jacobian(nominal_model(sensor_type).model, mesh, drive, measure)
+    image_jacobian(nominal_model(sensor_type), mesh, drive, measure)
 
 
 def made(method: MethodSetting, **instead: float) -> Reconstruction:

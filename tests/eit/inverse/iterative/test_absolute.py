@@ -203,36 +203,37 @@ def test_too_few_iterations_are_an_error_not_an_image(sensor):
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("options", "reason"),
     [
-        {"noise_dB": -1.0},
-        {"spread": 0.0},
-        {"length": float("nan")},
-        {"load_spread": float("inf")},
-        {"noise_figure": 0.0},
-        {"noise_figure": 1e-4},
-        {"contact_spread": -1.0},
-        {"mesh_size": 0.5},
-        {"mesh_size": 1e-6},
-        {"mesh_size": 0.0299},
-        {"load_spread": 1e-300},
-        {"length": 1e-310},
-        {"iterations": 1001},
-        {"iterations": 0},
+        ({"noise_dB": -1.0}, "noise_dB is"),
+        ({"spread": 0.0}, "spread is"),
+        ({"length": float("nan")}, "length is"),
+        ({"length": 1e-310}, "length is"),
+        ({"load_spread": float("inf")}, "load_spread is"),
+        ({"load_spread": 1e-300}, "load_spread is"),
+        ({"noise_figure": 0.0}, "noise_figure is"),
+        ({"contact_spread": -1.0}, "contact_spread is"),
+        ({"mesh_size": 0.5}, "mesh_size is"),
+        ({"mesh_size": 0.0299}, "mesh_size is"),
+        ({"iterations": 1001}, "iterations is"),
+        ({"iterations": 0}, "iterations is"),
+        ({"iterations": 2.5}, r"iterations is 2\.5"),
+        ({"noise_figure": 1.0, "load_spread": 0.1}, "not both"),
+        *(
+            ({name: None}, f"{name} is None")
+            for name in ("noise_dB", "spread", "load_length", "mesh_size", "iterations")
+        ),
     ],
 )
-def test_impossible_options_are_refused(problem, options):
-    with pytest.raises((ConfigError, NumericsError), match=rf"{next(iter(options))} is|cannot be reached") as refused:
-        AbsoluteGaussNewton(**options).prepare(problem)
+def test_impossible_options_are_refused(options, reason):
+    with pytest.raises(ConfigError, match=reason) as refused:
+        AbsoluteGaussNewton(**options)
     assert refused.value.remedy
 
 
-@pytest.mark.parametrize(
-    "name", ["noise_dB", "spread", "length", "load_length", "contact_spread", "mesh_size", "iterations"]
-)
-def test_numbers_that_are_needed_cannot_be_left_empty(name):
-    with pytest.raises(ConfigError, match=f"{name} is None"):
-        AbsoluteGaussNewton(**{name: None})
+def test_a_noise_figure_out_of_reach_is_refused(problem):
+    with pytest.raises(NumericsError, match="cannot be reached"):
+        AbsoluteGaussNewton(noise_figure=1e-4).prepare(problem)
 
 
 def test_what_is_beyond_numbers_is_refused_never_imaged(problem):
@@ -249,13 +250,6 @@ def test_what_is_beyond_numbers_is_refused_never_imaged(problem):
     for variance in (np.inf, -1.0):
         with pytest.raises(NumericsError, match=r"noise variances of .* leave no finite numbers"):
             Linearised(before.solved, prepared.load, np.full(len(before.variance), variance))
-
-
-def test_options_that_contradict_or_are_no_numbers_are_refused():
-    with pytest.raises(ConfigError, match="not both"):
-        AbsoluteGaussNewton(noise_figure=1.0, load_spread=0.1)
-    with pytest.raises(ConfigError, match=r"iterations is 2\.5"):
-        AbsoluteGaussNewton(iterations=2.5)
 
 
 def test_meshes_whose_covariance_does_not_fit_are_refused():
