@@ -81,13 +81,7 @@ class Contrast(Judged):
 
 
 def checked(value: float, standard_error: float, freedom: float, what: str) -> Contrast:
-    """Return a contrast; refuse one without a usable standard error.
-
-    Raises
-    ------
-    NumericsError
-        The standard error is zero or no number, or there are no degrees of freedom.
-    """
+    """Return a contrast; NumericsError without a positive finite standard error or degrees of freedom."""
     if not (isfinite(value) and 0 < standard_error < inf and freedom > 0):
         raise NumericsError(
             f"{what}: {value:g} with a standard error of {standard_error:g} on {freedom:g} degrees of freedom "

@@ -47,10 +47,7 @@ def power(size: float, first: int, second: int, *, level: float = 0.05) -> float
 def power_of_equivalence(margin: float, first: int, second: int, *, level: float = 0.05) -> float:
     """Return the probability of showing equivalence within ± ``margin`` deviations for two equal groups.
 
-    Raises
-    ------
-    NumericsError
-        As :func:`power`.
+    Raises as :func:`power`.
     """
     freedom, shift = _test(max(margin, 0.0), first, second, level)
     critical = float(stats.t.isf(level, freedom))

@@ -114,13 +114,7 @@ def constant(array: Array) -> bool:
 
 
 def share(value: float, what: str) -> float:
-    """Return a confidence, level or power, which must lie between 0 and 1.
-
-    Raises
-    ------
-    NumericsError
-        It does not.
-    """
+    """Return a confidence, level or power; NumericsError unless it lies between 0 and 1."""
     if not 0 < value < 1:
         raise NumericsError(f"{what} is {value:g}; it must lie between 0 and 1, both excluded")
     return value
@@ -241,10 +235,7 @@ def _needed(below: float, tail: float) -> int:
 def smallest(enough: Callable[[int], bool], above: int, most: int, beyond: str) -> int:
     """Return the smallest count that is enough, above one that is not, by doubling and bisection.
 
-    Raises
-    ------
-    NumericsError
-        More than ``most`` would be needed, in the words of ``beyond``.
+    NumericsError in the words of ``beyond`` if more than ``most`` would be needed.
     """
     fewer, count = above, 2 * above
     while not enough(count):

@@ -99,8 +99,6 @@ class LoadFitter:
 
 
 class _Run:
-    """State of one batch."""
-
     def __init__(self, fitter: LoadFitter, data: Array, start: Array, square: bool) -> None:
         count = len(data)
         self.fitter, self.data, self.square = fitter, data, square

@@ -144,7 +144,6 @@ class LoadEstimator:
         return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), matched**2
 
     def _sized(self, data: Array, fits: Fits) -> Fits:
-        """Fit the size as well, if a load was detected."""
         seen = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
         if not seen.size:
             return fits
@@ -295,7 +294,6 @@ def radius_of(square_mm2: float, stderr_mm2: float, excess_mm2: float = 0.0) -> 
 
 
 def _unfitted(data: Array, start: Array, gain: Array) -> Fits:
-    """Loads where they begin, not fitted."""
     empty, count = (data**2).sum(axis=1), len(data)
     no = np.zeros(count, dtype=np.bool_)
     covariance, steps = np.zeros((count, 4, 4)), np.zeros(count, dtype=np.int64)

@@ -18,7 +18,6 @@ from .elements import FiniteElements as FiniteElements, reaches_mm as reaches_mm
 from .model import ForwardModel as ForwardModel, point_model as point_model
 from .value_range import (
     REFINED_ABOVE as REFINED_ABOVE,
-    SCATTERED_ERROR as SCATTERED_ERROR,
     UNREFINED_ERROR as UNREFINED_ERROR,
     ValueRangeError as ValueRangeError,
     check_values as check_values,

@@ -140,10 +140,7 @@ class FiniteElements:
     def along(self, edges: Indices) -> Indices:
         """Nodes along edges of the mesh: (b, 2) pairs of its nodes to (b, 2) or, with the middle, (b, 3).
 
-        Raises
-        ------
-        NumericsError
-            If no element has such an edge.
+        NumericsError if no element has such an edge.
         """
         if self.order == 1:
             return edges
@@ -216,13 +213,7 @@ class Contacts:
 
 
 def edge_contacts(elements: FiniteElements) -> Contacts:
-    """Electrodes of the complete electrode model, along the mesh's electrode edges.
-
-    Raises
-    ------
-    NumericsError
-        If an electrode has no edges, or edges that no element has.
-    """
+    """Electrodes along the mesh's electrode edges; NumericsError if one has none, or edges that no element has."""
     electrodes = elements.mesh.electrode_edges
     bare = [k for k, edges in enumerate(electrodes) if not len(edges)]
     if bare or not electrodes:
@@ -246,13 +237,7 @@ def edge_contacts(elements: FiniteElements) -> Contacts:
 
 
 def point_contacts(elements: FiniteElements, nodes: Indices) -> Contacts:
-    """Electrodes that are single nodes (electrodes,) of the mesh.
-
-    Raises
-    ------
-    NumericsError
-        If a node is not in the mesh, or carries two electrodes.
-    """
+    """Electrodes that are single nodes (electrodes,); NumericsError if one is not in the mesh, or carries two."""
     nodes = np.asarray(nodes, dtype=np.int64)
     count = len(elements.mesh.nodes_mm)
     if nodes.ndim != 1 or not nodes.size or not 0 <= nodes.min() <= nodes.max() < count:

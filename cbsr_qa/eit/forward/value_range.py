@@ -23,8 +23,6 @@ MOST_CONTRAST: Final = 1e8
 REFINED_ABOVE: Final = 1e2
 #: What rounding does to readings and sensitivities that are not refined, of how far conductances are apart.
 UNREFINED_ERROR: Final = 1.5e-14
-#: And to readings of sheets every element of which has a conductance of its own (2e-13 was seen).
-SCATTERED_ERROR: Final = 1e-12
 _ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
 
 

@@ -32,13 +32,7 @@ def percentage_mask(values: Array, fraction: float) -> Mask:
 
 
 def threshold(values: Array, fraction: float) -> float:
-    """Return the threshold of a mask: the fraction of the maximum, less rounding; 0 if no value is positive.
-
-    Raises
-    ------
-    NumericsError
-        If the fraction is outside (0, 1] or a value is not finite.
-    """
+    """Return the fraction of the maximum, less rounding; 0 if no value is positive. Raises as the mask."""
     if not 0 < fraction <= 1:
         raise NumericsError(f"mask is {fraction:g}; allowed: above 0, at most 1", remedy="use a fraction, e.g. 0.85")
     if not np.isfinite(values).all():

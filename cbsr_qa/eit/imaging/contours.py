@@ -98,13 +98,7 @@ def contour_regions(image: Image, fraction: float) -> tuple[ContourRegion, ...]:
 
 
 def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[ContourRegion, ...], ...]:
-    """Find the regions of several masks: one tuple per mask, as of :func:`contour_regions`.
-
-    Raises
-    ------
-    NumericsError
-        If a fraction is outside (0, 1).
-    """
+    """Find the regions of several masks: one tuple per mask, as of :func:`contour_regions`, also for errors."""
     if max(fractions, default=0.5) == 1:
         raise NumericsError("a contour at the maximum itself encloses nothing", remedy="use a mask below 100 %")
     nodal = nodal_values(image.mesh, image.values)

@@ -199,11 +199,10 @@ def two_touch_resolution(
     indenter: Indenter,
     *,
     mask: float | None = 0.85,
-    direction_deg: float = 0.0,
     furthest_mm: float | None = None,
     step_mm: float = 0.5,
 ) -> TwoTouch:
-    """Move two equal loads apart along a line through the sheet's centre until they stay resolved.
+    """Move two equal loads apart along x, about the origin, until they stay resolved.
 
     They are two where :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is nearer to it than
     to the other. Readings are those of the linearised model, without noise.
@@ -212,7 +211,6 @@ def two_touch_resolution(
     ----------
     mask : of the image's maximum, whose contours are counted; None for a watershed of the 25 % mask that parts peaks
         with a valley of 5 % between them.
-    direction_deg : of the line.
     furthest_mm : largest distance of the centres; by default 0.8 of the sheet's radius.
 
     Raises
@@ -222,8 +220,7 @@ def two_touch_resolution(
     """
     problem = reconstruction.problem
     furthest_mm = 0.8 * problem.sensor_type.radius_mm if furthest_mm is None else furthest_mm
-    angle = np.radians(direction_deg)
-    along = np.array([np.cos(angle), np.sin(angle)])
+    along = np.array([1.0, 0.0])
     width = float(np.ptp(indenter.at(0.0, 0.0).drawn_mm() @ along))
     if not (step_mm > 0 and width + step_mm <= furthest_mm):
         raise NumericsError(

@@ -38,12 +38,8 @@ def spatial_figures(
 ) -> tuple[SpatialFigures | None, ...]:
     """Return the figures of several regions in one pass over all perimeters; None where there is no region.
 
-    ``clipping``, ``perimeter``: modes of :func:`area_overlap_percent` and :func:`shape_deviation_mm2`.
-
-    Raises
-    ------
-    NumericsError
-        If a mode is unknown, or needs regions of whole elements and these are none.
+    ``clipping``, ``perimeter``: modes of :func:`area_overlap_percent` and :func:`shape_deviation_mm2`; raises as
+    these.
     """
     seen = [region for region in regions if region is not None]
     if not seen:

@@ -79,13 +79,7 @@ class Truncation:
         return int(self.cuts[enough[-1]])
 
     def matrix(self, components: int) -> Array:
-        """Imaging matrix (e, m).
-
-        Raises
-        ------
-        NumericsError
-            If there are not so many components, or a pair would be split.
-        """
+        """Imaging matrix (e, m); NumericsError without so many components, or where a pair would be split."""
         if components not in self.cuts:
             near = self.cuts[np.argsort(np.abs(self.cuts - components), kind="stable")[:2]]
             count = len(self._values)

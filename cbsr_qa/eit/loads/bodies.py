@@ -95,10 +95,7 @@ class StripModel:
     def local(self, apparent: Array) -> Array:
         """Relative change of the conductance under the head, of relative changes between the pins.
 
-        Raises
-        ------
-        NumericsError
-            If a change is more than the strip under the head can make.
+        NumericsError if a change is more than the strip under the head can make.
         """
         lowest, highest = self._range
         if apparent.size and not lowest <= float(apparent.min()) <= float(apparent.max()) <= highest:

@@ -28,17 +28,9 @@ _SAFE: Final = 0.5  # of an element's conductance: changes below it leave some, 
 
 
 class Series:
-    """f(s)/s as a Chebyshev series where |s| is at most ``reach``; f itself beyond.
+    """f(s)/s as a Chebyshev series where |s| is at most ``reach``; f itself, zero at zero, beyond.
 
-    Parameters
-    ----------
-    exact : f, arrays of one shape, zero at zero.
-    reach : tried first; halved until the series has converged.
-
-    Raises
-    ------
-    NumericsError
-        If f cannot be had even for small s.
+    ``reach`` is halved until the series has converged; NumericsError if f cannot be had even for small s.
     """
 
     def __init__(self, exact: Callable[[float], Array], *, reach: float = _REACH) -> None:
@@ -172,12 +164,8 @@ class Patch:
     def answer(self, strengths: Sequence[float]) -> Array:
         """X for the strengths of its loads, without a series: (b, b) [S].
 
-        Residues of loads that overlap are answered to second order in their strengths.
-
-        Raises
-        ------
-        NumericsError
-            If an element is left without conductance.
+        Residues of loads that overlap are answered to second order in their strengths. NumericsError if an element is
+        left without conductance.
         """
         if 1 < len(strengths) <= _MOST_WEAK and sum(map(abs, strengths)) <= WEAK:
             linear, quadratic = self._weak

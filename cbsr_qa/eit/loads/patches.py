@@ -210,10 +210,7 @@ class ElementChanges(Sized):
 def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
     """Refuse a change (k,) or (k, q, 2, 2) [S] that leaves one of the elements (k,) without conductance.
 
-    Raises
-    ------
-    NumericsError
-        Naming the first such element.
+    NumericsError names the first such element.
     """
     new = model.changed_conductance(elements, change)
     wrong = np.flatnonzero(~conducts(new))

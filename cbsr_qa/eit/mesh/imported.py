@@ -22,13 +22,7 @@ _FLAT: Final = 1e-9  # area over the longest edge squared: thinner elements have
 
 
 def plane_points(nodes_mm: ArrayLike) -> Points:
-    """Return nodes as (n, 2) finite numbers; a constant third coordinate is dropped.
-
-    Raises
-    ------
-    NumericsError
-        If they are of another type or shape, not finite, or of an extent that no sheet has.
-    """
+    """Return nodes as (n, 2) finite numbers of an extent that a sheet has; a constant third coordinate is dropped."""
     points = real_numbers(nodes_mm, "nodes")
     if points.ndim == 2 and points.shape[1] == 3 and len(points) and np.ptp(points[:, 2]) == 0:
         points = points[:, :2]

@@ -219,13 +219,7 @@ def clipped(estimate: float, interval: Interval | None = None) -> Variance:
 
 
 def check_tolerance(tolerance: float | None) -> None:
-    """Refuse a tolerance that is not a positive width.
-
-    Raises
-    ------
-    NumericsError
-        It is not positive.
-    """
+    """Refuse a tolerance that is not a positive width."""
     if tolerance is not None and not tolerance > 0:
         raise NumericsError(f"gauge study: tolerance is {tolerance:g}; allowed are positive widths")
 
@@ -242,14 +236,7 @@ class GaugeRange(Variation):
 def gauge_range(study: Study, *, tolerance: float | None = None) -> GaugeRange:
     """Return the components of a crossed study.
 
-    Parameters
-    ----------
-    tolerance : width of the metric's limits, in its unit.
-
-    Raises
-    ------
-    NumericsError
-        The tolerance is not positive.
+    ``tolerance``: width of the metric's limits, in its unit; NumericsError if it is not positive.
     """
     check_tolerance(tolerance)
     p, o, r = study.shape

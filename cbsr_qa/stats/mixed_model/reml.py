@@ -193,12 +193,9 @@ class Likelihood:
 
 
 def variance_ratio(sums: RandomEffectSums) -> Ratio:
-    """Return the θ that minimises the criterion, with its 95 % interval; 0 if the likelihood decreases from there on.
+    """Return the θ that minimises the criterion, with its 95 % interval; 0 if ℓ rises from there on.
 
-    Raises
-    ------
-    NumericsError
-        Runs of one sensor differ so little that the ratio has no bound.
+    NumericsError if runs of one sensor differ so little that the ratio has no bound.
     """
     likelihood = Likelihood(sums)
     values = likelihood.criterion(_GRID)

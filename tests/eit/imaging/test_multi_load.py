@@ -211,11 +211,8 @@ def test_what_is_never_parted_has_no_resolution(blurring):
 
 def test_a_watershed_parts_what_the_mask_does_not(blurring):
     method = blurring(6.0)
-    contour = two_touch_resolution(
-        method, Indenter(13.0), mask=0.5, furthest_mm=30.0, direction_deg=30.0, step_mm=1.0
-    )
-    parted = two_touch_resolution(
-        method, Indenter(13.0), mask=None, furthest_mm=30.0, direction_deg=30.0, step_mm=1.0
+    contour, parted = (
+        two_touch_resolution(method, Indenter(13.0), mask=mask, furthest_mm=30.0, step_mm=1.0) for mask in (0.5, None)
     )
     assert parted.separation_mm < contour.separation_mm
 

@@ -53,12 +53,8 @@ class GreitRows:
     def solve(self, hyperparameter: float) -> Array:
         """Rows of the nodes, for folded readings of unit variance and each of :data:`WIDTHS`: (n, g, w).
 
-        ``hyperparameter``: λ, rms noise over rms signal of a reading (of a target, over all of them).
-
-        Raises
-        ------
-        NumericsError
-            If λ is negative, not finite, or too small to determine the fit.
+        λ is rms noise over rms signal of a reading. NumericsError if it is negative, not finite, or does not
+        determine the fit.
         """
         check_hyperparameter(hyperparameter)
         ridge = hyperparameter**2 * self._unit

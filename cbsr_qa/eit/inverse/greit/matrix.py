@@ -28,24 +28,6 @@ _SEEN: Final = 2.5  # radii of the head around a target, where its mask can lie
 _SMOOTH: Final = 0.6  # radii of the head over which widths are averaged
 
 
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """State of the shaping, per node of the image.
-
-    Parameters
-    ----------
-    scale : (n,) factor of the row.
-    width : (n,) second moment of the desired image, of the nominal one.
-    """
-
-    scale: Array
-    width: Array
-
-    def rows(self, solved: Array) -> Array:
-        """Rows (n, g) from those solved for all widths (n, g, w)."""
-        return self.scale[:, None] * combined(solved, self.width)
-
-
 class Calibration:
     """Shapes the rows of one problem; where no target keeps clear of the sheet's edge they stay as they are."""
 
@@ -66,27 +48,23 @@ class Calibration:
             self._average = _averaging(mesh.nodes_mm, centres, _SMOOTH * head_mm)
 
     def rows(self, hyperparameter: float) -> Array:
-        """Rows (n, g) of a λ; NumericsError where it is too small."""
-        solved = self._fits.solve(hyperparameter)
-        return self.shape(solved).rows(solved)
-
-    def shape(self, solved: Array) -> Shape:
-        """Find the shape of rows solved for all widths, (n, g, w).
+        """Rows (n, g) of a λ, each with a scale and a width of its image; NumericsError where λ is too small.
 
         Where the masked image of a target is off by b, the logarithm of the scale is given the slope −b/s, with s the
         second moment of the image; one scale is fitted to the slopes of all places by least squares. Its mean is such
         that peaks are those of the desired images.
         """
+        solved = self._fits.solve(hyperparameter)  # for all widths, (n, g, w)
         variance, nodes = self._fits.design.head_variance_mm2, len(solved)
-        scale, width = np.ones(nodes), np.ones(nodes)
+        scale, width = np.ones(nodes), np.ones(nodes)  # the second of the nominal second moment
         for _ in range(_ROUNDS if self._any else 0):
-            images = Shape(scale, width).rows(solved) @ self._signals
+            images = scale[:, None] * combined(solved, width) @ self._signals
             offset, spread = self._masks.moments(images)
             slope = np.where(self._beyond[:, None], 0.0, -offset[self._place] / variance)
             scale = scale * np.exp(self._slopes.fit(slope))
             scale = scale / (2 * np.pi * variance * float(np.median(images.max(axis=0))))
             width = np.clip(self._average @ (width[self._node] * variance / spread), WIDTHS[0], WIDTHS[-1])
-        return Shape(scale, width)
+        return scale[:, None] * combined(solved, width)
 
 
 class _SoftMasks:
@@ -181,10 +159,8 @@ class GreitMatrix:
 def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: float) -> GreitMatrix:
     """Make the imaging matrix of a λ, rms noise over rms signal of a reading.
 
-    Raises
-    ------
-    NumericsError
-        If λ is negative, not finite, or too small to determine the image; or a target is felt by no reading.
+    NumericsError if λ is negative, not finite, or too small to determine the image; or a target is felt by no
+    reading.
     """
     kept = _kept(problem, design)
     return kept.matrices.get(hyperparameter) or _Search(problem, design, kept).at(hyperparameter)
@@ -206,13 +182,7 @@ class GreitChoice:
 
 
 def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figure: float) -> GreitChoice:
-    """Find the λ whose matrix has a noise figure, to 1 in 1000.
-
-    Raises
-    ------
-    NumericsError
-        If there is none; says the range that can be reached.
-    """
+    """Find the λ whose matrix has a noise figure, to 1 in 1000; NumericsError says the range otherwise."""
     kept = _kept(problem, design)
     if noise_figure not in kept.chosen:
         kept.chosen[noise_figure] = _Search(problem, design, kept).for_noise_figure(noise_figure)

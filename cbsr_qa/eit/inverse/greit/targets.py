@@ -142,13 +142,7 @@ def _check_resolved(mesh: Mesh, head_mm: float, radii_mm: tuple[float, ...]) -> 
 
 
 def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesign) -> Targets:
-    """Make targets of every size all over the sheet; readings are taken as linear in the contrast.
-
-    Raises
-    ------
-    NumericsError
-        If a target is felt by no reading.
-    """
+    """Make targets of every size all over the sheet, linear in contrast; NumericsError if no reading feels one."""
     mesh, nodes = problem.mesh, problem.mesh.nodes_mm
     centres = nodes[_apart(nodes, _CLOSEST * design.head_mm)]
     white = fold.rows(problem.jacobian) / np.sqrt(fold.variance)[:, None]

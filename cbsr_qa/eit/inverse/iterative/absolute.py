@@ -42,8 +42,7 @@ class SheetState:
 
     Parameters
     ----------
-    log_conductance : (e,) ln γ.
-    log_contact : (electrodes,) ln z, z in mm.
+    log_conductance : (e,) ln γ. log_contact : (electrodes,) ln z, z in mm.
     """
 
     log_conductance: Array
@@ -119,17 +118,12 @@ class SheetPrior:
 
     @classmethod
     def of(cls, mesh: Mesh, *, spread: float, length_mm: float, level: float, contact: float) -> "SheetPrior":
-        """Matérn covariance of smoothness 3/2, and a level common to all elements.
+        """Matérn covariance of smoothness 3/2, and a level common to all elements; raises as :func:`matern`.
 
         Parameters
         ----------
         spread : standard deviation of ln γ about the level. length_mm : over which it varies.
         level : standard deviation of the level. contact : of each ln z.
-
-        Raises
-        ------
-        NumericsError
-            As :func:`matern`.
         """
         return cls(spread**2 * matern(mesh, length_mm) + level**2, contact**2)
 
@@ -182,16 +176,9 @@ def matern(mesh: Mesh, length_mm: float) -> Array:
 
 
 class Linearised:
-    """A state with its Jacobian, and the dual system of a step from it.
+    """A state with its Jacobian, and the dual system of a step from it, for the prior C and (g,) σ².
 
-    Parameters
-    ----------
-    solved : the state. prior : C. variance : (g,) σ² of the folded readings.
-
-    Raises
-    ------
-    NumericsError
-        If the noise variances, against what is expected, leave a system that rounding decides.
+    NumericsError if the noise variances, against the prior, leave a system that rounding decides.
     """
 
     def __init__(self, solved: SolvedSheet, prior: SheetPrior, variance: Array) -> None:
@@ -252,18 +239,12 @@ def most_probable_state(
     most_steps: int = MOST_STEPS,
     tolerance: float = TOLERANCE,
 ) -> FoundState:
-    """Iterate to the most probable state, expecting the one to start from.
-
-    Parameters
-    ----------
-    start : θ₀, linearised.
-    wanted : (g,) folded readings d.
-    most_steps, tolerance : allowed, and the fall of Φ left at which the state counts as found.
+    """Iterate to the most probable state, expecting the one to start from, θ₀, for (g,) folded readings d.
 
     Raises
     ------
     NumericsError
-        If no step lowers Φ, or steps run out, before that; or if Φ is no finite number.
+        If no step lowers Φ, or steps run out, before less than ``tolerance`` is left; or if Φ is no finite number.
     """
     origin, here, variance = start.solved.state, start, start.variance
     place = _Place(np.zeros(len(origin.unknowns)), np.zeros(len(origin.unknowns)))

@@ -89,10 +89,7 @@ class AbsoluteImages:
     def of(cls, method: str, problem: ImagingProblem, expected: Expected) -> "AbsoluteImages":
         """Find the reference's state and linearise there.
 
-        Raises
-        ------
-        NumericsError
-            If the reference readings belong to no such sheet, or the iteration does not converge.
+        NumericsError if the reference readings belong to no such sheet, or the iteration does not converge.
         """
         model = SheetModel(problem, expected.mesh_size)
         variance = expected.deviation(problem) ** 2 * model.fold.variance
@@ -146,10 +143,7 @@ class AbsoluteImages:
     def contact_impedance(self) -> Array:
         """Contact impedances of the unloaded sensor times the unit model's conductance, (electrodes,) [mm].
 
-        Raises
-        ------
-        NumericsError
-            If the readings do not tell those of some electrodes; names them.
+        NumericsError names the electrodes whose readings do not tell.
         """
         error = self.reference.log_contact_error
         unknown = np.flatnonzero(error > _KNOWN * self.expected.contact_spread)

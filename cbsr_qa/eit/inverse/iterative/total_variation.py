@@ -73,11 +73,8 @@ class TotalVariation:
     def image(self, readings: Array, alpha: float) -> TvImage:
         """Minimise for whitened readings (m,) and a positive α.
 
-        Raises
-        ------
-        NumericsError
-            If readings or rows are so large or small that their squares are no
-            numbers, or the gap is not closed within the steps allowed.
+        NumericsError if squares of readings or rows are no numbers, or the gap is not closed within the steps
+        allowed.
         """
         with np.errstate(all="ignore"), warnings.catch_warnings():  # what is not finite is refused below
             warnings.simplefilter("ignore", linalg.LinAlgWarning)

@@ -36,7 +36,6 @@ class WhiteReadings:
 
     Parameters
     ----------
-    fold : which readings are the same.
     deviation : (g,) of the folded readings, relative.
     rows : (g, e), the Jacobian of white readings.
     """
@@ -99,8 +98,7 @@ class TotalVariationImages:
         RefusedError
             If readings do not fit or are not finite.
         NumericsError
-            If a frame does not converge, after how many steps; or if no image explains it to ten times the noise α
-            was chosen for: the image that comes nearest would be one of whatever else is in the readings.
+            If a frame does not converge, or no image explains it to ten times the noise α was chosen for.
         """
         return np.array([minimiser.image for minimiser in self.minimisers(changes)]).reshape(
             len(changes), len(self.problem.mesh.elements)
