@@ -7,12 +7,11 @@ from math import sqrt
 
 import numpy as np
 import pytest
+from certified_groups import certified_table
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.stats.gauge import gauge_anova, study
-from cbsr_qa.stats.gauge.anova import Source
 from cbsr_qa.stats.samples import quantile, summary
 from cbsr_qa.stats.variance_components import components
 
@@ -57,32 +56,12 @@ def test_certified_variance_components(oracle):
     assert (found.sensors, found.repeats) == (5, 20)
 
 
-def certified_table(offset, replicates):
-    """SmLs01 to 09 (Simon & Lesage 1989): nine groups about 0.3 to 0.5, values 0.1 away; certified F = replicates."""
-    return [
-        [offset + tenths / 10] + [offset + (tenths + away) / 10 for away in (-1, 1)] * (replicates // 2)
-        for tenths in (4, 3, 5, 3, 5, 3, 5, 3, 5)
-    ]
-
-
 @pytest.mark.parametrize("replicates", [21, 201, 2001])
 @pytest.mark.parametrize(("offset", "digits"), [(1, 13), (10**6, 8), (10**12, 2)])
 def test_simulated_sets_of_nist_lose_the_digits_that_doubles_lose(replicates, offset, digits):
     found = components(certified_table(offset, replicates))
     assert replicates * found.between / found.within == pytest.approx(replicates, rel=10.0**-digits)
     assert found.within == pytest.approx(0.09 * (replicates - 1) / (9 * (replicates - 1)), rel=10.0**-digits)
-
-
-@pytest.mark.parametrize("replicates", [21, 201])
-@pytest.mark.parametrize(("offset", "digits"), [(1, 13), (10**6, 8)])
-def test_the_gauge_analysis_keeps_the_digits_of_nists_sets(replicates, offset, digits):
-    """The nine groups as sensors, one station measured twice over: F of the sensors' table follows from one way."""
-    table = np.array(certified_table(offset, replicates))
-    rows = [(f"n{i}", f"s{j}", y) for i, values in enumerate(table) for j in (0, 1) for y in values]
-    found = {row.source: row for row in gauge_anova(study(*zip(*rows, strict=True))).table}
-    assert found[Source.SENSOR].sum_of_squares == pytest.approx(2 * 0.08 * replicates, rel=10.0**-digits)
-    assert found[Source.TRIAL].sum_of_squares == pytest.approx(2 * 0.09 * (replicates - 1), rel=10.0**-digits)
-    assert found[Source.STATION].sum_of_squares == pytest.approx(0.0, abs=10.0**-digits)
 
 
 def test_digit_loss_goes_no_further_than_the_doubles_themselves():

@@ -6,6 +6,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
+from certified_groups import certified_table
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
@@ -44,6 +45,18 @@ def test_analysis_of_variance_is_aiags(printed, example):
     assert rows[Source.INTERACTION].p == pytest.approx(answer["p_int"], abs=5.1e-5)
     assert found.interaction_pooled
     assert found.interaction_variance is None
+
+
+@pytest.mark.parametrize("replicates", [21, 201])
+@pytest.mark.parametrize(("offset", "digits"), [(1, 13), (10**6, 8)])
+def test_the_gauge_analysis_keeps_the_digits_of_nists_sets(replicates, offset, digits):
+    """The nine groups as sensors, one station measured twice over: F of the sensors' table follows from one way."""
+    table = np.array(certified_table(offset, replicates))
+    rows = [(f"n{i}", f"s{j}", y) for i, values in enumerate(table) for j in (0, 1) for y in values]
+    found = {row.source: row for row in gauge_anova(study(*zip(*rows, strict=True))).table}
+    assert found[Source.SENSOR].sum_of_squares == pytest.approx(2 * 0.08 * replicates, rel=10.0**-digits)
+    assert found[Source.TRIAL].sum_of_squares == pytest.approx(2 * 0.09 * (replicates - 1), rel=10.0**-digits)
+    assert found[Source.STATION].sum_of_squares == pytest.approx(0.0, abs=10.0**-digits)
 
 
 @pytest.mark.shared
