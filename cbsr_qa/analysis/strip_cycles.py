@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import limit_N
 from cbsr_qa.analysis.run import unloaded_frames
 from cbsr_qa.calibration.strip import Specimen, characterise
 from cbsr_qa.domain import NumericsError
@@ -22,8 +23,6 @@ Array = NDArray[np.float64]
 #: Samples are averaged into this many points a hold: ten times fewer than the load cell's, and enough for seconds.
 _POINTS: Final = 60
 _FEWEST: Final = 8
-#: Samples in a row at exactly the highest force that no noise leaves there: a second of the rig's cell.
-_FLAT: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,33 +82,7 @@ class StripForce:
 def strip_force(phase: PhaseRecord, area_mm2: float) -> StripForce:
     """Force of a phase, and whether its load cell was flat at a limit."""
     samples = phase.channel("force")
-    return StripForce(samples, area_mm2, None if samples is None else _limit_N(samples, phase.loads))
-
-
-def _limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None:
-    """Highest force, if many samples in a row equal it while the others vary.
-
-    Without noise a held force is flat too: it is then a limit only if holds of several strains end there.
-    """
-    if not len(samples):
-        return None
-    highest = float(samples.values.max())
-    at_limit = samples.values == highest
-    if highest <= 0 or _longest_run(at_limit) < _FLAT:
-        return None
-    others = samples.values[~at_limit]
-    still = len(others) > 1 and float((np.diff(others) == 0).mean()) > 0.5
-    strains = {
-        load.load.strain
-        for load in loads
-        if (samples.between(load.hold_start_s, load.release_start_s).values == highest).any()
-    }
-    return highest if not still or len(strains) > 1 else None
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    return StripForce(samples, area_mm2, None if samples is None else limit_N(samples, phase.loads))
 
 
 _BEFORE: Final = 4  # readings before a press

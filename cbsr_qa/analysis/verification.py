@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run import load_window, off_the_line
+from cbsr_qa.analysis.defects import off_the_line
+from cbsr_qa.analysis.run import load_window
 from cbsr_qa.calibration.fits import predict_steady, relaxation_curve
 from cbsr_qa.calibration.runtime import Calibration, Matches
 from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of

@@ -8,7 +8,7 @@ from calibration_samples import sample_force
 from observation_samples import sample_load, sample_run
 from test_issue import _issue
 
-from cbsr_qa.analysis.run import stood_at_limit
+from cbsr_qa.analysis.defects import stood_at_limit
 from cbsr_qa.calibration.force import LearnedForce, reading_reductions
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.readings import SampleBlock

@@ -3,7 +3,6 @@ from .analysis import (
     AnalysisChoices as AnalysisChoices,
     analyse_recording as analyse_recording,
 )
-from .channels import find_faults as find_faults
 from .images import (
     EventImages as EventImages,
     Sighting as Sighting,

@@ -7,10 +7,10 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from cbsr_qa.analysis.defects import channel_noise, find_steps, noise_report
 from cbsr_qa.analysis.recording.imaged_events import Imaged, image_events
 from cbsr_qa.analysis.recording.images import Tell
 from cbsr_qa.analysis.recording.imaging import nominal_disc
-from cbsr_qa.analysis.recording.noise import channel_noise, find_steps, noise_report
 from cbsr_qa.analysis.recording.ready import ReadyReadings, channel_report, make_ready
 from cbsr_qa.analysis.recording.scene import FEWEST_FRAMES, RecordedScene, Searched
 from cbsr_qa.domain import NumericsError, RecordingError

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import MAD_TO_SIGMA
+
 Array = NDArray[np.float64]
 
 #: Frames before and after a moment that are compared; wider windows find weaker and slower presses.
@@ -130,7 +132,7 @@ def _differences(scores: Array, at: NDArray[np.int64], window: int) -> Array:
 
 def _spread(step: Array) -> tuple[Array, Array]:
     middle: Array = np.median(step, axis=0)
-    noise = 1.4826 * np.median(np.abs(step - middle), axis=0)
+    noise = MAD_TO_SIGMA * np.median(np.abs(step - middle), axis=0)
     return middle, np.maximum(noise, max(1.0, float(np.median(noise))))
 
 

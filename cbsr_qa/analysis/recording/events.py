@@ -8,7 +8,7 @@ meanwhile does not end it. Each is imaged against the frames just before it, so 
 not matter.
 
 Not every step is a load: one that is proportional to the frame itself is a change of gain, one in the readings of a
-single contact is that contact (:mod:`channels`), and one no place explains is neither.
+single contact is that contact (:mod:`cbsr_qa.analysis.defects`), and one no place explains is neither.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import Suspect, suspect_in
 from cbsr_qa.analysis.recording.changes import Change, find_changes
-from cbsr_qa.analysis.recording.channels import Suspect, suspect_in
 from cbsr_qa.analysis.recording.groups import (
     SAME_PLACE,
     Group,

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import MAD_TO_SIGMA
 from cbsr_qa.analysis.recording.changes import Change, threshold_for
 from cbsr_qa.analysis.recording.places import Matcher
 from cbsr_qa.analysis.recording.traces import BEFORE_FRAMES, difference, rough, smooth, trace
@@ -202,7 +203,7 @@ def _strongest(scores: Array, at: NDArray[np.int64], width: int) -> tuple[Array,
 
 
 def _scaled(difference: Array) -> Array:
-    noise = 1.4826 * np.median(np.abs(difference - np.median(difference, axis=0)), axis=0)
+    noise = MAD_TO_SIGMA * np.median(np.abs(difference - np.median(difference, axis=0)), axis=0)
     scaled: Array = difference / np.maximum(noise, max(float(np.median(noise)), 1e-12))
     return scaled
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import MAD_TO_SIGMA
+
 Array = NDArray[np.float64]
 
 #: A further load must explain this share of the whole change, and of what the first one explains.
@@ -140,7 +142,7 @@ def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) 
         white = fitted.whiten(change[None])[0]
         chosen = _settled(white, fitted, chosen, sign)
         left = np.abs(_left(white, fitted, chosen) * sigma)
-        spread = max(1.4826 * float(np.median(left)), 1e-300)
+        spread = max(MAD_TO_SIGMA * float(np.median(left)), 1e-300)
         sigma = np.sqrt(np.maximum(left / (_HUBER * spread), 1.0))
         fitted = matcher(match.patterns, match.places, sigma, match.nuisance)
     white = fitted.whiten(change[None])[0]

@@ -1,24 +1,11 @@
-"""Preparation of a recording for imaging: bad channels masked, carry-over removed.
-
-Single readings that jump for a frame or so: replaced before anything is looked for.
-
-A converter, a multiplexer or a cable now and then delivers one reading that has nothing to do with the sheet. Such a
-reading stands out of its own neighbours in time (Hampel's identifier: distance from the running median over the
-noise). So does a short press, but a passive sheet is reciprocal: whatever a load does to V_ij it does to V_ji, in the
-same frame. A reading is a spike only if the one with drive and measurement exchanged did not go along.
-
-Source: F. R. Hampel, "The influence curve and its role in robust estimation", J. Am. Stat. Assoc. 69 (1974) 383–393.
-Departure: the scale is the channel's noise over the whole recording, not that of the window, which a quiet handful
-of frames would underestimate.
-"""
+"""Preparation of a recording for imaging: bad channels masked, carry-over removed, spikes replaced."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.recording.channels import ChannelFaults, find_faults
-from cbsr_qa.analysis.recording.noise import channel_noise
+from cbsr_qa.analysis.defects import ChannelFaults, channel_noise, despiked, find_faults
 from cbsr_qa.domain.readings import (
     CarryOver,
     ChannelReport,
@@ -36,60 +23,6 @@ from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-_HALF_WINDOW = 3  #: frames on either side: spikes of up to three frames are seen
-_SIGMA = 7.0  #: distance from the running median, over the noise
-_GOES_ALONG = 0.25  #: a reciprocal reading that moves by this share of it goes along: no spike
-_FEW = 0.05  #: where there is no reciprocal reading, at most this share of a frame may be spikes
-
-
-def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mask]:
-    """Replace spikes by the running median of their channel.
-
-    Parameters
-    ----------
-    voltages : (n, drives, measures), carry-over taken out.
-    usable : (drives, measures) bool, channels to mend; the others are left as they are.
-    counts : whether the values are whole counts.
-
-    Returns
-    -------
-    The readings, and (n, drives, measures) bool, which of them were replaced.
-    """
-    n = len(voltages)
-    if n < 2 * _HALF_WINDOW + 2 or not usable.any():
-        return voltages, np.zeros(voltages.shape, dtype=bool)
-    level = np.array(voltages)
-    level[:, usable] = _running_median(voltages[:, usable])
-    sigma = np.ones(usable.shape)
-    sigma[usable] = channel_noise(voltages[:, usable], counts=counts)
-    apart = voltages - level
-    # Where most readings of a frame are far from their neighbours in time, the noise has grown, or the sheet moved.
-    unrest = 1.4826 * np.median(np.abs(apart[:, usable]) / sigma[usable], axis=1)
-    far = (np.abs(apart) > _SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
-    spikes = far & _alone(apart, far, usable)
-    return np.where(spikes, level, voltages), spikes
-
-
-def _running_median(readings: Array) -> Array:
-    """Running median of each channel, mirrored at the ends."""
-    padded = np.pad(readings, ((_HALF_WINDOW, _HALF_WINDOW), (0, 0)), mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _HALF_WINDOW + 1, axis=0)
-    level: Array = np.median(windows, axis=-1)
-    return level
-
-
-def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
-    """Whether the reciprocal of a reading did not change with it."""
-    square = usable.shape[0] == usable.shape[1]
-    partner = usable & usable.T if square else np.zeros_like(usable)
-    few = (far.sum(axis=(1, 2)) <= _FEW * usable.sum())[:, None, None]
-    alone: Mask = np.broadcast_to(few, far.shape)
-    if square:
-        along = apart.swapaxes(1, 2) * np.sign(apart)
-        alone = np.where(partner, along < _GOES_ALONG * np.abs(apart), alone)
-    return alone
-
 
 _MOST_LISTED = 6  #: channels named in a remark
 

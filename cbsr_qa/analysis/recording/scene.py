@@ -6,12 +6,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import Suspect, channel_noise, suspects_of
 from cbsr_qa.analysis.recording.changes import nearest_step
-from cbsr_qa.analysis.recording.channels import Suspect, suspects_of
 from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, held_from_the_beginning, search
 from cbsr_qa.analysis.recording.images import Sighting, frames_around, nearest_frames
 from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model, sheet_for, unit_model, usable_volts
-from cbsr_qa.analysis.recording.noise import channel_noise
 from cbsr_qa.analysis.recording.places import Matcher, Place, matcher, robust_directions
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fitted_tank, reciprocal_noise

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import MAD_TO_SIGMA
 from cbsr_qa.analysis.recording.changes import Change
 
 Array = NDArray[np.float64]
@@ -104,7 +105,7 @@ def end_of(along: Array, begin: int, limit: int) -> float:
     top = int(np.argmax(part))
     last = float(part[-min(3, len(part)) :].mean())
     drop = float(part[top]) - last
-    noise = 1.4826 * float(np.median(np.abs(np.diff(part)))) / np.sqrt(2)
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(part)))) / np.sqrt(2)
     if drop < max(_RELEASED * float(part[top]), 4 * noise):
         return float(limit - 1)
     reach = min(3, len(part) - 1 - top)

@@ -26,17 +26,9 @@ from .force_quality import (
     places_mm as places_mm,
     tests_of as tests_of,
 )
-from .loads import load_window as load_window, stood_at_limit as stood_at_limit
+from .loads import load_window as load_window
 from .observe import observe_run as observe_run
-from .reference import (
-    FEWEST_FRAMES as FEWEST_FRAMES,
-    check_weighing as check_weighing,
-    largest_by_reading as largest_by_reading,
-    off_the_line as off_the_line,
-    reciprocity_errors as reciprocity_errors,
-    signal_to_noise_dB as signal_to_noise_dB,
-    unloaded_frames as unloaded_frames,
-)
+from .reference import check_weighing as check_weighing, unloaded_frames as unloaded_frames
 from .sizes import (
     FLAT as FLAT,
     SizeResponse as SizeResponse,

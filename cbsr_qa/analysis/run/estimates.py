@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import off_the_line
 from cbsr_qa.analysis.run.loads import LoadWindow, window_of
-from cbsr_qa.analysis.run.reference import off_the_line
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import LoadEstimate, LoadObservation, RunObservation

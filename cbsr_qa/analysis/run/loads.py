@@ -1,4 +1,4 @@
-"""Analysis of one press: steady image, blobs, force (also whether the load cell stood at its limit), relaxations."""
+"""Analysis of one press: steady image, blobs, force, relaxations."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import stood_at_limit
 from cbsr_qa.analysis.run.imaging import Imager, mask_views, mean_under
 from cbsr_qa.calibration.fits import fit_relaxation, relaxation_start, settling_time, window_s
 from cbsr_qa.domain import NumericsError
@@ -16,34 +17,9 @@ from cbsr_qa.domain.results import Image, LoadObservation, RelaxationObservation
 from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord
 from cbsr_qa.domain.sensor import Response
 
-#: A hold of fewer samples does not say that a cell stands still.
-_FEWEST: Final = 8
-#: Share of a hold's samples that are the highest reading of the phase, to the last digit: noise and relaxation would
-#: lead away from it.
-_SHARE: Final = 0.9
 #: Stress samples are averaged into this many points a window: the load cell's 8 Hz over a minute are ten times
 #: what a fit of tens of seconds needs, and cost ten times its time.
 _STRESS_POINTS: Final = 60
-
-
-def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
-    """Report that the cell stayed at its highest reading throughout a hold; empty otherwise.
-
-    A cell whose readings never differ while nothing presses has no noise (a simulated world without any), and nothing
-    can be told from its standing still.
-    """
-    if samples is None:
-        return ""
-    held = samples.between(record.hold_start_s, record.release_start_s).values
-    if len(held) < _FEWEST:
-        return ""
-    highest = float(samples.values.max())
-    if highest <= 0 or np.mean(held == highest) < _SHARE:
-        return ""
-    rest = samples.between(record.unloaded_s, record.rest_end_s).values
-    if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
-        return ""
-    return f"the load cell read {highest:.4g} N, its highest reading, throughout the hold: it is saturated"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run.loads import stood_at_limit
+from cbsr_qa.analysis.defects import stood_at_limit
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results import LoopObservation, Trace

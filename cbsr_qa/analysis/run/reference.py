@@ -1,7 +1,6 @@
 """The unloaded sheet of a run: its frames, reference frame, usable readings, and the weight of each reading."""
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,80 +10,8 @@ from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, join_frames
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
-from cbsr_qa.domain.sensor import DrivePattern
 from cbsr_qa.eit.inverse import imaging_problem, reading_noise
 from cbsr_qa.plugin import Reconstruction
-
-Array = NDArray[np.float64]
-
-#: Frames below which a scatter about a straight line says nothing.
-FEWEST_FRAMES: Final = 3
-_ROUNDING: Final = 1e-13  # of the largest level: less is no noise
-
-
-def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
-    """Return the signal-to-noise ratio of every reading [dB], (drives, measures).
-
-    A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
-    once, as drift.
-
-    Returns
-    -------
-    +∞ where a reading never left its line, −∞ where one is noise about zero alone; None with fewer than three frames.
-    """
-    if len(frames) < FEWEST_FRAMES:
-        return None
-    level = np.abs(frames.voltages.mean(axis=0))
-    readings = frames.voltages.reshape(len(frames), -1)
-    squares = (off_the_line(readings - readings.mean(axis=0), frames.time_s) ** 2).reshape(frames.voltages.shape)
-    noise = np.sqrt(squares.sum(axis=0) / (len(frames) - 2))
-    silent = noise <= _ROUNDING * level.max(initial=0.0)
-    ratio = level / np.where(silent, 1.0, noise)
-    loud = ratio > 0
-    decibel = np.where(loud, 20 * np.log10(np.where(loud, ratio, 1.0)), -np.inf)
-    return np.where(silent, np.inf, decibel)
-
-
-def reciprocity_errors(
-    frame: Array, pattern: DrivePattern, usable: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], Array]:
-    """Return the reciprocity error of every pair of readings that should be equal.
-
-    Parameters
-    ----------
-    frame : (drives, measures) float64.
-    usable : (drives, measures); pairs with a reading that is not usable are left out.
-
-    Returns
-    -------
-    pairs : (k, 2) int64, readings by their place in C order.
-    errors : (k,) float64, |V_ij ∓ V_ji| over the rms of all these readings; empty where there is none, or all are 0.
-    """
-    pairs, sign = pattern.reciprocal_pairs()
-    both = usable.ravel()[pairs].all(axis=1)
-    first, second = frame.ravel()[pairs[both]].T
-    level = float(np.sqrt(np.mean(np.concatenate([first, second]) ** 2))) if both.any() else 0.0
-    if level == 0:
-        return np.empty((0, 2), dtype=np.int64), np.empty(0)
-    errors: Array = np.abs(first - sign[both] * second) / level
-    return pairs[both], errors
-
-
-def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int, int]) -> Array:
-    """Return the largest error of the pairs each reading belongs to, (drives, measures); −1 where it is in none."""
-    largest = np.full(shape[0] * shape[1], -1.0)
-    # Column by column: numpy's ufunc.at reads beyond operands that it has to broadcast.
-    for reading in pairs.T:
-        np.maximum.at(largest, reading, errors)
-    return largest.reshape(shape)
-
-
-def off_the_line(readings: Array, time_s: Array) -> Array:
-    """Return the deviations of readings (n, m) from their straight lines in time (n,)."""
-    q, _ = np.linalg.qr(np.column_stack([np.ones(len(time_s)), time_s - time_s.mean()]))
-    left: Array = readings - q @ (q.T @ readings)
-    return left
-
 
 #: A frame with more than this share of its imaged readings flagged is lost as a whole.
 _LOST_SHARE = 0.25

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from cbsr_qa.analysis.run import reciprocity_errors
+from cbsr_qa.analysis.defects import reciprocity_errors
 from cbsr_qa.domain.readings import UNUSABLE, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.results import Measurement, RunObservation
 from cbsr_qa.plugin import PluginOptions, WithOptions

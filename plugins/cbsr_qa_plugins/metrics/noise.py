@@ -4,7 +4,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run import FEWEST_FRAMES, off_the_line, signal_to_noise_dB
+from cbsr_qa.analysis.defects import FEWEST_FRAMES, off_the_line, signal_to_noise_dB
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run import largest_by_reading, reciprocity_errors, signal_to_noise_dB
+from cbsr_qa.analysis.defects import largest_by_reading, reciprocity_errors, signal_to_noise_dB
 from cbsr_qa.domain.results import (
     Block,
     Cell,

@@ -5,10 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cbsr_qa.analysis.defects import channel_noise, find_faults
 from cbsr_qa.analysis.recording.analysis import analyse_recording
-from cbsr_qa.analysis.recording.channels import find_faults
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
-from cbsr_qa.analysis.recording.noise import channel_noise
 from cbsr_qa.domain.readings import CarryOver, FrameBlock, Recording, ScanKind, VoltageUnit
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 

@@ -10,7 +10,7 @@ from recording_samples import sample_recording
 from report_samples import ended_early, without_blobs
 from section_texts import blocks, check_showable, tables, texts
 
-from cbsr_qa.analysis.run import signal_to_noise_dB
+from cbsr_qa.analysis.defects import signal_to_noise_dB
 from cbsr_qa.domain.results import Figure, FitStatus, Paragraph
 from cbsr_qa.plugin import Kind
 from cbsr_qa.report import alike

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.recording import find_faults
+from cbsr_qa.analysis.defects import find_faults
 from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
 from cbsr_qa.domain.results import ImagingProblem

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.analysis.recording.channels import find_faults
-from cbsr_qa.analysis.recording.noise import channel_noise, find_steps, noise_report
+from cbsr_qa.analysis.defects import channel_noise, find_faults, find_steps, noise_report
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
 
 

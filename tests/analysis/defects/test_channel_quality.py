@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cbsr_qa.analysis.run.reference import largest_by_reading, reciprocity_errors, signal_to_noise_dB
+from cbsr_qa.analysis.defects import largest_by_reading, reciprocity_errors, signal_to_noise_dB
 from cbsr_qa.domain.readings import FrameBlock, VoltageUnit
 from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern
 

@@ -1,116 +1,15 @@
-"""Faulty channels of a recording: saturated, stuck, disconnected, or changed at an electrode.
-
-Changes that come from an electrode and not from the sheet.
-
-A lost, shorted or changed contact changes the readings that touch its electrode, as drive or as measurement, and
-leaves the others alone. A load at the rim near that electrode changes the same readings most, but not only them:
-its pattern reaches all over the sheet. So a change is an electrode's if nearly all of it lies in the readings of one
-electrode (or of one pair of neighbours), and the load it would best be taken for is missing from all the others.
-"""
+"""Faulty channels of a block of frames: saturated, stuck, missing or disconnected."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
-from cbsr_qa.domain.sensor import DrivePattern
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-#: Least share of a change's energy, above noise, that lies in the readings of one electrode.
-_INSIDE = 0.9
-#: A load whose pattern is seen at less than this share of its size in all other readings is not there …
-_SEEN_OUTSIDE = 0.5
-#: … by so many standard errors.
-_SIGMAS = 2.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Suspect:
-    """Readings that share one contact or one pair.
-
-    Parameters
-    ----------
-    name : in words, "electrode 5".
-    electrodes : whose contacts are suspected.
-    readings : (m,) bool, of the used readings.
-    """
-
-    name: str
-    electrodes: tuple[int, ...]
-    readings: Mask
-
-
-def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
-    """List the readings that each bad contact would affect, fewest first.
-
-    Parameters
-    ----------
-    used : (drives, measures) bool with m True entries.
-    """
-    drive, measure = np.nonzero(used)
-    suspects = [Suspect(f"drive pair {k}", pair, drive == k) for k, pair in enumerate(pattern.drive)]
-    suspects += [Suspect(f"measure pair {k}", pair, measure == k) for k, pair in enumerate(pattern.measure)]
-    if pattern.drive == pattern.measure:
-        suspects += [
-            Suspect(f"pair {k} (electrodes {pair[0]} and {pair[1]})", pair, (drive == k) | (measure == k))
-            for k, pair in enumerate(pattern.drive)
-        ]
-    for electrode in range(pattern.electrode_count):
-        driven = np.array([electrode in pair for pair in pattern.drive])
-        measured = np.array([electrode in pair for pair in pattern.measure])
-        suspects.append(Suspect(f"electrode {electrode}", (electrode,), driven[drive] | measured[measure]))
-    kept = [suspect for suspect in suspects if suspect.readings.any() and not suspect.readings.all()]
-    return tuple(sorted(kept, key=lambda suspect: int(suspect.readings.sum())))
-
-
-def suspect_in(
-    change: Array, load: Array, hidden: Array, noise: float, suspects: tuple[Suspect, ...]
-) -> Suspect | None:
-    """Find the contact that explains a change.
-
-    Parameters
-    ----------
-    change : (m,) whitened, ``hidden`` projected out.
-    load : (m,) what the best places make of the change, treated alike.
-    hidden : (m,) whitened nuisance, unit length.
-    noise : variance of each reading of the change.
-
-    Returns
-    -------
-    The suspect with the fewest readings that explains the change; None where the sheet may have changed.
-    """
-    for suspect in suspects:
-        inside, outside = _parts(change, hidden, suspect.readings)
-        total = float(inside @ inside + outside @ outside) - noise * len(change)
-        doubt = _SIGMAS * noise * np.sqrt(2 * len(outside))
-        rest = float(outside @ outside) - noise * len(outside)
-        if total <= 0 or rest > (1 - _INSIDE) * total + doubt or total < 4 * doubt:
-            continue
-        if not _seen(load, outside, hidden, suspect.readings, noise):
-            return suspect
-    return None
-
-
-def _seen(load: Array, outside: Array, hidden: Array, readings: Mask, noise: float) -> bool:
-    """Whether a load may explain it: its pattern must show in readings that do not touch the contact."""
-    expected = _parts(load, hidden, readings)[1]
-    power = float(expected @ expected)
-    if power == 0:
-        return True
-    share, error = float(expected @ outside) / power, float(np.sqrt(noise / power))
-    return share + _SIGMAS * error > _SEEN_OUTSIDE
-
-
-def _parts(change: Array, hidden: Array, readings: Mask) -> tuple[Array, Array]:
-    """Split a change, taking the nuisance out by the readings outside alone: inside it may be part of the fault."""
-    out = ~readings
-    power = float(hidden[out] @ hidden[out])
-    share = float(hidden[out] @ change[out]) / power if power > 0 else 0.0
-    return change[readings] - share * hidden[readings], change[out] - share * hidden[out]
-
 
 #: A channel is at a rail if this share of its readings are exactly there, and flagged if so many are flagged.
 _AT_RAIL = 0.5
@@ -226,7 +125,7 @@ def _at_ceiling(voltages: Array) -> Mask:
     """
     rows = voltages[:, 0, :]
     level = np.median(rows, axis=0)
-    sigma = np.maximum(1.4826 * np.median(np.abs(rows - level), axis=0), 1e-12)
+    sigma = np.maximum(MAD_TO_SIGMA * np.median(np.abs(rows - level), axis=0), 1e-12)
     top = float(np.median(np.sort(level)[-3:]))
     noise = float(np.median(sigma[level >= top - np.ptp(level) / 2]))
     together = np.abs(level - top) <= 2 * noise

@@ -1,0 +1,17 @@
+from .channels import ChannelFaults as ChannelFaults, find_faults as find_faults
+from .contacts import Suspect as Suspect, suspect_in as suspect_in, suspects_of as suspects_of
+from .load_cell import limit_N as limit_N, stood_at_limit as stood_at_limit
+from .noise import (
+    MAD_TO_SIGMA as MAD_TO_SIGMA,
+    channel_noise as channel_noise,
+    find_steps as find_steps,
+    noise_report as noise_report,
+)
+from .quality import (
+    FEWEST_FRAMES as FEWEST_FRAMES,
+    largest_by_reading as largest_by_reading,
+    off_the_line as off_the_line,
+    reciprocity_errors as reciprocity_errors,
+    signal_to_noise_dB as signal_to_noise_dB,
+)
+from .spikes import despiked as despiked

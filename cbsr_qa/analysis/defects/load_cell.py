@@ -1,0 +1,63 @@
+"""Load cells that read the same, highest force while the press goes on: at their limit."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.readings import SampleBlock
+from cbsr_qa.domain.run import LoadRecord
+
+#: A hold of fewer samples does not say that a cell stands still.
+_FEWEST: Final = 8
+#: Share of a hold's samples that are the highest reading of the phase, to the last digit: noise and relaxation would
+#: lead away from it.
+_SHARE: Final = 0.9
+#: Samples in a row at exactly the highest force that no noise leaves there: a second of the rig's cell.
+_FLAT: Final = 8
+
+
+def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
+    """Report that the cell stayed at its highest reading throughout a hold; empty otherwise.
+
+    A cell whose readings never differ while nothing presses has no noise (a simulated world without any), and nothing
+    can be told from its standing still.
+    """
+    if samples is None:
+        return ""
+    held = samples.between(record.hold_start_s, record.release_start_s).values
+    if len(held) < _FEWEST:
+        return ""
+    highest = float(samples.values.max())
+    if highest <= 0 or np.mean(held == highest) < _SHARE:
+        return ""
+    rest = samples.between(record.unloaded_s, record.rest_end_s).values
+    if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
+        return ""
+    return f"the load cell read {highest:.4g} N, its highest reading, throughout the hold: it is saturated"
+
+
+def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None:
+    """Highest force, if many samples in a row equal it while the others vary.
+
+    Without noise a held force is flat too: it is then a limit only if holds of several strains end there.
+    """
+    if not len(samples):
+        return None
+    highest = float(samples.values.max())
+    at_limit = samples.values == highest
+    if highest <= 0 or _longest_run(at_limit) < _FLAT:
+        return None
+    others = samples.values[~at_limit]
+    still = len(others) > 1 and float((np.diff(others) == 0).mean()) > 0.5
+    strains = {
+        load.load.strain
+        for load in loads
+        if (samples.between(load.hold_start_s, load.release_start_s).values == highest).any()
+    }
+    return highest if not still or len(strains) > 1 else None
+
+
+def _longest_run(flags: NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
