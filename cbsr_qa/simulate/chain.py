@@ -98,10 +98,7 @@ class Chain:
     def apply(self, stage: str, moment: Moment) -> None:
         """Apply the effects of a stage to a moment, in order.
 
-        Raises
-        ------
-        PluginError
-            If one fails, or leaves what is no finite number.
+        PluginError if one fails, or leaves what is no finite number.
         """
         for name, effect in self._stages[stage]:
             try:  # not _blaming: this is most of what is called
@@ -169,19 +166,13 @@ def _failed(name: str, error: BaseException, when: str = "") -> PluginError:
 def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFactory) -> Chain:
     """Create a scene's effects, in its order.
 
+    ConfigError if an effect is on twice, lacks what it needs or comes before it, or before one that is on and that it
+    says it acts ``after``; perturbs nothing known, or is given a parameter it does not have; PluginError if there is
+    no such effect (raised by ``effect_factory``).
+
     Parameters
     ----------
-    scene : what is on.
-    setting : given to every effect.
     effect_factory : finds an effect's factory by name; only names that are on are asked for.
-
-    Raises
-    ------
-    ConfigError
-        If an effect is on twice, lacks what it needs or comes before it, or before one that is on and that it says it
-        acts ``after``; perturbs nothing known, or is given a parameter it does not have.
-    PluginError
-        If there is no such effect (raised by ``effect_factory``).
     """
     made: dict[str, AnyEffect] = {}
     for choice in scene.effects:

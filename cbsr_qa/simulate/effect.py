@@ -20,16 +20,11 @@ class SceneEffect:
     """An effect that is made of its options and the scene's setting.
 
     Subclasses say what they perturb, and have the method of that stage (``apply``, ``design`` or ``record``).
+    ConfigError naming every option that is unknown, missing or wrong, or does not fit the setting.
 
     Parameters
     ----------
-    setting : of the scene.
     options : as of the class's own ``Options``; without one there are none.
-
-    Raises
-    ------
-    ConfigError
-        Naming every option that is unknown, missing or wrong, or does not fit the setting.
     """
 
     Options: ClassVar[type[PluginOptions]] = PluginOptions
@@ -47,13 +42,7 @@ class SceneEffect:
 
 
 def check_at_most(name: str, value: float, most: float, why: str) -> None:
-    """Refuse an option that is too large for the scene it is used in.
-
-    Raises
-    ------
-    ConfigError
-        Naming option, value and limit.
-    """
+    """Refuse an option that is too large for the scene it is used in. ConfigError naming option, value and limit."""
     if value > most:
         raise ConfigError(f"{name} is {value}", remedy=f"it must be at most {most:g}: {why}")
 

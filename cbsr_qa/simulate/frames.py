@@ -23,18 +23,12 @@ class SimulatedRing:
 
     It is plugged in where the sensor is, so that what leads, source, meter and converter do to a reading they do here
     too. Effects on the sheet and its contacts do nothing: the resistors are soldered, and there is nothing to press.
+    ConfigError if there are not as many as electrodes; NumericsError if one is not above zero.
 
     Parameters
     ----------
     design : of the sheet that is not there; its electrodes are the ring's terminals.
     resistances_ohm : the first between electrodes 0 and 1, the last between the last one and 0.
-
-    Raises
-    ------
-    ConfigError
-        If there are not as many as electrodes.
-    NumericsError
-        If one is not above zero.
     """
 
     def __init__(self, design: SheetDesign, resistances_ohm: Sequence[float]) -> None:
@@ -99,10 +93,6 @@ class FrameMaker:
     Readings that are taken one after the other see the sheet at different times. It is solved where ramps begin and
     end within the frame, and once between, and readings are read off the parabola through each three: the change of a
     frame of 2.5 s that relaxes with a time constant of 5 s is followed to 2e-3 of itself.
-
-    Parameters
-    ----------
-    sheet, chain : of the world.
     """
 
     def __init__(self, sheet: SimulatedSheet | SimulatedRing, chain: Chain) -> None:
@@ -119,7 +109,6 @@ class FrameMaker:
         Parameters
         ----------
         moment_at : makes the moment of a time, always with the frame's own index.
-        time_s : of the frame's middle.
         pauses_s : (drives,) how much later each row is read, where readings are not all taken at once.
         """
         moment = moment_at(time_s)

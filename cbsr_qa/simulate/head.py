@@ -213,18 +213,8 @@ class SimulatedHead:
     def find_surface(self, read_force_N: Callable[[float], float]) -> float:
         """Step down until the contact force, and extrapolate the force–depth line to zero.
 
-        Parameters
-        ----------
-        read_force_N : mean force over this many seconds up to now.
-
-        Returns
-        -------
-        Depth of the surface from the hover height [mm].
-
-        Raises
-        ------
-        InstrumentError
-            If there is no contact force down to the deepest point, or it does not rise with depth.
+        Returns depth of the surface from the hover height [mm]. InstrumentError if there is no contact force down to
+        the deepest point, or it does not rise with depth.
         """
         self.lift()
         depths, forces = self._search(read_force_N)

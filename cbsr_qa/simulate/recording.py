@@ -61,20 +61,11 @@ class PressedLoad:
 def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[PressedLoad, ...]:
     """Let every head of a scene press its loads, each on its own clock.
 
+    Returns in the scene's order. RefusedError if a load strains the sheet, as it truly lies and is, by 100 % or more.
+
     Parameters
     ----------
     world : presses are appended to its list, those of head 1 first.
-    plan : whose loads were found to be possible.
-    end_s : when the last rest is over.
-
-    Returns
-    -------
-    In the scene's order.
-
-    Raises
-    ------
-    RefusedError
-        If a load strains the sheet, as it truly lies and is, by 100 % or more.
     """
     pressed: list[PressedLoad] = []
     for number, loads in plan.heads().items():
@@ -164,9 +155,7 @@ class RecordedScene:
 
     Parameters
     ----------
-    recording : all frames, also those of which rows are lost.
     transcript : which rows those are, and where a board paused.
-    pressed : every load, in the scene's order.
     """
 
     recording: Recording
@@ -189,12 +178,9 @@ def frame_times_s(transcript: Transcript) -> tuple[Array, Array]:
 
     A frame's time is its planned middle and what the board had paused up to the row in the frame's middle (of 16 rows
     the ninth, the first that is read after it): a dump before that row makes the frame itself late, one behind it
-    only the rest of its rows.
-
-    Returns
-    -------
-    (frames,) times of the frames, and (frames, drives) how much later than with its frame's time each row is read,
-    [s]; below zero for rows that were read before a dump in the frame's first half.
+    only the rest of its rows. Returns (frames,) times of the frames, and (frames, drives) how much later than with
+    its frame's time each row is read, [s]; below zero for rows that were read before a dump in the frame's first
+    half.
     """
     pauses_s = transcript.pauses_s()
     middle_s = pauses_s[:, pauses_s.shape[1] // 2]
@@ -207,18 +193,12 @@ def record_scene(
     """Press a scene's loads and record it.
 
     Everything is addressed (frames by their number, force samples by theirs) and done one after the other, so that
-    the same scene and seed give the same bytes everywhere.
+    the same scene and seed give the same bytes everywhere. RefusedError if a load strains the sheet by 100 % or more,
+    or an effect leaves nothing that can be solved.
 
     Parameters
     ----------
-    world : of the scene, with no press on it yet.
-    plan : whose loads were found to be possible.
     progress : told how many frames of how many are taken.
-
-    Raises
-    ------
-    RefusedError
-        If a load strains the sheet by 100 % or more, or an effect leaves nothing that can be solved.
     """
     transcript = world.transcript(planned_middles_s(plan))
     paused_s = sum(dump.pause_s for dump in transcript.dumps)

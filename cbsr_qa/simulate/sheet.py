@@ -34,18 +34,12 @@ class SimulatedSheet:
     """A sheet scaled to the material's mean inter-electrode resistance.
 
     The model is solved for a mean sheet conductance of 1 S and contact impedances in mm: all voltages of a sheet of
-    mean conductance γ₀ whose contacts scale with it are 1/γ₀ of these, exactly.
+    mean conductance γ₀ whose contacts scale with it are 1/γ₀ of these, exactly. RefusedError if electrodes were moved
+    out of place: off the sheet, or onto each other.
 
     Parameters
     ----------
-    design : what the scene's effects made of it.
     size_mm : element size far from the electrodes; keep it different from the image's.
-    interelectrode_resistance_ohm : mean over all pairs of neighbouring electrodes, contacts included.
-
-    Raises
-    ------
-    RefusedError
-        If electrodes were moved out of place: off the sheet, or onto each other.
     """
 
     def __init__(self, design: SheetDesign, *, size_mm: float, interelectrode_resistance_ohm: float) -> None:
@@ -74,24 +68,15 @@ class SimulatedSheet:
     def impedance(self, changes: Mapping[Place, float], contact_mm: Array | None = None) -> Array:
         """Electrode potentials per electrode current for local changes under heads.
 
+        Returns (electrodes, electrodes) float64 [V/A], for currents that sum to zero and differences of potentials.
+        RefusedError if a head lies wholly outside the sheet; NumericsError if a change would leave an element without
+        conductance. Places that are changed together are right to 1e-8 of the mean reading, single ones to rounding.
+
         Parameters
         ----------
         changes : relative conductance change by place, under a head that presses evenly; changes of places that
             overlap add.
         contact_mm : (electrodes,) contact impedance over the mean sheet resistance; by default the design's.
-
-        Returns
-        -------
-        (electrodes, electrodes) float64 [V/A], for currents that sum to zero and differences of potentials.
-
-        Raises
-        ------
-        RefusedError
-            If a head lies wholly outside the sheet.
-        NumericsError
-            If a change would leave an element without conductance.
-
-        Places that are changed together are right to 1e-8 of the mean reading, single ones to rounding.
         """
         impedance: Array = self.impedances([changes], contact_mm)[0]
         return impedance
@@ -100,10 +85,7 @@ class SimulatedSheet:
         """The same at moments within a frame, up to third-order terms in the change since the first.
 
         Parameters and errors as of :meth:`impedance`; a place that has not changed at a moment may be left out there.
-
-        Returns
-        -------
-        (moments, electrodes, electrodes) float64 [V/A].
+        Returns (moments, electrodes, electrodes) float64 [V/A].
         """
         places = {place: self.load_at(place) for moment in changes for place in moment}
         loads = [{load: moment.get(place, 0.0) for place, load in places.items()} for moment in changes]
@@ -142,10 +124,7 @@ class SimulatedSheet:
     def load_at(self, place: Place) -> LoadFamily:
         """Response of the sheet to a head at a place, for any relative change under it.
 
-        Raises
-        ------
-        RefusedError
-            If the head lies wholly outside the sheet.
+        RefusedError if the head lies wholly outside the sheet.
         """
         if place not in self._loads:
             while len(self._loads) >= _PLACES:

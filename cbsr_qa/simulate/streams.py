@@ -32,7 +32,6 @@ class RandomStream:
 
     Parameters
     ----------
-    seed : of the run.
     name : of what uses the numbers, e.g. an effect's registered name.
     """
 
@@ -45,22 +44,13 @@ class RandomStream:
         self._state = self._bits.state
 
     def generator(self, index: int) -> np.random.Generator:
-        """Return a new generator that starts at an index.
-
-        Raises
-        ------
-        RefusedError
-            If the index is not in [0, 2⁶⁴).
-        """
+        """Return a new generator that starts at an index. RefusedError if the index is not in [0, 2⁶⁴)."""
         return np.random.Generator(np.random.Philox(key=self._key, counter=_counter(index)))
 
     def normal(self, index: int, shape: tuple[int, ...] = ()) -> Array:
         """Draw the standard normal numbers of an index: equal to ``generator(index).standard_normal(shape)``.
 
-        Raises
-        ------
-        RefusedError
-            If the index is not in [0, 2⁶⁴).
+        RefusedError if the index is not in [0, 2⁶⁴).
         """
         self._state["state"]["counter"] = _counter(index)
         self._bits.state = self._state
@@ -89,7 +79,6 @@ class StepAddresses:
 
     Parameters
     ----------
-    clock : the station's.
     rate_hz : of the samples; a power of two, so that their times are exact.
     """
 

@@ -31,22 +31,14 @@ _TOUCHING: Final = 1e-9  # strain that is more than rounding
 class SimulatedWorld:
     """A sheet with its presses and effects; or a resistor ring in its place, if the scene has one.
 
+    ConfigError if the scene's effects do not fit together; PluginError if an effect is not installed.
+
     Parameters
     ----------
-    scene : current, mesh size and effects.
-    sensor_type, material, indenter : what is simulated.
-    seed : of the run.
     effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.build_chain`.
     contact_length_mm : contact impedance over sheet resistance, where no effect says otherwise.
     began_s : when on the run's time line the station's clock began, see :class:`~cbsr_qa.domain.plan.SceneSetting`.
     sheet : made already for another scene with the same effects on the sheet; by default it is made.
-
-    Raises
-    ------
-    ConfigError
-        If the scene's effects do not fit together.
-    PluginError
-        If an effect is not installed.
     """
 
     def __init__(
@@ -95,16 +87,11 @@ class SimulatedWorld:
     def frame(self, time_s: float, index: int, pauses_s: Array | None = None) -> SimulatedFrame:
         """Take one frame.
 
+        RefusedError if a press lies outside the sheet, or a change leaves an element without conductance.
+
         Parameters
         ----------
-        time_s : of its middle, on the station's clock.
-        index : of the frame, the address of its random numbers.
         pauses_s : (drives,) how much later each of its rows is read, where readings are not all taken at once.
-
-        Raises
-        ------
-        RefusedError
-            If a press lies outside the sheet, or a change leaves an element without conductance.
         """
         reach_s = self._frame_reach_s + (float(np.abs(pauses_s).max()) if pauses_s is not None else 0.0)
         felt = [press for press in self.presses if self._is_felt(press, time_s, reach_s)]

@@ -60,16 +60,13 @@ def stop_all(
 ) -> tuple[str, ...]:
     """Call every action in its own thread; a slow one delays the next by at most the patience.
 
-    Quick ones are called one after the other, in order, so that a simulated bench does the same each time.
-    The waiting is in real time also on a virtual clock: a thread that hangs does so in real time.
+    Quick ones are called one after the other, in order, so that a simulated bench does the same each time. The
+    waiting is in real time also on a virtual clock: a thread that hangs does so in real time. Returns in words, who
+    raised or did not come back before the deadline; empty if all did what they were told.
 
     Parameters
     ----------
     actions : (who, what to call).
-
-    Returns
-    -------
-    In words, who raised or did not come back before the deadline; empty if all did what they were told.
     """
     clock = RealClock()
     calls = [_Call(name, action) for name, action in actions]
@@ -119,18 +116,15 @@ class Mounted:
 class Bench:
     """Opened instruments, checked against the station file and linked to each other.
 
+    ConfigError naming role and driver, if an instrument does not provide what it is said to (a role is one of the
+    bench's, or the channel that an instrument samples), a role is filled twice or not at all, nothing measures the
+    force, or an instrument that needs another does not find it.
+
     Parameters
     ----------
     mounted : in the station file's order, which is also the order they are closed in.
     stop_within_s : how long all of them together may take to reach their safe state [s, real time].
     after : what else is closed once all of them are.
-
-    Raises
-    ------
-    ConfigError
-        Naming role and driver, if an instrument does not provide what it is said to (a role is one of the bench's, or
-        the channel that an instrument samples), a role is filled twice or not at all, nothing measures the force, or
-        an instrument that needs another does not find it.
     """
 
     def __init__(
@@ -154,11 +148,7 @@ class Bench:
         """Identify every instrument; an emulated one counts as simulated, whatever it reports.
 
         So is one without an address of its own that is linked with those, such as frames scanned with a meter.
-
-        Raises
-        ------
-        InstrumentError
-            If one does not answer, or is not the one that the station file asks for.
+        InstrumentError if one does not answer, or is not the one that the station file asks for.
         """
         emulates = any(one.spec.emulated for one in self.mounted)
         return tuple(identity_of(one, emulated=emulates and _works_through_others(one)) for one in self.mounted)
@@ -174,9 +164,7 @@ class Bench:
     def safe_state(self) -> tuple[str, ...]:
         """Bring every instrument to its safe state even if others fail: the head first, then current sources.
 
-        Returns
-        -------
-        In words, who did not get there; empty if all did.
+        Returns in words, who did not get there; empty if all did.
         """
         by_urgency = sorted(self.mounted, key=_urgency)
         return self._tell_all([(one.name, one.instrument.safe_state) for one in by_urgency])
@@ -197,17 +185,12 @@ def open_bench(
 ) -> Bench:
     """Open the instruments of a station; if one fails to open, those already open are closed again.
 
+    ConfigError if an instrument is not what the station file says it is; and whatever ``make`` raises.
+
     Parameters
     ----------
     make : opens one instrument (finds its factory and calls it with its context).
     after : (who, what to call) once the instruments are closed, also where one could not be opened.
-
-    Raises
-    ------
-    ConfigError
-        If an instrument is not what the station file says it is.
-    CbsrError
-        Whatever ``make`` raises.
     """
     opened: list[Mounted] = []
     try:

@@ -41,7 +41,6 @@ class Documents:
     ----------
     subscribers : the first is the journal and must store a document before it returns. The others only
         watch: one that raises is warned about and not called again, unless it raises AbortedError to stop the run.
-    interrupts : signals wait until a document is delivered.
     warn : is told about listeners that fail.
     """
 
@@ -53,10 +52,7 @@ class Documents:
     def emit(self, event: RunEvent) -> None:
         """Deliver one event.
 
-        Raises
-        ------
-        SafetyError
-            With rule ``"journal"`` if the journal could not store it: what is not stored was not measured.
+        SafetyError with rule ``"journal"`` if the journal could not store it: what is not stored was not measured.
         """
         with self._interrupts.deferred():
             self._store(event)
@@ -65,9 +61,7 @@ class Documents:
     def finish(self, event: RunEnded) -> RunEnded:
         """Deliver the last event; the bench is already safe, and nothing raises any more.
 
-        Returns
-        -------
-        The document as delivered: broken by the journal, if the journal could not store it.
+        Returns the document as delivered: broken by the journal, if the journal could not store it.
         """
         try:
             self._store(event)
@@ -120,12 +114,7 @@ E = TypeVar("E", FramesTaken, LoadFinished, SamplesTaken, Unloaded)
 
 
 class MemoryJournal:
-    """Collects the events of a run into a record.
-
-    Parameters
-    ----------
-    plan : that is run.
-    """
+    """Collects the events of a run into a record."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan

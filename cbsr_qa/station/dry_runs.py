@@ -43,12 +43,7 @@ from cbsr_qa.station.plan import (
 
 @dataclass(frozen=True, slots=True)
 class DryPhase:
-    """Expected time and content of one phase.
-
-    Parameters
-    ----------
-    durations_s : of each of its steps.
-    """
+    """Expected time and content of one phase."""
 
     scheduled: ScheduledPhase
     durations_s: tuple[float, ...]
@@ -66,10 +61,6 @@ class DryRun:
 
     Parameters
     ----------
-    phases : with the very steps that will be executed.
-    spent : station seconds by kind of activity.
-    travel_mm : path of the head at the hover height.
-    loads, frames : counts.
     peak_strain, peak_force_N : highest asked for, and highest force expected; 0 without loads.
     violations : every broken rule, in words, with its step; empty if the plan may run.
     """
@@ -89,13 +80,7 @@ class DryRun:
         return sum(seconds for _, seconds in self.spent)
 
     def refuse(self) -> None:
-        """Refuse a plan that violates limits.
-
-        Raises
-        ------
-        RefusedError
-            Listing every violation.
-        """
+        """Refuse a plan that violates limits. RefusedError listing every violation."""
         if self.violations:
             listed = "\n".join(f"  {violation}" for violation in self.violations)
             raise RefusedError(
@@ -114,19 +99,12 @@ def dry_run(
 ) -> DryRun:
     """Walk a plan's steps by arithmetic alone.
 
+    RefusedError if the plan has no phase, or a sequence makes no step or no end of them. Broken limits are listed in
+    the result instead; :meth:`DryRun.refuse` raises for them. PluginError if a sequence's role is none.
+
     Parameters
     ----------
-    frame_period_s : of the bench's frame source.
     done, ended : loads and phases finished in an earlier session of the same run.
-    answered : whether somebody is there to answer prompts.
-
-    Raises
-    ------
-    RefusedError
-        If the plan has no phase, or a sequence makes no step or no end of them. Broken limits are listed in
-        the result instead; :meth:`DryRun.refuse` raises for them.
-    PluginError
-        If a sequence's role is none.
     """
     walk = _Walk(plan, frame_period_s, answered)
     phases = tuple(walk.phase(scheduled) for scheduled in schedule(plan, done, ended))

@@ -35,7 +35,6 @@ def ending(error: BaseException, where: str, *, at_once: bool = False, before: E
     Parameters
     ----------
     where : "while", the step under way, and what the bench was doing.
-    at_once : a second signal ended it.
     before : how the run had ended already when this came up while the head was lifted.
     """
     with suppress(Exception):
@@ -107,7 +106,11 @@ def execute(
 ) -> RunEnded:
     """Run a plan on an open bench and leave the bench safe.
 
-    The bench is brought to its safe state before anything else: an earlier session may have been killed.
+    The bench is brought to its safe state before anything else: an earlier session may have been killed. Returns how
+    the run ended; once it has begun, nothing is raised. The bench is in its safe state, or the detail says which
+    instrument is not. RefusedError before anything is told or moved: the plan breaks the station's limits, a limit
+    cannot be watched, or there is no journal; SafetyError if the bench could not be brought to its safe state before
+    the run; nothing was told.
 
     Parameters
     ----------
@@ -120,19 +123,6 @@ def execute(
     retries : how often an operation that failed retryably is tried again.
     warn : is told about subscribers that fail.
     tell : is told what a signal did and what another would do, at once and from a signal's handler.
-
-    Returns
-    -------
-    How the run ended; once it has begun, nothing is raised. The bench is in its safe state, or the detail
-    says which instrument is not.
-
-    Raises
-    ------
-    RefusedError
-        Before anything is told or moved: the plan breaks the station's limits, a limit cannot be watched, or there is
-        no journal.
-    SafetyError
-        If the bench could not be brought to its safe state before the run; nothing was told.
     """
     dry = dry_run(plan, bench.frame_source.frame_period_s, done=done, ended=ended, answered=ask is not None)
     dry.refuse()

@@ -158,10 +158,7 @@ class Interrupts:
     def poll(self) -> None:
         """Raise the first signal, if there was one: a point where the run may end.
 
-        Raises
-        ------
-        Stopped, KeyboardInterrupt, AbortedError
-            Saying who stopped the run; once.
+        Stopped, KeyboardInterrupt, AbortedError saying who stopped the run; once.
         """
         if self._first is not None and self._heard_now and not self._raised:
             self._raise()

@@ -31,7 +31,6 @@ class Violation:
     Parameters
     ----------
     rule : ``"strain"``, ``"force"``, ``"travel"``, ``"dwell"``, ``"duration"`` or ``"order"``.
-    what : what is asked for and what is allowed.
     """
 
     rule: str
@@ -132,10 +131,7 @@ _LIMITED: Final = int(ReadingFlag.COMPLIANCE | ReadingFlag.SATURATED)
 def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
     """Refuse a station that limits a temperature which no instrument measures.
 
-    Raises
-    ------
-    ConfigError
-        Naming the key, what was found and what is needed.
+    ConfigError naming the key, what was found and what is needed.
     """
     unit = {one.channel: one.unit for one in samplers}.get(TEMPERATURE_CHANNEL)
     if plan.safety.temperature_C is not None and unit != TEMPERATURE_UNIT:
@@ -147,13 +143,7 @@ def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
 
 
 class Limits:
-    """The station's limits, and the maximum age of measured values.
-
-    Parameters
-    ----------
-    plan : with the station's limits.
-    started_s : on the run's clock.
-    """
+    """The station's limits, and the maximum age of measured values."""
 
     def __init__(self, plan: Plan, started_s: float) -> None:
         self._plan = plan
@@ -174,12 +164,7 @@ class Limits:
         _refuse(place_violations(x_mm, y_mm, self._plan))
 
     def check_samples(self, block: SampleBlock, who: str) -> None:
-        """Check measured force and temperature against their limits, and record their age.
-
-        Parameters
-        ----------
-        who : the instrument that sampled.
-        """
+        """Check measured force and temperature against their limits, and record their age."""
         if len(block) and block.channel == FORCE_CHANNEL:
             self._check_force(block, who)
             self._force_time_s = max(self._force_time_s, float(block.time_s[-1]))
@@ -208,7 +193,6 @@ class Limits:
 
         Parameters
         ----------
-        touching : whether the head touches, or may touch, the sheet.
         down : whether it is in the sheet, and still or eased.
         """
         safety = self._plan.safety

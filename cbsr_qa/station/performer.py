@@ -99,7 +99,6 @@ class Performer:
 
     Parameters
     ----------
-    interrupts : signals end a wait at once.
     watchdog : is told whatever is asked of an instrument.
     retries : how often an operation that failed retryably is tried again.
     ask : shows a prompt and returns when it is answered; None where nobody is there.
@@ -138,10 +137,7 @@ class Performer:
     def perform(self, scheduled: ScheduledStep) -> None:
         """Execute one step.
 
-        Raises
-        ------
-        InstrumentError, SafetyError, AbortedError
-            The bench is then left as it is: whoever catches this stops it.
+        After an InstrumentError, SafetyError or AbortedError the bench is left as it is: whoever catches it stops it.
         """
         if ends_rest(scheduled.step):
             self.finish_load()

@@ -139,13 +139,7 @@ def duration(seconds: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPhase:
-    """One phase with its sequence.
-
-    Parameters
-    ----------
-    name : the recipe's name for it.
-    sequence_name : the plugin's.
-    """
+    """One phase with its sequence."""
 
     name: str
     sequence_name: str
@@ -163,8 +157,6 @@ class Plan:
 
     Parameters
     ----------
-    phases : in order.
-    sensor_type, material, indenter : what is tested, and with which head.
     motion, safety : how the station moves, and what it allows whatever the recipe asks for.
     seed : of the run; sequences that draw numbers address them by their own name.
     """
@@ -196,7 +188,6 @@ class ScheduledStep:
 
     Parameters
     ----------
-    phase : index of its phase.
     number : 0-based within the phase.
     load : index within the phase of the load it presses, eases, holds, releases, rests after; None before the first.
     """
@@ -213,8 +204,6 @@ class ScheduledPhase:
 
     Parameters
     ----------
-    role : what the sequence says it is for.
-    loads : how many loads it presses, finished ones included.
     finished : it ended in an earlier session; only what sets the bench up is left.
     """
 
@@ -232,23 +221,17 @@ def schedule(
 ) -> tuple[ScheduledPhase, ...]:
     """Ask every sequence for its steps.
 
-    Nobody knows where the head is when a run begins, so a run begins with homing whether its first sequence
-    asks for it or not. Loads that are ``done`` are left out with their holds and rests; homing and surface
-    finding are not, because the applicator forgets them with the power. A phase that goes on with a later load
-    begins again with the rest before its first load, and then with the rest before the load that is next, frames
-    included: it is pressed on a sheet that has rested as it was meant to, and its last frames before are fresh.
+    Nobody knows where the head is when a run begins, so a run begins with homing whether its first sequence asks for
+    it or not. Loads that are ``done`` are left out with their holds and rests; homing and surface finding are not,
+    because the applicator forgets them with the power. A phase that goes on with a later load begins again with the
+    rest before its first load, and then with the rest before the load that is next, frames included: it is pressed on
+    a sheet that has rested as it was meant to, and its last frames before are fresh. RefusedError if there is no
+    phase, or a sequence makes no step or no end of them; PluginError if a sequence's role is none.
 
     Parameters
     ----------
     done : loads finished in an earlier session of the same run.
     ended : phases whose last step was carried out in an earlier session.
-
-    Raises
-    ------
-    RefusedError
-        If there is no phase, or a sequence makes no step or no end of them.
-    PluginError
-        If a sequence's role is none.
     """
     if not plan.phases:
         raise RefusedError("the recipe has no phase", remedy="add at least one [[phases]] table")

@@ -65,13 +65,7 @@ class Interlock:
         self.state = State.IDLE
 
     def to(self, state: State) -> None:
-        """Change to a state.
-
-        Raises
-        ------
-        SafetyError
-            With rule ``"order"`` if it may not follow the present one.
-        """
+        """Change to a state. SafetyError with rule ``"order"`` if it may not follow the present one."""
         if state not in TRANSITIONS[self.state]:
             raise SafetyError("order", f"the bench is {self.state}; it cannot be {state} next")
         self.state = state
@@ -96,10 +90,7 @@ class Interlock:
     def clear(self, bench: Bench) -> None:
         """Bring the bench to its safe state first: a killed process left the head where it was.
 
-        Raises
-        ------
-        SafetyError
-            With rule ``"safe start"`` if an instrument did not get there; nothing has moved on purpose.
+        SafetyError with rule ``"safe start"`` if an instrument did not get there; nothing has moved on purpose.
         """
         self.to(State.CLEARING)
         failed = bench.safe_state()
@@ -142,7 +133,6 @@ class Watch:
 
     Parameters
     ----------
-    limits : what is held against the samples and the time.
     attempt : asks an instrument, and again where that is harmless.
     """
 
@@ -170,10 +160,7 @@ class Watch:
     def look(self, phase: int) -> None:
         """Do everything that is due; samples are stored under this phase.
 
-        Raises
-        ------
-        SafetyError
-            If a limit does not hold, or an instrument has fallen silent (rule ``"heartbeat"``).
+        SafetyError if a limit does not hold, or an instrument has fallen silent (rule ``"heartbeat"``).
         """
         for number, sampler in enumerate(self._bench.samplers):
             self._drain(phase, number, sampler)

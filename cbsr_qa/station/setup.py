@@ -38,16 +38,12 @@ def configure(
 ) -> Configuration:
     """Load and merge the files of a run.
 
+    ConfigError if a file is missing or wrong.
+
     Parameters
     ----------
-    station, recipe : paths or shipped names.
     sensor_type, material : instead of the station's own, which are looked for next to its file first.
     plugins : with them the options of what the files name are checked too, with all else in one pass.
-
-    Raises
-    ------
-    ConfigError
-        If a file is missing or wrong.
     """
     at = load_station(station, plugins)
     return merge(
@@ -63,10 +59,7 @@ def configure(
 def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
     """Combine the sequences of a recipe with the station they run on.
 
-    Raises
-    ------
-    PluginError, ConfigError
-        If a sequence is unknown, or refuses its options.
+    PluginError, ConfigError if a sequence is unknown, or refuses its options.
     """
     recipe, station = configuration.recipe, configuration.station
     phases = tuple(
@@ -108,17 +101,13 @@ def open_station(
 ) -> Bench:
     """Open every instrument of the station; emulators start first and end with the bench.
 
+    InstrumentError if one does not answer; ConfigError if one is not what the station file says, or a real one is put
+    on a virtual clock.
+
     Parameters
     ----------
     resumed_at_s, ask : as in :class:`~cbsr_qa.plugin.StationContext`.
     emulated : told the emulation, where there is one: to arm faults, or to look at its world.
-
-    Raises
-    ------
-    InstrumentError
-        If one does not answer.
-    ConfigError
-        If one is not what the station file says, or a real one is put on a virtual clock.
     """
     opened, after = opener(configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated)
     bench = open_bench(configuration.station.instruments, opened, after=after)
@@ -141,9 +130,7 @@ def opener(
 ) -> tuple[Callable[[InstrumentSpec], Instrument], tuple[Action, ...]]:
     """Start the station's emulators; parameters and errors as of :func:`open_station`.
 
-    Returns
-    -------
-    What opens one instrument, and what is called once all of them are closed.
+    Returns what opens one instrument, and what is called once all of them are closed.
     """
     emulation = _emulation(configuration, plugins, clock, resumed_at_s)
     if emulation is not None:

@@ -93,17 +93,12 @@ class Watchdog:
     def expect(self, what: str, work_s: float = 0.0) -> Iterator[None]:
         """Watch over a call.
 
+        SafetyError with rule ``"no answer"`` if it was broken into or came back too late, and for every call after
+        that; PluginError for what else it raised, see :func:`~cbsr_qa.plugin.contained`.
+
         Parameters
         ----------
-        what : who is asked for what.
         work_s : how long that takes when all is well [s].
-
-        Raises
-        ------
-        SafetyError
-            With rule ``"no answer"`` if it was broken into or came back too late, and for every call after that.
-        PluginError
-            For what else it raised, see :func:`~cbsr_qa.plugin.contained`.
         """
         self._raise_late()
         self._call = _Call(what, self._clock.now(), work_s)

@@ -55,20 +55,13 @@ class FileLock:
     """Holds a file's lock until it is released or the process ends.
 
     The kernel keeps the lock, so the file of a process that was killed keeps nobody out: the next holder takes it
-    over and removes it. A file that belongs to another user may stay where only its owner may remove it.
+    over and removes it. A file that belongs to another user may stay where only its owner may remove it. HeldError if
+    it is held, by somebody who wrote a name or has held it for :data:`_NAMELESS_S`; OSError if the file cannot be
+    made, or ``who`` not be written in it.
 
     Parameters
     ----------
     path : of the file; its folder exists.
-    who : the holder, for whoever is refused.
-    shared : let other users lock the file too.
-
-    Raises
-    ------
-    HeldError
-        If it is held, by somebody who wrote a name or has held it for :data:`_NAMELESS_S`.
-    OSError
-        If the file cannot be made, or ``who`` not be written in it.
     """
 
     def __init__(self, path: Path, who: bytes, *, shared: bool = False) -> None:
@@ -189,13 +182,9 @@ _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 def written_whole(path: Path) -> Iterator[BinaryIO]:
     """Write to a temporary file in the same folder; it replaces ``path`` when the block ends without an error.
 
-    The mode is 0666 less the umask, which the kernel applies as it creates the
-    file: asking for the umask means setting it, for all threads at once.
-
-    Raises
-    ------
-    OSError
-        If anything cannot be written; ``path`` is then as it was, and the temporary file is gone.
+    The mode is 0666 less the umask, which the kernel applies as it creates the file: asking for the umask means
+    setting it, for all threads at once. OSError if anything cannot be written; ``path`` is then as it was, and the
+    temporary file is gone.
     """
     temporary = path.parent / f".{secrets.token_hex(8)}.partial"
     try:

@@ -74,13 +74,7 @@ _LENGTH: Final = struct.Struct("<Q")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of reading one file.
-
-    Parameters
-    ----------
-    seconds : of processor time.
-    memory_bytes : beyond what the program itself has.
-    """
+    """Limits of reading one file."""
 
     seconds: float
     memory_bytes: int
@@ -106,19 +100,15 @@ def largest_content(size_bytes: int) -> int:
 def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[RefusedError]) -> Result:
     """Call a function that reads a file in a child process, and return its result.
 
+    RefusedError of the kind ``refusal`` where reading crashes, hangs or takes too much memory; otherwise whatever
+    error of :mod:`cbsr_qa.domain.errors` the function raises; RuntimeError if the function raises anything else: a
+    defect of the reader, not of the file.
+
     Parameters
     ----------
     path : of the file; the limits depend on its size, and refusals name it.
     read : reads it. While it has the file open it can open no other, and it can write none.
     refusal : what is raised where the child dies.
-
-    Raises
-    ------
-    RefusedError
-        Of the kind ``refusal`` where reading crashes, hangs or takes too much memory; otherwise whatever error of
-        :mod:`cbsr_qa.domain.errors` the function raises.
-    RuntimeError
-        If the function raises anything else: a defect of the reader, not of the file.
     """
     if not CONTAINED:
         try:

@@ -21,19 +21,13 @@ _LONGEST_COMMAND: Final = 160
 class AddressLock:
     """Holds an address until it is released or the process ends, however it ends.
 
-    See :class:`~cbsr_qa.system.FileLock`. A second instrument of the same program is refused like another
-    program's.
+    See :class:`~cbsr_qa.system.FileLock`. A second instrument of the same program is refused like another program's.
+    InstrumentError if it is held, naming by whom; or if the file for it cannot be made.
 
     Parameters
     ----------
-    role : of the instrument, for messages.
     address : as the station file states it; paths of one device are one address, also through links to it.
     device : what is locked, where one device has addresses that are written in several ways.
-
-    Raises
-    ------
-    InstrumentError
-        If it is held, naming by whom; or if the file for it cannot be made.
     """
 
     def __init__(self, role: str, address: str, *, device: str = "") -> None:

@@ -27,21 +27,15 @@ class SerialLink:
 
     Timeouts are real time, whatever the station's clock. Bytes of an answer that stayed incomplete are kept for the
     next reading, so that nothing is lost where an instrument is merely slow; :meth:`flush_input` throws them away.
+    ConfigError if the address is no usb: address though it begins like one; InstrumentError if there is no such port
+    or device, it may not be opened, or another program has it.
 
     Parameters
     ----------
-    role : of the instrument, for messages.
     address : path of the port, or ``usb:VID:PID`` or ``usb:VID:PID:SERIAL`` (hexadecimal, as in ``usb:2C99:0002``):
         a device by its identity, whatever port it is plugged into.
     baud : bits per second; 8 data bits, no parity, 1 stop bit.
     timeout_s : how long an answer is waited for where a call says nothing else.
-
-    Raises
-    ------
-    ConfigError
-        If the address is no usb: address though it begins like one.
-    InstrumentError
-        If there is no such port or device, it may not be opened, or another program has it.
     """
 
     def __init__(self, role: str, address: str, *, baud: int, timeout_s: float = 1.0) -> None:
@@ -63,13 +57,7 @@ class SerialLink:
         return str(self._port.port)
 
     def write(self, data: bytes) -> None:
-        """Send all of this.
-
-        Raises
-        ------
-        InstrumentError
-            If the line is down, or does not take the bytes in time (retryable).
-        """
+        """Send all of this. InstrumentError if the line is down, or does not take the bytes in time (retryable)."""
         with self._writing, self._mapped():
             sent = self._port.write(data)
         if sent is not None and sent < len(data):
@@ -78,10 +66,7 @@ class SerialLink:
     def read(self, count: int, timeout_s: float | None = None) -> bytes:
         """Return exactly so many bytes.
 
-        Raises
-        ------
-        InstrumentError
-            If they do not come in time (retryable), or the line is down.
+        InstrumentError if they do not come in time (retryable), or the line is down.
         """
         allowed_s = self.timeout_s if timeout_s is None else timeout_s
         for _ in self._filling(allowed_s):
@@ -94,10 +79,7 @@ class SerialLink:
     def read_line(self, timeout_s: float | None = None) -> bytes:
         r"""Return the next line without its end (``\n`` or ``\r\n``).
 
-        Raises
-        ------
-        InstrumentError
-            If no whole line comes in time (retryable), it does not end, or the link is down.
+        InstrumentError if no whole line comes in time (retryable), it does not end, or the link is down.
         """
         allowed_s = self.timeout_s if timeout_s is None else timeout_s
         for _ in self._filling(allowed_s):
@@ -126,10 +108,7 @@ class SerialLink:
     def reopen(self) -> None:
         """Give the port back and open it again: a usb: address where the device is plugged in now.
 
-        Raises
-        ------
-        InstrumentError
-            If it cannot be opened.
+        InstrumentError if it cannot be opened.
         """
         self.close()
         with self._reading:

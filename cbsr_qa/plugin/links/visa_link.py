@@ -34,23 +34,15 @@ class VisaLink:
 
     Timeouts are real time, whatever the station's clock. An answer that stays out, is cut short or carries another
     mark than its question leaves the link out of step: :meth:`recover` brings it back. It is for one thread at a
-    time; :meth:`write` alone may be called by another while the first waits for an answer.
+    time; :meth:`write` alone may be called by another while the first waits for an answer. ConfigError if the address
+    is no VISA resource, or the backend is not installed. InstrumentError if another program has the resource, or it
+    cannot be opened. A refused TCP port shows only at the first question.
 
     Parameters
     ----------
-    role : of the instrument, for messages.
-    address : VISA resource name.
     timeout_s : how long an answer is waited for where a call says nothing else.
     echo : command, with ``{}`` for a word, that the instrument answers with that word alone.
     backend : of pyvisa: ``"@py"``, or ``"@ivi"`` for a vendor's library.
-
-    Raises
-    ------
-    ConfigError
-        If the address is no VISA resource, or the backend is not installed.
-    InstrumentError
-        If another program has the resource, or it cannot be opened. A refused TCP port shows only at the first
-        question.
     """
 
     def __init__(
@@ -72,27 +64,18 @@ class VisaLink:
             raise
 
     def write(self, text: str) -> None:
-        """Send one line.
-
-        Raises
-        ------
-        InstrumentError
-            If the link is down (retryable: it is opened again by :meth:`recover`).
-        """
+        """Send one line. InstrumentError if the link is down (retryable: it is opened again by :meth:`recover`)."""
         with self._mapped():
             self._resource.write_raw(text.encode("ascii") + b"\n")
 
     def query(self, text: str, *, mark: str = "") -> str:
         """Send one line and return the one that answers it, without mark and line end.
 
+        InstrumentError if no line comes in time, or one with another mark (both retryable), or the link is down.
+
         Parameters
         ----------
         mark : word the answer must begin with, followed by a tab or nothing.
-
-        Raises
-        ------
-        InstrumentError
-            If no line comes in time, or one with another mark (both retryable), or the link is down.
         """
         self.write(text)
         line = self._line()
@@ -106,21 +89,13 @@ class VisaLink:
     def query_binary(self, text: str, count: int, *, mark: str = "") -> NDArray[np.float64]:
         """Send one line and return the numbers that answer it.
 
-        They are read by their length: a line end may occur within them.
+        They are read by their length: a line end may occur within them. Returns (count,) float64. InstrumentError if
+        they do not come whole and in time, or another line follows (both retryable), or the link is down.
 
         Parameters
         ----------
         count : of the numbers, sent as ``#0`` and little-endian singles, then a line end.
         mark : a line of its own that must follow them.
-
-        Returns
-        -------
-        (count,) float64.
-
-        Raises
-        ------
-        InstrumentError
-            If they do not come whole and in time, or another line follows (both retryable), or the link is down.
         """
         self.write(text)
         size = len(_HEADER) + count * np.dtype(_SINGLE).itemsize
@@ -135,10 +110,7 @@ class VisaLink:
     def recover(self) -> None:
         """Open the link again if it is down, and get back into step.
 
-        Raises
-        ------
-        InstrumentError
-            If it cannot be opened (retryable: a cable may be put back), or there is no answer at all.
+        InstrumentError if it cannot be opened (retryable: a cable may be put back), or there is no answer at all.
         """
         if not self._down:
             try:
@@ -155,10 +127,7 @@ class VisaLink:
     def resynchronise(self) -> None:
         """Throw away every answer that is still to come: send a word, and read on until it comes back.
 
-        Raises
-        ------
-        InstrumentError
-            If the word does not come back.
+        InstrumentError if the word does not come back.
         """
         word = f"in-step-{next(self._words)}"
         self.write(self._echo.format(word))

@@ -33,13 +33,7 @@ def checksum(text: str) -> int:
 
 
 def read_line(raw: bytes, last: int) -> NumberedLine:
-    """Parse one line as Marlin's queue does.
-
-    Parameters
-    ----------
-    raw : without its end.
-    last : number of the last line that was taken.
-    """
+    """Parse one line as Marlin's queue does."""
     text = raw[: LONGEST_LINE - 1].decode("ascii", "replace").split(";")[0].strip()
     body, star, given = text.partition("*")
     if not text.startswith("N"):
@@ -110,9 +104,7 @@ class EmulatedApplicator:
 
     Parameters
     ----------
-    rig : whose head it moves.
     options : of the driver's table: ``firmware``, ``steps_per_mm``, ``centre_mm``, ``hover_height_mm``, ``z_axis``.
-    send : for what nobody asked for.
     """
 
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:

@@ -42,12 +42,6 @@ class EmulatedHead:
     """A head on three axes; commands queue motions, which happen as time passes on the clock.
 
     Speeds are constant: what acceleration costs at 200 mm/s² is left out, as in :mod:`cbsr_qa.domain.plan.steps`.
-
-    Parameters
-    ----------
-    clock : the station's.
-    world : whose sheet it presses.
-    motion : the station's hover height.
     """
 
     def __init__(self, clock: WatchedClock, world: SimulatedWorld, motion: Motion) -> None:
@@ -69,9 +63,7 @@ class EmulatedHead:
 
         Parameters
         ----------
-        centre_mm : of the sheet, in the machine's x and y.
         hover_z_mm : where the head is at its hover height, in the machine's z.
-        up : whether the machine's z grows upwards.
         """
         self._centre_mm, self._hover_z_mm, self._upward = centre_mm, hover_z_mm, 1.0 if up else -1.0
         self._written = self._writer()

@@ -30,9 +30,7 @@ class EmulatedMultiplexer:
 
     Parameters
     ----------
-    rig : the shared world.
     options : of the driver's table: ``inner``, ``current_skip``, ``voltage_skip``.
-    send : for the counter, and log lines of the boot.
     """
 
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:

@@ -30,7 +30,6 @@ class Wiring:
     Parameters
     ----------
     current_A : of the source; None while its output is off.
-    limit_V : the source's voltage limit.
     reading_s : time from one reading to the next, as it was last.
     drive, measure : pairs of the sensor type's pattern that the multiplexer connects.
     frame : counts the multiplexer's rounds; readings of one round belong to one frame.
@@ -46,14 +45,7 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True)
 class Electrical:
-    """Current electrical circuit of source, sheet and meter.
-
-    Parameters
-    ----------
-    volts : between the measured pair.
-    current_A : through the driven pair.
-    limited : whether the source is at its voltage limit.
-    """
+    """Current electrical circuit of source, sheet and meter."""
 
     volts: float
     current_A: float
@@ -68,9 +60,7 @@ class EmulatedRig:
 
     Parameters
     ----------
-    clock : the station's.
     world : the simulated sheet; its scene says at which current its readings are.
-    motion : the station's hover height.
     """
 
     def __init__(self, clock: WatchedClock, world: SimulatedWorld, motion: Motion) -> None:
@@ -125,15 +115,11 @@ EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
 class Emulation:
     """Running emulators of one station; close it, or use it as a context manager.
 
+    ConfigError if there is no emulator for a driver.
+
     Parameters
     ----------
     specs : the station's instruments; those whose address is "emulated" are served.
-    rig : the world they share.
-
-    Raises
-    ------
-    ConfigError
-        If there is no emulator for a driver.
     """
 
     def __init__(self, specs: Iterable[InstrumentSpec], rig: EmulatedRig) -> None:

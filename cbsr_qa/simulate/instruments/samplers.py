@@ -23,13 +23,6 @@ class LineSender(ABC):
     """Sends due lines as time passes on the clock, and can be told to do so faultily.
 
     Faults of the link are met here too, since nobody sends commands that could meet them.
-
-    Parameters
-    ----------
-    rig : whose clock it runs by.
-    send : takes the bytes.
-    rate_hz : of the lines.
-    banner : what it says when it starts.
     """
 
     #: What it reads too much once it is told to, in its own unit.
@@ -141,9 +134,7 @@ class EmulatedLoadCell(LineSender):
 
     Parameters
     ----------
-    rig : whose world it weighs.
     options : of the driver's table: ``unit``, ``scale``, ``offset``, ``sign``, ``time``, ``rate_hz``, ``limit_N``.
-    send : takes the lines.
     """
 
     overload = OVERLOAD_N
@@ -184,7 +175,6 @@ class EmulatedThermometer(LineSender):
     ----------
     rig : whose clock it runs by, and whose seed its noise has.
     options : of the driver's table: ``scale``, ``offset``, ``rate_hz``.
-    send : takes the lines.
     """
 
     overload = OVERLOAD_K

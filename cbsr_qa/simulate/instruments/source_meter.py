@@ -90,7 +90,6 @@ class EmulatedSourceMeter:
 
     Parameters
     ----------
-    rig : the shared world.
     options : of the driver's table: which channel drives and which measures.
     send : unused; the instrument only speaks when asked.
     """

@@ -127,12 +127,7 @@ class FreeRunning(Served, Protocol):
 
 
 class Port(ABC):
-    """Serves one emulated instrument in its own thread until it is closed.
-
-    Parameters
-    ----------
-    name : of the thread.
-    """
+    """Serves one emulated instrument in its own thread until it is closed."""
 
     address: str
 

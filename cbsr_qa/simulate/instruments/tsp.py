@@ -52,12 +52,7 @@ class _Function:
 
 
 class Interpreter:
-    """Interpreter of one line at a time. A line is parsed completely before it runs.
-
-    Parameters
-    ----------
-    machine : the instrument.
-    """
+    """Interpreter of one line at a time. A line is parsed completely before it runs."""
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
@@ -66,10 +61,8 @@ class Interpreter:
     def run(self, line: str) -> None:
         """Run a line.
 
-        Raises
-        ------
-        TspError
-            With -285 if it is not in the language (nothing is run), -286 or the machine's if something fails in it.
+        TspError with -285 if it is not in the language (nothing is run), -286 or the machine's if something fails in
+        it.
         """
         parser = _Parser(line, self)
         statements = parser.block(within=False)

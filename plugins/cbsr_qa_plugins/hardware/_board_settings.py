@@ -73,10 +73,7 @@ class BoardSettings:
 
     Parameters
     ----------
-    address, baud, format : of its line.
     period_s : time of a frame [s].
-    limits : lowest and highest count that can be sent.
-    ends : counts at which a reading is saturated.
     zero : the count of 0 V.
     order : (256,) int64, see :func:`~cbsr_qa_plugins.hardware._board_stream.scan_order`.
     current_A : None where it is not stated.

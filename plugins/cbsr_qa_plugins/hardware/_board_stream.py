@@ -146,10 +146,6 @@ class TextStream:
 
     The board's clock [ms] may stand in front of a row. Logs that the board prints between rows are left out; a row
     that is cut, joined with another or holds what is no count spoils its frame.
-
-    Parameters
-    ----------
-    lowest, highest : counts that the converter can say.
     """
 
     def __init__(self, lowest: int, highest: int) -> None:

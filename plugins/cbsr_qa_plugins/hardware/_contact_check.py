@@ -34,11 +34,8 @@ class ContactFault:
 
     Parameters
     ----------
-    state : of the contact.
     pins : that explain it; several where the driven pairs cannot tell which of them, two for pins that touch.
-    pairs : whose resistance is unusual.
     ohm : of these pairs; infinite where the source could not drive its current.
-    median_ohm : of all pairs the source could drive.
     """
 
     state: ContactState
@@ -65,16 +62,12 @@ def contact_faults(pattern: DrivePattern, drive_ohm: NDArray[np.float64]) -> tup
     """Find contacts that are open, poor, or touch.
 
     Open and poor pins are the fewest that explain all pairs that read too much: a pin counts only if every pair it is
-    part of does. A pair that reads too much while its pins are well in others names both.
+    part of does. A pair that reads too much while its pins are well in others names both. Returns faults, open ones
+    first.
 
     Parameters
     ----------
-    pattern : whose drive pairs were measured.
     drive_ohm : (drives,) resistance of each, infinite where the source could not drive its current.
-
-    Returns
-    -------
-    Faults, open ones first.
     """
     known = drive_ohm[np.isfinite(drive_ohm)]
     median = float(np.median(known)) if known.size else np.inf

@@ -43,19 +43,12 @@ Order = tuple[tuple[int, int], ...]
 def scan_order(pattern: DrivePattern, *, inner: str, current_skip: int = 0, voltage_skip: int = 0) -> Order:
     """Return the order of a firmware whose pairs are k and k + 1 + skip, beginning with electrode 0.
 
+    Returns (drive, measure) indices into the pattern, each combination once. RefusedError if the firmware's pairs are
+    not the pattern's.
+
     Parameters
     ----------
     inner : ``"current"`` where the driven pair changes with every step, ``"voltage"`` where the measured one does.
-    current_skip, voltage_skip : electrodes between the two of a pair.
-
-    Returns
-    -------
-    (drive, measure) indices into the pattern, each combination once.
-
-    Raises
-    ------
-    RefusedError
-        If the firmware's pairs are not the pattern's.
     """
     drives = _indices("drive", pattern.drive, current_skip, pattern.electrode_count)
     measures = _indices("measure", pattern.measure, voltage_skip, pattern.electrode_count)

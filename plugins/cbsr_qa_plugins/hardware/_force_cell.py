@@ -23,15 +23,7 @@ NEWTON_PER_G: Final = 9.80665e-3
 
 @dataclass(frozen=True, slots=True)
 class DeadWeightCheck:
-    """What a load cell said under a known mass.
-
-    Parameters
-    ----------
-    mass_g : of the weight.
-    found_N, error_N : mean of the readings and its standard error.
-    expected_N : the mass's weight at standard gravity.
-    tolerance_N : how far they may be apart.
-    """
+    """What a load cell said under a known mass."""
 
     mass_g: float
     found_N: float
@@ -53,13 +45,7 @@ class DeadWeightCheck:
 
 
 def dead_weight_check(found_N: float, error_N: float, mass_g: float, tolerance_percent: float) -> DeadWeightCheck:
-    """Hold a mean force against the weight of a mass.
-
-    Raises
-    ------
-    RefusedError
-        If the mass or the tolerance is not above 0.
-    """
+    """Hold a mean force against the weight of a mass. RefusedError if the mass or the tolerance is not above 0."""
     if not (mass_g > 0 and tolerance_percent > 0):
         raise RefusedError(
             f"a dead weight of {mass_g:g} g to within {tolerance_percent:g} % checks nothing",
@@ -140,11 +126,7 @@ class ForceCell:
 
     Parameters
     ----------
-    context : of the station.
-    source : what it is read by.
-    settings : of its table.
     who : says who it is; called only while it answers.
-    address : for messages.
     """
 
     channel = "force"
@@ -186,12 +168,8 @@ class ForceCell:
     def samples_since(self, time_s: float) -> SampleBlock:
         """Return the force after a time on the station's clock, up to now.
 
-        Raises
-        ------
-        InstrumentError
-            If the link is down, or carries something else.
-        SafetyError
-            With rule ``force``, while the cell stands at its limit: the force may be anything above it.
+        InstrumentError if the link is down, or carries something else; SafetyError with rule ``force``, while the
+        cell stands at its limit: the force may be anything above it.
         """
         times, values = self._source.samples_since(time_s)
         self._check_limit()
@@ -200,10 +178,7 @@ class ForceCell:
     def tare(self) -> float:
         """Take the mean of the coming seconds as zero, as its table says; returns by how much it was shifted [N].
 
-        Raises
-        ------
-        InstrumentError
-            If something presses on the cell.
+        InstrumentError if something presses on the cell.
         """
         settings = self._settings
         if settings.tare_s == 0:
@@ -221,10 +196,7 @@ class ForceCell:
     def dead_weight_check(self, mass_g: float, *, tolerance_percent: float = 1.0) -> DeadWeightCheck:
         """Compare two seconds under a known mass with its weight.
 
-        Raises
-        ------
-        RefusedError
-            If mass or tolerance is not above 0.
+        RefusedError if mass or tolerance is not above 0.
         """
         mean_N, error_N = self._mean_N(_TEST_S)
         return dead_weight_check(mean_N - self._zero_N, error_N, mass_g, tolerance_percent)
@@ -232,9 +204,7 @@ class ForceCell:
     def self_test(self) -> tuple[CheckResult, ...]:
         """Look at zero and noise for two seconds, and hold a known mass against what is read if there is one.
 
-        Returns
-        -------
-        Lines ``zero``, ``noise`` and ``dead weight``; for the last the operator is asked to put the mass on.
+        Returns lines ``zero``, ``noise`` and ``dead weight``; for the last the operator is asked to put the mass on.
         """
         mean_N, error_N = self._mean_N(_TEST_S)
         zero_N, limit_N = mean_N - self._zero_N, self._settings.tare_limit_N

@@ -17,13 +17,7 @@ _STALE_S: Final = 2.0
 
 
 def force_among(peers: Mapping[str, Instrument]) -> Sampler:
-    """Find the instrument of a bench that samples the force.
-
-    Raises
-    ------
-    ConfigError
-        If there is none.
-    """
+    """Find the instrument of a bench that samples the force. ConfigError if there is none."""
     for one in peers.values():
         if isinstance(one, Sampler) and one.channel == CHANNEL:
             return one
@@ -38,10 +32,7 @@ class ForceWatch:
 
     Parameters
     ----------
-    force : the sampler.
-    clock : the station's.
     safety : None where no station says anything.
-    role, address : of the head, for messages.
     """
 
     def __init__(self, force: Sampler, clock: Clock, safety: SafetyLimits | None, *, role: str, address: str) -> None:
@@ -55,10 +46,7 @@ class ForceWatch:
     def look(self) -> None:
         """Hold what was sampled since the last look against the limits.
 
-        Raises
-        ------
-        SafetyError
-            With the interlock's rules: ``force`` above the ceiling, or ``stale force``.
+        SafetyError with the interlock's rules: ``force`` above the ceiling, or ``stale force``.
         """
         now_s = self._clock.now()
         block = self._force.samples_since(max(self._newest_s, now_s - self.stale_s))
@@ -77,12 +65,7 @@ class ForceWatch:
     def mean_since(self, time_s: float) -> float:
         """Return the mean force since a time; waits for a sample, but no longer than one may be old [N].
 
-        Raises
-        ------
-        InstrumentError
-            If none came.
-        SafetyError
-            If one is above the ceiling.
+        InstrumentError if none came; SafetyError if one is above the ceiling.
         """
         late_s = self._clock.now() + self.stale_s
         while not len(block := self._force.samples_since(time_s)):

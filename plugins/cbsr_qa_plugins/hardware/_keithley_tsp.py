@@ -18,12 +18,7 @@ _TOLERANCE = 1e-4
 
 
 class TspUnit:
-    """A unit that is spoken to in TSP.
-
-    Parameters
-    ----------
-    link : the open session.
-    """
+    """A unit that is spoken to in TSP."""
 
     def __init__(self, link: VisaLink) -> None:
         self._link = link
@@ -48,23 +43,14 @@ class TspUnit:
     def recover(self) -> None:
         """Get back into step; prompts that another program switched on are switched off before they count as answers.
 
-        Raises
-        ------
-        InstrumentError
-            If there is no answer.
+        InstrumentError if there is no answer.
         """
         with suppress(InstrumentError):  # a link that is down is opened again first
             self._link.write("localnode.prompts = 0")
         self._link.recover()
 
     def identity(self) -> tuple[str, str, str, str]:
-        """Return maker, model, serial number and firmware.
-
-        Raises
-        ------
-        InstrumentError
-            If it is no unit of the series.
-        """
+        """Return maker, model, serial number and firmware. InstrumentError if it is no unit of the series."""
         said = self._link.query("*IDN?")
         parts = [part.strip() for part in said.split(",")]
         if len(parts) != 4 or "keithley" not in parts[0].lower() or not parts[1].lower().startswith("model 26"):
@@ -77,10 +63,7 @@ class TspUnit:
     def recognise(self) -> None:
         """Make sure that it is the unit it was when it was first asked: another one is not the record's.
 
-        Raises
-        ------
-        InstrumentError
-            If it is another unit, or none of the series.
+        InstrumentError if it is another unit, or none of the series.
         """
         _, model, serial, _ = self.identity()
         known = self._known or (model, serial)

@@ -142,11 +142,7 @@ class LineSampler:
 
     Parameters
     ----------
-    link : the open port.
-    clock : the station's.
     timed : whether lines are ``<milliseconds>,<value>``; else ``<value>``, stamped at their arrival.
-    rate_hz : of the lines, as the station file states it.
-    convert : from the number of a line to the quantity.
     """
 
     def __init__(
@@ -179,10 +175,7 @@ class LineSampler:
     def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times [s] and values, both (n,), of what was sent after a time up to now.
 
-        Raises
-        ------
-        InstrumentError
-            If the line is down and cannot be opened again, or what comes on it are no such lines.
+        InstrumentError if the line is down and cannot be opened again, or what comes on it are no such lines.
         """
         if self._thread is None:
             self._drain()
@@ -202,13 +195,7 @@ class LineSampler:
         return self._log.newest(count)
 
     def wait_for_first(self, allowed_s: float) -> None:
-        """Let time pass until there is a sample.
-
-        Raises
-        ------
-        InstrumentError
-            If none comes in time, saying what came instead.
-        """
+        """Let time pass until there is a sample. InstrumentError if none comes in time, saying what came instead."""
         until_s = self._clock.now() + allowed_s
         while not len(self.samples_since(-np.inf)[0]):
             if self._clock.now() >= until_s:

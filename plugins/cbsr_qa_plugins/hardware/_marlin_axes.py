@@ -38,12 +38,8 @@ class Machine:
 
     Parameters
     ----------
-    centre_mm : of the sheet, in the machine's x and y.
-    hover_z_mm : z of the head at its hover height.
-    hover_mm : that height above the nominal surface.
     upward : 1 where z grows upwards, -1 where it grows downwards.
     per_mm : what ``Count`` says in, per axis: 1 for millimetres, else steps per mm.
-    acceleration_mm_s2 : of every axis.
     """
 
     centre_mm: tuple[float, float]
@@ -70,11 +66,8 @@ class MarlinAxes:
 
     Parameters
     ----------
-    link : to the printer.
     machine : where the sheet lies in it.
-    clock : the station's.
     lift_mm_s : speed at which it goes up where it must.
-    fail : makes an InstrumentError of a reason and a remedy.
     """
 
     def __init__(
@@ -153,14 +146,11 @@ class MarlinAxes:
     def go(self, goal: Position, speed_mm_s: float, look: Callable[[Position], None] | None = None) -> None:
         """Move in a straight line; returns when there.
 
+        InstrumentError if the position is lost, the head does not get there, or it was stopped meanwhile.
+
         Parameters
         ----------
         look : called with the live position while it moves; what it raises stops and lifts the head.
-
-        Raises
-        ------
-        InstrumentError
-            If the position is lost, the head does not get there, or it was stopped meanwhile.
         """
         self.check_homed()
         origin = self.at()
@@ -180,12 +170,8 @@ class MarlinAxes:
         """Stop at once and begin to lift; returns before the head is up. May be called from any thread, repeatedly.
 
         Where the position is known the head goes to its hover height. Where it is lost, it goes up by as much, once:
-        that is out of the sheet from wherever it was, and further up is not known to be free.
-
-        Raises
-        ------
-        InstrumentError
-            If the printer does not say that it does.
+        that is out of the sheet from wherever it was, and further up is not known to be free. InstrumentError if the
+        printer does not say that it does.
         """
         self._stops += 1
         self._at = None

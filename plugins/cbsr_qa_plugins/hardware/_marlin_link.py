@@ -29,15 +29,11 @@ _TOKENS: Final = 3
 class MarlinLink:
     """Sends commands to a printer and waits for their acknowledgements.
 
+    InstrumentError if nobody answers within this time.
+
     Parameters
     ----------
-    link : the open serial port.
     boot_s : how long the printer may take from the opening of its port to its first answer [s, real time].
-
-    Raises
-    ------
-    InstrumentError
-        If nobody answers within this time.
     """
 
     def __init__(self, link: SerialLink, *, boot_s: float) -> None:
@@ -63,11 +59,7 @@ class MarlinLink:
         """Let a command be done, and return what the printer said before its acknowledgement.
 
         After a restart lines are counted anew: whether the command may be done is the caller's to know.
-
-        Raises
-        ------
-        InstrumentError
-            If it is not acknowledged, the printer does not know it, or has restarted.
+        InstrumentError if it is not acknowledged, the printer does not know it, or has restarted.
         """
         with self._exchanging:
             self._look_back()
@@ -105,10 +97,7 @@ class MarlinLink:
     def reopen(self) -> None:
         """Open the port again; printers restart on that, so the position is lost.
 
-        Raises
-        ------
-        InstrumentError
-            If it does not open, or nobody answers.
+        InstrumentError if it does not open, or nobody answers.
         """
         with self._exchanging:
             self._forget()

@@ -109,10 +109,7 @@ class ErtBoardStream:
     def alive(self) -> None:
         """Return as soon as the board has sent anything; what it sent is thrown away.
 
-        Raises
-        ------
-        InstrumentError
-            If nothing comes for the time of some frames, or the link is down (retryable).
+        InstrumentError if nothing comes for the time of some frames, or the link is down (retryable).
         """
         with self._retried():
             self._drain()
@@ -138,10 +135,7 @@ class ErtBoardStream:
     def acquire(self, count: int) -> FrameBlock:
         """Take frames one after the other, none of which began before this call.
 
-        Raises
-        ------
-        InstrumentError
-            If none comes in time or the link is down (retryable: the port is opened again).
+        InstrumentError if none comes in time or the link is down (retryable: the port is opened again).
         """
         if count < 1:
             raise self._error(f"{count} frames were asked for; at least 1 is needed")

@@ -115,13 +115,7 @@ class Esp32Multiplexer:
         self._link.close()
 
     def alive(self) -> None:
-        """Ask whether it is where it was left.
-
-        Raises
-        ------
-        InstrumentError
-            If it does not answer, or has been restarted.
-        """
+        """Ask whether it is where it was left. InstrumentError if it does not answer, or has been restarted."""
         with self._talking():
             before = self._at
             if self._asked() != before and before is not None:
@@ -150,10 +144,7 @@ class Esp32Multiplexer:
     def start(self) -> None:
         """Step on to the first combination, and see that it is there.
 
-        Raises
-        ------
-        InstrumentError
-            If it does not get there, or an answer is lost (both retryable).
+        InstrumentError if it does not get there, or an answer is lost (both retryable).
         """
         with self._talking():
             moved = self._started()
@@ -163,10 +154,7 @@ class Esp32Multiplexer:
     def step(self) -> None:
         """Connect the next combination; returns when it has settled.
 
-        Raises
-        ------
-        InstrumentError
-            If the step is not echoed (retryable).
+        InstrumentError if the step is not echoed (retryable).
         """
         with self._talking():
             self._stepped()

@@ -130,10 +130,7 @@ class Keithley2600:
     def safe_state(self) -> None:
         """Switch both outputs off, going around a thread that hangs in a question; checked by reading back.
 
-        Raises
-        ------
-        InstrumentError
-            If the instrument does not confirm it.
+        InstrumentError if the instrument does not confirm it.
         """
         held = self._lock.acquire(timeout=_PATIENCE_S)
         try:
@@ -154,13 +151,7 @@ class Keithley2600:
         self._link.close()
 
     def alive(self) -> None:
-        """Ask whether its outputs are as they were left.
-
-        Raises
-        ------
-        InstrumentError
-            If it does not answer, or has been reset.
-        """
+        """Ask whether its outputs are as they were left. InstrumentError if it does not answer, or has been reset."""
         with self._talking():
             output = self._unit.numbers(f"{self._source}.source.output")[0]
             if (output == 1) != (self._given_A is not None):
@@ -169,9 +160,7 @@ class Keithley2600:
     def self_test(self) -> tuple[CheckResult, ...]:
         """Look at the error queue, and at what both channels read while no current is asked for.
 
-        Returns
-        -------
-        Lines ``errors``, ``zero voltage`` and ``zero current``; both channels are off after them.
+        Returns lines ``errors``, ``zero voltage`` and ``zero current``; both channels are off after them.
         """
         with self._lock:
             with self._talking():
@@ -203,10 +192,7 @@ class Keithley2600:
     def source(self, current_A: float) -> None:
         """Set the current and switch both channels on; level and output are read back.
 
-        Raises
-        ------
-        InstrumentError
-            If the current is more than the station allows, or the instrument does not take it.
+        InstrumentError if the current is more than the station allows, or the instrument does not take it.
         """
         if not 0 < abs(current_A) <= self._largest_A:
             raise self._unit.error(
@@ -231,10 +217,7 @@ class Keithley2600:
     def measure(self) -> MeterReading:
         """Take one measurement: the readings are averaged, and all must have come.
 
-        Raises
-        ------
-        InstrumentError
-            If the source is off, an answer is lost (retryable) or the instrument too warm.
+        InstrumentError if the source is off, an answer is lost (retryable) or the instrument too warm.
         """
         with self._talking():
             if self._given_A is None:

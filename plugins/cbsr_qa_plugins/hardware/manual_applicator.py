@@ -67,10 +67,7 @@ class ManualApplicator:
     def safe_state(self) -> None:
         """Say that a head which is down can only be lifted by hand; nobody is asked, so that nobody is waited for.
 
-        Raises
-        ------
-        InstrumentError
-            If the head is down, by all that was told.
+        InstrumentError if the head is down, by all that was told.
         """
         if self._down:
             raise InstrumentError(self._role, "the operator", "the head is down and is moved by hand: LIFT IT NOW")
@@ -127,10 +124,7 @@ class ManualApplicator:
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Ask for a depth below the surface found here (or else found nearest, or else hover height).
 
-        Raises
-        ------
-        InstrumentError
-            If the depth was missed again and again: the head is then down, wherever it is.
+        InstrumentError if the depth was missed again and again: the head is then down, wherever it is.
         """
         self._orders += 1
         scale_mm = self._surface_mm() + depth_mm

@@ -42,14 +42,7 @@ class HandMoved(Instrument, Protocol):
 def hand_moved(peers: Mapping[str, Instrument], what: str) -> HandMoved:
     """Return the bench's head, which must be one that is moved by hand.
 
-    Parameters
-    ----------
-    what : is read by hand, for the message.
-
-    Raises
-    ------
-    ConfigError
-        If the head moves by itself: it would press on, unwatched, while somebody looks for a display.
+    ConfigError if the head moves by itself: it would press on, unwatched, while somebody looks for a display.
     """
     head = peers.get("force_applicator")
     if not isinstance(head, HandMoved):
@@ -61,13 +54,7 @@ def hand_moved(peers: Mapping[str, Instrument], what: str) -> HandMoved:
 
 
 class Operator:
-    """Asks the operator, and takes no nonsense for an answer.
-
-    Raises
-    ------
-    ConfigError
-        If nobody is there to be asked.
-    """
+    """Asks the operator, and takes no nonsense for an answer. ConfigError if nobody is there to be asked."""
 
     def __init__(self, context: StationContext, driver: str) -> None:
         if context.ask is None:
@@ -85,17 +72,12 @@ class Operator:
     def number(self, text: str, unit: str, *, least: float, most: float, default: float | None = None) -> float:
         """Ask for a number until there is one within bounds.
 
+        InstrumentError if no answer was one.
+
         Parameters
         ----------
-        text : what is asked for.
         unit : the answer's; it may be typed behind the number.
-        least, most : bounds of what can be.
         default : what an empty answer means; None where it means nothing.
-
-        Raises
-        ------
-        InstrumentError
-            If no answer was one.
         """
         question = f"{self._role}: {text} [{unit}]:"
         for _ in range(_MOST_ASKED):
@@ -194,10 +176,7 @@ class ManualLoadCell:
     def link(self, peers: Mapping[str, Instrument]) -> None:
         """Be given the head.
 
-        Raises
-        ------
-        ConfigError
-            If the head moves by itself: it would press on while somebody looks for the display.
+        ConfigError if the head moves by itself: it would press on while somebody looks for the display.
         """
         self._head = hand_moved(peers, "a load cell")
 

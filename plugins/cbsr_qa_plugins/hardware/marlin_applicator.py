@@ -108,15 +108,7 @@ def open_applicator(context: StationContext, options: MarlinOptions) -> "MarlinA
 class MarlinApplicator:
     """A head on a printer: homes, feels for the surface, presses by depth and watches the force meanwhile.
 
-    Parameters
-    ----------
-    context, options : of the station.
-    link, marlin : the open port, and the protocol on it.
-
-    Raises
-    ------
-    InstrumentError
-        If it is not the printer that the station file says; nothing has moved then.
+    InstrumentError if it is not the printer that the station file says; nothing has moved then.
     """
 
     channel = "head depth"

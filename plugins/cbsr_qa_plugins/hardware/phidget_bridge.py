@@ -97,20 +97,12 @@ class PhidgetSource:
     """Forces from one input of a bridge; the library calls from a thread of its own.
 
     A bridge that is unplugged is told of at the next look, and used again once it is back: the library knows it by
-    its serial number.
+    its serial number. ConfigError if the library is not installed, or libusb is missing; InstrumentError if the
+    bridge does not attach.
 
     Parameters
     ----------
-    role, clock : of the station.
-    scale : from the ratio to the force.
     device_serial, channel, gain, interval_ms, attach_s : as in :func:`open_bridge`.
-
-    Raises
-    ------
-    ConfigError
-        If the library is not installed, or libusb is missing.
-    InstrumentError
-        If the bridge does not attach.
     """
 
     def __init__(
@@ -151,13 +143,7 @@ class PhidgetSource:
         return InstrumentIdentity(self._role, _DRIVER, str(model), str(serial), str(version), simulated=False)
 
     def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times [s] and forces [N], both (n,), after a time.
-
-        Raises
-        ------
-        InstrumentError
-            While it is unplugged.
-        """
+        """Return times [s] and forces [N], both (n,), after a time. InstrumentError while it is unplugged."""
         if not self._attached:
             said = f" ({self._said})" if self._said else ""
             raise self._error(f"the bridge is unplugged{said}", _PLUG)

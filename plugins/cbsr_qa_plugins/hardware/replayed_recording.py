@@ -101,10 +101,7 @@ class ReplayedRecording:
     def acquire(self, count: int) -> FrameBlock:
         """Deliver the next frames of which at least half is still to come.
 
-        Raises
-        ------
-        InstrumentError
-            If the recording ends before; it is not to be tried again.
+        InstrumentError if the recording ends before; it is not to be tried again.
         """
         frames = self._recording.frames
         if count < 1:
@@ -131,13 +128,7 @@ class ReplayedRecording:
 
     @property
     def channel(self) -> str:
-        """Name of the channel that is played.
-
-        Raises
-        ------
-        ConfigError
-            If the recording does not hold it.
-        """
+        """Name of the channel that is played. ConfigError if the recording does not hold it."""
         return self._played().channel
 
     @property

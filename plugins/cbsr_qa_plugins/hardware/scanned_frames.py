@@ -127,13 +127,8 @@ class ScannedFrames:
     def link(self, peers: Mapping[str, Instrument]) -> None:
         """Take meter and multiplexer, look at the contacts, and settle the current.
 
-        Raises
-        ------
-        ConfigError
-            If the bench has none.
-        InstrumentError
-            If pins are open or touch (in words), the stated current leaves too little headroom, or the meter's
-            leads are the other way round.
+        ConfigError if the bench has none; InstrumentError if pins are open or touch (in words), the stated current
+        leaves too little headroom, or the meter's leads are the other way round.
         """
         meter, multiplexer = peers.get("source_meter"), peers.get("multiplexer")
         if not isinstance(meter, SourceMeter) or not isinstance(multiplexer, Multiplexer):
@@ -157,10 +152,8 @@ class ScannedFrames:
     def acquire(self, count: int) -> FrameBlock:
         """Take frames one after the other, each from its first reading on.
 
-        Raises
-        ------
-        InstrumentError
-            If an answer is lost, or the multiplexer has lost a step (retryable: nothing of the frame is kept).
+        InstrumentError if an answer is lost, or the multiplexer has lost a step (retryable: nothing of the frame is
+        kept).
         """
         if count < 1:
             raise InstrumentError(self._role, _WHERE, f"{count} frames were asked for; at least 1 is needed")

@@ -131,13 +131,7 @@ def open_thermometer(context: StationContext, options: ThermometerOptions) -> "S
 
 
 class SerialThermometer:
-    """Samples ``temperature`` all the time.
-
-    Parameters
-    ----------
-    context : of the station.
-    lines : what reads from it.
-    """
+    """Samples ``temperature`` all the time."""
 
     channel = "temperature"
     unit = "°C"
@@ -165,9 +159,6 @@ class SerialThermometer:
     def samples_since(self, time_s: float) -> SampleBlock:
         """Return the temperature after a time on the station's clock, up to now.
 
-        Raises
-        ------
-        InstrumentError
-            If the line is down, or carries something else.
+        InstrumentError if the line is down, or carries something else.
         """
         return SampleBlock(self.channel, self.unit, *self._lines.samples_since(time_s))
