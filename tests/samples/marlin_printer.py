@@ -7,7 +7,7 @@ from emulated_bench import WorldForce
 from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 
 SPEED = 40 / 60
-TABLE = {"driver": "marlin-applicator", "centre_mm": [125.0, 105.0], "hover_height_mm": 60.0, "timeout_s": 0.4}
+TABLE = {"driver": "marlin-applicator", "centre_mm": [55.0, 52.0], "hover_height_mm": 32.0, "timeout_s": 0.4}
 
 
 def linked(station, **more):

@@ -53,8 +53,8 @@ class AddressLock:
 
 def lock_path(address: str) -> Path:
     """File that is locked for an address."""
-    one = str(Path(address).resolve()) if address.startswith("/") else address.strip().upper()
-    return Path(tempfile.gettempdir()) / _FOLDER / hashlib.sha256(one.encode()).hexdigest()[:32]
+    resolved = str(Path(address).resolve()) if address.startswith("/") else address.strip().upper()
+    return Path(tempfile.gettempdir()) / _FOLDER / hashlib.sha256(resolved.encode()).hexdigest()[:32]
 
 
 def _self(role: str) -> dict[str, Any]:
@@ -63,10 +63,10 @@ def _self(role: str) -> dict[str, Any]:
     return {"pid": os.getpid(), "command": command, "role": role, "since": since}
 
 
-def _holder(said: bytes) -> str:
+def _holder(text: bytes) -> str:
     """Say who holds a lock; one that has only just taken it may not have written its name yet."""
     try:
-        who = json.loads(said)
+        who = json.loads(text)
         return f"process {who['pid']} ({who['command']}) as {who['role']} since {who['since']}"
     except (ValueError, KeyError, TypeError):
         return "another program"

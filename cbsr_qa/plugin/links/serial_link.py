@@ -61,7 +61,7 @@ class SerialLink:
         with self._writing, self._mapped():
             sent = self._port.write(data)
         if sent is not None and sent < len(data):
-            raise self._error(f"took {sent} of {len(data)} bytes within {_WRITE_S:g} s", retryable=True)
+            raise self.error(f"took {sent} of {len(data)} bytes within {_WRITE_S:g} s", retryable=True)
 
     def read(self, count: int, timeout_s: float | None = None) -> bytes:
         """Return exactly so many bytes.
@@ -73,8 +73,8 @@ class SerialLink:
             with self._reading:
                 if len(self._held) >= count:
                     return self._taken(count)
-        said = f"answered {len(self._held)} of {count} bytes within {allowed_s:g} s"
-        raise self._error(said, remedy=_SILENT, retryable=True)
+        reason = f"answered {len(self._held)} of {count} bytes within {allowed_s:g} s"
+        raise self.error(reason, remedy=_SILENT, retryable=True)
 
     def read_line(self, timeout_s: float | None = None) -> bytes:
         r"""Return the next line without its end (``\n`` or ``\r\n``).
@@ -89,9 +89,9 @@ class SerialLink:
                     return self._taken(end + 1).rstrip(b"\r\n")
                 if len(self._held) > _LONGEST_LINE:
                     self._held.clear()
-                    raise self._error(f"sent more than {_LONGEST_LINE} bytes without a line end", remedy=_BAUD)
-        found = f"{len(self._held)} bytes without a line end" if self._held else "nothing"
-        raise self._error(f"answered {found} within {allowed_s:g} s", remedy=_SILENT, retryable=True)
+                    raise self.error(f"sent more than {_LONGEST_LINE} bytes without a line end", remedy=_BAUD)
+        received = f"{len(self._held)} bytes without a line end" if self._held else "nothing"
+        raise self.error(f"answered {received} within {allowed_s:g} s", remedy=_SILENT, retryable=True)
 
     def read_available(self) -> bytes:
         """Return what has come, without waiting; may be nothing."""
@@ -157,49 +157,50 @@ class SerialLink:
         if not self.address.lower().startswith(_USB):
             return self.address
         vid, pid, number = _usb_identity(self.role, self.address)
-        found = [
+        devices = [
             port.device
             for port in list_ports.comports()
             if (port.vid, port.pid) == (vid, pid) and number in (None, port.serial_number)
         ]
-        if len(found) == 1:
-            return str(found[0])
-        if not found:
-            raise self._error("no such device is plugged in", remedy=_ports())
-        raise self._error(
-            f"{len(found)} such devices are plugged in ({', '.join(sorted(found))})",
+        if len(devices) == 1:
+            return str(devices[0])
+        if not devices:
+            raise self.error("no such device is plugged in", remedy=_ports())
+        raise self.error(
+            f"{len(devices)} such devices are plugged in ({', '.join(sorted(devices))})",
             remedy="say which by its serial number: usb:VID:PID:SERIAL",
         )
 
     def _not_opened(self, path: str, error: Exception) -> InstrumentError:
         number = getattr(error, "errno", None)
         if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error).lower():
-            return self._error("another program has the port", remedy="end the other program, or wait for it")
+            return self.error("another program has the port", remedy="end the other program, or wait for it")
         if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
-            return self._error(f"there is no port {path}", remedy=_ports())
+            return self.error(f"there is no port {path}", remedy=_ports())
         if number in (errno.EACCES, errno.EPERM):
-            return self._error(
+            return self.error(
                 f"port {path} may not be opened", remedy="add the user to the group that owns it (often dialout)"
             )
-        return self._error(f"port {path} does not open: {error}", remedy=_ports())
+        return self.error(f"port {path} does not open: {error}", remedy=_ports())
 
     @contextmanager
     def _mapped(self) -> Iterator[None]:
         try:
             yield
         except serial.SerialTimeoutException as error:
-            said = f"took no more bytes for {_WRITE_S:g} s"
-            raise self._error(said, remedy=_SILENT, retryable=True) from error
+            reason = f"took no more bytes for {_WRITE_S:g} s"
+            raise self.error(reason, remedy=_SILENT, retryable=True) from error
         except serial.PortNotOpenError as error:
             self.down = True
-            raise self._error("the link is closed") from error
+            raise self.error("the link is closed") from error
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
             self.down = True
             if not self._port.is_open:  # pyserial leaks a TypeError where it is closed
-                raise self._error("the link is closed") from error
-            raise self._error(f"the link is down ({error})", remedy=_CABLE) from error
+                raise self.error("the link is closed") from error
+            raise self.error(f"the link is down ({error})", remedy=_CABLE) from error
 
-    def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
+    def error(self, reason: str, remedy: str = "", *, retryable: bool = False) -> InstrumentError:
+        """Return an error that names role and address."""
         return InstrumentError(self.role, self.address, reason, remedy=remedy, retryable=retryable)
 
 

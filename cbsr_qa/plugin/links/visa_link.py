@@ -72,18 +72,15 @@ class VisaLink:
         """Send one line and return the one that answers it, without mark and line end.
 
         InstrumentError if no line comes in time, or one with another mark (both retryable), or the link is down.
-
-        Parameters
-        ----------
-        mark : word the answer must begin with, followed by a tab or nothing.
+        ``mark``: word the answer must begin with, followed by a tab or nothing.
         """
         self.write(text)
         line = self._line()
         if not mark:
             return line
-        found, _, rest = line.partition("\t")
-        if found != mark:
-            raise self._error(f"answered {line[:80]!r} to {text!r}, which is marked {mark!r}", retryable=True)
+        found_mark, _, rest = line.partition("\t")
+        if found_mark != mark:
+            raise self.error(f"answered {line[:80]!r} to {text!r}, which is marked {mark!r}", retryable=True)
         return rest
 
     def query_binary(self, text: str, count: int, *, mark: str = "") -> NDArray[np.float64]:
@@ -101,10 +98,10 @@ class VisaLink:
         size = len(_HEADER) + count * np.dtype(_SINGLE).itemsize
         data = self._bytes(size + 1 + (len(mark) + 1 if mark else 0))
         if not data.startswith(_HEADER) or data[size : size + 1] != b"\n":
-            raise self._error(f"answered {data[:16]!r}, not {count} binary numbers", retryable=True)
+            raise self.error(f"answered {data[:16]!r}, not {count} binary numbers", retryable=True)
         if mark and data[size + 1 :] != mark.encode("ascii") + b"\n":
-            found = data[size + 1 : -1]
-            raise self._error(f"answered question {found!r} where {mark!r} was asked", retryable=True)
+            other_mark = data[size + 1 : -1]
+            raise self.error(f"answered question {other_mark!r} where {mark!r} was asked", retryable=True)
         return np.frombuffer(data, _SINGLE, count, len(_HEADER)).astype(np.float64)
 
     def recover(self) -> None:
@@ -136,7 +133,7 @@ class VisaLink:
             with suppress(_LateError):
                 if self._line().endswith(word):
                     return
-        raise self._error(f"no answer within {_PATIENCE * self.timeout_s:g} s", remedy=_SILENT)
+        raise self.error(f"no answer within {_PATIENCE * self.timeout_s:g} s", remedy=_SILENT)
 
     def close(self) -> None:
         """Give the resource back; may be called more than once."""
@@ -174,7 +171,7 @@ class VisaLink:
         named = (StatusCode.error_invalid_resource_name, StatusCode.error_invalid_setup)
         if isinstance(error, AttributeError) or getattr(error, "error_code", None) in named:
             return ConfigError(f"instrument {self.role!r}: {self.address!r} is no VISA resource", remedy=_EXAMPLE)
-        return self._error(f"it does not open: {error}", remedy=_SILENT, retryable=True)
+        return self.error(f"it does not open: {error}", remedy=_SILENT, retryable=True)
 
     @contextmanager
     def _mapped(self) -> Iterator[None]:
@@ -183,22 +180,23 @@ class VisaLink:
             yield
         except VisaIOError as error:
             if error.error_code == StatusCode.error_timeout:
-                said = f"no answer within {self.timeout_s:g} s"
-                raise _LateError(self.role, self.address, said, remedy=_SILENT, retryable=True) from error
+                reason = f"no answer within {self.timeout_s:g} s"
+                raise _LateError(self.role, self.address, reason, remedy=_SILENT, retryable=True) from error
             raise self._lost(error) from error
         except ConnectionRefusedError as error:
             self._down = True
-            said = "nothing listens there (connection refused)"
-            raise self._error(said, remedy=_SILENT, retryable=True) from error
+            reason = "nothing listens there (connection refused)"
+            raise self.error(reason, remedy=_SILENT, retryable=True) from error
         except (pyvisa.Error, OSError, AttributeError, TypeError, ValueError) as error:
             # A session that another thread closes while it is read leaks AttributeError or ValueError.
             raise self._lost(error) from error
 
     def _lost(self, error: Exception) -> InstrumentError:
         self._down = True
-        return self._error(f"the link is down ({error})", remedy=_CABLE, retryable=True)
+        return self.error(f"the link is down ({error})", remedy=_CABLE, retryable=True)
 
-    def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
+    def error(self, reason: str, remedy: str = "", *, retryable: bool = False) -> InstrumentError:
+        """Return an error that names role and address."""
         return InstrumentError(self.role, self.address, reason, remedy=remedy, retryable=retryable)
 
 

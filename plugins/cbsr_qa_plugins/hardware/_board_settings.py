@@ -1,18 +1,16 @@
-"""What a station's table says of an ERT board, and what the board's counts are by it."""
+"""Options of an ERT board, and what the board's counts are by them."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, correct_carry_over
 from cbsr_qa.plugin import Array, PluginOptions, Problem, StationContext
-from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, PAIRS, Counts, scan_order
-from cbsr_qa_plugins.hardware._options import Port
+from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, PAIRS, Counts, stream_order
+from cbsr_qa_plugins.hardware._driver import Port
 
 _BINARY_BAUD: Final = 1_400_000
 _UNSIGNED, _SIGNED = (0, 2**16 - 1), (-(2**15), 2**15 - 1)
@@ -66,54 +64,6 @@ class BoardOptions(PluginOptions):
             allowed = f"the lowest and the highest count of a 16-bit converter, within {list(self.limits)}"
             yield Problem(("range_counts",), f"is [{low:g}, {high:g}]", f"it must be {allowed}")
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BoardSettings:
-    """The table of a board, checked.
-
-    Parameters
-    ----------
-    period_s : time of a frame [s].
-    zero : the count of 0 V.
-    order : (256,) int64, see :func:`~cbsr_qa_plugins.hardware._board_stream.scan_order`.
-    current_A : None where it is not stated.
-    memory_share : of the reading before, taken out of each; 0 for none.
-    """
-
-    address: str
-    baud: int
-    format: str
-    period_s: float
-    limits: tuple[int, int]
-    ends: tuple[int, int]
-    zero: float
-    order: NDArray[np.int64]
-    current_A: float | None
-    memory_share: float
-
-    @classmethod
-    def of(cls, context: StationContext, options: BoardOptions, driver: str) -> Self:
-        """Take them from a table; ConfigError where the sensor type is none of this board."""
-        _check_sensor(context, f"instrument {context.role!r} ({driver})")
-        assert options.speed is not None
-        return cls(
-            address=options.address,
-            baud=options.speed,
-            format=options.format,
-            period_s=options.frame_period_s,
-            limits=options.limits,
-            ends=options.ends,
-            zero=options.zero_counts,
-            order=scan_order(options.order, options.first_reading),
-            current_A=None if options.current_mA is None else 1e-3 * options.current_mA,
-            memory_share=options.memory_share,
-        )
-
-    @property
-    def text(self) -> bool:
-        """Whether the board sends text."""
-        return self.format == "ascii"
-
     def block(self, ends_s: Sequence[float], sent: Sequence[Counts]) -> FrameBlock:
         """Return frames in canonical order.
 
@@ -122,29 +72,31 @@ class BoardSettings:
         ends_s : when each of them was over, on the station's clock.
         sent : (16, 16) counts each, in the order of the stream.
         """
-        counts = self._canonical(np.array(sent, dtype=np.float64))
+        order = stream_order(self.order, self.first_reading)
+        flat = np.empty((len(sent), PAIRS * PAIRS))
+        flat[:, order] = np.reshape(sent, (len(sent), -1))
+        counts = flat.reshape(-1, *_SHAPE)
+        low, high = self.ends
         flags = np.zeros(counts.shape, dtype=np.uint8)
-        flags[(counts <= self.ends[0]) | (counts >= self.ends[1])] = ReadingFlag.SATURATED
-        values = counts - self.zero
+        flags[(counts <= low) | (counts >= high)] = ReadingFlag.SATURATED
+        values = counts - self.zero_counts
         if self.memory_share:
-            values = correct_carry_over(values, self.memory_share, self.order)
-        times_s = np.array(ends_s) - self.period_s / 2
+            values = correct_carry_over(values, self.memory_share, order)
+        times_s = np.array(ends_s) - self.frame_period_s / 2
         # The board reads one after the other: the n-th of 256 in the middle of the n-th part of the frame.
-        offsets = np.empty(counts[0].size)
-        offsets[self.order] = (np.arange(counts[0].size) + 0.5) / counts[0].size - 0.5
-        own_s = times_s[:, None, None] + self.period_s * offsets.reshape(_SHAPE)
-        return FrameBlock(times_s, values, flags, VoltageUnit.COUNT, self.current_A, own_s)
-
-    def _canonical(self, sent: NDArray[Any]) -> NDArray[np.float64]:
-        frames = np.empty((len(sent), PAIRS * PAIRS))
-        frames[:, self.order] = sent.reshape(len(sent), -1)
-        return frames.reshape(-1, *_SHAPE)
+        offsets = np.empty(order.size)
+        offsets[order] = (np.arange(order.size) + 0.5) / order.size - 0.5
+        own_s = times_s[:, None, None] + self.frame_period_s * offsets.reshape(_SHAPE)
+        current_A = None if self.current_mA is None else 1e-3 * self.current_mA
+        return FrameBlock(times_s, values, flags, VoltageUnit.COUNT, current_A, own_s)
 
 
-def _check_sensor(context: StationContext, who: str) -> None:
+def check_sensor(context: StationContext, driver: str) -> None:
+    """Refuse a sensor type that is not read by 16 x 16 (ConfigError)."""
     rows, columns = context.sensor_type.pattern.shape
     if (rows, columns) != _SHAPE:
         raise ConfigError(
-            f"{who} sends 16 x 16 readings; sensor type {context.sensor_type.name!r} has {rows} x {columns}",
+            f"instrument {context.role!r} ({driver}) sends 16 x 16 readings;"
+            f" sensor type {context.sensor_type.name!r} has {rows} x {columns}",
             remedy="use a sensor type of 16 drive and 16 measure pairs, or another driver",
         )

@@ -99,10 +99,10 @@ class BinaryStream:
             self._drop(max(len(held) - BINARY_FRAME + 1, 0))
             return False
         if np.isin(_counts(held, start), _MARKS_AS_COUNTS).any():
-            found = self._undoubted(start)
-            if found is None:
+            undoubted = self._undoubted(start)
+            if undoubted is None:
                 return False
-            start = found
+            start = undoubted
         self._drop(start)
         self._locked = True
         return True
@@ -221,7 +221,7 @@ def _is_row(text: str) -> bool:
     return len(fields) > 2 and sum(field.strip().lstrip("-").isdigit() for field in fields) > len(fields) / 2
 
 
-def scan_order(order: str, first: int) -> NDArray[np.int64]:
+def stream_order(order: str, first: int) -> NDArray[np.int64]:
     """Index into the flattened canonical frame of each reading, in the order of the stream, (256,) int64.
 
     Parameters

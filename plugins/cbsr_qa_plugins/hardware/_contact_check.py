@@ -54,8 +54,8 @@ class ContactFault:
         pairs = _listed([f"{a}-{b}" for a, b in self.pairs], "and")
         # That none could be driven is said once for all of them.
         read = _listed([_shown(ohm) for ohm in (self.ohm if np.isfinite(self.ohm).any() else self.ohm[:1])], "and")
-        said = f"{who}: pair{'s' if plural else ''} {pairs} read{'' if plural else 's'} {read}"
-        return said + (f", the median pair {_shown(self.median_ohm)}" if np.isfinite(self.median_ohm) else "")
+        text = f"{who}: pair{'s' if plural else ''} {pairs} read{'' if plural else 's'} {read}"
+        return text + (f", the median pair {_shown(self.median_ohm)}" if np.isfinite(self.median_ohm) else "")
 
 
 def contact_faults(pattern: DrivePattern, drive_ohm: NDArray[np.float64]) -> tuple[ContactFault, ...]:
@@ -63,11 +63,7 @@ def contact_faults(pattern: DrivePattern, drive_ohm: NDArray[np.float64]) -> tup
 
     Open and poor pins are the fewest that explain all pairs that read too much: a pin counts only if every pair it is
     part of does. A pair that reads too much while its pins are well in others names both. Returns faults, open ones
-    first.
-
-    Parameters
-    ----------
-    drive_ohm : (drives,) resistance of each, infinite where the source could not drive its current.
+    first. ``drive_ohm``: (drives,) resistance of each, infinite where the source could not drive its current.
     """
     known = drive_ohm[np.isfinite(drive_ohm)]
     median = float(np.median(known)) if known.size else np.inf

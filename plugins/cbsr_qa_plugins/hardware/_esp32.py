@@ -1,7 +1,4 @@
-"""In which order a multiplexer steps through drive and measure pairs; frames are kept in one canonical order.
-
-What the multiplexer's command firmware says, found among echoes and log lines that are glued to it.
-"""
+"""The multiplexer's command firmware: what it answers, and the order it steps in."""
 
 import re
 from typing import Final
@@ -10,45 +7,42 @@ from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.sensor import DrivePattern, Pair, Pairs
 
 #: (source, sink) and the two voltage pins. Which of these is the positive one is a matter of how the meter is wired.
-Position = tuple[Pair, Pair]
+Connection = tuple[Pair, Pair]
 
 _ELECTRODES: Final = re.compile(rb"isrc(\d+),isnk(\d+),vn(\d+),vp(\d+)")
 _COLOUR: Final = re.compile(rb"\x1b\[[0-9;]*m")
 _LOG_LINE: Final = re.compile(rb"[EWIDV] \(\d+\) ")
 
 
-def last_position(said: bytes) -> Position | None:
+def last_position(answer: bytes) -> Connection | None:
     """Find the last answer to ``g``; the firmware's labels of source and sink are swapped."""
-    found = _ELECTRODES.findall(_COLOUR.sub(b"", said))
-    if not found:
+    positions = _ELECTRODES.findall(_COLOUR.sub(b"", answer))
+    if not positions:
         return None
-    sink, source, negative, positive = map(int, found[-1])
+    sink, source, negative, positive = map(int, positions[-1])
     return (source, sink), (negative, positive)
 
 
-def counter_in(said: bytes) -> int | None:
+def counter_in(answer: bytes) -> int | None:
     """Find the answer to ``c``: digits between the echo and the log line that is glued to them."""
-    found = re.search(rb"c(\d+)(?=[^\d])", said)
-    return None if found is None else int(found[1])
+    match = re.search(rb"c(\d+)(?=[^\d])", answer)
+    return None if match is None else int(match[1])
 
 
-def is_log(said: bytes) -> bool:
+def is_log(text: bytes) -> bool:
     """Whether a log line without colours has begun."""
-    return _LOG_LINE.search(said) is not None
+    return _LOG_LINE.search(text) is not None
 
 
 Order = tuple[tuple[int, int], ...]
 
 
-def scan_order(pattern: DrivePattern, *, inner: str, current_skip: int = 0, voltage_skip: int = 0) -> Order:
+def stepping_order(pattern: DrivePattern, *, inner: str, current_skip: int = 0, voltage_skip: int = 0) -> Order:
     """Return the order of a firmware whose pairs are k and k + 1 + skip, beginning with electrode 0.
 
     Returns (drive, measure) indices into the pattern, each combination once. RefusedError if the firmware's pairs are
-    not the pattern's.
-
-    Parameters
-    ----------
-    inner : ``"current"`` where the driven pair changes with every step, ``"voltage"`` where the measured one does.
+    not the pattern's. ``inner``: ``"current"`` where the driven pair changes with every step, ``"voltage"`` where the
+    measured one does.
     """
     drives = _indices("drive", pattern.drive, current_skip, pattern.electrode_count)
     measures = _indices("measure", pattern.measure, voltage_skip, pattern.electrode_count)

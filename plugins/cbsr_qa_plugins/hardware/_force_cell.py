@@ -1,64 +1,29 @@
-"""What load cells have in common, whatever they are read by: zero, limit, and a known mass.
-
-A load cell against a known mass.
-"""
+"""What load cells have in common, whatever they are read by: zero, limit, and a known mass."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cbsr_qa.domain import InstrumentError, RefusedError, SafetyError
+from cbsr_qa.domain import SafetyError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext
-from cbsr_qa_plugins.hardware._options import Factor, Sign
+from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, Sign
 
 #: Newtons of one gram force: standard gravity (CGPM 1901); places on earth differ by half a percent at most.
 NEWTON_PER_G: Final = 9.80665e-3
-
-
-@dataclass(frozen=True, slots=True)
-class DeadWeightCheck:
-    """What a load cell said under a known mass."""
-
-    mass_g: float
-    found_N: float
-    error_N: float
-    expected_N: float
-    tolerance_N: float
-
-    @property
-    def passed(self) -> bool:
-        """Whether found and expected are as near as they should be."""
-        return abs(self.found_N - self.expected_N) <= self.tolerance_N
-
-    def words(self) -> str:
-        """Say what was found and what was expected."""
-        return (
-            f"{self.found_N:.4g} N ± {self.error_N:.1g} N under {self.mass_g:g} g;"
-            f" {self.expected_N:.4g} N ± {self.tolerance_N:.2g} N expected"
-        )
-
-
-def dead_weight_check(found_N: float, error_N: float, mass_g: float, tolerance_percent: float) -> DeadWeightCheck:
-    """Hold a mean force against the weight of a mass. RefusedError if the mass or the tolerance is not above 0."""
-    if not (mass_g > 0 and tolerance_percent > 0):
-        raise RefusedError(
-            f"a dead weight of {mass_g:g} g to within {tolerance_percent:g} % checks nothing",
-            remedy="mass and tolerance are above 0",
-        )
-    expected_N = NEWTON_PER_G * mass_g
-    return DeadWeightCheck(mass_g, found_N, error_N, expected_N, tolerance_percent / 100 * expected_N)
 
 
 #: Beyond this share of its limit a cell is at its limit: amplifiers end a digit or two before it.
 _AT_LIMIT: Final = 0.999
 #: So many samples there after each other are flat.
 _FLAT: Final = 2
+#: How far the weight of a known mass may be from what is read.
+_WEIGHT_SHARE: Final = 0.01
 _TEST_S: Final = 2.0
 _UNITS: Final = {"N": 1.0, "counts": 1.0, "g": NEWTON_PER_G}
 
@@ -121,12 +86,10 @@ class CellOptions(PluginOptions):
     dead_weight_g: Annotated[float, Field(ge=0.1)] | None = None
 
 
-class ForceCell:
+class ForceCell(DriverBase):
     """Samples ``force`` all the time, compression positive.
 
-    Parameters
-    ----------
-    who : says who it is; called only while it answers.
+    ``who``: model, serial number and firmware; asked only while it answers.
     """
 
     channel = "force"
@@ -138,28 +101,25 @@ class ForceCell:
         source: ForceSource,
         settings: CellOptions,
         *,
-        who: Callable[[], InstrumentIdentity],
+        driver: str,
         address: str,
+        who: Callable[[], tuple[str, ...]],
     ) -> None:
-        self._context, self._source, self._settings = context, source, settings
-        self._who, self._address = who, address
+        super().__init__(context, driver, address)
+        self._source, self._settings, self._who = source, settings, who
         self._zero_N = 0.0
 
     def identity(self) -> InstrumentIdentity:
         """Say who it is, while it sends, and what was taken for zero at the opening."""
         self._source.check_alive()
-        said = self._who()
-        if self._settings.tare_s == 0:
-            return said
-        tare = f"{self._zero_N:.4g} N, mean of {self._settings.tare_s:g} s".replace("-", "−")
-        return replace(said, notes=(*said.notes, ("tare", tare)))
+        notes: tuple[tuple[str, str], ...] = ()
+        if self._settings.tare_s > 0:
+            notes = (("tare", f"{self._zero_N:.4g} N, mean of {self._settings.tare_s:g} s".replace("-", "−")),)
+        return self._identified(*self._who(), notes=notes)
 
     def alive(self) -> None:
         """Raise InstrumentError if it has fallen silent."""
         self._source.check_alive()
-
-    def safe_state(self) -> None:
-        """Nothing: it only listens."""
 
     def close(self) -> None:
         """Give the connection back."""
@@ -188,18 +148,10 @@ class ForceCell:
         if abs(shift_N) > settings.tare_limit_N:
             raise self._error(
                 f"it reads {shift_N:.3g} N before it is tared; more than {settings.tare_limit_N:g} N is no zero",
-                "take off what presses on it, lift the head, or mend 'offset' in its table",
+                "take off what presses on it, lift the head, or correct 'offset' in its table",
             )
         self._zero_N = mean_N
         return shift_N
-
-    def dead_weight_check(self, mass_g: float, *, tolerance_percent: float = 1.0) -> DeadWeightCheck:
-        """Compare two seconds under a known mass with its weight.
-
-        RefusedError if mass or tolerance is not above 0.
-        """
-        mean_N, error_N = self._mean_N(_TEST_S)
-        return dead_weight_check(mean_N - self._zero_N, error_N, mass_g, tolerance_percent)
 
     def self_test(self) -> tuple[CheckResult, ...]:
         """Look at zero and noise for two seconds, and hold a known mass against what is read if there is one.
@@ -226,23 +178,27 @@ class ForceCell:
             return _not_done("state a mass as 'dead_weight_g' in its table")
         if ask is None:
             return _not_done("somebody must put the mass on: start the check on a terminal")
-        ask(f"Put {mass_g:g} g on the load cell {self._context.role!r}.")
-        found = self.dead_weight_check(mass_g)
+        ask(f"Put {mass_g:g} g on the load cell {self._role!r}.")
+        mean_N, error_N = self._mean_N(_TEST_S)
         ask(f"Take the {mass_g:g} g off again.")
+        found_N, expected_N = mean_N - self._zero_N, NEWTON_PER_G * mass_g
+        tolerance_N = _WEIGHT_SHARE * expected_N
+        right = abs(found_N - expected_N) <= tolerance_N
+        expected = f"{expected_N:.4g} N ± {tolerance_N:.2g} N"
         return CheckResult(
             "dead weight",
-            CheckOutcome.OK if found.passed else CheckOutcome.FAILED,
-            found.found_N,
+            CheckOutcome.OK if right else CheckOutcome.FAILED,
+            found_N,
             "N",
-            f"{found.expected_N:.4g} N ± {found.tolerance_N:.2g} N",
-            "" if found.passed else "mend 'scale' and 'offset' in its table, or have it calibrated",
-            found.words(),
+            expected,
+            "" if right else "correct 'scale' and 'offset' in its table, or have it calibrated",
+            f"{found_N:.4g} N ± {error_N:.1g} N under {mass_g:g} g; {expected} expected",
         )
 
     def _mean_N(self, window_s: float) -> tuple[float, float]:
         """Return the mean over the coming seconds, before the tare, and its standard error [N]."""
-        since_s = self._context.clock.now()
-        self._context.clock.sleep(window_s)
+        since_s = self._clock.now()
+        self._clock.sleep(window_s)
         _, values = self._source.samples_since(since_s)
         if not len(values):
             raise self._error(f"it sent nothing for {window_s:g} s", "check its power and its cable")
@@ -259,12 +215,9 @@ class ForceCell:
         if len(last) == _FLAT and (last >= _AT_LIMIT * limit_N).all():
             raise SafetyError(
                 "force",
-                f"{self._context.role} stands at its limit of {limit_N:g} N: the force may be anything above",
+                f"{self._role} stands at its limit of {limit_N:g} N: the force may be anything above",
                 remedy="check what presses on it; a cell that stays there unloaded is broken",
             )
-
-    def _error(self, reason: str, remedy: str) -> InstrumentError:
-        return InstrumentError(self._context.role, self._address, reason, remedy=remedy)
 
 
 def _not_done(remedy: str) -> CheckResult:

@@ -1,6 +1,6 @@
 """What a head that moves by itself holds the force against."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -10,6 +10,9 @@ from cbsr_qa.domain.plan import SafetyLimits
 from cbsr_qa.plugin import Instrument, Sampler
 from cbsr_qa.system import Clock
 
+#: Makes an error of a reason and a remedy.
+Fail = Callable[[str, str], InstrumentError]
+
 CHANNEL: Final = "force"
 #: Where no station says what it allows: the shipped station's.
 _CEILING_N: Final = 20.0
@@ -18,9 +21,9 @@ _STALE_S: Final = 2.0
 
 def force_among(peers: Mapping[str, Instrument]) -> Sampler:
     """Find the instrument of a bench that samples the force. ConfigError if there is none."""
-    for one in peers.values():
-        if isinstance(one, Sampler) and one.channel == CHANNEL:
-            return one
+    for instrument in peers.values():
+        if isinstance(instrument, Sampler) and instrument.channel == CHANNEL:
+            return instrument
     raise ConfigError(
         f"it presses, and needs an instrument that samples {CHANNEL!r}",
         remedy=f"provide {CHANNEL!r} by one of the station's instruments",
@@ -30,17 +33,15 @@ def force_among(peers: Mapping[str, Instrument]) -> Sampler:
 class ForceWatch:
     """Looks at the force while the head moves: ceiling and freshness, by the station's limits.
 
-    Parameters
-    ----------
-    safety : None where no station says anything.
+    ``safety``: None where no station says anything.
     """
 
-    def __init__(self, force: Sampler, clock: Clock, safety: SafetyLimits | None, *, role: str, address: str) -> None:
+    def __init__(self, force: Sampler, clock: Clock, safety: SafetyLimits | None, fail: Fail) -> None:
         self._force = force
         self._clock = clock
         self._ceiling_N = safety.force_N if safety else _CEILING_N
         self.stale_s = safety.stale_s if safety else _STALE_S
-        self._role, self._address = role, address
+        self._fail = fail
         self._newest_s = -np.inf
 
     def look(self) -> None:
@@ -55,10 +56,10 @@ class ForceWatch:
             self._hold(float(np.abs(block.values).max()))
         age_s = now_s - self._newest_s
         if age_s > self.stale_s:
-            found = f"is {age_s:.3g} s old" if np.isfinite(age_s) else f"did not come for {self.stale_s:g} s"
+            age = f"is {age_s:.3g} s old" if np.isfinite(age_s) else f"did not come for {self.stale_s:g} s"
             raise SafetyError(
                 "stale force",
-                f"the last force sample {found}; the station allows {self.stale_s:g} s while the head moves",
+                f"the last force sample {age}; the station allows {self.stale_s:g} s while the head moves",
                 remedy="check the load cell and its cable",
             )
 
@@ -70,12 +71,8 @@ class ForceWatch:
         late_s = self._clock.now() + self.stale_s
         while not len(block := self._force.samples_since(time_s)):
             if self._clock.now() >= late_s:
-                raise InstrumentError(
-                    self._role,
-                    self._address,
-                    f"no force sample was taken within {self.stale_s:g} s of the last step down",
-                    remedy="check the load cell and its cable",
-                )
+                reason = f"no force sample was taken within {self.stale_s:g} s of the last step down"
+                raise self._fail(reason, "check the load cell and its cable")
             self._clock.sleep(self.stale_s / 8)
         self._newest_s = max(self._newest_s, float(block.time_s[-1]))
         self._hold(float(np.abs(block.values).max()))
@@ -83,5 +80,5 @@ class ForceWatch:
 
     def _hold(self, peak_N: float) -> None:
         if not peak_N <= self._ceiling_N:
-            said = f"{peak_N:.3g} N measured; the station allows {self._ceiling_N:g} N"
-            raise SafetyError("force", said if np.isfinite(peak_N) else "the force is not a number")
+            reason = f"{peak_N:.3g} N measured; the station allows {self._ceiling_N:g} N"
+            raise SafetyError("force", reason if np.isfinite(peak_N) else "the force is not a number")

@@ -1,7 +1,4 @@
-"""TSP that brings a unit of Keithley's 2600 series to its settings, and the function that takes a measurement.
-
-Questions to a unit of Keithley's 2600 series, each with a word of its own that its answer repeats.
-"""
+"""TSP of Keithley's 2600 series: settings, the measuring function, and questions whose answers repeat a word."""
 
 import itertools
 from contextlib import suppress
@@ -51,12 +48,12 @@ class TspUnit:
 
     def identity(self) -> tuple[str, str, str, str]:
         """Return maker, model, serial number and firmware. InstrumentError if it is no unit of the series."""
-        said = self._link.query("*IDN?")
-        parts = [part.strip() for part in said.split(",")]
+        answer = self._link.query("*IDN?")
+        parts = [part.strip() for part in answer.split(",")]
         if len(parts) != 4 or "keithley" not in parts[0].lower() or not parts[1].lower().startswith("model 26"):
-            raise self.error(
-                f"it says it is {said[:80]!r}; a Keithley 2600 series unit is expected",
-                remedy="mend the address in the station file",
+            raise self._link.error(
+                f"it says it is {answer[:80]!r}; a Keithley 2600 series unit is expected",
+                remedy="correct the address in the station file",
             )
         return parts[0], parts[1], parts[2], parts[3]
 
@@ -70,7 +67,7 @@ class TspUnit:
         if (model, serial) != known:  # a garbled answer names another unit too: ask again
             _, model, serial, _ = self.identity()
         if (model, serial) != known:
-            raise self.error(
+            raise self._link.error(
                 f"it was {' '.join(known)} when the station was opened; now {model} {serial} answers",
                 remedy="connect the same unit again, or start a new run",
             )
@@ -79,13 +76,13 @@ class TspUnit:
     def numbers(self, *names: str) -> tuple[float, ...]:
         """Ask for attributes, or what functions return."""
         word = f"w{next(self._words)}"
-        said = self._link.query(f'print("{word}", {", ".join(names)})', mark=word)
+        answer = self._link.query(f'print("{word}", {", ".join(names)})', mark=word)
         try:
-            values = tuple(float(one) for one in said.split("\t"))
+            values = tuple(float(number) for number in answer.split("\t"))
         except ValueError:
             values = ()
         if len(values) != len(names):
-            raise self.error(f"answered {said[:80]!r} when asked for {', '.join(names)}", retryable=True)
+            raise self._link.error(f"answered {answer[:80]!r} when asked for {', '.join(names)}", retryable=True)
         return values
 
     def table(self, function: str, rows: int, columns: int) -> NDArray[np.float64]:
@@ -96,27 +93,23 @@ class TspUnit:
 
     def check(self, wanted: dict[str, float]) -> None:
         """Read settings back and compare."""
-        for (name, value), found in zip(wanted.items(), self.numbers(*wanted), strict=True):
-            if abs(found - value) > _TOLERANCE * abs(value):
-                raise self.error(f"{name} was set to {value:.9g}, and reads back as {found:.9g}")
+        for (name, value), value_read in zip(wanted.items(), self.numbers(*wanted), strict=True):
+            if abs(value_read - value) > _TOLERANCE * abs(value):
+                raise self._link.error(f"{name} was set to {value:.9g}, and reads back as {value_read:.9g}")
 
     def check_errors(self, doing: str) -> None:
         """Empty the error queue; anything in it is refused."""
-        if found := self.errors():
-            raise self.error(f"refused {doing}: {'; '.join(found)}")
+        if messages := self.errors():
+            raise self._link.error(f"refused {doing}: {'; '.join(messages)}")
 
     def errors(self) -> list[str]:
         """Empty the error queue: code and message of each."""
-        found = []
+        messages = []
         for _ in range(int(self.numbers("errorqueue.count")[0])):
             word = f"w{next(self._words)}"
             code, message, *_ = [*self._link.query(f'print("{word}", errorqueue.next())', mark=word).split("\t"), ""]
-            found.append(f"{float(code):.0f} {message}")
-        return found
-
-    def error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
-        """Return an error that names role and address."""
-        return InstrumentError(self._link.role, self._link.address, reason, remedy=remedy, retryable=retryable)
+            messages.append(f"{float(code):.0f} {message}")
+        return messages
 
 
 #: Name of the function on the instrument: ``cbsr_measure(readings, word)``.

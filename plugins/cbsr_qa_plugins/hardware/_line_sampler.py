@@ -1,9 +1,4 @@
-"""A free-running instrument that sends one number a line, with the time of its own clock before it or without.
-
-Samples of one quantity as they come, kept for an hour.
-
-An instrument's own clock, put onto the station's.
-"""
+"""A free-running instrument that sends one number a line, with or without the time of its own clock."""
 
 import math
 import re
@@ -138,11 +133,8 @@ class LineSampler:
     On a real clock a thread reads, so that every line is stamped when it comes. On a virtual clock time passes only
     where somebody sleeps, and whoever asks for the samples reads.
 
-    A line that cannot be read is counted and skipped: no value is ever made up for it.
-
-    Parameters
-    ----------
-    timed : whether lines are ``<milliseconds>,<value>``; else ``<value>``, stamped at their arrival.
+    A line that cannot be read is counted and skipped: no value is ever made up for it. ``timed``: whether lines are
+    ``<milliseconds>,<value>``; else ``<value>``, stamped at their arrival.
     """
 
     def __init__(
@@ -183,7 +175,7 @@ class LineSampler:
             if self._failure is not None:
                 raise self._failure
             if self._unread >= _UNREADABLE:
-                raise self._error(
+                raise self._link.error(
                     f"{self._unread} lines after each other could not be read, the last is {self._example!r};"
                     f" {self._expected()} was expected",
                     "check its address, its baud rate, and 'time' in its table",
@@ -199,9 +191,9 @@ class LineSampler:
         until_s = self._clock.now() + allowed_s
         while not len(self.samples_since(-np.inf)[0]):
             if self._clock.now() >= until_s:
-                found = f"{self._example!r}" if self._example else "nothing"
-                raise self._error(
-                    f"{found} was found within {allowed_s:g} s; {self._expected()} was expected",
+                received = f"{self._example!r}" if self._example else "nothing"
+                raise self._link.error(
+                    f"{received} was found within {allowed_s:g} s; {self._expected()} was expected",
                     "check that it is switched on, its address, its baud rate, and 'time' in its table",
                 )
             self._clock.sleep(self._period_s)
@@ -210,7 +202,7 @@ class LineSampler:
         """Raise InstrumentError if it has fallen silent."""
         times, _ = self.samples_since(self._clock.now() - self._silent_s())
         if not len(times) and self._clock.now() - self._began_s > self._silent_s():
-            raise self._error(
+            raise self._link.error(
                 f"it has sent nothing that can be read for {self._silent_s():.3g} s", "check its power and its cable"
             )
 
@@ -259,7 +251,7 @@ class LineSampler:
         now_s = self._clock.now()
         *lines, self._partial = (self._partial + data).split(b"\n")
         with self._keeping:
-            read = [found for line in lines if (found := self._understood(line)) is not None]
+            read = [sample for line in lines if (sample := self._understood(line)) is not None]
             for number, (device_s, value) in enumerate(read):
                 waited = len(read) - 1 - number
                 time_s = (
@@ -275,8 +267,8 @@ class LineSampler:
     def _understood(self, line: bytes) -> tuple[float | None, float] | None:
         """Return (device time [s] or None, number) of a line; None where it is none."""
         text = line.decode("ascii", "replace").strip()
-        found = (_TIMED if self._timed else _PLAIN).match(text)
-        if found is None:
+        match = (_TIMED if self._timed else _PLAIN).match(text)
+        if match is None:
             if text and not self._fresh:
                 self.skipped += 1
                 self._unread += 1
@@ -288,8 +280,8 @@ class LineSampler:
         if not whole:
             return None
         if self._timed:
-            return int(found[1]) / 1e3, float(found[2])
-        return None, float(found[1])
+            return int(match[1]) / 1e3, float(match[2])
+        return None, float(match[1])
 
     def _arrived(self, about_s: float, now_s: float) -> float:
         """Return a time for a line without one: lines read together came a period apart, and after those before."""
@@ -301,6 +293,3 @@ class LineSampler:
 
     def _expected(self) -> str:
         return "'<milliseconds>,<value>'" if self._timed else "'<value>'"
-
-    def _error(self, reason: str, remedy: str) -> InstrumentError:
-        return InstrumentError(self._link.role, self._link.address, reason, remedy=remedy)

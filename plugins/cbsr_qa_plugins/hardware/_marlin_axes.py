@@ -33,7 +33,7 @@ _NOWHERE: Final = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Machine:
+class MachineFrame:
     """How the sheet lies in the machine.
 
     Parameters
@@ -73,7 +73,7 @@ class MarlinAxes:
     def __init__(
         self,
         link: MarlinLink,
-        machine: Machine,
+        machine: MachineFrame,
         clock: Clock,
         *,
         lift_mm_s: float,
@@ -146,11 +146,8 @@ class MarlinAxes:
     def go(self, goal: Position, speed_mm_s: float, look: Callable[[Position], None] | None = None) -> None:
         """Move in a straight line; returns when there.
 
-        InstrumentError if the position is lost, the head does not get there, or it was stopped meanwhile.
-
-        Parameters
-        ----------
-        look : called with the live position while it moves; what it raises stops and lifts the head.
+        InstrumentError if the position is lost, the head does not get there, or it was stopped meanwhile. ``look``:
+        called with the live position while it moves; what it raises stops and lifts the head.
         """
         self.check_homed()
         origin = self.at()
@@ -271,8 +268,8 @@ class MarlinAxes:
         """Return target and live position."""
         for _ in range(_REPORTS):
             for line in self._link.query("M114"):
-                if found := _REPORT.match(line):
-                    x, y, z, *count = map(float, found.groups())
+                if match := _REPORT.match(line):
+                    x, y, z, *count = map(float, match.groups())
                     live = [c / per for c, per in zip(count, self.machine.per_mm, strict=True)]
                     return (x, y, z), (live[0], live[1], live[2])
         raise self._fail("it does not say where it is", "check 'firmware' in its table, and its cable")
@@ -282,4 +279,4 @@ _LOOK: Final = "look whether the head is clear of the sheet before anything else
 
 
 def _words(position: Position) -> str:
-    return f"({', '.join(f'{one:.2f}' for one in position)}) mm"
+    return f"({', '.join(f'{coordinate:.2f}' for coordinate in position)}) mm"

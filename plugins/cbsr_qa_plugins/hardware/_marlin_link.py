@@ -29,11 +29,8 @@ _TOKENS: Final = 3
 class MarlinLink:
     """Sends commands to a printer and waits for their acknowledgements.
 
-    InstrumentError if nobody answers within this time.
-
-    Parameters
-    ----------
-    boot_s : how long the printer may take from the opening of its port to its first answer [s, real time].
+    InstrumentError if nobody answers within this time. ``boot_s``: how long the printer may take from the opening of
+    its port to its first answer [s, real time].
     """
 
     def __init__(self, link: SerialLink, *, boot_s: float) -> None:
@@ -66,19 +63,21 @@ class MarlinLink:
             if self._lost:
                 self._begin()
             self._number += 1
-            said = self._exchange(self._number, text)
-        if any("unknown command" in line.lower() for line in said):
-            raise self._error(f"it does not know the command {text!r}", remedy="check its firmware")
-        return said
+            lines = self._exchange(self._number, text)
+        if any("unknown command" in line.lower() for line in lines):
+            raise self._link.error(f"it does not know the command {text!r}", remedy="check its firmware")
+        return lines
 
     def query(self, text: str) -> list[str]:
         """Ask what may be asked again, until there is one answer and not an old one beside it."""
         with self._exchanging:
             for _ in range(_ATTEMPTS):
-                said = self.command(text)
-                if said and not self._look_back():
-                    return said
-        raise self._error(f"it does not answer {text!r} in a way that is understood", remedy=_CHECK, retryable=True)
+                lines = self.command(text)
+                if lines and not self._look_back():
+                    return lines
+        raise self._link.error(
+            f"it does not answer {text!r} in a way that is understood", remedy=_CHECK, retryable=True
+        )
 
     @contextmanager
     def alone(self, patience_s: float) -> Iterator[bool]:
@@ -112,7 +111,7 @@ class MarlinLink:
         until_s = self._time.now() + self._boot_s
         while not self._answers_token(_KNOCK_S):
             if self._time.now() > until_s:
-                raise self._error(
+                raise self._link.error(
                     f"nobody answers as a Marlin printer within {self._boot_s:g} s", remedy=_CHECK, retryable=False
                 )
         self._exchange(self._number, f"M110 N{self._number}")
@@ -144,7 +143,7 @@ class MarlinLink:
         for _ in range(_ATTEMPTS):
             self._link.write(line)
             try:
-                said, wanted = self._answer(lasts=text.startswith(_LASTING))
+                lines, wanted = self._answer(lasts=text.startswith(_LASTING))
             except InstrumentError as error:
                 if not error.retryable:
                     raise
@@ -152,20 +151,20 @@ class MarlinLink:
                 continue
             self.silent = False
             if wanted in (None, number + 1):  # the latter: it was done before, and its answer was lost
-                return said
+                return lines
             if wanted != number:
                 self._forget()
-                raise self._error(f"it asks for line {wanted} instead of {number}: it has restarted", remedy=_HOME)
-        raise self._error(f"{text!r} did not get through in {_ATTEMPTS} attempts", remedy=_CHECK)
+                raise self._link.error(
+                    f"it asks for line {wanted} instead of {number}: it has restarted", remedy=_HOME
+                )
+        raise self._link.error(f"{text!r} did not get through in {_ATTEMPTS} attempts", remedy=_CHECK)
 
     def _answer(self, *, lasts: bool) -> tuple[list[str], int | None]:
         """Read up to the acknowledgement; return what was said before, and the line it asks for, if it does.
 
-        Parameters
-        ----------
-        lasts : the command may take long, and the printer says only after a while that it is busy with it.
+        ``lasts``: the command may take long, and the printer says only after a while that it is busy with it.
         """
-        said: list[str] = []
+        lines: list[str] = []
         wanted: int | None = None
         began_s = self._time.now()
         busy_s = max(self._link.timeout_s, _BUSY_EVERY_S)
@@ -173,14 +172,14 @@ class MarlinLink:
         while True:
             line = self._line(max(until_s - self._time.now(), 0.0))
             if line.startswith("ok"):
-                return said, wanted
+                return lines, wanted
             if line.startswith("echo:busy") and self._time.now() < began_s + _BUSY_AT_MOST_S:
                 until_s = self._time.now() + busy_s
             elif line.startswith("Resend:"):
                 digits = line.partition(":")[2].strip()
                 wanted = int(digits) if digits.isdigit() else wanted
             elif not line.startswith("Error:"):
-                said.append(line)
+                lines.append(line)
 
     def _line(self, timeout_s: float) -> str:
         line = self._link.read_line(timeout_s).decode("ascii", "replace").strip()
@@ -192,7 +191,7 @@ class MarlinLink:
         if line == "start" or "Printer halted" in line or "kill()" in line:
             self._forget()
             if self._number > _FIRST_NUMBER:
-                raise self._error(f"it has restarted (it said {line!r}): its position is lost", remedy=_HOME)
+                raise self._link.error(f"it has restarted (it said {line!r}): its position is lost", remedy=_HOME)
 
     def _forget(self) -> None:
         self.restarts += 1
@@ -209,10 +208,7 @@ class MarlinLink:
         """After an answer that did not come: what comes from here on belongs to what is sent from here on."""
         if not any(self._answers_token(self._link.timeout_s) for _ in range(_TOKENS)):
             self.silent = True
-            raise self._error("it does not answer any more", remedy=_CHECK)
-
-    def _error(self, reason: str, *, remedy: str, retryable: bool = False) -> InstrumentError:
-        return InstrumentError(self._link.role, self._link.address, reason, remedy=remedy, retryable=retryable)
+            raise self._link.error("it does not answer any more", remedy=_CHECK)
 
 
 #: A busy printer says so every two seconds, the first time two seconds after the command came; half a second more is

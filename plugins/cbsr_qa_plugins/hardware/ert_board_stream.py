@@ -12,7 +12,7 @@ from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
-from cbsr_qa_plugins.hardware._board_settings import BoardOptions, BoardSettings
+from cbsr_qa_plugins.hardware._board_settings import BoardOptions, check_sensor
 from cbsr_qa_plugins.hardware._board_stream import (
     BINARY_FRAME,
     PAIRS,
@@ -21,6 +21,7 @@ from cbsr_qa_plugins.hardware._board_stream import (
     BoardStream,
     TextStream,
 )
+from cbsr_qa_plugins.hardware._driver import DriverBase, closed_on_error
 
 _DRIVER: Final = "ert-board-stream"
 #: Between two calls nothing on the bench moves within this time: a frame that goes on across them counts [s].
@@ -71,7 +72,7 @@ def open_board(context: StationContext, options: BoardOptions) -> "ErtBoardStrea
     return ErtBoardStream(context, options)
 
 
-class ErtBoardStream:
+class ErtBoardStream(DriverBase):
     """Takes frames out of a stream that never stops.
 
     A frame counts if it began after it was asked for, or where the frame before it was asked for: what the board sent
@@ -80,31 +81,30 @@ class ErtBoardStream:
     """
 
     def __init__(self, context: StationContext, options: BoardOptions) -> None:
-        self._role, self._clock = context.role, context.clock
-        self._settings = settings = BoardSettings.of(context, options, _DRIVER)
-        self._address, self._period_s = settings.address, settings.period_s
-        self._stream: BoardStream = TextStream(*settings.limits) if settings.text else BinaryStream()
+        super().__init__(context, _DRIVER, options.address)
+        check_sensor(context, _DRIVER)
+        self._options, self._period_s = options, options.frame_period_s
+        self._text = options.format == "ascii"
+        self._stream: BoardStream = TextStream(*options.limits) if self._text else BinaryStream()
         self._ready: deque[tuple[float, BoardFrame]] = deque()
         self._read_s = -math.inf
         self._heard = self._waits = 0
         self._down = False
         #: Frames the board sent and nobody got, within calls and from one to the next that follows it at once.
         self.frames_lost = 0
-        self._link = SerialLink(context.role, self._address, baud=settings.baud)
-        try:
+        assert options.speed is not None
+        self._link = SerialLink(self._role, options.address, baud=options.speed)
+        with closed_on_error(self._link):
             self._check_stream()
-        except BaseException:
-            self._link.close()
-            raise
 
     # --- instrument ---
 
     def identity(self) -> InstrumentIdentity:
         """Say what the table says: a board without commands cannot be asked."""
-        model = f"ERT board, {self._settings.format} stream of {self._period_s:g} s a frame"
-        if self._settings.memory_share:
-            model += f", reading memory of {self._settings.memory_share:g} taken out"
-        return InstrumentIdentity(self._role, _DRIVER, model, "", "", simulated=False)
+        model = f"ERT board, {self._options.format} stream of {self._period_s:g} s a frame"
+        if self._options.memory_share:
+            model += f", reading memory of {self._options.memory_share:g} taken out"
+        return self._identified(model)
 
     def alive(self) -> None:
         """Return as soon as the board has sent anything; what it sent is thrown away.
@@ -137,12 +137,11 @@ class ErtBoardStream:
 
         InstrumentError if none comes in time or the link is down (retryable: the port is opened again).
         """
-        if count < 1:
-            raise self._error(f"{count} frames were asked for; at least 1 is needed")
+        self._check_count(count, retryable=True)
         with self._retried():
             since_s = self._begun_since()
             taken = [self._next(since_s) for _ in range(count)]
-        return self._settings.block([end_s for end_s, _ in taken], [frame.counts for _, frame in taken])
+        return self._options.block([end_s for end_s, _ in taken], [frame.counts for _, frame in taken])
 
     def _begun_since(self) -> float:
         """Return from when on a frame may have begun; throw away what nobody asked for."""
@@ -227,7 +226,8 @@ class ErtBoardStream:
         if abs(found_s - self._period_s) > _PERIOD_SHARE * self._period_s:
             raise self._error(
                 f"a frame came after {found_s:.3g} s; frame_period_s is {self._period_s:g}",
-                remedy="mend frame_period_s in its table: the dry run and the times of frames count with it",
+                "correct frame_period_s in its table: the dry run and the times of frames count with it",
+                retryable=True,
             )
         self._read_s = -math.inf
 
@@ -248,8 +248,7 @@ class ErtBoardStream:
             if error.retryable:
                 raise
             self._down = True
-            said = error.reason.removeprefix(f"{self._role} at {self._address}: ")
-            raise self._error(said, remedy=error.remedy) from error
+            raise self._repeated(error, retryable=True) from error
 
     def _check_patience(self, asked_s: float) -> None:
         """Give up where no frame has come for too long."""
@@ -257,11 +256,9 @@ class ErtBoardStream:
         if after_s <= _SILENT_PERIODS * self._period_s + _SILENT_S:
             return
         held = f"{self._heard} bytes, but no whole frame," if self._heard else "nothing"
-        expected = "A and 16 lines of 16 counts" if self._settings.text else f"frames of {BINARY_FRAME} bytes"
+        expected = "A and 16 lines of 16 counts" if self._text else f"frames of {BINARY_FRAME} bytes"
         raise self._error(
             f"sent {held} for {after_s:.3g} s; expected are {expected} every {self._period_s:g} s",
-            remedy="check address, baud and format, and that the board has power",
+            "check address, baud and format, and that the board has power",
+            retryable=True,
         )
-
-    def _error(self, reason: str, *, remedy: str = "") -> InstrumentError:
-        return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=True)

@@ -12,8 +12,8 @@ from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa.system import RealClock
-from cbsr_qa_plugins.hardware._esp32 import Order, Position, counter_in, is_log, last_position, scan_order
-from cbsr_qa_plugins.hardware._options import Baud, Port
+from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Port, closed_on_error
+from cbsr_qa_plugins.hardware._esp32 import Connection, Order, counter_in, is_log, last_position, stepping_order
 
 _DRIVER: Final = "esp32-multiplexer"
 #: Electrodes between the two of a pair.
@@ -68,7 +68,7 @@ def open_multiplexer(context: StationContext, options: MultiplexerOptions) -> "E
     return Esp32Multiplexer(context, options)
 
 
-class Esp32Multiplexer:
+class Esp32Multiplexer(DriverBase):
     """Steps by ``i``, and is asked where it is by ``g``: a step that was lost or done twice does not stay unseen.
 
     After any failure it is brought back into step before it is used again; where that does not help, its port is
@@ -76,25 +76,19 @@ class Esp32Multiplexer:
     """
 
     def __init__(self, context: StationContext, options: MultiplexerOptions) -> None:
-        self._role = context.role
-        self._clock = context.clock
+        super().__init__(context, _DRIVER, options.address)
+        self._options = options
         self._time = RealClock()
         self._pattern = context.sensor_type.pattern
-        self._address, self._inner = options.address, options.inner
-        self._order = self._declared(options)
-        self._settle_s = 1e-3 * options.settle_ms
-        self._boot_s, self._timeout_s, self._reconnect_s = options.boot_s, options.timeout_s, options.reconnect_s
+        self._order = self._declared()
         self._lock = threading.RLock()
         self._in_step = False
         #: Index of the combination that is connected; None where only asking tells.
         self._at: int | None = None
-        self._link = SerialLink(self._role, self._address, baud=options.baud, timeout_s=self._timeout_s)
-        try:
+        self._link = SerialLink(self._role, options.address, baud=options.baud, timeout_s=options.timeout_s)
+        with closed_on_error(self._link):
             self._await_boot()
             self._check_order()
-        except BaseException:
-            self._link.close()
-            raise
 
     # --- instrument ---
 
@@ -102,13 +96,8 @@ class Esp32Multiplexer:
         """Its firmware says nothing of itself; what it does is its identity."""
         with self._talking():
             self._asked()
-        notes = (("order", f"{self._inner} pair inner"),)
-        return InstrumentIdentity(
-            self._role, _DRIVER, "ESP32 16-channel multiplexer", "", "command firmware", simulated=False, notes=notes
-        )
-
-    def safe_state(self) -> None:
-        """Nothing to do: it connects pins, and drives nothing."""
+        notes = (("order", f"{self._options.inner} pair inner"),)
+        return self._identified("ESP32 16-channel multiplexer", "", "command firmware", notes=notes)
 
     def close(self) -> None:
         """Give the port back."""
@@ -127,13 +116,13 @@ class Esp32Multiplexer:
             self._started()
             for _ in self._order:
                 self._stepped()
-            found = self._asked()
+            end = self._asked()
         count = len(self._order)
-        said = f"{count} steps lead from the first combination to number {found + 1}"
-        if found == 0:
-            return (CheckResult("round", CheckOutcome.OK, said=said),)
+        result = f"{count} steps lead from the first combination to number {end + 1}"
+        if end == 0:
+            return (CheckResult("round", CheckOutcome.OK, said=result),)
         remedy = "steps are lost or done twice: look at the cable, and at what else is on its supply"
-        return (CheckResult("round", CheckOutcome.FAILED, said=said, remedy=remedy),)
+        return (CheckResult("round", CheckOutcome.FAILED, said=result, remedy=remedy),)
 
     # --- multiplexer ---
 
@@ -149,7 +138,7 @@ class Esp32Multiplexer:
         with self._talking():
             moved = self._started()
         if moved:
-            self._clock.sleep(self._settle_s)
+            self._clock.sleep(1e-3 * self._options.settle_ms)
 
     def step(self) -> None:
         """Connect the next combination; returns when it has settled.
@@ -158,7 +147,7 @@ class Esp32Multiplexer:
         """
         with self._talking():
             self._stepped()
-        self._clock.sleep(self._settle_s)
+        self._clock.sleep(1e-3 * self._options.settle_ms)
 
     def position(self) -> int:
         """Ask which combination is connected; its index in :meth:`order`."""
@@ -167,25 +156,22 @@ class Esp32Multiplexer:
 
     # --- how ---
 
-    def _declared(self, options: MultiplexerOptions) -> Order:
+    def _declared(self) -> Order:
+        skips = self._options.model_dump(include={"current_skip", "voltage_skip"})
         most = self._pattern.electrode_count - 2
-        for key in ("current_skip", "voltage_skip"):
-            if (skip := getattr(options, key)) > most:
-                raise ConfigError(
-                    f"instrument {self._role!r} ({_DRIVER}): {key} is {skip}",
-                    remedy=f"it must be at most {most} with the electrodes of this sensor type",
-                )
-        skips = {"current_skip": options.current_skip, "voltage_skip": options.voltage_skip}
+        who = f"instrument {self._role!r} ({_DRIVER})"
+        for key, skip in skips.items():
+            if skip > most:
+                remedy = f"it must be at most {most} with the electrodes of this sensor type"
+                raise ConfigError(f"{who}: {key} is {skip}", remedy=remedy)
         try:
-            return scan_order(self._pattern, inner=options.inner, **skips)
+            return stepping_order(self._pattern, inner=self._options.inner, **skips)
         except RefusedError as error:
-            raise ConfigError(
-                f"instrument {self._role!r} ({_DRIVER}): {error.reason}", remedy=error.remedy
-            ) from error
+            raise ConfigError(f"{who}: {error.reason}", remedy=error.remedy) from error
 
     def _await_boot(self) -> None:
         """Ask until it answers: while it starts, what it is sent is lost."""
-        until_s = self._time.now() + self._boot_s
+        until_s = self._time.now() + self._options.boot_s
         while True:
             try:
                 self._asked()
@@ -202,13 +188,13 @@ class Esp32Multiplexer:
             self._check_counter(self._asked())
             self._started()
             self._stepped()
-            expected, found = self._at, self._asked()
-            if found != expected:
-                (drive, measure), declared = self._order[found], self._order[1]
+            expected, reached = self._at, self._asked()
+            if reached != expected:
+                (drive, measure), declared = self._order[reached], self._order[1]
                 raise self._error(
                     f"after the first step it connects drive pair {drive} and measure pair {measure};"
-                    f" with inner = {self._inner!r} it is to be {declared[0]} and {declared[1]}",
-                    remedy="mend inner in its table: the pair that changes with every step is the inner one",
+                    f" with inner = {self._options.inner!r} it is to be {declared[0]} and {declared[1]}",
+                    remedy="correct inner in its table: the pair that changes with every step is the inner one",
                 )
 
     def _started(self) -> bool:
@@ -218,18 +204,18 @@ class Esp32Multiplexer:
             return False
         for _ in range(len(self._order) - at):
             self._stepped()
-        if (found := self._asked()) != 0:
-            raise self._error(f"told to go to its first combination, it is at number {found + 1}", retryable=True)
+        if (reached := self._asked()) != 0:
+            raise self._error(f"told to go to its first combination, it is at number {reached + 1}", retryable=True)
         return True
 
     def _check_counter(self, at: int) -> None:
         """Hold its counter against where it says it is; a counter that stays out is let pass."""
         self._link.flush_input()
         self._link.write(b"c")
-        until_s, said = self._time.now() + _COUNTER_S, b""
-        while self._time.now() < until_s and (counter := counter_in(said)) is None:
+        until_s, answer = self._time.now() + _COUNTER_S, b""
+        while self._time.now() < until_s and (counter := counter_in(answer)) is None:
             with suppress(InstrumentError):
-                said += self._link.read(1, timeout_s=_QUIET_S)
+                answer += self._link.read(1, timeout_s=_QUIET_S)
         if counter is not None and counter % len(self._order) != at:
             raise self._error(f"its counter is at {counter}, and it connects combination number {at + 1}")
 
@@ -244,7 +230,7 @@ class Esp32Multiplexer:
                 yield
             except InstrumentError as error:
                 # Also a line that hung up may be tried again: by then it may be plugged in again.
-                raise self._again(error, retryable=error.retryable or self._link.down) from error
+                raise self._repeated(error, retryable=error.retryable or self._link.down) from error
             self._in_step = True
 
     def _recover(self) -> None:
@@ -252,14 +238,14 @@ class Esp32Multiplexer:
         with suppress(InstrumentError):
             self._asked(late=True)
             return
-        until_s = self._time.now() + self._reconnect_s
+        until_s = self._time.now() + self._options.reconnect_s
         while True:
             try:
                 self._link.reopen()
                 return self._await_boot()
             except InstrumentError as error:
                 if self._time.now() >= until_s:
-                    raise self._again(error, retryable=False) from error
+                    raise self._repeated(error, retryable=False) from error
             self._time.sleep(_LOOK_AGAIN_S)
 
     def _stepped(self) -> None:
@@ -276,34 +262,32 @@ class Esp32Multiplexer:
 
     def _forget(self) -> None:
         """Throw away what it said unasked; of a log line the rest as well."""
-        said = self._link.read_available()
-        if said.rfind(_ESCAPE) > said.rfind(b"\n") or is_log(said.rpartition(b"\n")[2]):
+        unread = self._link.read_available()
+        if unread.rfind(_ESCAPE) > unread.rfind(b"\n") or is_log(unread.rpartition(b"\n")[2]):
             self._link.read_line()
 
     def _asked(self, *, late: bool = False) -> int:
         """Ask where it is.
 
-        Parameters
-        ----------
-        late : answers to earlier questions may still come: wait until there are no more, and take the last.
+        ``late``: answers to earlier questions may still come: wait until there are no more, and take the last.
         """
         self._forget()
         self._link.write(b"g")
-        said, found = b"", None
-        until_s = self._time.now() + self._timeout_s * (_PATIENCE if late else 1.0)
-        while found is None and self._time.now() < until_s:
-            said += self._line(self._timeout_s)
-            found = last_position(said)
+        answer, connection = b"", None
+        until_s = self._time.now() + self._options.timeout_s * (_PATIENCE if late else 1.0)
+        while connection is None and self._time.now() < until_s:
+            answer += self._line(self._options.timeout_s)
+            connection = last_position(answer)
         while late and (more := self._line(_QUIET_S)):
-            found = last_position(more) or found
-        found = last_position(self._link.read_available()) or found
-        if found is None:
+            connection = last_position(more) or connection
+        connection = last_position(self._link.read_available()) or connection
+        if connection is None:
             raise self._error(
-                f"asked which electrodes it connects, it says {repr(said[-80:]) if said else 'nothing'}",
+                f"asked which electrodes it connects, it says {repr(answer[-80:]) if answer else 'nothing'}",
                 remedy="a multiplexer with the command firmware is expected; check address and firmware",
                 retryable=True,
             )
-        self._at = self._index(found)
+        self._at = self._index(connection)
         return self._at
 
     def _line(self, timeout_s: float) -> bytes:
@@ -315,8 +299,8 @@ class Esp32Multiplexer:
                 raise
             return b""
 
-    def _index(self, found: Position) -> int:
-        (source, sink), voltage = found
+    def _index(self, connection: Connection) -> int:
+        (source, sink), voltage = connection
         drives = [index for index, pair in enumerate(self._pattern.drive) if pair == (source, sink)]
         measures = [index for index, pair in enumerate(self._pattern.measure) if set(pair) == set(voltage)]
         for drive in drives:
@@ -326,13 +310,5 @@ class Esp32Multiplexer:
         raise self._error(
             f"it drives from electrode {source} to {sink} and measures between {voltage[0]} and {voltage[1]},"
             " which are no pairs of the sensor type",
-            remedy="mend current_skip and voltage_skip in its table, or the sensor type's pattern",
+            remedy="correct current_skip and voltage_skip in its table, or the sensor type's pattern",
         )
-
-    def _again(self, error: InstrumentError, *, retryable: bool) -> InstrumentError:
-        """Say the same, with or without another attempt."""
-        reason = error.reason.removeprefix(f"{error.role} at {error.address}: ")
-        return self._error(reason, remedy=error.remedy, retryable=retryable)
-
-    def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
-        return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)

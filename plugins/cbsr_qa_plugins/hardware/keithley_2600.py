@@ -13,8 +13,8 @@ from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import MeterReading, PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import VisaLink
+from cbsr_qa_plugins.hardware._driver import DriverBase, Text, closed_on_error
 from cbsr_qa_plugins.hardware._keithley_tsp import MEASURE, TspUnit, settings
-from cbsr_qa_plugins.hardware._options import Text
 
 _DRIVER: Final = "keithley-2600"
 Volts = Annotated[float, Field(ge=0.02, le=200)]
@@ -50,6 +50,16 @@ class KeithleyOptions(PluginOptions):
     timeout_s: Annotated[float, Field(ge=0.01, le=60)] = 1.0
     visa_backend: Text = "@py"
 
+    @property
+    def meter_range_V(self) -> float:
+        """Range of the meter; by default the compliance."""
+        return self.compliance_V if self.range_V is None else self.range_V
+
+    @property
+    def largest_A(self) -> float:
+        """Largest current that may be asked for."""
+        return 1e-3 * self.largest_current_mA
+
     def problems(self) -> Iterator[Problem]:
         """One channel drives, the other measures."""
         if self.source_channel == self.meter_channel:
@@ -83,7 +93,7 @@ def open_source_meter(context: StationContext, options: KeithleyOptions) -> "Kei
     return Keithley2600(context, options)
 
 
-class Keithley2600:
+class Keithley2600(DriverBase):
     """A two-channel source-measure unit of the 2600 series.
 
     Every question carries a word of its own which the answer must repeat: an answer that comes late is never taken
@@ -92,32 +102,20 @@ class Keithley2600:
     """
 
     def __init__(self, context: StationContext, options: KeithleyOptions) -> None:
-        self._role = context.role
-        self._clock = context.clock
-        self._address = options.address
+        super().__init__(context, _DRIVER, options.address)
+        self._options = options
         self._source, self._meter = f"smu{options.source_channel}", f"smu{options.meter_channel}"
-        self._compliance_V = options.compliance_V
-        self._range_V = options.compliance_V if options.range_V is None else options.range_V
-        self._largest_A = 1e-3 * options.largest_current_mA
-        self._nplc, self._readings = options.nplc, options.readings
         self._line_Hz = 50.0
         self._lock = threading.RLock()
         self._ready = False
         self._given_A: float | None = None
-        self._link = VisaLink(
-            self._role,
-            self._address,
-            timeout_s=options.timeout_s + self.reading_period_s,
-            backend=options.visa_backend,
-        )
+        timeout_s = options.timeout_s + self.reading_period_s
+        self._link = VisaLink(self._role, options.address, timeout_s=timeout_s, backend=options.visa_backend)
         self._unit = TspUnit(self._link)
-        try:
+        with closed_on_error(self._link):
             self._unit.greet()
             with self._talking():
                 pass
-        except BaseException:
-            self._link.close()
-            raise
 
     # --- instrument ---
 
@@ -125,7 +123,7 @@ class Keithley2600:
         """Ask who it is."""
         with self._talking():
             maker, model, serial, firmware = self._unit.identity()
-        return InstrumentIdentity(self._role, _DRIVER, f"{maker} {model}", serial, firmware, simulated=False)
+        return self._identified(f"{maker} {model}", serial, firmware)
 
     def safe_state(self) -> None:
         """Switch both outputs off, going around a thread that hangs in a question; checked by reading back.
@@ -140,7 +138,7 @@ class Keithley2600:
                 # The one who hangs gives up at its timeout; only then can an answer be read.
                 held = self._lock.acquire(timeout=2 * self._link.timeout_s)
                 if not held:
-                    raise self._unit.error("told to switch off; another question hangs, so that it cannot confirm it")
+                    raise self._error("told to switch off; another question hangs, so that it cannot confirm it")
             self._confirmed_off()
         finally:
             if held:
@@ -155,7 +153,7 @@ class Keithley2600:
         with self._talking():
             output = self._unit.numbers(f"{self._source}.source.output")[0]
             if (output == 1) != (self._given_A is not None):
-                raise self._unit.error("it has been reset: its output is not as it was left", retryable=True)
+                raise self._error("it has been reset: its output is not as it was left", retryable=True)
 
     def self_test(self) -> tuple[CheckResult, ...]:
         """Look at the error queue, and at what both channels read while no current is asked for.
@@ -173,8 +171,8 @@ class Keithley2600:
         outcome = CheckOutcome.FAILED if errors else CheckOutcome.OK
         return (
             CheckResult("errors", outcome, said="; ".join(errors) or "none in its queue"),
-            _zero("zero voltage", volts, "V", _ZERO_SHARE * self._range_V),
-            _zero("zero current", amperes, "A", _ZERO_SHARE * self._largest_A),
+            _zero("zero voltage", volts, "V", _ZERO_SHARE * self._options.meter_range_V),
+            _zero("zero current", amperes, "A", _ZERO_SHARE * self._options.largest_A),
         )
 
     # --- source meter ---
@@ -182,21 +180,21 @@ class Keithley2600:
     @property
     def reading_period_s(self) -> float:
         """How long one measurement takes the instrument [s]."""
-        return self._readings * ((self._nplc + _CURRENT_NPLC) / self._line_Hz + _OVERHEAD_S)
+        return self._options.readings * ((self._options.nplc + _CURRENT_NPLC) / self._line_Hz + _OVERHEAD_S)
 
     @property
     def compliance_V(self) -> float:
         """Voltage the source will not exceed [V]."""
-        return self._compliance_V
+        return self._options.compliance_V
 
     def source(self, current_A: float) -> None:
         """Set the current and switch both channels on; level and output are read back.
 
         InstrumentError if the current is more than the station allows, or the instrument does not take it.
         """
-        if not 0 < abs(current_A) <= self._largest_A:
-            raise self._unit.error(
-                f"{1e3 * current_A:g} mA were asked for; the station allows {1e3 * self._largest_A:g} mA",
+        if not 0 < abs(current_A) <= self._options.largest_A:
+            raise self._error(
+                f"{1e3 * current_A:g} mA were asked for; the station allows {1e3 * self._options.largest_A:g} mA",
                 remedy="change largest_current_mA of its table, or the current of the frame source",
             )
         with self._talking():
@@ -221,9 +219,9 @@ class Keithley2600:
         """
         with self._talking():
             if self._given_A is None:
-                raise self._unit.error("asked to measure while the source is off", retryable=True)
+                raise self._error("asked to measure while the source is off", retryable=True)
             before_s = self._clock.now()
-            values = self._unit.table(MEASURE, self._readings, 4)
+            values = self._unit.table(MEASURE, self._options.readings, 4)
             time_s = (before_s + self._clock.now()) / 2
             return self._reading(values, time_s)
 
@@ -233,15 +231,15 @@ class Keithley2600:
         volts, meter_status, amperes, source_status = values.T
         if (meter_status > _NO_NUMBER).any() or (source_status > _NO_NUMBER).any():
             got = int((meter_status < _NO_NUMBER).sum())
-            raise self._unit.error(f"took {got} of {self._readings} readings", retryable=True)
+            raise self._error(f"took {got} of {self._options.readings} readings", retryable=True)
         bits_meter, bits_source = (np.bitwise_or.reduce(s.astype(np.int64)) for s in (meter_status, source_status))
         if (bits_meter | bits_source) & _OVER_TEMPERATURE:
-            raise self._unit.error(
+            raise self._error(
                 "it is too warm to go on", remedy="let it cool down; look at its fan and its surroundings"
             )
         beyond = np.abs(volts) > _NO_NUMBER
-        volts = np.where(beyond, self._range_V, volts)
-        at_limit = np.abs(volts) >= _AT_THE_LIMIT * self._compliance_V
+        volts = np.where(beyond, self._options.meter_range_V, volts)
+        at_limit = np.abs(volts) >= _AT_THE_LIMIT * self._options.compliance_V
         compliance = bool(bits_source & _COMPLIANCE)
         return MeterReading(
             volts=float(volts.mean()),
@@ -257,10 +255,10 @@ class Keithley2600:
         if (np.abs(amperes) > _NO_NUMBER).any():
             return asked_A
         found_A = float(amperes.mean())
-        allowed_A = _CURRENT_SHARE * abs(asked_A) + _CURRENT_RANGE_SHARE * self._largest_A
+        allowed_A = _CURRENT_SHARE * abs(asked_A) + _CURRENT_RANGE_SHARE * self._options.largest_A
         if not compliance and abs(found_A - asked_A) > allowed_A:
-            said = f"the source gives {1e3 * found_A:.3g} mA where {1e3 * asked_A:.3g} mA were asked for"
-            raise self._unit.error(said, remedy="look whether somebody switched it off", retryable=True)
+            reason = f"the source gives {1e3 * found_A:.3g} mA where {1e3 * asked_A:.3g} mA were asked for"
+            raise self._error(reason, remedy="look whether somebody switched it off", retryable=True)
         return found_A
 
     @contextmanager
@@ -279,13 +277,14 @@ class Keithley2600:
         self._unit.recover()
         self._switch_off()
         self._unit.recognise()
+        options = self._options
         for line in settings(
             self._source,
             self._meter,
-            compliance_V=self._compliance_V,
-            range_V=self._range_V,
-            largest_A=self._largest_A,
-            nplc=self._nplc,
+            compliance_V=options.compliance_V,
+            range_V=options.meter_range_V,
+            largest_A=options.largest_A,
+            nplc=options.nplc,
             current_nplc=_CURRENT_NPLC,
         ):
             self._unit.write(line)
@@ -293,10 +292,10 @@ class Keithley2600:
         self._line_Hz = self._unit.numbers("localnode.linefreq")[0]
         self._unit.check(
             {
-                f"{self._source}.source.limitv": self._compliance_V,
+                f"{self._source}.source.limitv": self._options.compliance_V,
                 f"{self._source}.source.output": 0.0,
-                f"{self._meter}.source.limitv": self._compliance_V,
-                f"{self._meter}.measure.nplc": self._nplc,
+                f"{self._meter}.source.limitv": self._options.compliance_V,
+                f"{self._meter}.measure.nplc": self._options.nplc,
             }
         )
 
@@ -324,7 +323,7 @@ class Keithley2600:
         self._switch_off()
         outputs = self._unit.numbers(f"{self._source}.source.output", f"{self._meter}.source.output")
         if any(outputs):
-            raise self._unit.error(f"told to switch off, it says its outputs are {outputs}")
+            raise self._error(f"told to switch off, it says its outputs are {outputs}")
         return True
 
 

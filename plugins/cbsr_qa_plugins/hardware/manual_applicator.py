@@ -4,10 +4,9 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext, driver
-from cbsr_qa_plugins.hardware._options import RIG_MOTION, Text
+from cbsr_qa_plugins.hardware._driver import RIG_MOTION, DriverBase, Text
 from cbsr_qa_plugins.hardware.manual_samplers import Operator
 
 _DRIVER: Final = "manual-applicator"
@@ -40,19 +39,17 @@ def open_applicator(context: StationContext, options: ManualHeadOptions) -> "Man
     return ManualApplicator(context, options)
 
 
-class ManualApplicator:
+class ManualApplicator(DriverBase):
     """Asks for every movement, and takes the head to be where the operator says.
 
     Depths are read from a scale that is zero at the hover height and grows downwards.
     """
 
     def __init__(self, context: StationContext, options: ManualHeadOptions) -> None:
-        self._role = context.role
+        super().__init__(context, _DRIVER, "the operator")
         self._operator = Operator(context, _DRIVER)
         self._motion = context.motion or RIG_MOTION
-        self._model = options.label
-        self._serial = options.number or ""
-        self._tolerance_mm = options.tolerance_mm
+        self._options = options
         self._surfaces: dict[tuple[float, float], float] = {}
         self._place: tuple[float, float] | None = None
         self._down = False
@@ -62,7 +59,7 @@ class ManualApplicator:
 
     def identity(self) -> InstrumentIdentity:
         """Say what the table says: the stand cannot be asked."""
-        return InstrumentIdentity(self._role, _DRIVER, self._model, self._serial, "", simulated=False)
+        return self._identified(self._options.label, self._options.number or "")
 
     def safe_state(self) -> None:
         """Say that a head which is down can only be lifted by hand; nobody is asked, so that nobody is waited for.
@@ -70,10 +67,7 @@ class ManualApplicator:
         InstrumentError if the head is down, by all that was told.
         """
         if self._down:
-            raise InstrumentError(self._role, "the operator", "the head is down and is moved by hand: LIFT IT NOW")
-
-    def close(self) -> None:
-        """Do nothing."""
+            raise self._error("the head is down and is moved by hand: LIFT IT NOW")
 
     # --- moved by hand ---
 
@@ -129,23 +123,21 @@ class ManualApplicator:
         self._orders += 1
         scale_mm = self._surface_mm() + depth_mm
         self._down = True
-        asked = f"{'go' if depth_mm else 'come'} to {depth_mm:g} mm below the surface at {60 * speed_mm_s:.3g} mm/min"
+        order = f"{'go' if depth_mm else 'come'} to {depth_mm:g} mm below the surface at {60 * speed_mm_s:.3g} mm/min"
         for _ in range(_MOST_PRESSED):
             found_mm = self._operator.number(
-                f"{asked}: {scale_mm:.2f} mm on the scale. What the scale says (Enter: exactly that)",
+                f"{order}: {scale_mm:.2f} mm on the scale. What the scale says (Enter: exactly that)",
                 "mm",
                 least=0.0,
                 most=3 * self._motion.hover_mm,
                 default=scale_mm,
             )
-            if abs(found_mm - scale_mm) <= self._tolerance_mm:
+            if abs(found_mm - scale_mm) <= self._options.tolerance_mm:
                 return
-            asked = f"{found_mm:g} mm is {found_mm - scale_mm:+.2f} mm off; go straight to {depth_mm:g} mm"
-        raise InstrumentError(
-            self._role,
-            "the operator",
+            order = f"{found_mm:g} mm is {found_mm - scale_mm:+.2f} mm off; go straight to {depth_mm:g} mm"
+        raise self._error(
             f"the head was told to be at {scale_mm:.2f} mm on its scale and was last at {found_mm:.2f} mm",
-            remedy="tolerance_mm in its table says how near it must come",
+            "tolerance_mm in its table says how near it must come",
         )
 
     def release(self) -> None:

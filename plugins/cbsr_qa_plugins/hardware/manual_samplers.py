@@ -1,9 +1,4 @@
-"""A thermometer that an operator reads.
-
-What instruments share that an operator works by hand: questions that are asked again until the answer is one.
-
-A load cell or scale that an operator reads.
-"""
+"""A load cell or scale, and a thermometer, that an operator reads: asked again until the answer is a number."""
 
 import math
 import re
@@ -17,7 +12,7 @@ from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import Instrument, PluginOptions, StationContext, driver
-from cbsr_qa_plugins.hardware._options import Text
+from cbsr_qa_plugins.hardware._driver import DriverBase, Text
 
 #: After so many answers that are none, somebody else should look.
 _MOST_ASKED: Final = 5
@@ -81,46 +76,91 @@ class Operator:
         """
         question = f"{self._role}: {text} [{unit}]:"
         for _ in range(_MOST_ASKED):
-            said = self._ask(question).strip()
-            if not said and default is not None:
+            answer = self._ask(question).strip()
+            if not answer and default is not None:
                 return default
-            value = _parsed(said, unit)
+            value = _parsed(answer, unit)
             if value is not None and least <= value <= most:
                 return value
-            wrong = f"{said!r} is no number" if value is None else f"{value:g} {unit} is not within its bounds"
+            wrong = f"{answer!r} is no number" if value is None else f"{value:g} {unit} is not within its bounds"
             question = f"{self._role}: {wrong}. {text}, from {least:g} to {most:g} [{unit}]:"
         raise InstrumentError(
             self._role, "the operator", f"{_MOST_ASKED} answers were no number of {unit} within {least:g} to {most:g}"
         )
 
 
-def _parsed(said: str, unit: str) -> float | None:
+def _parsed(answer: str, unit: str) -> float | None:
     """Return the number of an answer such as ``1.5`` or ``1.5 mm``; None where it is none, or not a finite one."""
-    text = said.removesuffix(unit).strip()
+    text = answer.removesuffix(unit).strip()
     if not _NUMBER.fullmatch(text):
         return None
     value = float(text)
     return value if math.isfinite(value) else None
 
 
-_DRIVER: Final = "manual-load-cell"
+class ReadingOptions(PluginOptions):
+    """Options of whatever is read by hand."""
+
+    label: Text
+    number: Text | None = None
+
+
+class HandRead(DriverBase):
+    """Asks for a reading when one is due, and samples nothing in between. ``what``: is read, for messages."""
+
+    channel: str
+    unit: str
+
+    def __init__(self, context: StationContext, driver: str, options: ReadingOptions, what: str) -> None:
+        super().__init__(context, driver, "the operator")
+        self._operator = Operator(context, driver)
+        self._label, self._number, self._what = options.label, options.number or "", what
+        self._head: HandMoved | None = None
+        self._last: tuple[float, float] | None = None
+
+    def identity(self) -> InstrumentIdentity:
+        """Say what the table says: it cannot be asked."""
+        return self._identified(self._label, self._number)
+
+    def link(self, peers: Mapping[str, Instrument]) -> None:
+        """Be given the head; ConfigError if it moves by itself: it would press on while somebody looks."""
+        self._head = hand_moved(peers, self._what)
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return the last reading if it is younger than a time, after asking for one that is due."""
+        if self._due():
+            value = self._read()
+            self._last = (self._clock.now(), value)
+        new = [self._last] if self._last is not None and self._last[0] > time_s else []
+        times, values = np.array(new, dtype=np.float64).reshape(-1, 2).T
+        return SampleBlock(self.channel, self.unit, times, values)
+
+    def _due(self) -> bool:
+        raise NotImplementedError
+
+    def _read(self) -> float:
+        """Ask for a reading, and return it in the channel's unit."""
+        raise NotImplementedError
+
+
+_CELL: Final = "manual-load-cell"
+_THERMOMETER: Final = "manual-thermometer"
 _GRAVITY: Final = 9.80665  # standard gravity [m/s²]
 _NEWTONS: Final[Mapping[str, float]] = {"N": 1.0, "g": 1e-3 * _GRAVITY, "kg": _GRAVITY}
 #: How long a reading counts where the station says nothing [s].
 _COUNTS_S: Final = 2.0
 
 
-class ManualCellOptions(PluginOptions):
+class ManualCellOptions(ReadingOptions):
     """Options of the load cell's table."""
 
     label: Text = "load cell read by hand"
-    number: Text | None = None
     unit: Literal["N", "g", "kg"]
     capacity: Annotated[float, Field(ge=1e-6)]
     tare: bool = True
 
 
-@driver(_DRIVER, ManualCellOptions)
+@driver(_CELL, ManualCellOptions)
 def open_load_cell(context: StationContext, options: ManualCellOptions) -> "ManualLoadCell":
     """Open a load cell that is read by an operator.
 
@@ -139,7 +179,7 @@ def open_load_cell(context: StationContext, options: ManualCellOptions) -> "Manu
     return ManualLoadCell(context, options)
 
 
-class ManualLoadCell:
+class ManualLoadCell(HandRead):
     """Asks for a reading whenever one is due, and samples nothing in between.
 
     One is due once the head was told to go anywhere, and, while the head is down, as soon as half the time has passed
@@ -151,51 +191,18 @@ class ManualLoadCell:
     unit = "N"
 
     def __init__(self, context: StationContext, options: ManualCellOptions) -> None:
-        self._role, self._clock = context.role, context.clock
-        self._operator = Operator(context, _DRIVER)
-        self._model, self._serial = options.label, options.number or ""
+        super().__init__(context, _CELL, options, "a load cell")
         self._shown, self._most = options.unit, options.capacity
         self._tare: float | None = None if options.tare else 0.0
         self._again_s = (context.safety.stale_s if context.safety is not None else _COUNTS_S) / 2
-        self._head: HandMoved | None = None
         self._orders = -1
-        self._last: tuple[float, float] | None = None
-
-    # --- instrument ---
-
-    def identity(self) -> InstrumentIdentity:
-        """Say what the table says: it cannot be asked."""
-        return InstrumentIdentity(self._role, _DRIVER, self._model, self._serial, "", simulated=False)
-
-    def safe_state(self) -> None:
-        """Do nothing: a load cell harms nobody."""
-
-    def close(self) -> None:
-        """Do nothing."""
-
-    def link(self, peers: Mapping[str, Instrument]) -> None:
-        """Be given the head.
-
-        ConfigError if the head moves by itself: it would press on while somebody looks for the display.
-        """
-        self._head = hand_moved(peers, "a load cell")
-
-    # --- sampler ---
-
-    def samples_since(self, time_s: float) -> SampleBlock:
-        """Return the last reading if it is younger than a time, after asking for one that is due."""
-        if self._due():
-            self._read()
-        new = [one for one in (self._last,) if one is not None and one[0] > time_s]
-        times, values = np.array(new, dtype=np.float64).reshape(-1, 2).T
-        return SampleBlock(self.channel, self.unit, times, values)
 
     def _due(self) -> bool:
         if self._head is None or self._last is None or self._head.orders != self._orders:
             return True
         return self._head.down and self._clock.now() - self._last[0] > self._again_s
 
-    def _read(self) -> None:
+    def _read(self) -> float:
         """Ask for the tare if it is not known yet, then for a reading."""
         down = self._head is not None and self._head.down
         orders = -1 if self._head is None else self._head.orders
@@ -204,29 +211,27 @@ class ManualLoadCell:
             shown = self._tare
         else:
             shown = self._asked(f"read the load cell, the head is {'down' if down else 'up'}")
-        newtons = (shown - (self._tare or 0.0)) * _NEWTONS[self._shown]
         # Orders given meanwhile would make this reading one of another depth; none can be, it is asked in one thread.
-        self._last, self._orders = (self._clock.now(), newtons), orders
+        self._orders = orders
+        return (shown - (self._tare or 0.0)) * _NEWTONS[self._shown]
 
     def _asked(self, text: str) -> float:
         return self._operator.number(f"{text}, compression positive", self._shown, least=-self._most, most=self._most)
 
 
-_DRIVER_MANUAL_THERMOMETER: Final = "manual-thermometer"
 #: A limited temperature may be five minutes old; a question takes its time.
 _LIMITED_MIN, _UNLIMITED_MIN = 3.0, 30.0
 _COLDEST_C, _HOTTEST_C = -40.0, 100.0
 
 
-class ManualThermometerOptions(PluginOptions):
+class ManualThermometerOptions(ReadingOptions):
     """Options of the thermometer's table."""
 
     label: Text = "thermometer read by hand"
-    number: Text | None = None
     every_min: Annotated[float, Field(ge=0.1)] | None = None
 
 
-@driver(_DRIVER_MANUAL_THERMOMETER, ManualThermometerOptions)
+@driver(_THERMOMETER, ManualThermometerOptions)
 def open_thermometer(context: StationContext, options: ManualThermometerOptions) -> "ManualThermometer":
     """Open a thermometer that is read by an operator; it samples ``temperature`` [°C].
 
@@ -244,45 +249,19 @@ def open_thermometer(context: StationContext, options: ManualThermometerOptions)
     return ManualThermometer(context, options)
 
 
-class ManualThermometer:
+class ManualThermometer(HandRead):
     """Asks for a reading whenever the last one has become too old."""
 
     channel = "temperature"
     unit = "°C"
 
     def __init__(self, context: StationContext, options: ManualThermometerOptions) -> None:
-        self._role, self._clock = context.role, context.clock
-        self._operator = Operator(context, _DRIVER_MANUAL_THERMOMETER)
-        self._label, self._number = options.label, options.number or ""
+        super().__init__(context, _THERMOMETER, options, "a thermometer")
         limited = context.safety is not None and context.safety.temperature_C is not None
         self._every_s = 60.0 * (options.every_min or (_LIMITED_MIN if limited else _UNLIMITED_MIN))
-        self._last: tuple[float, float] | None = None
 
-    # --- instrument ---
+    def _due(self) -> bool:
+        return self._last is None or self._clock.now() - self._last[0] >= self._every_s
 
-    def identity(self) -> InstrumentIdentity:
-        """Say what the table says: it cannot be asked."""
-        return InstrumentIdentity(
-            self._role, _DRIVER_MANUAL_THERMOMETER, self._label, self._number, "", simulated=False
-        )
-
-    def safe_state(self) -> None:
-        """Do nothing: a thermometer harms nobody."""
-
-    def close(self) -> None:
-        """Do nothing."""
-
-    def link(self, peers: Mapping[str, Instrument]) -> None:
-        """See that the head is one that waits for the operator as well; ConfigError where it moves by itself."""
-        hand_moved(peers, "a thermometer")
-
-    # --- sampler ---
-
-    def samples_since(self, time_s: float) -> SampleBlock:
-        """Return the last reading if it is younger than a time, after asking for one that is due."""
-        if self._last is None or self._clock.now() - self._last[0] >= self._every_s:
-            celsius = self._operator.number("read the thermometer", self.unit, least=_COLDEST_C, most=_HOTTEST_C)
-            self._last = (self._clock.now(), celsius)
-        new = [one for one in (self._last,) if one[0] > time_s]
-        times, values = np.array(new, dtype=np.float64).reshape(-1, 2).T
-        return SampleBlock(self.channel, self.unit, times, values)
+    def _read(self) -> float:
+        return self._operator.number("read the thermometer", self.unit, least=_COLDEST_C, most=_HOTTEST_C)

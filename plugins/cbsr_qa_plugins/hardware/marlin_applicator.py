@@ -19,11 +19,11 @@ from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import Array, Instrument, PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
+from cbsr_qa_plugins.hardware._driver import HeadDriver, Port, closed_on_error
 from cbsr_qa_plugins.hardware._force_watch import ForceWatch, force_among
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
-from cbsr_qa_plugins.hardware._marlin_axes import Machine, MarlinAxes, Position
+from cbsr_qa_plugins.hardware._marlin_axes import MachineFrame, MarlinAxes, Position
 from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
-from cbsr_qa_plugins.hardware._options import Port
 
 _DRIVER: Final = "marlin-applicator"
 _MILLIMETRES: Final = (1.0, 1.0, 1.0)
@@ -51,9 +51,9 @@ class MarlinOptions(PluginOptions):
         if self.firmware == "marlin" and self.steps_per_mm is None:
             yield Problem(("steps_per_mm",), "is missing", "stock Marlin counts in steps: give those of x, y and z")
 
-    def machine(self, hover_mm: float) -> Machine:
+    def machine(self, hover_mm: float) -> MachineFrame:
         """Where the sheet lies in the machine."""
-        return Machine(
+        return MachineFrame(
             centre_mm=self.centre_mm,
             hover_z_mm=self.hover_height_mm,
             hover_mm=hover_mm,
@@ -97,15 +97,11 @@ def open_applicator(context: StationContext, options: MarlinOptions) -> "MarlinA
             remedy=f"it must be at most the sheet's thickness, {context.sensor_type.thickness_mm:g}",
         )
     link = SerialLink(context.role, options.address, baud=options.baud, timeout_s=options.timeout_s)
-    try:
-        marlin = MarlinLink(link, boot_s=options.boot_s)
-        return MarlinApplicator(context, options, link, marlin)
-    except BaseException:
-        link.close()
-        raise
+    with closed_on_error(link):
+        return MarlinApplicator(context, options, link, MarlinLink(link, boot_s=options.boot_s))
 
 
-class MarlinApplicator:
+class MarlinApplicator(HeadDriver):
     """A head on a printer: homes, feels for the surface, presses by depth and watches the force meanwhile.
 
     InstrumentError if it is not the printer that the station file says; nothing has moved then.
@@ -116,11 +112,10 @@ class MarlinApplicator:
 
     def __init__(self, context: StationContext, options: MarlinOptions, link: SerialLink, marlin: MarlinLink) -> None:
         assert context.motion is not None
-        self._context, self._motion, self._clock = context, context.motion, context.clock
+        super().__init__(context, _DRIVER, options.address)
+        self._options, self._motion = options, context.motion
         machine = options.machine(context.motion.hover_mm)
         self._link, self._marlin, self._machine = link, marlin, machine
-        self._firmware = options.firmware
-        self._contact_force_N, self._search_depth_mm = options.contact_force_N, options.search_depth_mm
         self._axes = MarlinAxes(
             marlin, machine, context.clock, lift_mm_s=self._motion.travel_speed_mm_s, fail=self._error
         )
@@ -135,18 +130,16 @@ class MarlinApplicator:
 
     def identity(self) -> InstrumentIdentity:
         """Ask the firmware who it is."""
-        said = " ".join(self._marlin.query("M115"))
-        names = dict(re.findall(r"([A-Z_]+):(.*?)(?=\s+[A-Z_]+:|$)", said))
+        answer = " ".join(self._marlin.query("M115"))
+        names = dict(re.findall(r"([A-Z_]+):(.*?)(?=\s+[A-Z_]+:|$)", answer))
         name = names.get("FIRMWARE_NAME", "")
-        found = "prusa" if "prusa" in name.lower() else "marlin" if "marlin" in name.lower() else ""
-        if found != self._firmware:
+        firmware = "prusa" if "prusa" in name.lower() else "marlin" if "marlin" in name.lower() else ""
+        if firmware != self._options.firmware:
             raise self._error(
-                f"firmware {name or said[:60]!r} was found; {self._firmware!r} was expected",
+                f"firmware {name or answer[:60]!r} was found; {self._options.firmware!r} was expected",
                 "check its address, and 'firmware' in its table: it says what positions are told in",
             )
-        return InstrumentIdentity(
-            self._context.role, _DRIVER, names.get("MACHINE_TYPE", ""), names.get("UUID", ""), name, simulated=False
-        )
+        return self._identified(names.get("MACHINE_TYPE", ""), names.get("UUID", ""), name)
 
     def alive(self) -> None:
         """Return if it answers and has not restarted since it homed."""
@@ -165,9 +158,7 @@ class MarlinApplicator:
     def link(self, peers: Mapping[str, Instrument]) -> None:
         """Take the force from the bench's load cell."""
         force = force_among(peers)
-        self._watch = ForceWatch(
-            force, self._clock, self._context.safety, role=self._context.role, address=self._link.address
-        )
+        self._watch = ForceWatch(force, self._clock, self._context.safety, fail=self._error)
 
     # --- sampler: where the head is ---
 
@@ -203,21 +194,14 @@ class MarlinApplicator:
     def move_to(self, x_mm: float, y_mm: float) -> None:
         """Travel at the hover height, lifting first if need be."""
         self._axes.begin()
-        outline = self._context.sensor_type.outline
-        if not outline.clearance_mm(np.array([[x_mm, y_mm]]))[0] >= 0:
-            raise self._error(f"({x_mm:g}, {y_mm:g}) mm is outside the sheet", f"the sheet {outline.words()}")
+        self._check_place(x_mm, y_mm)
         self._lift()
         self._travel(x_mm, y_mm)
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Go this far below the surface found here, or else found nearest, or else nominal."""
         self._axes.begin()
-        thickness_mm = self._context.sensor_type.thickness_mm
-        if not (0 <= depth_mm < thickness_mm and speed_mm_s > 0):
-            raise self._error(
-                f"cannot press {depth_mm:g} mm deep at {speed_mm_s:g} mm/s",
-                f"the depth is from 0 to below the sheet's {thickness_mm:g} mm, the speed above 0",
-            )
+        self._check_press(depth_mm, speed_mm_s)
         self._axes.check_homed()
         surface = self._surface_mm()
         self._speed_mm_s = speed_mm_s
@@ -241,12 +225,12 @@ class MarlinApplicator:
         self._go_to_depth(-SEARCH_FROM_MM, self._motion.travel_speed_mm_s, watched=True)
         depths: list[float] = []
         forces: list[float] = []
-        while sum(force >= self._contact_force_N for force in forces) < SEARCH_CONTACT_STEPS:
+        while sum(force >= self._options.contact_force_N for force in forces) < SEARCH_CONTACT_STEPS:
             depth_mm = self._depth_mm()
-            if depth_mm > self._search_depth_mm:
+            if depth_mm > self._options.search_depth_mm:
                 raise self._given_up(
-                    f"no contact force of {self._contact_force_N:g} N"
-                    f" down to {self._search_depth_mm:g} mm below nominal",
+                    f"no contact force of {self._options.contact_force_N:g} N"
+                    f" down to {self._options.search_depth_mm:g} mm below nominal",
                     "look whether a sheet is in place, and whether the load cell reads pushes as positive",
                 )
             self._go_to_depth(depth_mm + SEARCH_STEP_MM, press_mm_s, watched=True)
@@ -254,7 +238,7 @@ class MarlinApplicator:
             self._clock.sleep(SEARCH_DWELL_S)
             forces.append(self._mean_since(watch, stepped_s))
             depths.append(self._depth_mm())
-            if len(forces) == 1 and abs(forces[0]) >= self._contact_force_N:
+            if len(forces) == 1 and abs(forces[0]) >= self._options.contact_force_N:
                 raise self._given_up(
                     f"the load cell reads {forces[0]:.3g} N {SEARCH_FROM_MM:g} mm above the nominal surface",
                     "tare it with the head in the air, and check 'hover_height_mm' in the applicator's table",
@@ -317,6 +301,3 @@ class MarlinApplicator:
         if self._watch is None:
             raise self._error("nobody measures the force", "link it with a load cell before it presses")
         return self._watch
-
-    def _error(self, reason: str, remedy: str) -> InstrumentError:
-        return InstrumentError(self._context.role, self._link.address, reason, remedy=remedy)

@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from cbsr_qa.domain import ConfigError, InstrumentError
-from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import StationContext, driver
 from cbsr_qa.plugin.links import AddressLock
-from cbsr_qa.system import Clock
+from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, closed_on_error
 from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell, Scale
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
-from cbsr_qa_plugins.hardware._options import Factor
 
 _DRIVER: Final = "phidget-bridge"
 _GAINS: Final = (1, 8, 16, 32, 64, 128)
@@ -74,79 +72,54 @@ def open_bridge(context: StationContext, options: BridgeOptions) -> ForceCell:
     InstrumentError
         If the bridge does not attach, or something presses on the cell while it is tared.
     """
-    source = PhidgetSource(
-        context.role,
-        context.clock,
-        Scale.of(options, "g"),
-        device_serial=options.device_serial,
-        channel=options.channel,
-        gain=options.gain,
-        interval_ms=options.data_interval_ms,
-        attach_s=options.attach_s,
-    )
-    try:
-        cell = ForceCell(context, source, options, who=source.identity, address=source.address)
+    source = PhidgetSource(context, options)
+    with closed_on_error(source):
+        cell = ForceCell(context, source, options, driver=_DRIVER, address=source.address, who=source.identity)
         cell.tare()
-    except BaseException:
-        source.close()
-        raise
-    return cell
+        return cell
 
 
-class PhidgetSource:
+class PhidgetSource(DriverBase):
     """Forces from one input of a bridge; the library calls from a thread of its own.
 
     A bridge that is unplugged is told of at the next look, and used again once it is back: the library knows it by
     its serial number. ConfigError if the library is not installed, or libusb is missing; InstrumentError if the
     bridge does not attach.
-
-    Parameters
-    ----------
-    device_serial, channel, gain, interval_ms, attach_s : as in :func:`open_bridge`.
     """
 
-    def __init__(
-        self,
-        role: str,
-        clock: Clock,
-        scale: Scale,
-        *,
-        device_serial: int | None,
-        channel: int,
-        gain: int,
-        interval_ms: int,
-        attach_s: float,
-    ) -> None:
-        self.address = f"phidget:{'any' if device_serial is None else device_serial}:{channel}"
-        self._role, self._clock, self._scale = role, clock, scale
-        self._gain, self._interval_ms = gain, interval_ms
+    def __init__(self, context: StationContext, options: BridgeOptions) -> None:
+        serial = "any" if options.device_serial is None else options.device_serial
+        super().__init__(context, _DRIVER, f"phidget:{serial}:{options.channel}")
+        self._options, self._scale = options, Scale.of(options, "g")
         self._log = SampleLog()
         self._attached = False
         self._said = ""  # the last thing the library complained of
-        self._began_s = clock.now()
-        self._input = _bridge_input(role)
-        self._lock = AddressLock(role, self.address)
-        try:
-            self._open(device_serial, channel, attach_s)
-        except BaseException:
-            self.close()
-            raise
-        self._began_s = clock.now()
+        self._began_s = self._clock.now()
+        self._input = _bridge_input(self._role)
+        self._lock = AddressLock(self._role, self._address)
+        with closed_on_error(self):
+            self._open()
+        self._began_s = self._clock.now()
 
-    def identity(self) -> InstrumentIdentity:
-        """Ask the bridge who it is."""
+    @property
+    def address(self) -> str:
+        """Serial number and channel, for messages."""
+        return self._address
+
+    def identity(self) -> tuple[str, str, str]:
+        """Ask the bridge for its model, serial number and firmware."""
         try:
             model, serial = self._input.getDeviceName(), self._input.getDeviceSerialNumber()
             version = self._input.getDeviceVersion()
         except Exception as error:
             raise self._failed("does not say who it is", error) from error
-        return InstrumentIdentity(self._role, _DRIVER, str(model), str(serial), str(version), simulated=False)
+        return str(model), str(serial), str(version)
 
     def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times [s] and forces [N], both (n,), after a time. InstrumentError while it is unplugged."""
         if not self._attached:
-            said = f" ({self._said})" if self._said else ""
-            raise self._error(f"the bridge is unplugged{said}", _PLUG)
+            complaint = f" ({self._said})" if self._said else ""
+            raise self._error(f"the bridge is unplugged{complaint}", _PLUG)
         return self._log.since(time_s)
 
     def newest(self, count: int) -> NDArray[np.float64]:
@@ -156,10 +129,10 @@ class PhidgetSource:
     def check_alive(self) -> None:
         """Raise InstrumentError if it is unplugged or has fallen silent."""
         self.samples_since(np.inf)
-        silent_s = 1.0 + _SILENT_INTERVALS * self._interval_ms / 1e3
+        silent_s = 1.0 + _SILENT_INTERVALS * self._options.data_interval_ms / 1e3
         if self._clock.now() - max(self._log.last_s, self._began_s) > silent_s:
-            said = f"; its library said: {self._said}" if self._said else ""
-            raise self._error(f"it has sent nothing for {silent_s:.3g} s{said}", "check cell, cable and bridge")
+            complaint = f"; its library said: {self._said}" if self._said else ""
+            raise self._error(f"it has sent nothing for {silent_s:.3g} s{complaint}", "check cell, cable and bridge")
 
     def close(self) -> None:
         """Give the input back."""
@@ -168,29 +141,29 @@ class PhidgetSource:
             self._input.close()
         self._lock.release()
 
-    def _open(self, device_serial: int | None, channel: int, attach_s: float) -> None:
-        bridge = self._input
+    def _open(self) -> None:
+        bridge, options = self._input, self._options
         try:
-            if device_serial is not None:
-                bridge.setDeviceSerialNumber(device_serial)
-            bridge.setChannel(channel)
+            if options.device_serial is not None:
+                bridge.setDeviceSerialNumber(options.device_serial)
+            bridge.setChannel(options.channel)
             bridge.setOnAttachHandler(self._on_attach)
             bridge.setOnDetachHandler(self._on_detach)
             bridge.setOnErrorHandler(self._on_error)
             bridge.setOnVoltageRatioChangeHandler(self._on_ratio)
-            bridge.openWaitForAttachment(round(1e3 * attach_s))
+            bridge.openWaitForAttachment(round(1e3 * options.attach_s))
             self._set_up(bridge)
         except Exception as error:
             if getattr(error, "code", None) == _TIMEOUT:
-                raise self._error(f"no bridge attached within {attach_s:g} s", _PLUG) from error
+                raise self._error(f"no bridge attached within {options.attach_s:g} s", _PLUG) from error
             raise self._failed("does not open", error) from error
         self._attached = True
 
     def _set_up(self, bridge: Any) -> None:
         """Set what a bridge forgets when it is unplugged; every interval is a sample, also where nothing changes."""
         gains = import_module("Phidget22.BridgeGain").BridgeGain
-        bridge.setBridgeGain(getattr(gains, f"BRIDGE_GAIN_{self._gain}"))
-        bridge.setDataInterval(self._interval_ms)
+        bridge.setBridgeGain(getattr(gains, f"BRIDGE_GAIN_{self._options.gain}"))
+        bridge.setDataInterval(self._options.data_interval_ms)
         bridge.setVoltageRatioChangeTrigger(0.0)
 
     # --- called by the library, in its thread; nothing may be raised into it ---
@@ -216,9 +189,6 @@ class PhidgetSource:
     def _failed(self, what: str, error: Exception) -> InstrumentError:
         details = getattr(error, "details", "") or getattr(error, "description", "") or error
         return self._error(f"the bridge {what}: {details}", _PLUG)
-
-    def _error(self, reason: str, remedy: str) -> InstrumentError:
-        return InstrumentError(self._role, self.address, reason, remedy=remedy)
 
 
 def _bridge_input(role: str) -> Any:

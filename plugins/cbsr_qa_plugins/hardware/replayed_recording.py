@@ -12,7 +12,7 @@ from cbsr_qa.domain.plan import steps as kinematics
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext, driver
-from cbsr_qa_plugins.hardware._options import RIG_MOTION, Text
+from cbsr_qa_plugins.hardware._driver import RIG_MOTION, DriverBase, Text
 
 _DRIVER: Final = "replayed-recording"
 
@@ -47,7 +47,7 @@ def open_replay(context: StationContext, options: ReplayOptions) -> "ReplayedRec
     return ReplayedRecording(context, options)
 
 
-class ReplayedRecording:
+class ReplayedRecording(DriverBase):
     """Plays a recording on the station's clock, from the moment it is opened.
 
     Recorded time passes as the station's does, whatever the station does meanwhile. A frame is delivered when the
@@ -57,10 +57,10 @@ class ReplayedRecording:
     """
 
     def __init__(self, context: StationContext, options: ReplayOptions) -> None:
-        self._role, self._clock = context.role, context.clock
         self._motion = context.motion or RIG_MOTION
         self._who = f"instrument {context.role!r} ({_DRIVER})"
         self._recording = recording = _read(context, options)
+        super().__init__(context, _DRIVER, str(recording.path))
         _check_frames(recording, context, self._who)
         self._wanted = options.channel
         self._samples = next((block for block in recording.samples if block.channel == self._wanted), None)
@@ -78,18 +78,15 @@ class ReplayedRecording:
 
     def identity(self) -> InstrumentIdentity:
         """Say that nothing is measured, and what is played instead."""
-        one = self._recording
-        origin = f"; itself of {'; '.join(one.simulated)}" if one.simulated else ""
-        dataset = f", data set {one.dataset}" if one.dataset else ""
-        model = f"replay of {one.path.name} ({one.format}{dataset}){origin}"
-        return InstrumentIdentity(self._role, _DRIVER, model, "", "", simulated=True)
+        recording = self._recording
+        origin = f"; itself of {'; '.join(recording.simulated)}" if recording.simulated else ""
+        dataset = f", data set {recording.dataset}" if recording.dataset else ""
+        model = f"replay of {recording.path.name} ({recording.format}{dataset}){origin}"
+        return self._identified(model, simulated=True)
 
     def safe_state(self) -> None:
         """Take the head for up; nothing moves."""
         self._depth_mm = None
-
-    def close(self) -> None:
-        """Do nothing: the file was read whole."""
 
     # --- frame source ---
 
@@ -104,8 +101,7 @@ class ReplayedRecording:
         InstrumentError if the recording ends before; it is not to be tried again.
         """
         frames = self._recording.frames
-        if count < 1:
-            raise self._error(f"{count} frames were asked for; at least 1 is needed")
+        self._check_count(count)
         first = int(np.searchsorted(frames.time_s, self._clock.now() - self._shift_s))
         if first + count > len(frames):
             raise self._over(len(frames) - first, count)
@@ -121,7 +117,7 @@ class ReplayedRecording:
         return self._error(
             f"the recording is over: at {played_s:.4g} s of it {left} of {held} frames are left,"
             f" {asked} asked for; the last is at {end_s:.4g} s",
-            remedy="use a recipe that takes no longer than what was recorded",
+            "use a recipe that takes no longer than what was recorded",
         )
 
     # --- sampler ---
@@ -187,9 +183,6 @@ class ReplayedRecording:
             self._clock.sleep(kinematics.stroke_s(motion, self._depth_mm))
             self._depth_mm = None
 
-    def _error(self, reason: str, *, remedy: str = "") -> InstrumentError:
-        return InstrumentError(self._role, str(self._recording.path), reason, remedy=remedy)
-
 
 def _read(context: StationContext, options: ReplayOptions) -> Recording:
     if context.read_recording is None:
@@ -206,11 +199,11 @@ def _read(context: StationContext, options: ReplayOptions) -> Recording:
 def _check_frames(recording: Recording, context: StationContext, who: str) -> None:
     """Refuse a recording whose frames are not those of a run."""
     name, shape = recording.path.name, context.sensor_type.pattern.shape
-    found = recording.frames.voltages.shape[1:]
-    if recording.scan is not ScanKind.FULL or found != shape:
+    played = recording.frames.voltages.shape[1:]
+    if recording.scan is not ScanKind.FULL or played != shape:
         raise ConfigError(
-            f"{who}: frames of {name} have {found[0]} x {found[1]} readings; sensor type {context.sensor_type.name!r}"
-            f" has {shape[0]} x {shape[1]}",
+            f"{who}: frames of {name} have {played[0]} x {played[1]} readings;"
+            f" sensor type {context.sensor_type.name!r} has {shape[0]} x {shape[1]}",
             remedy="give the station the sensor type that was recorded",
         )
     if recording.still or len(recording.frames) < 2:

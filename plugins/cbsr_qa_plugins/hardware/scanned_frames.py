@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, join_frames
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
 from cbsr_qa.plugin import (
@@ -22,6 +22,7 @@ from cbsr_qa.plugin import (
     driver,
 )
 from cbsr_qa_plugins.hardware._contact_check import ContactFault, ContactState, contact_faults
+from cbsr_qa_plugins.hardware._driver import DriverBase
 
 _DRIVER: Final = "scanned-frames"
 Milliampere = Annotated[float, Field(ge=1e-4, le=1000)]
@@ -30,7 +31,6 @@ _TEST_SHARE: Final = 0.1
 #: Currents that are chosen are one of these times a power of ten: the same sensor is read with the same current
 #: tomorrow.
 _STEPS: Final = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
-_WHERE: Final = "the bench"
 
 _log: Final = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ def open_frames(context: StationContext, options: ScanOptions) -> "ScannedFrames
     return ScannedFrames(context, options)
 
 
-class ScannedFrames:
+class ScannedFrames(DriverBase):
     """Whole frames in canonical order, whatever order the multiplexer steps in.
 
     Where it is linked it looks at the contacts and settles the current. A frame is only given away if the
@@ -81,8 +81,7 @@ class ScannedFrames:
     """
 
     def __init__(self, context: StationContext, options: ScanOptions) -> None:
-        self._role = context.role
-        self._clock = context.clock
+        super().__init__(context, _DRIVER, "the bench")
         self._pattern = context.sensor_type.pattern
         self._stated_A = None if options.current_mA is None else 1e-3 * options.current_mA
         self._largest_A = 1e-3 * options.largest_current_mA
@@ -100,15 +99,7 @@ class ScannedFrames:
     def identity(self) -> InstrumentIdentity:
         """Name what it scans with; the meter and the multiplexer say themselves who they are."""
         notes = (("current", f"{1e3 * self._current_A:g} mA"), ("contacts", self._contacts))
-        return InstrumentIdentity(
-            self._role, _DRIVER, "source-measure unit and multiplexer", "", "", simulated=False, notes=notes
-        )
-
-    def safe_state(self) -> None:
-        """Nothing to do: the meter switches itself off."""
-
-    def close(self) -> None:
-        """Nothing to give back."""
+        return self._identified("source-measure unit and multiplexer", notes=notes)
 
     def self_test(self) -> tuple[CheckResult, ...]:
         """Look at the contacts by the driven pairs (line ``contacts``), and at the current (``current``)."""
@@ -155,8 +146,7 @@ class ScannedFrames:
         InstrumentError if an answer is lost, or the multiplexer has lost a step (retryable: nothing of the frame is
         kept).
         """
-        if count < 1:
-            raise InstrumentError(self._role, _WHERE, f"{count} frames were asked for; at least 1 is needed")
+        self._check_count(count)
         return join_frames([self._frame() for _ in range(count)])
 
     # --- how ---
@@ -186,9 +176,7 @@ class ScannedFrames:
         at = self._multiplexer.position()
         if at != 0:
             count = len(self._multiplexer.order())
-            raise InstrumentError(
-                self._role,
-                _WHERE,
+            raise self._error(
                 f"after {count} steps the multiplexer is {min(at, count - at)} combinations from where it began:"
                 " steps were lost or done twice, and the frame is thrown away",
                 retryable=True,
@@ -230,20 +218,22 @@ class ScannedFrames:
             return
         if not np.isfinite(measured).any():
             limit_V = self._meter.compliance_V
-            raise self._refused(
+            raise self._error(
                 f"no driven pair takes the current within {limit_V:g} V",
                 "is a sensor connected, and its cable whole?",
             )
         if np.median(measured) < 0:
-            raise self._refused(
+            raise self._error(
                 f"driven pairs read {np.median(measured) / 1e3:.3g} kΩ: the meter's leads are the other way round",
                 'exchange them, or set polarity to the other of "normal" and "reversed"',
             )
         faults = self._contact_faults(ohm)
-        said = [fault.words() for fault in faults]
+        findings = [fault.words() for fault in faults]
         if self._refuses and any(fault.state is not ContactState.POOR for fault in faults):
-            raise self._refused("; ".join(said), 'mend the contact, or set contacts = "warn" to measure all the same')
-        for text in said:
+            raise self._error(
+                "; ".join(findings), 'repair the contact, or set contacts = "warn" to measure all the same'
+            )
+        for text in findings:
             _log.warning("%s: %s", self._role, text)
 
     def _contact_faults(self, ohm: NDArray[np.float64]) -> tuple[ContactFault, ...]:
@@ -270,16 +260,13 @@ class ScannedFrames:
         if self._stated_A > most_A:
             worst = self._pattern.drive[int(np.nanargmax(np.where(np.isfinite(ohm), np.abs(ohm), np.nan)))]
             volts = self._stated_A * float(known.max())
-            raise self._refused(
+            raise self._error(
                 f"{1e3 * self._stated_A:g} mA need {volts:.3g} V on pair {worst[0]}-{worst[1]};"
                 f" the source ends at {self._meter.compliance_V:g} V,"
                 f" and {100 * (1 - self._used):g} % of it are to be left",
                 f"state at most {1e3 * _round_down(most_A):g} mA, or raise compliance_V",
             )
         return self._stated_A
-
-    def _refused(self, reason: str, remedy: str) -> InstrumentError:
-        return InstrumentError(self._role, _WHERE, reason, remedy=remedy)
 
 
 def _round_down(current_A: float) -> float:

@@ -1,12 +1,10 @@
-"""Thermometer that sends text lines over a serial port, all the time.
-
-Load cell that sends text lines over a serial port, all the time: an HX711 on a microcontroller, a scale.
+"""Instruments that send text lines over a serial port all the time: a load cell or scale, and a thermometer.
 
 Lines carry no checksum: one that is no number is skipped, but a digit that was garbled into another is not told from
 a reading.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated, Final, Literal
 
 from pydantic import Field
@@ -15,11 +13,12 @@ from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, Problem, StationContext, driver
 from cbsr_qa.plugin.links import SerialLink
+from cbsr_qa_plugins.hardware._driver import Baud, DriverBase, Factor, Port, closed_on_error
 from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell, Scale
 from cbsr_qa_plugins.hardware._line_sampler import LineSampler
-from cbsr_qa_plugins.hardware._options import Baud, Factor, Port
 
-_DRIVER: Final = "serial-load-cell"
+_CELL: Final = "serial-load-cell"
+_THERMOMETER: Final = "serial-thermometer"
 
 
 class LoadCellOptions(CellOptions):
@@ -38,7 +37,7 @@ class LoadCellOptions(CellOptions):
             yield Problem(("scale",), "is missing", "it must be how many newtons one count is")
 
 
-@driver(_DRIVER, LoadCellOptions)
+@driver(_CELL, LoadCellOptions)
 def open_load_cell(context: StationContext, options: LoadCellOptions) -> ForceCell:
     """Open a load cell that sends lines of text; it samples ``force`` [N], compression positive.
 
@@ -64,22 +63,12 @@ def open_load_cell(context: StationContext, options: LoadCellOptions) -> ForceCe
     InstrumentError
         If no such lines come from the address, or something presses on the cell while it is tared.
     """
-    scale, timed = Scale.of(options, options.unit), options.time == "device_ms"
-    link = SerialLink(context.role, options.address, baud=options.baud)
-    lines = LineSampler(link, context.clock, timed=timed, rate_hz=options.rate_hz, convert=scale.force_N)
+    lines = _lines(context, options, Scale.of(options, options.unit).force_N)
     model = f"load cell that sends lines of text, {options.unit}"
-    who = InstrumentIdentity(context.role, _DRIVER, model, "", "", simulated=False)
-    try:
-        lines.wait_for_first(options.boot_s)
-        cell = ForceCell(context, lines, options, who=lambda: who, address=options.address)
+    with closed_on_error(lines):
+        cell = ForceCell(context, lines, options, driver=_CELL, address=options.address, who=lambda: (model,))
         cell.tare()
-    except BaseException:
-        lines.close()
-        raise
-    return cell
-
-
-_DRIVER_SERIAL_THERMOMETER: Final = "serial-thermometer"
+        return cell
 
 
 class ThermometerOptions(PluginOptions):
@@ -94,7 +83,7 @@ class ThermometerOptions(PluginOptions):
     boot_s: Annotated[float, Field(ge=0.1, le=3600)] = 5.0
 
 
-@driver(_DRIVER_SERIAL_THERMOMETER, ThermometerOptions)
+@driver(_THERMOMETER, ThermometerOptions)
 def open_thermometer(context: StationContext, options: ThermometerOptions) -> "SerialThermometer":
     """Open a thermometer that sends lines of text; it samples ``temperature`` [°C].
 
@@ -114,43 +103,40 @@ def open_thermometer(context: StationContext, options: ThermometerOptions) -> "S
     InstrumentError
         If no such lines come from the address.
     """
+    lines = _lines(context, options, lambda number: options.scale * number + options.offset)
+    return SerialThermometer(context, options, lines)
+
+
+def _lines(
+    context: StationContext, options: LoadCellOptions | ThermometerOptions, convert: Callable[[float], float]
+) -> LineSampler:
+    """Open the port, and wait for the first line."""
     link = SerialLink(context.role, options.address, baud=options.baud)
-    lines = LineSampler(
-        link,
-        context.clock,
-        timed=options.time == "device_ms",
-        rate_hz=options.rate_hz,
-        convert=lambda number: options.scale * number + options.offset,
-    )
-    try:
+    timed = options.time == "device_ms"
+    lines = LineSampler(link, context.clock, timed=timed, rate_hz=options.rate_hz, convert=convert)
+    with closed_on_error(lines):
         lines.wait_for_first(options.boot_s)
-    except BaseException:
-        lines.close()
-        raise
-    return SerialThermometer(context, lines)
+    return lines
 
 
-class SerialThermometer:
+class SerialThermometer(DriverBase):
     """Samples ``temperature`` all the time."""
 
     channel = "temperature"
     unit = "°C"
 
-    def __init__(self, context: StationContext, lines: LineSampler) -> None:
-        self._context, self._lines = context, lines
+    def __init__(self, context: StationContext, options: ThermometerOptions, lines: LineSampler) -> None:
+        super().__init__(context, _THERMOMETER, options.address)
+        self._lines = lines
 
     def identity(self) -> InstrumentIdentity:
         """Name it by its address: lines of numbers do not say who sends them."""
         self._lines.check_alive()
-        model = "thermometer that sends lines of text"
-        return InstrumentIdentity(self._context.role, _DRIVER_SERIAL_THERMOMETER, model, "", "", simulated=False)
+        return self._identified("thermometer that sends lines of text")
 
     def alive(self) -> None:
         """Raise InstrumentError if it has fallen silent."""
         self._lines.check_alive()
-
-    def safe_state(self) -> None:
-        """Nothing: it only listens."""
 
     def close(self) -> None:
         """Give the port back."""

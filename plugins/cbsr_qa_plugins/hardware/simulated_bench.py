@@ -6,14 +6,14 @@ from typing import Annotated, Final
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import CONTACT_LENGTH_MM, Motion
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import PluginOptions, StationContext, driver
 from cbsr_qa.simulate import SimulatedHead, SimulatedWorld, StepAddresses
 from cbsr_qa.system import in_ticks, on_tick
-from cbsr_qa_plugins.hardware._options import RIG_MOTION
+from cbsr_qa_plugins.hardware._driver import RIG_MOTION, HeadDriver
 
 _DRIVER: Final = "simulated-bench"
 _FORCE_RATE_HZ: Final = 8  # of the rig's load cell; a power of two, so that sample times are exact
@@ -46,7 +46,7 @@ def open_bench(context: StationContext, options: BenchOptions) -> "SimulatedBenc
     return SimulatedBench(context, options)
 
 
-class SimulatedBench:
+class SimulatedBench(HeadDriver):
     """Simulated instruments that share one world and the station's clock."""
 
     channel = "force"
@@ -58,7 +58,7 @@ class SimulatedBench:
                 f"instrument {context.role!r} ({_DRIVER}) was given no scene",
                 remedy='name one in its table, e.g. scene = "base"',
             )
-        self._context = context
+        super().__init__(context, _DRIVER, "simulated")
         self._scene = context.scene
         self.world = SimulatedWorld(
             context.scene,
@@ -84,7 +84,7 @@ class SimulatedBench:
         """Name the scene and the seed: together with the software's version they are this bench."""
         self._check_open()
         model = f"simulated bench, scene {self._scene.name}, seed {self._context.seed}"
-        return InstrumentIdentity(self._context.role, _DRIVER, model, str(self._context.seed), "", simulated=True)
+        return self._identified(model, str(self._context.seed), simulated=True)
 
     def safe_state(self) -> None:
         """Start lifting the head and return at once."""
@@ -104,11 +104,8 @@ class SimulatedBench:
     def acquire(self, count: int) -> FrameBlock:
         """Take frames one after the other, all readings in a frame's middle where no effect says otherwise."""
         self._check_open()
-        if count < 1:
-            raise InstrumentError(
-                self._context.role, "simulated", f"{count} frames were asked for; at least 1 is needed"
-            )
-        clock, period_s = self._context.clock, self.frame_period_s
+        self._check_count(count)
+        clock, period_s = self._clock, self.frame_period_s
         half_s = in_ticks(period_s / 2)
         times, frames = [], []
         for _ in range(count):
@@ -116,8 +113,8 @@ class SimulatedBench:
             frames.append(self.world.frame(middle_s, self._addresses.frame()))
             times.append(middle_s)
             clock.sleep(period_s)
-        voltages, flags = np.stack([one.voltages for one in frames]), np.stack([one.flags for one in frames])
-        own = [one.time_s for one in frames if one.time_s is not None]
+        voltages, flags = np.stack([frame.voltages for frame in frames]), np.stack([frame.flags for frame in frames])
+        own = [frame.time_s for frame in frames if frame.time_s is not None]
         at_s = np.stack(own) if own else None
         return FrameBlock(np.array(times), voltages, flags, VoltageUnit.VOLT, self._scene.current_A, at_s)
 
@@ -129,7 +126,7 @@ class SimulatedBench:
         They come 8 a second from the beginning of each step, and from each order to the head within it.
         """
         self._check_open()
-        taken = list(self._addresses.samples(time_s, self._context.clock.now()))
+        taken = list(self._addresses.samples(time_s, self._clock.now()))
         forces = [self.world.force_N(at_s, address) for at_s, address in taken]
         times = np.array([at_s for at_s, _ in taken], dtype=np.float64)
         return SampleBlock(self.channel, self.unit, times, np.array(forces, dtype=np.float64))
@@ -151,26 +148,14 @@ class SimulatedBench:
     def move_to(self, x_mm: float, y_mm: float) -> None:
         """Travel at the hover height."""
         self._check_open()
-        outline = self._context.sensor_type.outline
-        if not outline.clearance_mm(np.array([[x_mm, y_mm]]))[0] >= 0:
-            place = f"({x_mm:g}, {y_mm:g}) mm"
-            raise InstrumentError(
-                self._context.role, place, "outside the sheet", remedy=f"the sheet {outline.words()}"
-            )
+        self._check_place(x_mm, y_mm)
         self._begin_act()
         self._head.travel(x_mm, y_mm)
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Go this far below the surface found here."""
         self._check_open()
-        thickness_mm = self._context.sensor_type.thickness_mm
-        if not (0 <= depth_mm < thickness_mm and speed_mm_s > 0):
-            raise InstrumentError(
-                self._context.role,
-                "simulated",
-                f"cannot press {depth_mm:g} mm deep at {speed_mm_s:g} mm/s",
-                remedy=f"the depth is from 0 to below the sheet's {thickness_mm:g} mm, the speed above 0",
-            )
+        self._check_press(depth_mm, speed_mm_s)
         self._begin_act()
         self._head.press(depth_mm, speed_mm_s)
 
@@ -184,11 +169,11 @@ class SimulatedBench:
         self._head.count_from(self._addresses.begin_act())
 
     def _mean_force_N(self, window_s: float) -> float:
-        return float(self.samples_since(self._context.clock.now() - window_s).values.mean())
+        return float(self.samples_since(self._clock.now() - window_s).values.mean())
 
     def _check_open(self) -> None:
         if not self._open:
-            raise InstrumentError(self._context.role, "simulated", "the bench is closed", remedy="open it again")
+            raise self._error("the bench is closed", "open it again")
 
 
 def _motion(context: StationContext, options: BenchOptions) -> Motion:

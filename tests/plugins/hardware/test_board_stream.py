@@ -5,7 +5,7 @@ import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
 
-from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, BinaryStream, TextStream, scan_order
+from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, BinaryStream, TextStream, stream_order
 
 FRAMES = np.random.default_rng(20).integers(0, 2**16, (6, 16, 16))
 
@@ -174,5 +174,5 @@ def test_the_order_of_a_stream_says_where_each_reading_belongs():
         for first in (0, 1, 255):
             stream = np.roll(sent.ravel(), -first)
             back = np.empty(256, dtype=int)
-            back[scan_order(order, first)] = stream
+            back[stream_order(order, first)] = stream
             np.testing.assert_array_equal(back.reshape(16, 16), frame)

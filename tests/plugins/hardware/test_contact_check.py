@@ -6,7 +6,7 @@ import pytest
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern, named_pairs
 from cbsr_qa_plugins.hardware._contact_check import ContactState, contact_faults
-from cbsr_qa_plugins.hardware._esp32 import scan_order
+from cbsr_qa_plugins.hardware._esp32 import stepping_order
 
 RING = adjacent_pattern(16)
 INF = np.inf
@@ -90,28 +90,28 @@ def test_no_sensor_at_all_is_every_pin():
 
 
 def test_the_order_of_a_firmware_in_which_the_current_pair_is_inner():
-    order = scan_order(RING, inner="current")
+    order = stepping_order(RING, inner="current")
     assert order[:2] == ((0, 0), (1, 0))
     assert order[16] == (0, 1)
     assert len(set(order)) == 256
 
 
 def test_the_order_of_a_firmware_in_which_the_voltage_pair_is_inner():
-    assert scan_order(RING, inner="voltage")[:17] == (*((0, m) for m in range(16)), (1, 0))
+    assert stepping_order(RING, inner="voltage")[:17] == (*((0, m) for m in range(16)), (1, 0))
 
 
 def test_a_firmware_that_skips_electrodes():
     skipping = DrivePattern(16, named_pairs("skip-2", 16), named_pairs("adjacent", 16))
-    assert set(scan_order(skipping, inner="current", current_skip=2)) == {
+    assert set(stepping_order(skipping, inner="current", current_skip=2)) == {
         (d, m) for d in range(16) for m in range(16)
     }
     with pytest.raises(
         RefusedError, match=r"drive pairs 0-1, 1-2 and so on; pair 0-1 is not among the sensor type's"
     ):
-        scan_order(skipping, inner="current")
+        stepping_order(skipping, inner="current")
 
 
 def test_pairs_of_the_sensor_that_the_firmware_lacks():
     both_ways = DrivePattern(16, (*RING.drive, (1, 0)), RING.measure)
     with pytest.raises(RefusedError, match=r"pair 1-0 is of the sensor type, not among its own"):
-        scan_order(both_ways, inner="current")
+        stepping_order(both_ways, inner="current")

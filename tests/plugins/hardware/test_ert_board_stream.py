@@ -16,7 +16,7 @@ from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
 from cbsr_qa.plugin import StationContext
 from cbsr_qa.simulate.instruments import EmulatedRig, Emulation, Fault, WatchedClock
 from cbsr_qa.system import RealClock, VirtualClock
-from cbsr_qa_plugins.hardware._board_stream import scan_order
+from cbsr_qa_plugins.hardware._board_stream import stream_order
 from cbsr_qa_plugins.hardware.ert_board_stream import open_board
 
 PERIOD_S = 0.25
@@ -173,7 +173,7 @@ def test_the_memory_of_the_readings_can_be_taken_out(opened, order):
         np.abs(remembered.voltages - plain.voltages)[0, usable].max() > 0.05 * np.abs(plain.voltages[0, usable]).max()
     )
     # What follows a driven pair that was cut keeps a share of nobody knows what; whole counts are rounded.
-    order = scan_order(order, 0)
+    order = stream_order(order, 0)
     follows_cut = np.zeros(256, dtype=bool)
     follows_cut[order[1:]] = corrected.flags[0].ravel()[order[:-1]] > 0
     known = usable & ~follows_cut.reshape(16, 16) & (corrected.flags[0] == 0)
@@ -283,29 +283,6 @@ def test_a_board_that_sends_another_format_is_refused_at_opening(opened, options
 def test_a_port_without_a_board_is_refused():
     with pytest.raises(InstrumentError, match="frames at /dev/none: there is no port"):
         open_board(told(TABLE | {"address": "/dev/none"}, RealClock()))
-
-
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"formt": "ascii"}, "did you mean 'format'"),
-        ({"format": "text"}, "format is 'text'"),
-        ({"format": "ascii"}, "baud is missing"),
-        ({"frame_period_s": 0.004}, "770 bytes at 1400000 baud take 0.0055 s"),
-        ({"frame_period_s": "fast"}, "frame_period_s is 'fast'"),
-        ({"range_counts": [5, 5]}, r"range_counts is \[5, 5\]"),
-        ({"range_counts": [0, 70_000]}, "16-bit converter"),
-        ({"signed": True}, "signed is true, but binary counts are unsigned"),
-        ({"order": "voltage"}, "order is 'voltage'"),
-        ({"first_reading": 256}, "first_reading is 256"),
-        ({"memory_share": 0.9}, "memory_share is 0.9"),
-        ({"current_mA": 0}, "current_mA is 0"),
-    ],
-)
-def test_wrong_options_are_refused_by_name(options, match):
-    with pytest.raises(ConfigError, match=match) as raised:
-        open_board(told(TABLE | {"address": "/dev/none"} | options, RealClock()))
-    assert "instrument 'frames' (ert-board-stream)" in raised.value.reason
 
 
 def test_a_sensor_of_other_readings_is_refused():

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from scanning_rig import MATERIAL, PATTERN, SENSOR, Scanning
+from scanning_rig import MATERIAL, SENSOR, Scanning
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.run import CheckOutcome, Indenter
@@ -12,19 +12,6 @@ from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa.simulate.instruments import Fault, PtyPort, WatchedClock, multiplexer as emulated, streams
 from cbsr_qa.system import RealClock
 from cbsr_qa_plugins.hardware.esp32_multiplexer import open_multiplexer
-
-
-@pytest.fixture
-def bench():
-    with Scanning() as one:
-        yield one
-
-
-@pytest.fixture
-def hasty():
-    """A bench that soon gives up waiting."""
-    with Scanning(timeout_s=0.15) as one:
-        yield one
 
 
 def connected(bench):
@@ -245,16 +232,6 @@ def test_it_tests_itself_by_a_whole_round(bench, monkeypatch):
     assert line.said == "256 steps lead from the first combination to number 256"
 
 
-class Stranger:
-    """A printer's board: it ignores bytes without a line end."""
-
-    def received(self, data):
-        return b"start\necho:Marlin 2.1\n"
-
-    def misbehave(self, fault):
-        raise AssertionError(fault)
-
-
 def opened(address, **options):
     made = StationContext(
         "mux", WatchedClock(), SENSOR, MATERIAL, Indenter(13.0), 1,
@@ -263,30 +240,17 @@ def opened(address, **options):
     return open_multiplexer(made)
 
 
-def test_another_instrument_at_the_address_is_refused_with_what_it_said():
-    port = PtyPort("stranger")
-    port.serve(Stranger())
+def test_another_instrument_at_the_address_is_refused_with_what_it_said(stranger):
+    address = stranger(PtyPort, b"", b"start\necho:Marlin 2.1\n")  # a printer's board
     for _ in range(2):  # and the port is given back
         with pytest.raises(InstrumentError, match=r"it says b'start\\necho:Marlin") as refused:
-            opened(port.address)
+            opened(address)
         assert "command firmware is expected" in refused.value.remedy
-    port.close()
 
 
-class Mute:
-    def received(self, data):
-        return b""
-
-    def misbehave(self, fault):
-        raise AssertionError(fault)
-
-
-def test_an_address_where_nobody_answers_is_said_so():
-    port = PtyPort("mute")
-    port.serve(Mute())
+def test_an_address_where_nobody_answers_is_said_so(stranger):
     with pytest.raises(InstrumentError, match="it says nothing"):
-        opened(port.address)
-    port.close()
+        opened(stranger(PtyPort, b"", b""))
 
 
 def test_no_port_at_the_address():
@@ -294,19 +258,6 @@ def test_no_port_at_the_address():
         opened("/dev/nothing")
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"inner": "drive"}, "inner is 'drive'"),
-        ({"iner": "current"}, "iner is not a known key"),
-        ({"settle_ms": -1}, "settle_ms is -1"),
-        ({"voltage_skip": 15}, "voltage_skip is 15"),
-    ],
-)
-def test_tables_that_are_wrong_are_refused_by_key(options, said):
-    with pytest.raises(ConfigError, match=said):
-        opened("/dev/nothing", **options)
-
-
-def test_the_pattern_of_these_tests_is_the_rig_s():
-    assert PATTERN.shape == (16, 16)
+def test_more_electrodes_in_between_than_there_are_are_refused():
+    with pytest.raises(ConfigError, match="voltage_skip is 15"):
+        opened("/dev/nothing", voltage_skip=15)

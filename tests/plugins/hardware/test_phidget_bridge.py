@@ -263,22 +263,3 @@ def test_without_libusb_it_says_how_to_install_it(make, monkeypatch):
     with pytest.raises(ConfigError, match=r"Phidget22 finds no libusb \(libusb-1\.0\.so\.0") as caught:
         make()
     assert "apt install libusb-1.0-0" in caught.value.remedy
-
-
-@pytest.mark.parametrize(
-    ("options", "found"),
-    [
-        ({"gain": 2}, "gain is 2"),
-        ({"data_interval_ms": 4}, "data_interval_ms is 4"),
-        ({"channel": -1}, "channel is -1"),
-        ({"serial_number": 1}, "serial_number is not a known key"),
-    ],
-)
-def test_wrong_options_are_refused(make, options, found):
-    with pytest.raises(ConfigError, match=found):
-        make(**options)
-
-
-def test_a_scale_must_be_stated():
-    with pytest.raises(ConfigError, match="scale is missing"):
-        open_bridge(replace(context(None), options={}))

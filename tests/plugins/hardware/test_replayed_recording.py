@@ -173,9 +173,6 @@ def test_a_run_played_back_to_its_own_recipe_is_the_run():
         (recording(shape=(1, 16), scan=ScanKind.DRIVEN_PAIRS), {}, "1 x 16 readings"),
         (recording(still=True), {}, "whose times say nothing"),
         (recording(1), {}, "holds 1 frames"),
-        (recording(), {"fille": "a"}, "did you mean 'file'"),
-        (recording(), {"start_s": "now"}, "start_s is 'now'"),
-        (recording(), {"file": 3}, "file is 3"),
     ],
 )
 def test_what_cannot_be_played_is_refused_by_name(of, options, match):

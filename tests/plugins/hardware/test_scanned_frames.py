@@ -4,26 +4,13 @@ import logging
 
 import numpy as np
 import pytest
-from scanning_rig import OHM, SCENE_A, Scanning, TabledWorld
+from scanning_rig import OHM, Scanning, TabledWorld
 
 from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
 from cbsr_qa.domain.run import CheckOutcome
 from cbsr_qa.plugin import FrameSource, Linked
 from cbsr_qa.simulate.instruments import Fault, streams
-
-
-@pytest.fixture
-def bench():
-    with Scanning() as one:
-        yield one
-
-
-@pytest.fixture
-def hasty():
-    """A bench that soon gives up waiting."""
-    with Scanning(timeout_s=0.15) as one:
-        yield one
 
 
 def with_open_pin(pin, ohm=1e8):
@@ -242,25 +229,6 @@ def test_a_bench_without_meter_or_multiplexer_is_refused(bench, lacks):
     assert f'provides = ["{lacks}"]' in refused.value.remedy
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"current": "most"}, "current is 'most'"),
-        ({"current": "auto", "current_mA": 0.4}, "current is given, and current_mA too"),
-        ({"current_mA": -1}, "current_mA is -1"),
-        ({"headroom": 30}, "headroom is not a known key"),
-        ({"contacts": "ignore"}, "contacts is 'ignore'"),
-    ],
-)
-def test_tables_that_are_wrong_are_refused_by_key(bench, options, said):
-    with pytest.raises(ConfigError, match=said):
-        bench.open_frames(**options)
-
-
 def test_less_than_one_frame_is_refused(bench):
     with pytest.raises(InstrumentError, match="0 frames were asked for"):
         bench.open_frames().acquire(0)
-
-
-def test_the_tests_rig_has_the_scene_s_current():
-    assert SCENE_A == 0.4e-3

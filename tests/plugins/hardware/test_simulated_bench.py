@@ -141,18 +141,6 @@ def test_a_closed_bench_takes_no_orders_but_still_goes_safe():
     bench.close()
 
 
-def test_an_unknown_option_is_refused_with_the_nearest():
-    with pytest.raises(ConfigError, match="hover is not a known key") as refused:
-        opened(options={"hover": 3.0})
-    assert "did you mean 'hover_mm'" in refused.value.remedy
-
-
-@pytest.mark.parametrize("value", [0.0, "25", True, float("inf")])
-def test_an_option_out_of_range_is_refused(value: object):
-    with pytest.raises(ConfigError, match="hover_mm is"):
-        opened(options={"hover_mm": value})
-
-
 def test_without_a_scene_it_cannot_open():
     with pytest.raises(ConfigError, match="no scene"):
         open_bench(context(None))

@@ -23,7 +23,7 @@ def test_it_is_what_it_says(homed):
 
 
 def test_homing_ends_over_the_centre_at_the_hover_height(station, homed):
-    assert station.head.position_mm == pytest.approx((125.0, 105.0, 60.0))
+    assert station.head.position_mm == pytest.approx((55.0, 52.0, 32.0))
     assert station.head.dragged == 0
 
 

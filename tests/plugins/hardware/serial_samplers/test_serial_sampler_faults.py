@@ -1,15 +1,13 @@
 """Drivers of load cells and thermometers that send lines, over emulated ones: faults and bad input."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from emulated_bench import SAFETY
 from line_samplers import skipped, skipped_lines, true_N
-from simulated_setting import context, held
+from simulated_setting import held
 
-from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain import InstrumentError
 from cbsr_qa.plugin.links import serial_link
 from cbsr_qa.simulate.instruments import Fault
 from cbsr_qa_plugins.hardware.serial_samplers import open_load_cell, open_thermometer
@@ -143,27 +141,3 @@ def test_another_instrument_at_the_address_is_said(station):
     there = station.emulation.addressed(station.specs["thermometer"]).options["address"]
     with pytest.raises(InstrumentError, match=r"'2\d\.\d+' was found .*'<milliseconds>,<value>' was expected"):
         station.open("cell", open_load_cell, address=there)
-
-
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ({"ofset": 3.0}, "ofset is not a known key"),
-        ({"unit": "lb"}, "unit is 'lb'"),
-        ({"unit": "counts"}, "scale is missing"),
-        ({"scale": 0}, "scale is 0"),
-        ({"sign": 0}, "sign is 0"),
-        ({"time": "gps"}, "time is 'gps'"),
-        ({"rate_hz": 0}, "rate_hz is 0"),
-        ({"limit_N": -1}, "limit_N is -1"),
-    ],
-)
-def test_wrong_options_are_refused(station, more, said):
-    with pytest.raises(ConfigError, match=said):
-        station.open("cell", open_load_cell, **more)
-
-
-@pytest.mark.parametrize("factory", [open_load_cell, open_thermometer])
-def test_an_address_is_needed(factory):
-    with pytest.raises(ConfigError, match="address is missing"):
-        factory(replace(context(None), options={}, safety=SAFETY))

@@ -1,0 +1,45 @@
+"""Benches of the three drivers that scan: source meter, multiplexer and frames."""
+
+import pytest
+from scanning_rig import Scanning
+
+
+@pytest.fixture
+def bench():
+    with Scanning() as one:
+        yield one
+
+
+@pytest.fixture
+def hasty():
+    """A bench that soon gives up waiting."""
+    with Scanning(timeout_s=0.15) as one:
+        yield one
+
+
+class Stranger:
+    """Another instrument: it answers bytes that hold a question, and nothing else."""
+
+    def __init__(self, question, answer):
+        self.question, self.answer = question, answer
+
+    def received(self, data):
+        return self.answer if self.question in data else b""
+
+    def misbehave(self, fault):
+        raise AssertionError(fault)
+
+
+@pytest.fixture
+def stranger():
+    """Serve another instrument on a port of a kind; its address."""
+    ports = []
+
+    def address(kind, question, answer):
+        ports.append(kind("stranger"))
+        ports[-1].serve(Stranger(question, answer))
+        return ports[-1].address
+
+    yield address
+    for port in ports:
+        port.close()
