@@ -1,7 +1,4 @@
-"""The instruments of a station, by the roles they fill.
-
-Tell everybody to stop, even when one of them raises or never answers.
-"""
+"""The instruments of a station by the roles they fill, made safe together whatever one of them does."""
 
 import re
 import threading
@@ -62,11 +59,8 @@ def stop_all(
 
     Quick ones are called one after the other, in order, so that a simulated bench does the same each time. The
     waiting is in real time also on a virtual clock: a thread that hangs does so in real time. Returns in words, who
-    raised or did not come back before the deadline; empty if all did what they were told.
-
-    Parameters
-    ----------
-    actions : (who, what to call).
+    raised or did not come back before the deadline; empty if all did what they were told. ``actions``: (who, what to
+    call).
     """
     clock = RealClock()
     calls = [_Call(name, action) for name, action in actions]
@@ -150,16 +144,20 @@ class Bench:
         So is one without an address of its own that is linked with those, such as frames scanned with a meter.
         InstrumentError if one does not answer, or is not the one that the station file asks for.
         """
-        emulates = any(one.spec.emulated for one in self.mounted)
-        return tuple(identity_of(one, emulated=emulates and _works_through_others(one)) for one in self.mounted)
+        emulates = any(mounted.spec.emulated for mounted in self.mounted)
+        return tuple(
+            identity_of(mounted, emulated=emulates and _works_through_others(mounted)) for mounted in self.mounted
+        )
 
     def name_of(self, instrument: object) -> str:
         """Return role and driver of an instrument, for messages."""
-        return next((one.name for one in self.mounted if one.instrument is instrument), "an unknown instrument")
+        return next(
+            (mounted.name for mounted in self.mounted if mounted.instrument is instrument), "an unknown instrument"
+        )
 
     def alive(self) -> tuple[Alive, ...]:
         """Return the instruments with a liveness check."""
-        return tuple(one.instrument for one in self.mounted if isinstance(one.instrument, Alive))
+        return tuple(mounted.instrument for mounted in self.mounted if isinstance(mounted.instrument, Alive))
 
     def safe_state(self) -> tuple[str, ...]:
         """Bring every instrument to its safe state even if others fail: the head first, then current sources.
@@ -167,11 +165,11 @@ class Bench:
         Returns in words, who did not get there; empty if all did.
         """
         by_urgency = sorted(self.mounted, key=_urgency)
-        return self._tell_all([(one.name, one.instrument.safe_state) for one in by_urgency])
+        return self._tell_all([(mounted.name, mounted.instrument.safe_state) for mounted in by_urgency])
 
     def close(self) -> tuple[str, ...]:
         """Close every instrument even if others fail; return descriptions of the failures."""
-        return self._tell_all([*((one.name, one.instrument.close) for one in self.mounted), *self._after])
+        return self._tell_all([*((mounted.name, mounted.instrument.close) for mounted in self.mounted), *self._after])
 
     def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
         return stop_all(actions, deadline_s=self._stop_within_s)
@@ -205,40 +203,38 @@ def open_bench(
         raise
 
 
-def _urgency(one: Mounted) -> int:
+def _urgency(mounted: Mounted) -> int:
     """Rank in which instruments are made safe; one that hangs delays the next."""
-    ranks = [_FIRST_SAFE.index(role) for role in one.spec.provides if role in _FIRST_SAFE]
+    ranks = [_FIRST_SAFE.index(role) for role in mounted.spec.provides if role in _FIRST_SAFE]
     return min(ranks, default=len(_FIRST_SAFE))
 
 
-def _works_through_others(one: Mounted) -> bool:
+def _works_through_others(mounted: Mounted) -> bool:
     """Whether it has no address: it is then as real as the instruments it is linked to."""
-    return isinstance(one.instrument, Linked) and "address" not in one.spec.options
+    return isinstance(mounted.instrument, Linked) and "address" not in mounted.spec.options
 
 
-def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
+def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
     """Return the identity of one instrument; see :meth:`Bench.identities`.
 
-    Parameters
-    ----------
-    emulated : it works through instruments that the station emulates, so that it is simulated with them.
+    ``emulated``: it works through instruments that the station emulates, so that it is simulated with them.
     """
-    with contained(f"instrument {one.spec.role!r} ({one.spec.driver})"):
-        said = one.instrument.identity()
-    _recognise(one.spec, said)
+    with contained(f"instrument {mounted.spec.role!r} ({mounted.spec.driver})"):
+        identity = mounted.instrument.identity()
+    _recognise(mounted.spec, identity)
     return replace(
-        said,
-        role=one.spec.role,
-        driver=one.spec.driver,
-        simulated=said.simulated or one.spec.emulated or emulated,
-        calibration_due=one.spec.calibration_due,
-        notes=(*_address(one.spec), *said.notes),
+        identity,
+        role=mounted.spec.role,
+        driver=mounted.spec.driver,
+        simulated=identity.simulated or mounted.spec.emulated or emulated,
+        calibration_due=mounted.spec.calibration_due,
+        notes=(*_address(mounted.spec), *identity.notes),
     )
 
 
-def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
+def _recognise(spec: InstrumentSpec, identity: InstrumentIdentity) -> None:
     """Refuse an instrument other than the expected one: limits and calibration dates would not apply."""
-    for what, expected, found in (("model", spec.model, said.model), ("serial", spec.serial, said.serial)):
+    for what, expected, found in (("model", spec.model, identity.model), ("serial", spec.serial, identity.serial)):
         if expected and not _names(expected, found):
             raise InstrumentError(
                 spec.role,
@@ -250,8 +246,8 @@ def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
 
 def _names(expected: str, found: str) -> bool:
     """Whether all words of one follow each other in the other: "2634B" names a "Model 2634B"."""
-    wanted, said = (re.findall(r"[^\s,;]+", words.casefold()) for words in (expected, found))
-    return bool(wanted) and any(said[first : first + len(wanted)] == wanted for first in range(len(said)))
+    wanted, there = (re.findall(r"[^\s,;]+", words.casefold()) for words in (expected, found))
+    return bool(wanted) and any(there[first : first + len(wanted)] == wanted for first in range(len(there)))
 
 
 def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
@@ -271,25 +267,25 @@ def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
                 raise ConfigError(f"instrument {one.name}: {error.reason}", remedy=error.remedy) from error
 
 
-def _checked(one: Mounted, role: str) -> Mounted:
-    channel = str(getattr(one.instrument, "channel", "")).replace(" ", "_")
+def _checked(mounted: Mounted, role: str) -> Mounted:
+    channel = str(getattr(mounted.instrument, "channel", "")).replace(" ", "_")
     if role not in _PROTOCOLS and role != channel:
         near = get_close_matches(role, filter(None, (*_PROTOCOLS, channel)), n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise ConfigError(
-            f"instrument {one.name} is configured to provide {role!r}, which is neither a role nor what it samples:"
-            f" {f'it samples {channel!r}' if channel else 'it samples nothing'}",
+            f"instrument {mounted.name} is configured to provide {role!r}, which is neither a role nor what it"
+            f" samples: {f'it samples {channel!r}' if channel else 'it samples nothing'}",
             remedy=f"{hint}roles: {', '.join(_PROTOCOLS)}, and what an instrument samples, such as 'force'",
         )
     protocol = _PROTOCOLS.get(role, Sampler)
-    if not isinstance(one.instrument, protocol):
-        lacking = sorted(name for name in _members(protocol) if not hasattr(one.instrument, name))
+    if not isinstance(mounted.instrument, protocol):
+        lacking = sorted(name for name in _members(protocol) if not hasattr(mounted.instrument, name))
         raise ConfigError(
-            f"instrument {one.name} is configured to provide {role!r} but is not a {protocol.__name__}:"
+            f"instrument {mounted.name} is configured to provide {role!r} but is not a {protocol.__name__}:"
             f" it lacks {', '.join(lacking)}",
             remedy="correct 'provides' in the station file, or use another driver",
         )
-    return one
+    return mounted
 
 
 def _members(protocol: type) -> set[str]:
@@ -306,8 +302,8 @@ def _filled(filled: dict[str, Mounted], role: str) -> Any:
 
 
 def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
-    samplers = tuple(one.instrument for one in mounted if isinstance(one.instrument, Sampler))
-    if all(one.channel != FORCE_CHANNEL for one in samplers):
+    samplers = tuple(each.instrument for each in mounted if isinstance(each.instrument, Sampler))
+    if all(sampler.channel != FORCE_CHANNEL for sampler in samplers):
         raise ConfigError(
             f"no instrument of the station samples {FORCE_CHANNEL!r}",
             remedy="pressing requires a load cell: add its role to 'provides'",

@@ -1,7 +1,4 @@
-"""The stream of events: the journal stores each one before listeners see it.
-
-A run that is kept in memory only: for simulations that are priced and forgotten.
-"""
+"""The stream of events: the journal stores each one before listeners see it; a journal in memory."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -77,13 +74,13 @@ class Documents:
         except AbortedError:  # raised by a signal's handler, not by the journal
             raise
         except Exception as error:
-            said, remedy = (
+            reason, remedy = (
                 (error.reason, error.remedy)
                 if isinstance(error, CbsrError)
                 else (f"{type(error).__name__}: {error}", "")
             )
             raise SafetyError(
-                _RULE, f"the journal could not store {type(event).__name__}: {said}", remedy=remedy
+                _RULE, f"the journal could not store {type(event).__name__}: {reason}", remedy=remedy
             ) from error
 
     def _tell(self, event: RunEvent) -> None:
@@ -93,9 +90,9 @@ class Documents:
             except AbortedError:  # it stops the run, and says who wants that
                 raise
             except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
-                said = failure(error)
+                reason = failure(error)
                 self._listeners.remove(listener)
-                self._warn(f"{_name(listener)} failed and receives no further events: {said}")
+                self._warn(f"{_name(listener)} failed and receives no further events: {reason}")
 
 
 def _unstored(event: RunEnded, error: SafetyError) -> str:
@@ -139,10 +136,10 @@ class MemoryJournal:
         return [event for event in self._events if isinstance(event, kind) and event.phase == phase]
 
     def _phase(self, event: PhaseStarted, ended_s: float) -> PhaseRecord:
-        frames = [one.frames for one in self._of(FramesTaken, event.index)]
-        samples = [one.samples for one in self._of(SamplesTaken, event.index)]
+        frames = [item.frames for item in self._of(FramesTaken, event.index)]
+        samples = [item.samples for item in self._of(SamplesTaken, event.index)]
         channels = sorted({block.channel for block in samples})
-        loads = [one.record for one in self._of(LoadFinished, event.index)]
+        loads = [item.record for item in self._of(LoadFinished, event.index)]
         return PhaseRecord(
             index=event.index,
             name=event.name,
@@ -150,9 +147,9 @@ class MemoryJournal:
             started_s=event.time_s,
             ended_s=ended_s,
             frames=join_frames(frames) if frames else None,
-            samples=tuple(join_samples([one for one in samples if one.channel == name]) for name in channels),
+            samples=tuple(join_samples([item for item in samples if item.channel == name]) for name in channels),
             loads=tuple(load for load in loads if not load.eased),
             loops=tuple(load for load in loads if load.eased),
-            unloaded_from_s=max((one.time_s for one in self._of(Unloaded, event.index)), default=None),
+            unloaded_from_s=max((item.time_s for item in self._of(Unloaded, event.index)), default=None),
             role=event.role,
         )

@@ -62,7 +62,7 @@ class DryRun:
     Parameters
     ----------
     peak_strain, peak_force_N : highest asked for, and highest force expected; 0 without loads.
-    violations : every broken rule, in words, with its step; empty if the plan may run.
+    violations : every broken limit once, in words, with the first step that breaks it; empty if the plan may run.
     """
 
     phases: tuple[DryPhase, ...]
@@ -100,13 +100,10 @@ def dry_run(
     """Walk a plan's steps by arithmetic alone.
 
     RefusedError if the plan has no phase, or a sequence makes no step or no end of them. Broken limits are listed in
-    the result instead; :meth:`DryRun.refuse` raises for them. PluginError if a sequence's role is none.
-
-    Parameters
-    ----------
-    done, ended : loads and phases finished in an earlier session of the same run.
+    the result instead; :meth:`DryRun.refuse` raises for them. PluginError if a sequence's role is none. ``done`` and
+    ``ended``: loads and phases finished in an earlier session of the same run.
     """
-    walk = _Walk(plan, frame_period_s, answered)
+    walk = _DryWalk(plan, frame_period_s, answered)
     phases = tuple(walk.phase(scheduled) for scheduled in schedule(plan, done, ended))
     walk.finish()
     return DryRun(
@@ -117,12 +114,12 @@ def dry_run(
         sum(p.frames for p in phases),
         walk.peak_strain,
         walk.peak_force_N,
-        tuple(walk.violations),
+        walk.violations(),
     )
 
 
 @dataclass(slots=True)
-class _Walk:
+class _DryWalk:
     """Simulated position of the head, and totals so far."""
 
     plan: Plan
@@ -132,7 +129,8 @@ class _Walk:
     travel_mm: float = 0.0
     peak_strain: float = 0.0
     peak_force_N: float = 0.0
-    violations: list[str] = field(default_factory=list)
+    #: What is not allowed → the first step that asks for it, and how many later ones do.
+    broken: dict[str, tuple[str, int]] = field(default_factory=dict)
     place_mm: tuple[float, float] = (0.0, 0.0)
     depth_mm: float | None = None  #: None while the head is up
     load: Load | None = None  #: pressed last
@@ -146,18 +144,26 @@ class _Walk:
         durations_s = []
         for step in scheduled.steps:
             before_s = self.spent.total_s()
-            where = f"phase {scheduled.name!r}, {describe(step.step)}"
-            self.violations += [f"{where}: {v.what}" for v in chain(self._step(step), self._dwell())]
+            for violation in chain(self._step(step), self._dwell()):
+                self._note(violation.what, f"phase {scheduled.name!r}, {describe(step.step)}: ")
             durations_s.append(self.spent.total_s() - before_s)
         if self.depth_mm is not None:
-            self.violations.append(f"phase {scheduled.name!r} ends with the head down")
+            self._note(f"phase {scheduled.name!r} ends with the head down")
         return DryPhase(scheduled, tuple(durations_s), self.frames)
 
     def finish(self) -> None:
         """Check the duration of the whole plan."""
         total_s, allowed_s = self.spent.total_s(), self.plan.safety.duration_s
         if not total_s <= allowed_s:
-            self.violations.append(f"the run takes {duration(total_s)}; the station allows {duration(allowed_s)}")
+            self._note(f"the run takes {duration(total_s)}; the station allows {duration(allowed_s)}")
+
+    def violations(self) -> tuple[str, ...]:
+        """Return every broken limit once, with the first step that breaks it and how many later ones do."""
+        return tuple(where + what + _also(later) for what, (where, later) in self.broken.items())
+
+    def _note(self, what: str, where: str = "") -> None:
+        first, later = self.broken.get(what, (where, -1))
+        self.broken[what] = first, later + 1
 
     def _step(self, scheduled: ScheduledStep) -> Iterator[Violation]:
         step = scheduled.step
@@ -255,3 +261,7 @@ class _Walk:
         self.travel_mm += distance_mm
         self.spent.add(Activity.TRAVEL, kinematics.travel_s(self.plan.motion, distance_mm))
         self.place_mm = (x_mm, y_mm)
+
+
+def _also(later: int) -> str:
+    return f" (also at {later} later step{'s' * (later > 1)})" if later else ""

@@ -1,7 +1,4 @@
-"""Execution of a plan: every step, every event, one way to end.
-
-How a run ended, in words: by whom it was stopped, or which rule, instrument or error broke it, and where.
-"""
+"""Execution of a plan: every step, every event, one way to end and to say how."""
 
 import logging
 from collections.abc import Sequence
@@ -19,7 +16,7 @@ from cbsr_qa.station.interrupts import Interrupts, OperatorPrompt, Stopped, on_s
 from cbsr_qa.station.limits import check_samplers
 from cbsr_qa.station.performer import Ask, Performer
 from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe
-from cbsr_qa.station.safety import Interlock
+from cbsr_qa.station.safety import Interlock, UnderWay
 from cbsr_qa.station.watchdog import BrokenInto, Watchdog
 from cbsr_qa.system import Clock
 
@@ -50,8 +47,8 @@ def ending(error: BaseException, where: str, *, at_once: bool = False, before: E
 
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
     """Report instruments that did not reach their safe state; the run is then broken in any case."""
-    said = [f"NOT SAFE: {who}; look at the bench before touching it" for who in silent]
-    return EndReason.BROKEN, "; ".join([*filter(None, [_told(end)]), *said])
+    warnings = [f"NOT SAFE: {who}; look at the bench before touching it" for who in silent]
+    return EndReason.BROKEN, "; ".join([*filter(None, [_told(end)]), *warnings])
 
 
 def _told(end: Ending) -> str:
@@ -142,67 +139,49 @@ def execute(
         interlock.clear(bench)
         interrupts.hurry, interrupts.waiting = watchdog.hurry, prompt.is_waiting
         documents = Documents(subscribers, interrupts, warn)
-        performer = Performer(
-            plan,
-            bench,
-            clock,
-            documents,
-            interlock,
-            interrupts=interrupts,
-            watchdog=watchdog,
-            retries=retries,
-            ask=None if ask is None else prompt,
-        )
-        walk = _Walk(dry, performer, documents, interlock, watchdog, clock)
-        end, detail = walk.to_its_end(identity, bench, interrupts)
+        run = UnderWay(plan, bench, clock, documents, interlock, interrupts, watchdog)
+        performer = Performer(run, retries=retries, ask=None if ask is None else prompt)
+        end, detail = _Execution(dry, run, performer).to_its_end(identity)
         return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
 
 
-class _Walk:
+class _Execution:
     """Executes the scheduled steps, and keeps track of the current one."""
 
-    def __init__(
-        self,
-        dry: DryRun,
-        performer: Performer,
-        documents: Documents,
-        interlock: Interlock,
-        watchdog: Watchdog,
-        clock: Clock,
-    ) -> None:
+    def __init__(self, dry: DryRun, run: UnderWay, performer: Performer) -> None:
         self._dry = dry
+        self._clock, self._documents, self._interlock = run.clock, run.documents, run.interlock
+        self._bench, self._interrupts, self._watchdog = run.bench, run.interrupts, run.watchdog
         self._performer = performer
-        self._documents = documents
-        self._interlock = interlock
-        self._watchdog = watchdog
-        self._clock = clock
         self._left_s = dry.duration_s
         self._at: tuple[DryPhase, ScheduledStep] | None = None
         self._end: Ending | None = None
 
-    def to_its_end(self, identity: RunIdentity, bench: Bench, interrupts: Interrupts) -> Ending:
+    def to_its_end(self, identity: RunIdentity) -> Ending:
         """Execute the plan and leave the bench safe in any case; never raises."""
+        interrupts = self._interrupts
         silent: tuple[str, ...] = ()
         try:
             with interrupts.heard():
-                self._through_or_back(identity, interrupts)
+                self._through_or_back(identity)
         except BaseException as error:  # noqa: BLE001 - whatever it is, the head comes up
             interrupts.mask()
             self._end = ending(error, self.where(), at_once=interrupts.urgent, before=self._end)
         finally:
             interrupts.mask()
             self._watchdog.end()
-            silent = self._interlock.stop(bench)
+            silent = self._interlock.stop(self._bench)
         assert self._end is not None
         return unsafe(self._end, silent) if silent else self._end
 
-    def _through_or_back(self, identity: RunIdentity, interrupts: Interrupts) -> None:
+    def _through_or_back(self, identity: RunIdentity) -> None:
         """Execute the plan; if stopped, lift the head as after any press."""
         try:
             self._through(identity)
         except (AbortedError, KeyboardInterrupt) as error:
-            self._end = ending(error, self.where(), at_once=interrupts.urgent)
-            if not interrupts.urgent:
+            urgent = self._interrupts.urgent
+            self._end = ending(error, self.where(), at_once=urgent)
+            if not urgent:
                 self._performer.retreat()
         else:
             self._end = EndReason.FINISHED, ""
@@ -217,21 +196,23 @@ class _Walk:
         if self._at is None:
             return "before the first step"
         phase, step = self._at
-        said = f"while {describe(step.step)} (phase {phase.scheduled.name!r}, step {step.number})"
-        return f"{said}, bench {self._interlock.state}"
+        text = f"while {describe(step.step)} (phase {phase.scheduled.name!r}, step {step.number})"
+        return f"{text}, bench {self._interlock.state}"
 
     def _phase(self, phase: DryPhase) -> None:
-        told = phase.scheduled
+        scheduled = phase.scheduled
         # A phase that an earlier session finished has its documents already; only the bench is set up again.
-        if not told.finished:
-            began = PhaseStarted(told.index, told.name, told.sequence, self._clock.now(), told.role)
+        if not scheduled.finished:
+            began = PhaseStarted(
+                scheduled.index, scheduled.name, scheduled.sequence, self._clock.now(), scheduled.role
+            )
             self._documents.emit(began)
-        for step, planned_s in zip(told.steps, phase.durations_s, strict=True):
+        for step, planned_s in zip(scheduled.steps, phase.durations_s, strict=True):
             self._at = phase, step
             now_s = self._clock.now()
             self._documents.emit(StepStarted(step.phase, step.number, step.step, now_s, max(self._left_s, 0.0)))
             self._performer.perform(step)
             self._left_s -= planned_s
         self._performer.finish_load()
-        if not told.finished:
-            self._documents.emit(PhaseFinished(told.index, self._clock.now()))
+        if not scheduled.finished:
+            self._documents.emit(PhaseFinished(scheduled.index, self._clock.now()))

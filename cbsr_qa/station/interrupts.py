@@ -1,7 +1,4 @@
-"""Signals during a run: the first one stops it in order, the second at once.
-
-An operator who is being asked is waited for: nothing hangs meanwhile.
-"""
+"""Signals during a run: the first one stops it in order, the second at once."""
 
 import multiprocessing
 import os
@@ -21,11 +18,8 @@ A = TypeVar("A")
 class OperatorPrompt(Generic[A]):
     """Asks the operator, and knows while a question is open.
 
-    The runner's own prompts and instruments that are worked by hand must ask through the same one.
-
-    Parameters
-    ----------
-    ask : shows a text and returns the answer; None where nobody is there.
+    The runner's own prompts and instruments that are worked by hand must ask through the same one. ``ask``: shows a
+    text and returns the answer; None where nobody is there.
     """
 
     def __init__(self, ask: Callable[[str], A] | None) -> None:

@@ -1,10 +1,4 @@
-"""The station's limits, checked before steps and against measured values.
-
-The dry run has checked what was planned; here is checked what happens. Every check raises
-:class:`~cbsr_qa.domain.SafetyError` naming its rule.
-
-What a station allows a step to ask for. The dry run lists every broken rule; the runner stops at the first.
-"""
+"""What a station allows: every broken limit of a plan, and a SafetyError for the first that a run meets."""
 
 import math
 from collections.abc import Iterator
@@ -133,11 +127,11 @@ def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
 
     ConfigError naming the key, what was found and what is needed.
     """
-    unit = {one.channel: one.unit for one in samplers}.get(TEMPERATURE_CHANNEL)
+    unit = {sampler.channel: sampler.unit for sampler in samplers}.get(TEMPERATURE_CHANNEL)
     if plan.safety.temperature_C is not None and unit != TEMPERATURE_UNIT:
-        found = "no instrument samples it" if unit is None else f"its unit is {unit!r}"
+        problem = "no instrument samples it" if unit is None else f"its unit is {unit!r}"
         raise ConfigError(
-            f"[safety] temperature_C limits the temperature, but {found}",
+            f"[safety] temperature_C limits the temperature, but {problem}",
             remedy=f"add a thermometer that samples {TEMPERATURE_CHANNEL!r} in {TEMPERATURE_UNIT!r}, or drop the key",
         )
 
@@ -191,9 +185,7 @@ class Limits:
     def check_time(self, now_s: float, *, touching: bool, down: bool) -> None:
         """Check the run's duration, how long the head has been down, and the age of samples.
 
-        Parameters
-        ----------
-        down : whether it is in the sheet, and still or eased.
+        ``down``: whether it is in the sheet, and still or eased.
         """
         safety = self._plan.safety
         if now_s - self._started_s > safety.duration_s:

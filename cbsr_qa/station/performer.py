@@ -1,7 +1,6 @@
 """Execution of single steps on the bench, with the times of the press under way until it becomes a record."""
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final, TypeVar
@@ -22,14 +21,11 @@ from cbsr_qa.domain.plan import (
 from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.run import EasedStrain, FramesTaken, Load, LoadFinished, LoadRecord, StepRetried, Unloaded
 from cbsr_qa.plugin import Addressed
-from cbsr_qa.station.bench import FRAME_SOURCE, Bench
-from cbsr_qa.station.documents import Documents
-from cbsr_qa.station.interrupts import Interrupts
+from cbsr_qa.station.bench import FRAME_SOURCE
 from cbsr_qa.station.limits import Limits
-from cbsr_qa.station.plan import Activity, Plan, ScheduledStep, Spent, another_frame, ends_rest
-from cbsr_qa.station.safety import Interlock, State, Watch
-from cbsr_qa.station.watchdog import Watchdog
-from cbsr_qa.system import Clock, in_ticks
+from cbsr_qa.station.plan import Activity, ScheduledStep, Spent, another_frame, ends_rest
+from cbsr_qa.station.safety import State, UnderWay, Watch
+from cbsr_qa.system import in_ticks
 
 
 @dataclass(slots=True)
@@ -99,40 +95,30 @@ class Performer:
 
     Parameters
     ----------
-    watchdog : is told whatever is asked of an instrument.
     retries : how often an operation that failed retryably is tried again.
     ask : shows a prompt and returns when it is answered; None where nobody is there.
     """
 
     def __init__(
         self,
-        plan: Plan,
-        bench: Bench,
-        clock: Clock,
-        documents: Documents,
-        interlock: Interlock,
+        run: UnderWay,
         *,
-        interrupts: Interrupts,
-        watchdog: Watchdog,
         retries: int,
         ask: Ask | None,
     ) -> None:
         self.spent = Spent()
-        self._plan = plan
-        self._bench = bench
-        self._clock = clock
-        self._documents = documents
-        self._interlock = interlock
-        self._interrupts = interrupts
-        self._watchdog = watchdog
-        self._limits = Limits(plan, clock.now())
-        self._watch = Watch(plan, bench, clock, documents, interlock, self._limits, self._asked)
-        self._head = bench.name_of(bench.force_applicator)
+        self._plan, self._bench, self._clock, self._documents = run.plan, run.bench, run.clock, run.documents
+        self._interlock, self._interrupts, self._watchdog = run.interlock, run.interrupts, run.watchdog
+        self._limits = Limits(run.plan, run.clock.now())
+        self._watch = Watch(run, self._limits, self._attempt)
+        self._head = run.bench.name_of(run.bench.force_applicator)
         self._retries = retries
         self._ask = ask
         self._loads = LoadLog()
         self._at = ScheduledStep(0, 0, Home(), None)
-        self._addressed = [one.instrument for one in bench.mounted if isinstance(one.instrument, Addressed)]
+        self._addressed = [
+            mounted.instrument for mounted in run.bench.mounted if isinstance(mounted.instrument, Addressed)
+        ]
 
     def perform(self, scheduled: ScheduledStep) -> None:
         """Execute one step.
@@ -166,7 +152,10 @@ class Performer:
     def retreat(self) -> None:
         """Lift a head that is down and still as after any press, before the bench is made safe."""
         if self._interlock.state is State.PRESSED:
-            with self.spent.on(Activity.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
+            with (
+                self.spent.on(Activity.RELEASE, self._clock),
+                self._interlock.passing(State.RELEASING, State.ARMED),
+            ):
                 self._lift()
 
     def finish_load(self) -> None:
@@ -217,23 +206,32 @@ class Performer:
     def _go_down(self, depth_mm: float) -> None:
         """Press, or ease; a failure is not retried, because the head's depth is then unknown."""
         motion = self._plan.motion
+        work_s = kinematics.stroke_s(motion, depth_mm)
         with (
             self.spent.on(Activity.PRESS, self._clock),
-            self._expect("pressing", kinematics.stroke_s(motion, depth_mm)),
+            self._watchdog.expect(f"{self._head}: pressing", work_s),
         ):
             self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
 
     def _release(self) -> None:
         self._loads.mark(self._clock.now())
-        with self.spent.on(Activity.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
+        with (
+            self.spent.on(Activity.RELEASE, self._clock),
+            self._interlock.passing(State.RELEASING, State.ARMED),
+        ):
             # Going up is safe however often.
-            self._attempt(self._lift, before_another=self._loads.lose_track)
+            release = self._bench.force_applicator.release
+            self._attempt(release, *self._lifting(), before_another=self._loads.lose_track)
         self._loads.mark(self._clock.now())
 
     def _lift(self) -> None:
-        deepest_mm = self._plan.safety.strain * self._plan.sensor_type.thickness_mm
-        with self._expect("lifting the head", kinematics.stroke_s(self._plan.motion, deepest_mm)):
+        with self._watchdog.expect(*self._lifting()):
             self._bench.force_applicator.release()
+
+    def _lifting(self) -> tuple[str, float]:
+        """What the watchdog is told of a way up, and how long one from the greatest depth takes [s]."""
+        deepest_mm = self._plan.safety.strain * self._plan.sensor_type.thickness_mm
+        return f"{self._head}: lifting the head", kinematics.stroke_s(self._plan.motion, deepest_mm)
 
     def _travel(self, x_mm: float, y_mm: float) -> None:
         self._limits.check_place(x_mm, y_mm)
@@ -246,7 +244,7 @@ class Performer:
     def _move(self, motion: Callable[[], object], what: str, work_s: float) -> None:
         """Move with the head up; before a retry the head is lifted."""
         with self._interlock.passing(State.MOVING, State.ARMED):
-            self._attempt(self._expected(motion, what, work_s), before_another=self._lift)
+            self._attempt(motion, f"{self._head}: {what}", work_s, before_another=self._lift)
 
     def _feel(self, search: Callable[[], object]) -> None:
         """Let the applicator search the surface; it touches the sheet, so force samples must be fresh.
@@ -254,10 +252,13 @@ class Performer:
         The search is one call: while it lasts the driver watches over force and its freshness, and the runner
         checks before and right after it.
         """
-        with self.spent.on(Activity.SURFACE, self._clock), self._interlock.passing(State.FEELING, State.ARMED):
+        with (
+            self.spent.on(Activity.SURFACE, self._clock),
+            self._interlock.passing(State.FEELING, State.ARMED),
+        ):
             self._look()
             work_s = kinematics.surface_search_s(self._plan.motion)
-            self._attempt(self._expected(search, "feeling for the surface", work_s), before_another=self._lift)
+            self._attempt(search, f"{self._head}: feeling for the surface", work_s, before_another=self._lift)
             self._look()
 
     def _hold(self, hold: Hold) -> None:
@@ -280,7 +281,7 @@ class Performer:
     def _take_frame(self) -> None:
         source, before_s = self._bench.frame_source, self._clock.now()
         who = self._bench.name_of(source)
-        block = self._asked(partial(source.acquire, 1), f"{who}: a frame", source.frame_period_s)
+        block = self._attempt(partial(source.acquire, 1), f"{who}: a frame", source.frame_period_s)
         self._check_frame(block, self._clock.now() - before_s)
         self._documents.emit(FramesTaken(self._at.phase, block))
         self._limits.check_frame(block, who)  # after the journal has it: it is the evidence
@@ -299,32 +300,20 @@ class Performer:
         self._watch.look(self._at.phase)
         self._interrupts.poll()
 
-    def _expect(self, what: str, work_s: float) -> AbstractContextManager[None]:
-        return self._watchdog.expect(f"{self._head}: {what}", work_s)
-
-    def _expected(self, motion: Callable[[], T], what: str, work_s: float) -> Callable[[], T]:
-        """Return the motion with the watchdog set to its expected duration."""
-
-        def watched() -> T:
-            with self._expect(what, work_s):
-                return motion()
-
-        return watched
-
-    def _asked(self, operation: Callable[[], T], what: str, work_s: float = 0.0) -> T:
-        """Call an instrument under the watchdog, and retry where that is harmless."""
-
-        def watched() -> T:
-            with self._watchdog.expect(what, work_s):
-                return operation()
-
-        return self._attempt(watched)
-
-    def _attempt(self, operation: Callable[[], T], *, before_another: Callable[[], object] | None = None) -> T:
+    def _attempt(
+        self,
+        operation: Callable[[], T],
+        what: str,
+        work_s: float = 0.0,
+        *,
+        before_another: Callable[[], object] | None = None,
+    ) -> T:
+        """Call an instrument under the watchdog, and again where it failed retryably."""
         attempt = 0
         while True:
             try:
-                return operation()
+                with self._watchdog.expect(what, work_s):
+                    return operation()
             except InstrumentError as error:
                 attempt += 1
                 if not error.retryable or attempt > self._retries:

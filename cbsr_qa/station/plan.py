@@ -1,15 +1,4 @@
-"""The plan of a run: phases and numbered steps from station and recipe.
-
-How many frames fit a hold: one rule for the dry run and for the hold itself.
-
-What the station's time is spent on.
-
-Steps in words, for people who watch, wait or look for what went wrong.
-
-The steps of all phases in order, each with the load it belongs to.
-
-The schedule is made once and then executed: what the dry run has checked is what moves.
-"""
+"""The plan of a run and its schedule: what the dry run has checked is what moves."""
 
 import math
 from collections.abc import Iterator
@@ -241,8 +230,8 @@ def schedule(
 def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey], ended: bool) -> ScheduledPhase:
     steps = tuple(islice(phase.steps(plan.context), MOST_STEPS + 1))
     if not 0 < len(steps) <= MOST_STEPS:
-        found = "no step" if not steps else f"more than {MOST_STEPS} steps"
-        raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} yields {found}")
+        count = "no step" if not steps else f"more than {MOST_STEPS} steps"
+        raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} yields {count}")
     if index == 0 and not isinstance(steps[0], Home):
         steps = tuple(chain([Home()], steps))
     numbered = tuple(_numbered(index, steps))

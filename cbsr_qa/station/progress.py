@@ -18,14 +18,7 @@ class RunProgress:
 
     The bar's thread only reads the clock, so that the time left runs down through a rest of four minutes in
     which no document comes. On a virtual clock a time left would mislead, and a percentage is shown.
-
-    Parameters
-    ----------
-    phases : how many there will be.
-    clock : the station's.
-    stream : where to; by default the process's stderr.
-
-    Use it as a context manager: leaving it takes the bar away, also where the run was refused.
+    Leaving the context takes the bar away, also where the run was refused. The stream is by default stderr.
     """
 
     def __init__(self, phases: int, clock: Clock, *, stream: TextIO | None = None) -> None:

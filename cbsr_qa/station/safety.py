@@ -1,10 +1,8 @@
-"""Safety state machine: allowed transitions of the bench, and the way to its safe state.
-
-Looks after the bench while steps are carried out: samples, limits, and whether everybody is still there.
-"""
+"""Safety of a run under way: allowed transitions of the bench, the way to its safe state, and the watch over it."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from typing import Final, Protocol, TypeVar
@@ -14,8 +12,10 @@ from cbsr_qa.domain.run import SamplesTaken
 from cbsr_qa.plugin import Sampler
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.documents import Documents
+from cbsr_qa.station.interrupts import Interrupts
 from cbsr_qa.station.limits import Limits
 from cbsr_qa.station.plan import Plan
+from cbsr_qa.station.watchdog import Watchdog
 from cbsr_qa.system import Clock
 
 
@@ -120,6 +120,19 @@ WATCH_S: Final = 5.0
 _SOON_S: Final = 1e-3
 
 
+@dataclass(frozen=True, slots=True)
+class UnderWay:
+    """What a run under way is made of."""
+
+    plan: Plan
+    bench: Bench
+    clock: Clock
+    documents: Documents
+    interlock: Interlock
+    interrupts: Interrupts
+    watchdog: Watchdog
+
+
 class Attempt(Protocol):
     """Calls an instrument, and retries where that is harmless."""
 
@@ -131,31 +144,17 @@ class Attempt(Protocol):
 class Watch:
     """Collects samples, checks the limits, and checks that instruments respond.
 
-    Parameters
-    ----------
-    attempt : asks an instrument, and again where that is harmless.
+    ``attempt``: asks an instrument, and again where that is harmless.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        bench: Bench,
-        clock: Clock,
-        documents: Documents,
-        interlock: Interlock,
-        limits: Limits,
-        attempt: Attempt,
-    ) -> None:
-        self._safety = plan.safety
-        self._bench = bench
-        self._clock = clock
-        self._documents = documents
-        self._interlock = interlock
+    def __init__(self, run: UnderWay, limits: Limits, attempt: Attempt) -> None:
+        self._safety, self._bench, self._clock = run.plan.safety, run.bench, run.clock
+        self._documents, self._interlock = run.documents, run.interlock
         self._limits = limits
         self._attempt = attempt
-        self._drained_s = dict.fromkeys(range(len(bench.samplers)), clock.now())
-        self._alive = bench.alive()
-        self._asked_s = clock.now()
+        self._drained_s = dict.fromkeys(range(len(run.bench.samplers)), run.clock.now())
+        self._alive = run.bench.alive()
+        self._asked_s = run.clock.now()
 
     def look(self, phase: int) -> None:
         """Do everything that is due; samples are stored under this phase.

@@ -137,15 +137,15 @@ def opener(
         emulated(emulation)
 
     def opened(spec: InstrumentSpec) -> Instrument:
-        told = spec if emulation is None else emulation.addressed(spec)
-        return _opened(told, configuration, plugins, clock, resumed_at_s, ask)
+        addressed = spec if emulation is None else emulation.addressed(spec)
+        return _opened(addressed, configuration, plugins, clock, resumed_at_s, ask)
 
     return opened, () if emulation is None else (("emulated instruments", emulation.close),)
 
 
 def check_clock(configuration: Configuration, instruments: Iterable[InstrumentIdentity]) -> None:
     """Refuse real instruments on a virtual clock (ConfigError)."""
-    real = [one.role for one in instruments if not one.simulated]
+    real = [identity.role for identity in instruments if not identity.simulated]
     if real and configuration.station.clock == "virtual":
         raise ConfigError(
             f"station {configuration.station.name!r} has a virtual clock, but {', '.join(real)} is a real instrument",
@@ -212,8 +212,8 @@ def _opened(
             instrument: Instrument = factory(context)
     except (PluginError, ConfigError) as error:
         who = f"instrument {spec.role!r}"
-        named, said = f"{who} ({spec.driver})", error.reason
-        if not said.startswith(named):
-            said = f"{named}{said.removeprefix(who)}" if said.startswith(who) else f"{named}: {said}"
-        raise ConfigError(said, remedy=error.remedy) from error
+        named, reason = f"{who} ({spec.driver})", error.reason
+        if not reason.startswith(named):
+            reason = f"{named}{reason.removeprefix(who)}" if reason.startswith(who) else f"{named}: {reason}"
+        raise ConfigError(reason, remedy=error.remedy) from error
     return instrument

@@ -13,7 +13,7 @@ from cbsr_qa.station.interrupts import Interrupts
 from cbsr_qa.station.limits import Limits
 from cbsr_qa.station.performer import Performer
 from cbsr_qa.station.plan import ScheduledStep
-from cbsr_qa.station.safety import Interlock
+from cbsr_qa.station.safety import Interlock, UnderWay
 from cbsr_qa.station.watchdog import Watchdog
 from cbsr_qa.system import VirtualClock
 from cbsr_qa.testing import Script, example_plan, raising, scripted_bench
@@ -154,8 +154,8 @@ def test_the_runner_holds_an_ease_against_the_limits_of_a_press():
         bench = scripted_bench(script, plan.sensor_type)
         interlock = Interlock()
         interlock.clear(bench)
-        watchers = {"interrupts": Interrupts(), "watchdog": _watchdog()}
-        performer = Performer(plan, bench, script.clock, _Nobody(), interlock, **watchers, retries=0, ask=None)
+        run = UnderWay(plan, bench, script.clock, _Nobody(), interlock, Interrupts(), _watchdog())
+        performer = Performer(run, retries=0, ask=None)
         performer.perform(ScheduledStep(0, 0, Press(LOAD), 0))
         with pytest.raises(SafetyError) as broken:
             performer.perform(ScheduledStep(0, 1, StrainStep(bad), 0))
