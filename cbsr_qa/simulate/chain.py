@@ -1,7 +1,4 @@
-"""The effects of a scene as an ordered list of callables; a disabled effect is absent.
-
-What no effect of the simulated world models.
-"""
+"""The effects of a scene as an ordered list of callables; a disabled effect is absent."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -168,11 +165,8 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
 
     ConfigError if an effect is on twice, lacks what it needs or comes before it, or before one that is on and that it
     says it acts ``after``; perturbs nothing known, or is given a parameter it does not have; PluginError if there is
-    no such effect (raised by ``effect_factory``).
-
-    Parameters
-    ----------
-    effect_factory : finds an effect's factory by name; only names that are on are asked for.
+    no such effect (raised by ``effect_factory``). ``effect_factory``: finds an effect's factory by name; only names
+    that are on are asked for.
     """
     made: dict[str, AnyEffect] = {}
     for choice in scene.effects:

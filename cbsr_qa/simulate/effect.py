@@ -20,11 +20,8 @@ class SceneEffect:
     """An effect that is made of its options and the scene's setting.
 
     Subclasses say what they perturb, and have the method of that stage (``apply``, ``design`` or ``record``).
-    ConfigError naming every option that is unknown, missing or wrong, or does not fit the setting.
-
-    Parameters
-    ----------
-    options : as of the class's own ``Options``; without one there are none.
+    ConfigError naming every option that is unknown, missing or wrong, or does not fit the setting. ``options``: as of
+    the class's own ``Options``; without one there are none.
     """
 
     Options: ClassVar[type[PluginOptions]] = PluginOptions

@@ -1,7 +1,4 @@
-"""One frame of the simulated world, each reading taken at its own time.
-
-A ring of resistors where the simulated sheet would be: what a station check measures.
-"""
+"""One frame of the simulated world, each reading taken at its own time, of a sheet or a ring of resistors."""
 
 from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,4 @@
-"""The simulated head: it moves in station time and applies strain ramps.
-
-What a head leaves in the sheet: strain ramps, in a press of its own from touching to lifting.
-"""
+"""The simulated head: it moves in station time and leaves strain ramps in the sheet."""
 
 import math
 from collections.abc import Callable
@@ -57,13 +54,8 @@ class _Stroke:
 class PressWriter:
     """Tracks the true position of a head, and records presses below the true surface.
 
-    Parameters
-    ----------
-    sheet : what the head meets; presses are appended to its list.
-    at : where the head begins; depths are below the nominal surface, so that hovering is a negative depth.
-    first_index : of its movements, the addresses of their random numbers.
-
-    Ramps begin and end on ticks of the clock where movements do: see :mod:`cbsr_qa.system.clock`.
+    Presses are appended to the sheet's list; their ramps begin and end on ticks of the clock where movements do.
+    ``at`` is where the head begins, and ``first_index`` the address of its first movement's random numbers.
     """
 
     def __init__(self, sheet: Sheet, at: HeadPosition, *, first_index: int = 0) -> None:
@@ -149,18 +141,8 @@ _SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; deeper than any seat
 class SimulatedHead:
     """A head over a sheet. Depths are below the nominal surface, so that hovering is a negative depth.
 
-    Every movement takes its time on the clock; where the head is below the true surface, the movement is written
-    as a strain ramp into a press of its own.
-
-    Parameters
-    ----------
-    clock : the station's.
-    sheet : what it meets; presses are appended to its list.
-    motion : the station's speeds and hover height.
-    role : in the station file, for messages.
-    first_index : of its movements, the addresses of their random numbers.
-
-    Its movements take whole ticks of the clock, and so do the ramps they leave: see :mod:`cbsr_qa.system.clock`.
+    Every movement takes whole ticks of the clock; where the head is below the true surface, it is appended to the
+    sheet's presses as a strain ramp. ``first_index`` is the address of the first movement's random numbers.
     """
 
     def __init__(self, clock: Clock, sheet: Sheet, motion: Motion, *, role: str, first_index: int = 0) -> None:

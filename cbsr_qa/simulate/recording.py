@@ -1,7 +1,4 @@
-"""Frames and samples of a scene, as a recording.
-
-The heads of a scene that is recorded by itself: they press its loads before the first frame is taken.
-"""
+"""A scene as a recording: heads press its loads, then its frames and samples are taken."""
 
 import math
 from collections.abc import Callable
@@ -62,10 +59,7 @@ def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[P
     """Let every head of a scene press its loads, each on its own clock.
 
     Returns in the scene's order. RefusedError if a load strains the sheet, as it truly lies and is, by 100 % or more.
-
-    Parameters
-    ----------
-    world : presses are appended to its list, those of head 1 first.
+    ``world``: presses are appended to its list, those of head 1 first.
     """
     pressed: list[PressedLoad] = []
     for number, loads in plan.heads().items():
@@ -194,11 +188,7 @@ def record_scene(
 
     Everything is addressed (frames by their number, force samples by theirs) and done one after the other, so that
     the same scene and seed give the same bytes everywhere. RefusedError if a load strains the sheet by 100 % or more,
-    or an effect leaves nothing that can be solved.
-
-    Parameters
-    ----------
-    progress : told how many frames of how many are taken.
+    or an effect leaves nothing that can be solved. ``progress``: told how many frames of how many are taken.
     """
     transcript = world.transcript(planned_middles_s(plan))
     paused_s = sum(dump.pause_s for dump in transcript.dumps)

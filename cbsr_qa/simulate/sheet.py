@@ -35,11 +35,8 @@ class SimulatedSheet:
 
     The model is solved for a mean sheet conductance of 1 S and contact impedances in mm: all voltages of a sheet of
     mean conductance γ₀ whose contacts scale with it are 1/γ₀ of these, exactly. RefusedError if electrodes were moved
-    out of place: off the sheet, or onto each other.
-
-    Parameters
-    ----------
-    size_mm : element size far from the electrodes; keep it different from the image's.
+    out of place: off the sheet, or onto each other. ``size_mm``: element size far from the electrodes; keep it
+    different from the image's.
     """
 
     def __init__(self, design: SheetDesign, *, size_mm: float, interelectrode_resistance_ohm: float) -> None:

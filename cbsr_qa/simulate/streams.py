@@ -30,9 +30,7 @@ _INDICES: Final = 1 << 64
 class RandomStream:
     """Random numbers of one consumer within one seed.
 
-    Parameters
-    ----------
-    name : of what uses the numbers, e.g. an effect's registered name.
+    ``name``: of what uses the numbers, e.g. an effect's registered name.
     """
 
     def __init__(self, seed: int, name: str) -> None:
@@ -75,11 +73,8 @@ class StepAddresses:
     """Counts frames and force samples within the current step and act of the head.
 
     Samples come at a fixed rate, counted from the beginning of their step or from the last order to the head in it:
-    they stand at the same times from a press whenever it is made.
-
-    Parameters
-    ----------
-    rate_hz : of the samples; a power of two, so that their times are exact.
+    they stand at the same times from a press whenever it is made. ``rate_hz``: of the samples; a power of two, so
+    that their times are exact.
     """
 
     def __init__(self, clock: Clock, rate_hz: int) -> None:

@@ -88,10 +88,7 @@ class SimulatedWorld:
         """Take one frame.
 
         RefusedError if a press lies outside the sheet, or a change leaves an element without conductance.
-
-        Parameters
-        ----------
-        pauses_s : (drives,) how much later each of its rows is read, where readings are not all taken at once.
+        ``pauses_s``: (drives,) how much later each of its rows is read, where readings are not all taken at once.
         """
         reach_s = self._frame_reach_s + (float(np.abs(pauses_s).max()) if pauses_s is not None else 0.0)
         felt = [press for press in self.presses if self._is_felt(press, time_s, reach_s)]

@@ -3,8 +3,6 @@
 Both clocks tell multiples of one tick, a power of two: sums and differences of such times are exact in double
 precision for two and a half centuries, so that what rests on differences of times is the same, bit for bit, at
 whatever time of a run it happens (decision 0019).
-
-Stages of a computation: told to whoever waits, and timed for the report.
 """
 
 import math
@@ -68,9 +66,7 @@ class RealClock:
 class VirtualClock:
     """Time that advances only by sleeping: hours of station time cost no waiting.
 
-    Parameters
-    ----------
-    start : the wall time at second 0; by default now.
+    ``start``: the wall time at second 0; by default now.
     """
 
     def __init__(self, start: datetime | None = None) -> None:
@@ -95,12 +91,7 @@ Listener = Callable[[str], None]
 
 
 class Stages:
-    """Names and times the stages of a computation.
-
-    Parameters
-    ----------
-    listener : told each stage's name as it begins.
-    """
+    """Names and times the stages of a computation. ``listener``: told each stage's name as it begins."""
 
     def __init__(self, listener: Listener = lambda stage: None) -> None:
         self._listener = listener

@@ -1,7 +1,4 @@
-"""Atomic file writes, and tables that spreadsheets open safely.
-
-A lock of one process: a locked file that says who holds it, and goes when it is released.
-"""
+"""Atomic file writes, tables that spreadsheets open safely, and lock files of one process."""
 
 import csv
 import errno
@@ -57,11 +54,7 @@ class FileLock:
     The kernel keeps the lock, so the file of a process that was killed keeps nobody out: the next holder takes it
     over and removes it. A file that belongs to another user may stay where only its owner may remove it. HeldError if
     it is held, by somebody who wrote a name or has held it for :data:`_NAMELESS_S`; OSError if the file cannot be
-    made, or ``who`` not be written in it.
-
-    Parameters
-    ----------
-    path : of the file; its folder exists.
+    made, or ``who`` not be written in it. ``path``: of the file; its folder exists.
     """
 
     def __init__(self, path: Path, who: bytes, *, shared: bool = False) -> None:

@@ -200,13 +200,13 @@ def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
     """Encode the result of reading: a pickled head, and the arrays' bytes."""
     arrays: list[pickle.PickleBuffer] = []
     try:
-        told: tuple[Any, ...] = ("read", read())
+        outcome: tuple[Any, ...] = ("read", read())
     except MemoryError:
-        told = ("memory",)
+        outcome = ("memory",)
     except Exception as error:  # noqa: BLE001 - the parent says it
-        told = _failed(error)
+        outcome = _failed(error)
     try:
-        head = pickle.dumps(told, protocol=5, buffer_callback=arrays.append)
+        head = pickle.dumps(outcome, protocol=5, buffer_callback=arrays.append)
         return [head, *(array.raw() for array in arrays)]
     except MemoryError:
         return [pickle.dumps(("memory",))]
@@ -315,7 +315,7 @@ class _Plain(pickle.Unpickler):
         if (module, name) in (("pathlib", "PosixPath"), ("pathlib._local", "PosixPath")):
             return Path
         if module.startswith("cbsr_qa.domain.") and "." not in name:
-            found = super().find_class(module, name)
-            if isinstance(found, type) and (is_dataclass(found) or issubclass(found, Enum)):
-                return found
+            named = super().find_class(module, name)
+            if isinstance(named, type) and (is_dataclass(named) or issubclass(named, Enum)):
+                return named
         raise pickle.UnpicklingError(f"a {module}.{name}")

@@ -7,10 +7,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pytest
+from effect_options import REQUIRED
 from simulated_setting import HEAD, held, installed, material, scene, sensor_type, world
 
 from cbsr_qa.config import load_scene
@@ -56,25 +56,15 @@ def test_a_run_on_the_shipped_station_imports_the_effects_of_its_scene_and_no_ot
 
 # --- numbers ---
 
-#: Every effect that draws, with what it needs, and parameters.
-RANDOM: dict[str, dict[str, Any]] = {
-    "uneven-conductance": {"deviation": 0.1, "correlation_mm": 20.0},
-    "uneven-response": {"deviation": 0.1, "correlation_mm": 20.0},
-    "uneven-thickness": {"deviation": 0.1, "correlation_mm": 20.0},
-    "contact-spread": {"deviation": 0.1},
-    "pin-position-error": {"error_mm": 0.1},
-    "applicator-position-error": {"error_mm": 0.1},
-    "sheet-seat": {"error_mm": 0.1},
-    "contact-drift": {"deviation_per_hour": 0.1},
-    "electrode-intermittent": {"electrode": 3, "mean_open_s": 1.0, "mean_closed_s": 1.0},
-    "measurement-noise": {},
-    "electrode-noise": {"electrode": 3, "relative_noise": 0.01},
-    "johnson-noise": {},
-    "mains-hum": {"amplitude_V": 0.01},
-    "load-cell-noise": {"rms_N": 0.01},
-    "frame-loss": {"share": 0.5},
-    "watchdog-dump": {"period_s": 1.0},
-}
+#: Every effect that draws; what it loses or dumps comes within the few frames of these tests.
+RANDOM = {
+    name: REQUIRED.get(name, {})
+    for name in (
+        *("uneven-conductance", "uneven-response", "uneven-thickness", "contact-spread", "pin-position-error"),
+        *("applicator-position-error", "sheet-seat", "contact-drift", "electrode-intermittent"),
+        *("measurement-noise", "electrode-noise", "johnson-noise", "mains-hum", "load-cell-noise"),
+    )
+} | {"frame-loss": {"share": 0.5}, "watchdog-dump": {"period_s": 1.0}}
 NOT_RANDOM = ("time-skew", "source-compliance")  # needed by some of them
 INSTALLED = [name for kind, name, _ in BUILT_IN if kind is Kind.EFFECT]
 DRAWING = [name for name in RANDOM if name in INSTALLED]

@@ -1,7 +1,4 @@
-"""An emulated Cartesian force applicator: a Prusa MK3, or a printer with stock Marlin.
-
-Marlin's line protocol: numbered lines with checksums, and how a printer asks for one again.
-"""
+"""An emulated Cartesian force applicator that is told G-code: a Prusa MK3, or a printer with stock Marlin."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -100,11 +97,8 @@ class EmulatedApplicator:
     """Moves the rig's head by G-code.
 
     An ``ok`` to a move means that it waits for its turn. Its position is what it believes: until it has homed, and
-    after every reset, that is zero wherever the head stands.
-
-    Parameters
-    ----------
-    options : of the driver's table: ``firmware``, ``steps_per_mm``, ``centre_mm``, ``hover_height_mm``, ``z_axis``.
+    after every reset, that is zero wherever the head stands. ``options``: of the driver's table: ``firmware``,
+    ``steps_per_mm``, ``centre_mm``, ``hover_height_mm``, ``z_axis``.
     """
 
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:

@@ -33,12 +33,9 @@ class EmulatedErtBoard:
 
     Counts are ``zero_counts`` plus the reading times a scale that its range is well used by; what lies beyond its
     range is cut there. Every frame is of the moment in its middle, which is still to come when its first row is sent:
-    only a movement that begins within the frame is not in it, and a driver throws such a frame away.
-
-    Parameters
-    ----------
-    options : ``format``, ``frame_period_s``, ``signed``, ``zero_counts``, ``order`` and ``first_reading`` as the
-        driver takes them.
+    only a movement that begins within the frame is not in it, and a driver throws such a frame away. ``options``:
+    ``format``, ``frame_period_s``, ``signed``, ``zero_counts``, ``order`` and ``first_reading`` as the driver takes
+    them.
     """
 
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:

@@ -61,9 +61,7 @@ class EmulatedHead:
     def mounted(self, centre_mm: tuple[float, float], hover_z_mm: float, *, up: bool = True) -> None:
         """Set the sheet's position in machine coordinates.
 
-        Parameters
-        ----------
-        hover_z_mm : where the head is at its hover height, in the machine's z.
+        ``hover_z_mm``: where the head is at its hover height, in the machine's z.
         """
         self._centre_mm, self._hover_z_mm, self._upward = centre_mm, hover_z_mm, 1.0 if up else -1.0
         self._written = self._writer()

@@ -26,11 +26,8 @@ _BOOT: Final = (
 class EmulatedMultiplexer:
     """Steps through all combinations of its pairs, one of the two in the inner loop.
 
-    Its firmware knows no sensor types: it counts, and its pairs are k and k + 1 + skip.
-
-    Parameters
-    ----------
-    options : of the driver's table: ``inner``, ``current_skip``, ``voltage_skip``.
+    Its firmware knows no sensor types: it counts, and its pairs are k and k + 1 + skip. ``options``: of the driver's
+    table: ``inner``, ``current_skip``, ``voltage_skip``.
     """
 
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:

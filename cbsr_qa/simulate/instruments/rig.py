@@ -1,7 +1,4 @@
-"""The world behind all emulated instruments: sheet, head, and wiring of source and meter to the pins.
-
-Start the emulated instruments of a station, each on a byte stream of its own.
-"""
+"""The world behind all emulated instruments, and the start of those of a station."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -56,11 +53,8 @@ class EmulatedRig:
     """The simulated world shared by emulated instruments.
 
     The world moves on by commands, never by the computer's time: an instrument that takes time for a command sleeps
-    on the clock, and whoever waits on it moves everything on. Every access holds :attr:`lock`.
-
-    Parameters
-    ----------
-    world : the simulated sheet; its scene says at which current its readings are.
+    on the clock, and whoever waits on it moves everything on. Every access holds :attr:`lock`. ``world``: the
+    simulated sheet; its scene says at which current its readings are.
     """
 
     def __init__(self, clock: WatchedClock, world: SimulatedWorld, motion: Motion) -> None:
@@ -115,11 +109,8 @@ EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
 class Emulation:
     """Running emulators of one station; close it, or use it as a context manager.
 
-    ConfigError if there is no emulator for a driver.
-
-    Parameters
-    ----------
-    specs : the station's instruments; those whose address is "emulated" are served.
+    ConfigError if there is no emulator for a driver. ``specs``: the station's instruments; those whose address is
+    "emulated" are served.
     """
 
     def __init__(self, specs: Iterable[InstrumentSpec], rig: EmulatedRig) -> None:

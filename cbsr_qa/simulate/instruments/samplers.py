@@ -132,9 +132,7 @@ OVERLOAD_N: Final = 200.0
 class EmulatedLoadCell(LineSender):
     """Sends the world's force, in the scale that the driver converts back.
 
-    Parameters
-    ----------
-    options : of the driver's table: ``unit``, ``scale``, ``offset``, ``sign``, ``time``, ``rate_hz``, ``limit_N``.
+    ``options``: of the driver's table: ``unit``, ``scale``, ``offset``, ``sign``, ``time``, ``rate_hz``, ``limit_N``.
     """
 
     overload = OVERLOAD_N

@@ -31,11 +31,8 @@ class WatchedClock(VirtualClock):
     """A virtual clock for several threads, which notifies its watchers as time passes.
 
     The runner sleeps in its own thread, emulated instruments in theirs; a free-running instrument (a load cell that
-    sends eight samples a second) watches, and sends what fell due before the sleep returns.
-
-    Parameters
-    ----------
-    start : the wall time at second 0; by default now.
+    sends eight samples a second) watches, and sends what fell due before the sleep returns. ``start``: the wall time
+    at second 0; by default now.
     """
 
     def __init__(self, start: datetime | None = None) -> None:
