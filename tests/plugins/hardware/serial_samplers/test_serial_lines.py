@@ -10,7 +10,7 @@ from terminal import Terminal
 
 from cbsr_qa.domain import InstrumentError
 from cbsr_qa.system import RealClock
-from cbsr_qa_plugins.hardware._line_sampler import DeviceTime
+from cbsr_qa_plugins.hardware._line_sampler import DeviceTime, LineSampler
 from cbsr_qa_plugins.hardware.serial_samplers import open_load_cell
 
 # --- a real clock: a thread reads ---
@@ -24,25 +24,24 @@ def line():
 
 
 @pytest.fixture
-def opened(line):
+def opened(line, monkeypatch):
     """Opens load cells at the line; they are closed whatever becomes of the test, or their lock would outlive it."""
-    cells = []
+    cells, wait = [], LineSampler.wait_for_first
+
+    def wait_and_say(lines, allowed_s):
+        line.say(b"990,0.5\r\n1000,1.0\r\n")  # not before the port is open: what came earlier is thrown away
+        wait(lines, allowed_s)
+
+    monkeypatch.setattr(LineSampler, "wait_for_first", wait_and_say)
 
     def load_cell(clock, **options):
         told = replace(context(None, clock=clock), role="cell", options={"address": line.path} | options)
-        say_soon(line, b"990,0.5\r\n1000,1.0\r\n")
         cells.append(open_load_cell(told))
         return cells[-1]
 
     yield load_cell
     for cell in cells:
         cell.close()
-
-
-def say_soon(line, data):
-    import threading
-
-    threading.Timer(0.1, lambda: line.say(data)).start()
 
 
 def until(true, clock, allowed_s=15.0):
