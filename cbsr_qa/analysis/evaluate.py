@@ -23,6 +23,7 @@ from cbsr_qa.domain.results import (
     Calibration,
     Characterisation,
     CharacterisationSettings,
+    Dimensions,
     EndReason,
     Limit,
     LoadObservation,
@@ -329,7 +330,7 @@ def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservat
     """Measure a load against the reference that the recipe did not choose; reported, never judged."""
     other = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [
-        replace(m, qualifier=f"{m.qualifier}, reference {other}".removeprefix(", "))
+        replace(m, qualifier=", ".join(filter(None, (m.qualifier, Dimensions(reference=other).text))))
         for m in answered(metric.measure_load(load, run))
     ]
 

@@ -7,6 +7,7 @@ from cbsr_qa.domain.results import (
     STRIP_MEASURES,
     Bound,
     Characterisation,
+    Dimensions,
     FittedLine,
     Measurement,
     StrainLevel,
@@ -104,7 +105,7 @@ def _level(level: StrainLevel) -> Measurement:
         level.mean,
         "1",
         error,
-        qualifier=f"{100 * level.strain:g} % strain",
+        qualifier=Dimensions(strain=level.strain).text,
         how=level.why or f"{_BETWEEN_PINS}, mean of {level.cycles} cycles",
         strain=level.strain,
     )
@@ -112,7 +113,7 @@ def _level(level: StrainLevel) -> Measurement:
 
 def _settling(each: StrainSettling) -> Measurement:
     name = "common_settling_time" if each.strain is None else "settling_time"
-    at = "" if each.strain is None else f", {100 * each.strain:g} % strain"
+    direction = "loading" if each.loading else "unloading"
     constants = " and ".join(f"{tau:.3g} s" for tau in each.fit.time_constants_s)
     how = f"{each.fit.status}{f', {constants}' if constants else ''}; {each.traces} cycles fitted together"
     return Measurement(
@@ -120,7 +121,7 @@ def _settling(each: StrainSettling) -> Measurement:
         each.settling.value_s,
         "s",
         each.stderr_s,
-        qualifier=f"{each.words}{at}",
+        qualifier=Dimensions(each.signal, direction, strain=each.strain).text,
         how=f"{how}; {each.settling.why}".removesuffix("; "),
         bound=Bound.LOWER if each.settling.censored else Bound.EXACT,
         strain=each.strain,

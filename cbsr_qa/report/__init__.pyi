@@ -28,7 +28,6 @@ from .select import (
     held_loads as held_loads,
     loads_of as loads_of,
     location_verdicts as location_verdicts,
-    mask_qualifier as mask_qualifier,
     mean_deviation as mean_deviation,
     outcome_counts as outcome_counts,
     seen_loads as seen_loads,

@@ -65,11 +65,6 @@ class Measured:
         return [m.value for m in measurements if m is not None and m.value is not None]
 
 
-def mask_qualifier(run: RunObservation, fraction: float) -> str:
-    """Return the qualifier the metrics give a mask: none for the main one."""
-    return "" if abs(fraction - run.main_mask) < 1e-9 else f"mask {100 * fraction:g} %"
-
-
 def mean_deviation(values: Sequence[float]) -> tuple[float, float | None] | None:
     """Return mean and standard deviation (None for a single value); None where there is no value."""
     if not values:

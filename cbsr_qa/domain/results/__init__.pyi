@@ -21,6 +21,7 @@ from .characterisation import (
     StrainSettling as StrainSettling,
     StripFacts as StripFacts,
 )
+from .dimensions import Dimensions as Dimensions
 from .fleet import (
     FleetTable as FleetTable,
     MetricKey as MetricKey,

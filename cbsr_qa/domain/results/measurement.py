@@ -12,6 +12,7 @@ from typing import Final, Self
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import check_encodable, with_type
+from cbsr_qa.domain.results.dimensions import Dimensions
 
 
 class Outcome(StrEnum):
@@ -135,7 +136,7 @@ class Measurement:
     phase : the phase it was measured in; empty for the whole run.
     location : label of the load; empty where it is not about one.
     trial : 0-based; None where it is not about one.
-    qualifier : what else tells it from its siblings, e.g. ``"mask 85 %"``.
+    qualifier : what else tells it from its siblings, e.g. ``"mask 85 %"``; typed: ``dimensions``.
     how : method, or the reason of a refusal with its remedy.
     bound : whether the value is the quantity or only a lower bound of it.
     load : index of the load within its phase, as in :class:`~cbsr_qa.domain.run.LoadRecord`; None where it is
@@ -191,6 +192,11 @@ class Measurement:
                 remedy="give the limit in the measurement's unit",
             )
         return replace(self, limit=limit, outcome=limit.judge(self.value, self.bound))
+
+    @property
+    def dimensions(self) -> Dimensions:
+        """What the qualifier says, in typed terms."""
+        return Dimensions.of(self.qualifier)
 
     @property
     def label(self) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.plan import AnalysisSettings, Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
+from cbsr_qa.domain.results.dimensions import Dimensions
 from cbsr_qa.domain.results.image import Blob, Image, LinearReconstruction, Region
 from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
 from cbsr_qa.domain.run import Indenter, LoadRecord, RunRecord
@@ -332,6 +333,10 @@ class RunObservation:
             self._derived[key] = compute(self, *args)
         result: R = self._derived[key]
         return result
+
+    def mask_qualifier(self, fraction: float) -> str:
+        """Qualifier of what is measured under a mask: empty for the main one, ``"mask 25 %"`` for another."""
+        return "" if abs(fraction - self.main_mask) < 1e-9 else Dimensions(mask=fraction).text
 
     @property
     def frame_period_s(self) -> float:

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from cbsr_qa.config import DocumentKind
+from cbsr_qa.domain.results import Dimensions
 from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.studies.frontier.point import Knob
 from cbsr_qa.studies.simulated import shipped
@@ -105,7 +106,8 @@ class Setting:
             "force_error_sd": self.checks >= _MANY,
             "force_error_bias": self.checks >= _MANY,
             "force_coverage_68": self.checks >= _MANY,
-            "common_settling_time": "unloading" not in limit.get("qualifier", "") or self.rest_s >= _LONG_S,
+            "common_settling_time": Dimensions.of(limit.get("qualifier", "")).direction != "unloading"
+            or self.rest_s >= _LONG_S,
         }
         return needs.get(limit["measurement"], True)
 

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from cbsr_qa.analysis.run import RunForce
 from cbsr_qa.calibration.fits import restricted_mean
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Characterisation, FittedLine, LoadObservation, Measurement, RunObservation
+from cbsr_qa.domain.results import (
+    Characterisation,
+    Dimensions,
+    FittedLine,
+    LoadObservation,
+    Measurement,
+    RunObservation,
+)
 from cbsr_qa.eit.inverse import changes
 from cbsr_qa.studies.reproduce.compare import Ours
 
@@ -260,7 +267,7 @@ def _settlings(run: RunObservation, measurements: Sequence[Measurement], sheet: 
         for strain in sorted({load.record.load.strain for load in loads}):
             here = [load for load in loads if load.record.load.strain == strain]
             yield SettlingOf(strain, loading, _mean_settling(here, loading, sheet))
-        qualifier = f"conductance, {'loading' if loading else 'unloading'}"
+        qualifier = Dimensions("conductance", "loading" if loading else "unloading").text
         together = _run_value(measurements, "common_settling_time", qualifier, sheet, "standard error")
         yield SettlingOf(None, loading, together)
 

@@ -22,8 +22,7 @@ def why_not(view: MaskView) -> str:
 def masks_of(load: LoadObservation, run: RunObservation) -> Iterator[tuple[MaskView, str]]:
     """Yield each mask of a load with its qualifier: empty for the main one, ``"mask 25 %"`` for another."""
     for view in load.masks:
-        main = abs(view.fraction - run.main_mask) < 1e-9
-        yield view, "" if main else f"mask {100 * view.fraction:g} %"
+        yield view, run.mask_qualifier(view.fraction)
 
 
 def at_load(

@@ -6,7 +6,7 @@ import numpy as np
 
 from cbsr_qa.analysis.defects import reciprocity_errors
 from cbsr_qa.domain.readings import UNUSABLE, ReadingFlag, VoltageUnit
-from cbsr_qa.domain.results import Measurement, RunObservation
+from cbsr_qa.domain.results import Dimensions, Measurement, RunObservation
 from cbsr_qa.plugin import PluginOptions, WithOptions
 
 
@@ -55,7 +55,7 @@ class ReciprocityError(WithOptions):
 
 def _name(reading: int, run: RunObservation) -> str:
     drive, measure = divmod(reading, run.usable.shape[1])
-    return f"drive {drive}, measure {measure}"
+    return Dimensions(drive=drive, measure=measure).text
 
 
 class ContactResistance:
@@ -97,7 +97,7 @@ def _driven(run: RunObservation) -> list[tuple[int, int, str]]:
     """Row, column and name of every reading that is driven and measured by one pair."""
     pattern = run.record.sensor_type.pattern
     column = {pair: index for index, pair in enumerate(pattern.measure)}
-    return [(row, column[p], f"pair {p[0]}-{p[1]}") for row, p in enumerate(pattern.drive) if p in column]
+    return [(row, column[p], Dimensions(pair=p).text) for row, p in enumerate(pattern.drive) if p in column]
 
 
 def _pair(run: RunObservation, drive: int, measure: int, name: str, current_A: float) -> Measurement:

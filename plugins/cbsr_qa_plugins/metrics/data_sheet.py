@@ -40,7 +40,7 @@ from cbsr_qa.calibration.sheet import (
 )
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
+from cbsr_qa.domain.results import Dimensions, LoadObservation, Measurement, RunObservation
 from cbsr_qa.plugin import PluginOptions, WithOptions
 from cbsr_qa_plugins.metrics._shared import counted, percent, refused
 
@@ -67,7 +67,7 @@ class Repeatability:
         measured = [_one(overall, highest, sum(map(len, cells.values())))]
         if len(cells) > 1:
             for strain, members in cells.items():
-                qualifier = f"{100 * strain:g} % strain"
+                qualifier = Dimensions(strain=strain).text
                 measured.append(_one(pooled_deviation(members), highest, len(members), qualifier))
         return tuple(measured)
 

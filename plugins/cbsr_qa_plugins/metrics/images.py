@@ -11,7 +11,7 @@ import numpy as np
 from cbsr_qa.analysis.run import SizeResponse, size_response_of
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import Bound, Image, LoadObservation, Measurement, RunObservation
+from cbsr_qa.domain.results import Bound, Dimensions, Image, LoadObservation, Measurement, RunObservation
 from cbsr_qa.eit.imaging import GreitFigures, Registration, TwoTouch, greit_figures, register, two_touch_resolution
 from cbsr_qa_plugins.metrics._shared import at_load, masks_of
 
@@ -93,6 +93,7 @@ class LoadAssignment:
 
 #: Highest mask that is tried: at the maximum itself there is nothing to count.
 _HIGHEST: Final = 0.99
+_WATERSHED: Final = "watershed"
 
 
 class TwoTouchResolution:
@@ -108,15 +109,22 @@ class TwoTouchResolution:
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure both ways."""
-        mask = min(run.main_mask, _HIGHEST)
-        ways = (
-            ("", f"contours at {100 * mask:g} %", mask),
-            ("watershed", "valleys 5 % deep under the 25 % mask", None),
-        )
+        ways = {"": min(run.main_mask, _HIGHEST), _WATERSHED: None}
         return tuple(
-            _measurement(two_touch_resolution(run.reconstruction, run.record.indenter, mask=fraction), qualifier, how)
-            for qualifier, how, fraction in ways
+            _measurement(
+                two_touch_resolution(run.reconstruction, run.record.indenter, mask=mask),
+                qualifier,
+                told_apart_by(qualifier, run),
+            )
+            for qualifier, mask in ways.items()
         )
+
+
+def told_apart_by(qualifier: str, run: RunObservation) -> str:
+    """Say what tells two loads apart in a ``two_touch_resolution`` with this qualifier."""
+    if qualifier == _WATERSHED:
+        return "valleys 5 % deep under the 25 % mask"
+    return f"contours at {100 * min(run.main_mask, _HIGHEST):g} %"
 
 
 def _measurement(touch: TwoTouch, qualifier: str, how: str) -> Measurement:
@@ -209,7 +217,7 @@ class SizeResponseMetric:
                 Measurement("size_response", size.slope, "1", qualifier=size.place, how=_how_size_response(size, run))
             )
             for diameter, area in zip(size.diameters_mm, size.areas_mm2, strict=True):
-                qualifier = f"{size.place}, target of {diameter:.3g} mm"
+                qualifier = Dimensions(size.place, target_mm=diameter).text
                 why = "" if area is not None else "not detected: the target leaves no region"
                 measured.append(Measurement("region_area", area, "mm²", qualifier=qualifier, how=why))
         return tuple(measured)

@@ -7,7 +7,7 @@ import numpy as np
 from cbsr_qa.analysis.defects import FEWEST_FRAMES, off_the_line, signal_to_noise_dB
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.plan import Role
-from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
+from cbsr_qa.domain.results import Dimensions, LoadObservation, Measurement, RunObservation
 from cbsr_qa.eit.inverse import changes
 from cbsr_qa.plugin import PluginOptions, WithOptions
 
@@ -203,7 +203,7 @@ def _each(ratio_dB: Array, run: RunObservation) -> tuple[Measurement, ...]:
             "channel_snr",
             float(ratio_dB[drive, measure]) if np.isfinite(ratio_dB[drive, measure]) else None,
             "dB",
-            qualifier=f"drive {drive}, measure {measure}",
+            qualifier=Dimensions(drive=drive, measure=measure).text,
             how=how if np.isfinite(ratio_dB[drive, measure]) else "it has no noise, or no level",
         )
         for drive, measure in np.argwhere(run.usable).tolist()

@@ -18,6 +18,7 @@ from cbsr_qa.calibration.fits import (
 )
 from cbsr_qa.domain.results import (
     Bound,
+    Dimensions,
     LoadObservation,
     Measurement,
     RelaxationFit,
@@ -67,7 +68,7 @@ class SettlingTimes:
 
 
 def _qualifier(seen: RelaxationObservation) -> str:
-    return f"{seen.signal}, {'loading' if seen.loading else 'unloading'}"
+    return Dimensions(seen.signal, "loading" if seen.loading else "unloading").text
 
 
 def _of_load(load: LoadObservation, seen: RelaxationObservation) -> Measurement:
@@ -253,7 +254,7 @@ class BlobAndImageRelaxation:
         """Compare loadings and unloadings."""
         taken = []
         for pair in image_against_blobs(run):
-            agreement, qualifier = pair.found, f"image against conductance, {pair.direction}"
+            agreement, qualifier = pair.found, Dimensions("image against conductance", pair.direction).text
             shape, time = said_of_shape(pair), said_of_time(pair)
             taken += [
                 Measurement(

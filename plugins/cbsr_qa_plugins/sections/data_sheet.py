@@ -171,13 +171,13 @@ def _value_data_sheet(measurement: Measurement) -> Cell:
 
 
 def _by_strain(measurements: Sequence[Measurement]) -> list[Block]:
-    repeatabilities = [m for m in measurements if m.name == "repeatability" and m.qualifier.endswith("strain")]
-    if not repeatabilities:
+    strains = [(m.dimensions.strain, m) for m in measurements if m.name == "repeatability"]
+    by_strain = {f"{100 * strain:g} %": value_cell(m) for strain, m in strains if strain is not None}
+    if not by_strain:
         return []
-    cells: list[str | Cell] = [value_cell(m) for m in repeatabilities]
-    columns = ("Strain", *(m.qualifier.removesuffix(" strain") for m in repeatabilities))
+    columns = ("Strain", *by_strain)
     caption = "Repeatability by strain, % of the span."
-    return [text_table(caption, columns, [["Repeatability [%]", *cells]], tuple(range(1, len(columns))))]
+    return [text_table(caption, columns, [["Repeatability [%]", *by_strain.values()]], tuple(range(1, len(columns))))]
 
 
 def _characteristic(run: RunObservation) -> Iterator[Figure]:

@@ -35,6 +35,7 @@ from cbsr_qa.report import (
     text_table,
 )
 from cbsr_qa.report.draw import ParameterMark, SizeSeries, parameter_figure, size_figure, value_text
+from cbsr_qa_plugins.metrics.images import told_apart_by
 
 #: Measurement, column.
 _COLUMNS: Final = (
@@ -54,16 +55,16 @@ class ImageQuality(ObservedSection):
 
     def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
         """Return what is seen apart and what was missed in words, then the figures of merit by location."""
-        yield from (Paragraph(words) for words in _in_words(result.measurements) if words)
+        yield from (Paragraph(words) for words in _in_words(result.measurements, run) if words)
         loads = loads_of(run, Role.GRID) or run.loads
         measured = Measured(result.measurements)
         if any(measured.values(name, loads) for name, _ in _COLUMNS):
             yield _table(loads, measured)
 
 
-def _in_words(measurements: Sequence[Measurement]) -> tuple[str, str]:
+def _in_words(measurements: Sequence[Measurement], run: RunObservation) -> tuple[str, str]:
     apart = [m for m in measurements if m.name == "two_touch_resolution" and m.value is not None]
-    ways = [f"{bound_sign([m])}{number(m.value or 0.0, 3)} mm on by {m.how.partition(';')[0]}" for m in apart]
+    ways = [f"{bound_sign([m])}{number(m.value or 0.0, 3)} mm on by {told_apart_by(m.qualifier, run)}" for m in apart]
     counts = {m.name: m.value for m in measurements if m.name in ("missed_loads", "merged_loads") and m.value}
     fates = " and ".join(f"{plural(int(count), 'load')} {name.partition('_')[0]}" for name, count in counts.items())
     two = (
@@ -153,9 +154,9 @@ def _measured(measurements: Sequence[Measurement]) -> list[SizeResponse]:
     """Put what was measured together again, place by place."""
     areas: dict[str, list[tuple[float, float | None]]] = {}
     for m in measurements:
-        place, _, target = m.qualifier.partition(", target of ")
-        if m.name == "region_area" and target:
-            areas.setdefault(place, []).append((float(target.removesuffix(" mm")), m.value))
+        target = m.dimensions
+        if m.name == "region_area" and target.target_mm is not None:
+            areas.setdefault(target.words, []).append((target.target_mm, m.value))
     return [
         SizeResponse(place, tuple(diameter for diameter, _ in seen), tuple(area for _, area in seen))
         for place, seen in areas.items()

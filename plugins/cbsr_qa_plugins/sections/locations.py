@@ -16,6 +16,7 @@ from cbsr_qa.domain.results import (
     Table,
     worst,
 )
+from cbsr_qa.eit.imaging import overlap_grade
 from cbsr_qa.report import (
     SPATIAL,
     Measured,
@@ -23,7 +24,6 @@ from cbsr_qa.report import (
     by_label,
     held_loads,
     loads_of,
-    mask_qualifier,
     number,
     place_text,
     plural,
@@ -60,7 +60,7 @@ class NineLocations(ObservedSection):
         for phase in phases:
             members = [load for load in loads if load.phase == phase]
             yield _figure(members, run, measured, f"Phase {phase}. " if len(phases) > 1 else "")
-            yield from (*_by_strain(members, measured), _table(members, result, measured))
+            yield from (*_by_strain(members, measured), _table(members, run, result, measured))
 
 
 def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured, phase: str) -> Figure:
@@ -129,7 +129,7 @@ def _registration(result: RunResult, left_mm: Sequence[float]) -> tuple[Paragrap
     return (Paragraph(f"All locations together are seen {moved}: {whose}. Without it: {left}."),)
 
 
-def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measured) -> Table:
+def _table(loads: Sequence[LoadObservation], run: RunObservation, result: RunResult, measured: Measured) -> Table:
     baseline = {b.location: b for b in result.calibration.baseline} if result.calibration else {}
     places = by_label(loads)
     several = any(len(members) > 1 for members in places.values())
@@ -145,7 +145,7 @@ def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measur
         row = [Cell(label), Cell(place_text(place.x_mm, place.y_mm))]
         row += [Cell(str(len(members)))] if several else []
         error, overlap, deviation = (_cell(name, members, measured) for name, _, _ in SPATIAL)
-        row += [error, overlap, Cell(_bands(members, measured)), deviation, Cell(_force(members))]
+        row += [error, overlap, Cell(_bands(members, run, measured)), deviation, Cell(_force(members))]
         if baseline:
             known = baseline.get(label)
             value = None if known is None else known.value
@@ -167,10 +167,15 @@ def _cell(name: str, members: Sequence[LoadObservation], measured: Measured) -> 
     return Cell(spread_text(measured.values(name, members)), worst(outcomes) if outcomes else None)
 
 
-def _bands(members: Sequence[LoadObservation], measured: Measured) -> str:
-    """Return the bands the overlap metric names at the head of its ``how``, with counts where they differ."""
-    measurements = [measured.of_load("area_overlap", load) for load in members]
-    names = [m.how.partition(";")[0] for m in measurements if m is not None and m.value is not None]
+def _bands(members: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> str:
+    """Return the bands of the loads' overlaps, with counts where they differ."""
+    bands, sizes = run.settings.overlap_bands, run.settings.size_ratio
+    names = []
+    for load in members:
+        overlap, view = measured.of_load("area_overlap", load), load.mask(run.main_mask)
+        if overlap is not None and overlap.value is not None and view is not None and view.region is not None:
+            ratio = view.region.area_mm2 / load.indenter.area_mm2
+            names.append(overlap_grade(overlap.value, ratio, bands=bands, size_ratio=sizes))
     counts = {name: names.count(name) for name in dict.fromkeys(names)}
     if len(counts) == 1:
         return next(iter(counts))
@@ -200,7 +205,7 @@ def _table_mask_comparison(result: RunResult, run: RunObservation) -> Table:
     loads, measured = loads_of(run, Role.GRID), Measured(result.measurements)
     rows = []
     for fraction in run.settings.masks:
-        qualifier = mask_qualifier(run, fraction)
+        qualifier = run.mask_qualifier(fraction)
         decides = "" if qualifier else " (decides)"
         rows.append([f"{100 * fraction:g} %{decides}", *spatial_spreads(measured, loads, qualifier)])
     columns = ["Mask", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Loads seen"]

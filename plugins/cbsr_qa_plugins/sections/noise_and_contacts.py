@@ -42,7 +42,7 @@ class NoiseAndContacts(ObservedSection):
         pairs, errors = reciprocity_errors(run.reference, run.record.sensor_type.pattern, run.usable)
         if errors.size:
             yield _reciprocity(run, pairs, errors)
-        contacts = [m for m in result.measurements if m.name == "contact_resistance" and m.qualifier]
+        contacts = [m for m in result.measurements if m.name == "contact_resistance" and m.dimensions.pair]
         if any(m.value is not None for m in contacts):
             yield _contacts(contacts)
 
@@ -50,7 +50,7 @@ class NoiseAndContacts(ObservedSection):
 def _table(result: RunResult, run: RunObservation) -> Table:
     own = [m for m in result.measurements if m.name.startswith(_WORDS) and not m.location]
     # Single pairs and readings are drawn.
-    whole = [m for m in own if not (m.qualifier.startswith("pair ") or m.qualifier.startswith("drive "))]
+    whole = [m for m in own if m.dimensions.pair is None and m.dimensions.drive is None]
     rows: list[list[str | Cell]] = [
         [m.label, m.phase or "whole run", value_cell(m, unit=True), limit_text(m.limit) if m.limit else "–", m.how]
         for m in whole
@@ -84,10 +84,14 @@ def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: NDArray[
     )
 
 
+def _pair(measurement: Measurement) -> str:
+    return "-".join(map(str, measurement.dimensions.pair or ()))
+
+
 def _contacts(pairs: Sequence[Measurement]) -> Figure:
     """Draw the pairs with a value; those without are named in the caption."""
-    known = [(m.qualifier.removeprefix("pair "), m.value, m.outcome) for m in pairs if m.value is not None]
-    lost = [m.qualifier.removeprefix("pair ") for m in pairs if m.value is None]
+    known = [(_pair(m), m.value, m.outcome) for m in pairs if m.value is not None]
+    lost = [_pair(m) for m in pairs if m.value is None]
     values = np.array([value for _, value, _ in known])
     median = float(np.median(values))
     scale, unit = scaled_unit(median, pairs[0].unit)
