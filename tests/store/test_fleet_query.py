@@ -81,6 +81,7 @@ def test_words_that_are_none_are_a_damaged_database(copied, table, column, word,
         ("runs.started_at", "odd"),
         ("runs.started_at", 7),
         ("runs.serial", b"\x00\xff"),
+        ("runs.recipe", b"\x00\xff"),
         ("runs.simulated", "odd"),
         ("analyses.software", 7),
         ("measurements.value", "odd"),
@@ -100,6 +101,22 @@ def test_a_cell_of_another_type_is_refused_with_its_run(copied, cell, value, cha
         assert guarded([*command, "--database", url]) == 2
         named = "it cannot be read: " if (cell, value) == ("analyses.software", 7) else f"{cell} ("  # 7 is JSON
         assert f"run {runs[2]}: {named}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("column", "selection"),
+    [
+        ("recipe", RunSelection(recipe="short")),
+        ("batch", RunSelection(batch="41")),
+        ("station", RunSelection(stations=("bench",))),
+        ("operator", RunSelection(operators=("me",))),
+    ],
+)
+def test_a_run_that_a_damaged_name_keeps_out_of_a_selection_is_refused(copied, column, selection):
+    path, url, runs = copied
+    changed(path, f"UPDATE runs SET {column} = 'shorz' WHERE run = ?", runs[2])
+    with open_store(url) as store, pytest.raises(StoreError, match=f"run {runs[2]}: runs was changed"):
+        store.run_lines(selection)
 
 
 @pytest.mark.parametrize(
