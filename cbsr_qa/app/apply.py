@@ -14,11 +14,11 @@ from cbsr_qa.app.calibration_file import check_free, write_text
 from cbsr_qa.calibration.file import read_contained
 from cbsr_qa.calibration.runtime import Calibration, Flag
 from cbsr_qa.config import validate_serial
-from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError
+from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError, filled
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.results import CommandOutcome, Section, Table
 from cbsr_qa.plugin import discover
-from cbsr_qa.report import IF_GIVEN, Refusal, answer, filled, fixed, plural, text_table, with_uncertainty
+from cbsr_qa.report import IF_GIVEN, Refusal, answer, fixed, plural, text_table, with_uncertainty
 from cbsr_qa.system import csv_text
 
 Array = NDArray[np.float64]

@@ -13,9 +13,9 @@ from cbsr_qa.calibration.file import (
     verify_calibration_file,
     write_calibration,
 )
-from cbsr_qa.domain import CalibrationError, RefusedError
+from cbsr_qa.domain import CalibrationError, RefusedError, filled
 from cbsr_qa.domain.results import Calibration, CommandOutcome
-from cbsr_qa.report import answer, filled
+from cbsr_qa.report import answer
 from cbsr_qa.system import read_untrusted, written_whole
 
 _JSON: Final = ".json"

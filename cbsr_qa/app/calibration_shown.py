@@ -9,7 +9,7 @@ import numpy as np
 
 from cbsr_qa.calibration.file import read_calibration, verify_calibration_file
 from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolated, least_force_N, map_tables
-from cbsr_qa.domain import CalibrationError, kept_fields
+from cbsr_qa.domain import CalibrationError, filled, kept_fields
 from cbsr_qa.domain.results import (
     Banner,
     BaselineConductance,
@@ -24,7 +24,7 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.run import run_named
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.report import filled, fixed, text_table
+from cbsr_qa.report import fixed, text_table
 from cbsr_qa.store import made_at
 from cbsr_qa.system import read_untrusted
 

@@ -7,10 +7,10 @@ from typing import Final
 from cbsr_qa.app.command_hints import report_command
 from cbsr_qa.app.run import check_decided
 from cbsr_qa.config import database_url, restore, validate_operator, validate_reason
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import ConfigError, filled
 from cbsr_qa.domain.results import CommandOutcome, Outcome, Paragraph, Section
 from cbsr_qa.domain.run import NO_REASON, ChartReference, ConfigurationChange, VerdictOverride, run_named
-from cbsr_qa.report import answer, filled, number, plural, unit_shown
+from cbsr_qa.report import answer, number, plural, unit_shown
 from cbsr_qa.store import made_at, open_store
 
 _UNCHANGED: Final = "no file was changed, no limits of a control chart set, and no verdict overridden"

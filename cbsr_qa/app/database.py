@@ -5,9 +5,10 @@ from typing import Final
 
 from cbsr_qa.app.command_hints import database_option
 from cbsr_qa.config import database_url
+from cbsr_qa.domain import filled
 from cbsr_qa.domain.results import CommandOutcome, EndReason
 from cbsr_qa.domain.run import run_named
-from cbsr_qa.report import answer, filled
+from cbsr_qa.report import answer
 from cbsr_qa.station import on_stderr
 from cbsr_qa.store import HEAD, Age, found_version, made_at, open_engine, open_store, parsed_url, refusal, upgrade
 from cbsr_qa.store.runs import IncompleteRun, counts, incomplete_runs, runs_without_result

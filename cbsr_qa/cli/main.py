@@ -36,7 +36,7 @@ from cbsr_qa.cli.studies import (
     stability,
 )
 from cbsr_qa.cli.supervised import end_child, supervise
-from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain import BrokenError, CbsrError, RefusedError, StoppedError
 from cbsr_qa.plugin import said
 from cbsr_qa.system import Redelivery
 
@@ -183,14 +183,12 @@ def _ended(arguments: list[str]) -> int:
         if result == _INTERRUPTED:
             raise KeyboardInterrupt
     except CbsrError as error:
-        if _wants_json(arguments):
-            emit_json(error.document())
-        note(f"cbsr-qa: {error}")
-        return error.exit_code
+        return _told(error, arguments)
     except _UsageError as error:
         return _misused(error, arguments)
     except (typer.Abort, KeyboardInterrupt):
-        return _aborted(arguments)
+        # A command that has no end of its own for that, as a run has.
+        return _told(StoppedError("stopped from the keyboard", remedy="start it again"), arguments, "aborted")
     except BaseException as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
         return 0 if _help_unread(error) else _unexpected(error, arguments)
     return result if isinstance(result, int) else 0
@@ -206,24 +204,22 @@ def _help_unread(error: BaseException) -> bool:
     return isinstance(error, BrokenPipeError) and reader_has_gone()
 
 
-def _aborted(arguments: list[str]) -> int:
-    """Report that a command was stopped from the keyboard."""
+def _told(error: CbsrError, arguments: list[str], words: str = "") -> int:
+    """Print an error, as a document too where one was asked for, and return its exit code."""
     if _wants_json(arguments):
-        emit_json({"aborted": {"reason": "stopped from the keyboard", "remedy": "start it again"}})
-    note("cbsr-qa: aborted")
-    return 3
+        emit_json(error.document())
+    note(f"cbsr-qa: {words or error}")
+    return error.exit_code
 
 
 def _unexpected(error: BaseException, arguments: list[str]) -> int:
     """Report an internal error and its place; exit code 3: nothing was decided."""
     where = traceback.extract_tb(error.__traceback__)[-1]
     reason = f"internal error: {said(error)} ({Path(where.filename).name}, line {where.lineno})"
-    if _wants_json(arguments):
-        emit_json({"broken": {"reason": reason, "remedy": _REPORT_IT}})
-    note(f"cbsr-qa: {reason}\n{_REPORT_IT}")
+    code = _told(BrokenError(reason, remedy=_REPORT_IT), arguments)
     if os.environ.get("CBSR_QA_TRACEBACK"):
         traceback.print_exception(error)
-    return 3
+    return code
 
 
 def _misused(error: Any, arguments: list[str]) -> int:
@@ -231,6 +227,6 @@ def _misused(error: Any, arguments: list[str]) -> int:
     if not error.format_message():
         return 2  # a command without any argument: typer has printed its help
     if _wants_json(arguments):
-        emit_json({"refused": {"reason": error.format_message(), "remedy": "see cbsr-qa COMMAND --help"}})
+        emit_json(RefusedError(error.format_message(), remedy="see cbsr-qa COMMAND --help").document())
     error.show()
     return 2

@@ -8,6 +8,7 @@ from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import show
 
 if TYPE_CHECKING:
+    from cbsr_qa.domain import filled
     from cbsr_qa.domain.results import Section
     from cbsr_qa.plugin import PluginReference
 
@@ -30,7 +31,7 @@ def list_plugins(
 
     from cbsr_qa.domain.results import Section
     from cbsr_qa.plugin import FailedPlugin, Kind, ListedPlugin, ListedPlugins, discover, kind_named, plugin_reference
-    from cbsr_qa.report import answer, filled, plural, text_table
+    from cbsr_qa.report import answer, plural, text_table
 
     plugins = discover()
     found = [filled(ListedPlugin, registration) for registration in plugins.registrations(kind_named(kind))]

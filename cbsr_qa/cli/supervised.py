@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any, ClassVar, Final
 
 from cbsr_qa.cli.output import claim_stdout, note, say
-from cbsr_qa.domain import BrokenRunError, CbsrError
+from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
 
 #: Signals that are handed on to the child; a run stops in order.
 _HANDED_ON: Final = tuple(
@@ -27,14 +27,8 @@ _ECHO_S: Final = 0.25
 _Mask = set[int | signal.Signals]
 
 
-class BrokenProcessError(CbsrError):
+class BrokenProcessError(BrokenError):
     """The process of a command ended unexpectedly; no run had begun (exit code 3)."""
-
-    exit_code = 3
-
-    def document(self) -> dict[str, Any]:
-        """Return what ``--json`` prints for it."""
-        return {"broken": {"reason": self.reason, "remedy": self.remedy}}
 
 
 def begun(run: str, database: str | None) -> None:

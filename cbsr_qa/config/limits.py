@@ -12,9 +12,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
-from cbsr_qa.config.tables import FileModel, Word, refusal, validated
+from cbsr_qa.config.tables import FileModel, Word, as_domain, refusal, validated
 from cbsr_qa.config.text import line_of
-from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain import ConfigError, filled
 from cbsr_qa.domain.results import Limit, LimitsVersion
 from cbsr_qa.plugin import Problem, Table
 
@@ -61,16 +61,7 @@ class LimitTable(Table):
 
     def to_domain(self) -> Limit:
         """Return the limit."""
-        return Limit(
-            self.measurement,
-            self.unit,
-            self.lower,
-            self.upper,
-            self.marginal,
-            self.phase,
-            self.qualifier,
-            self.version or "",
-        )
+        return as_domain(Limit, self, version=self.version or "")
 
 
 class LimitsVersionTable(Table):
@@ -88,16 +79,7 @@ class LimitsVersionTable(Table):
 
     def to_domain(self) -> LimitsVersion:
         """Return the version; a seal that does not fit was refused before."""
-        return LimitsVersion(
-            self.version,
-            self.date,
-            self.lot,
-            self.coverage_percent,
-            self.confidence_percent,
-            self.rule,
-            self.data_sha256,
-            bool(self.limits_sha256),
-        )
+        return filled(LimitsVersion, self, sealed=bool(self.limits_sha256))
 
 
 class LimitsFile(FileModel[None]):

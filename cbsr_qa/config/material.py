@@ -3,15 +3,17 @@
 A material that was measured on a strip has ``[material.strip_relaxation]``: how the strip relaxed, with errors.
 """
 
-import json
-from collections.abc import Iterator, Sequence
-from typing import Annotated
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from cbsr_qa.config.tables import FileModel
-from cbsr_qa.domain.sensor import Material, MeasuredKernel, Parameter, QuasiStatic, Relaxation, StripRelaxation
+from cbsr_qa.config.text import toml_document
+from cbsr_qa.domain import fitted
+from cbsr_qa.domain.sensor import Material
 from cbsr_qa.plugin import KeyPath, Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
@@ -59,16 +61,6 @@ class MeasuredKernelTable(Table):
         elif diagonal.min() < 0 or np.linalg.eigvalsh(correlation).min() < -_ROUNDING:
             yield Problem((*where, "covariance"), "is no covariance: a variance would be negative")
 
-    def to_domain(self) -> MeasuredKernel:
-        """Return the kernel."""
-        return MeasuredKernel(
-            tuple(self.weights),
-            tuple(self.time_constants_s),
-            tuple(tuple(row) for row in self.covariance),
-            self.start_s,
-            self.window_s,
-        )
-
 
 class StripRelaxationTable(Table):
     """What it was learned from, and a table for each direction that could be told."""
@@ -89,17 +81,6 @@ class StripRelaxationTable(Table):
             if kernel is not None:
                 yield from kernel.problems((*where, name))
 
-    def to_domain(self) -> StripRelaxation:
-        """Return the relaxation."""
-        return StripRelaxation(
-            None if self.loading is None else self.loading.to_domain(),
-            None if self.unloading is None else self.unloading.to_domain(),
-            self.cycles,
-            self.least_strain,
-            self.largest_strain,
-            self.source,
-        )
-
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 Source = Annotated[str, Field(min_length=1, max_length=1000)]
@@ -113,10 +94,6 @@ class ParameterTable(Table):
     value: float
     stderr: Annotated[float, Field(ge=0)] | None = None
     source: Source
-
-    def to_domain(self) -> Parameter:
-        """Return the parameter."""
-        return Parameter(self.value, self.stderr, self.source)
 
 
 class PositiveParameterTable(ParameterTable):
@@ -132,10 +109,6 @@ class StressTable(Table):
     intercept: ParameterTable
     covariance: float | None = None
 
-    def to_domain(self) -> QuasiStatic:
-        """Return the line."""
-        return QuasiStatic(self.slope_per_kPa.to_domain(), self.intercept.to_domain(), self.covariance)
-
 
 class StrainTable(Table):
     """``[against_strain]``: Δρ/ρ₀ = slope · strain + intercept (paper Eq 2), strain as a fraction."""
@@ -144,21 +117,17 @@ class StrainTable(Table):
     intercept: ParameterTable
     covariance: float | None = None
 
-    def to_domain(self) -> QuasiStatic:
-        """Return the line."""
-        return QuasiStatic(self.slope.to_domain(), self.intercept.to_domain(), self.covariance)
-
 
 def _covariance_problems(line: StressTable | StrainTable, where: KeyPath) -> Iterator[Problem]:
     """Yield why slope and intercept cannot have the covariance that is stated: a variance would be negative."""
     if line.covariance is None:
         return
-    fit = line.to_domain()
-    if fit.slope.stderr is None or fit.intercept.stderr is None:
+    slope = line.slope_per_kPa if isinstance(line, StressTable) else line.slope
+    if slope.stderr is None or line.intercept.stderr is None:
         what = "is stated without the standard errors of slope and intercept; state both or leave it out"
         yield Problem((*where, "covariance"), what)
         return
-    most = fit.slope.stderr * fit.intercept.stderr
+    most = slope.stderr * line.intercept.stderr
     if abs(line.covariance) > most * (1 + _ROUNDING):
         what = f"is {line.covariance:g}; the product of the standard errors, {most:g}, is its largest size"
         yield Problem((*where, "covariance"), what)
@@ -178,14 +147,6 @@ class RelaxationTable(Table):
             what = f"is [{first:g}, {second:g}]; the first must be below the second"
             yield Problem((*where, "time_constants_s"), what)
 
-    def to_domain(self) -> Relaxation:
-        """Return the relaxation."""
-        return Relaxation(
-            weights=(self.weights[0], self.weights[1]),
-            time_constants_s=(self.time_constants_s[0], self.time_constants_s[1]),
-            source=self.source,
-        )
-
 
 class MaterialTable(Table):
     """``[material]``: the name, and below it one table per parameter or relaxation."""
@@ -203,18 +164,9 @@ class MaterialTable(Table):
 
     def to_domain(self) -> Material:
         """Return the material."""
-        return Material(
-            name=self.name,
-            interelectrode_resistance_ohm=self.interelectrode_resistance_ohm.to_domain(),
-            modulus_kPa=self.modulus_kPa.to_domain(),
-            against_stress=self.against_stress.to_domain(),
-            against_strain=self.against_strain.to_domain(),
-            stress_relaxation=self.stress_relaxation.to_domain(),
-            loading_relaxation=self.loading_relaxation.to_domain(),
-            unloading_relaxation=self.unloading_relaxation.to_domain(),
-            relative_noise=self.relative_noise.to_domain(),
-            strip_relaxation=None if self.strip_relaxation is None else self.strip_relaxation.to_domain(),
-        )
+        data = self.model_dump()
+        data["against_stress"]["slope"] = data["against_stress"].pop("slope_per_kPa")
+        return fitted(Material, data)
 
 
 class MaterialFile(FileModel[Material]):
@@ -247,70 +199,14 @@ def material_text(material: Material, comments: Sequence[str] = ()) -> str:
     -------
     The file's content; numbers come back as they were.
     """
-    return "\n".join([*(f"# {line}".rstrip() for line in comments), *_lines(material)]) + "\n"
+    data = _stated(asdict(material))
+    stress = data["against_stress"]
+    data["against_stress"] = {"slope_per_kPa": stress.pop("slope"), **stress}
+    ordered = {key: data[key] for key in MaterialTable.model_fields if key in data}
+    return toml_document({"material": ordered}, comments)
 
 
-def _lines(material: Material) -> Iterator[str]:
-    yield from ("", "[material]", f"name = {_text(material.name)}")
-    yield from _parameter("interelectrode_resistance_ohm", material.interelectrode_resistance_ohm)
-    yield from _parameter("modulus_kPa", material.modulus_kPa)
-    yield from _parameter("relative_noise", material.relative_noise)
-    yield from _quasi_static("against_stress", "slope_per_kPa", material.against_stress)
-    yield from _quasi_static("against_strain", "slope", material.against_strain)
-    yield from _relaxation("stress_relaxation", material.stress_relaxation)
-    yield from _relaxation("loading_relaxation", material.loading_relaxation)
-    yield from _relaxation("unloading_relaxation", material.unloading_relaxation)
-    if material.strip_relaxation is not None:
-        yield from _strip(material.strip_relaxation)
-
-
-def _parameter(name: str, parameter: Parameter) -> Iterator[str]:
-    yield from ("", f"[material.{name}]", f"value = {_number(parameter.value)}")
-    if parameter.stderr is not None:
-        yield f"stderr = {_number(parameter.stderr)}"
-    yield f"source = {_text(parameter.source)}"
-
-
-def _quasi_static(name: str, slope: str, line: QuasiStatic) -> Iterator[str]:
-    if line.covariance is not None:
-        yield from ("", f"[material.{name}]", f"covariance = {_number(line.covariance)}")
-    yield from _parameter(f"{name}.{slope}", line.slope)
-    yield from _parameter(f"{name}.intercept", line.intercept)
-
-
-def _relaxation(name: str, kernel: Relaxation) -> Iterator[str]:
-    yield from ("", f"[material.{name}]")
-    yield f"weights = {_numbers(kernel.weights)}"
-    yield f"time_constants_s = {_numbers(kernel.time_constants_s)}"
-    yield f"source = {_text(kernel.source)}"
-
-
-def _strip(strip: StripRelaxation) -> Iterator[str]:
-    yield from ("", "[material.strip_relaxation]", f"cycles = {strip.cycles}")
-    yield f"least_strain = {_number(strip.least_strain)}"
-    yield f"largest_strain = {_number(strip.largest_strain)}"
-    yield f"source = {_text(strip.source)}"
-    for name, kernel in (("loading", strip.loading), ("unloading", strip.unloading)):
-        if kernel is not None:
-            yield from _measured(f"strip_relaxation.{name}", kernel)
-
-
-def _measured(name: str, kernel: MeasuredKernel) -> Iterator[str]:
-    yield from ("", f"[material.{name}]", f"weights = {_numbers(kernel.weights)}")
-    yield f"time_constants_s = {_numbers(kernel.time_constants_s)}"
-    yield f"covariance = [{', '.join(_numbers(row) for row in kernel.covariance)}]"
-    yield f"start_s = {_number(kernel.start_s)}"
-    yield f"window_s = {_number(kernel.window_s)}"
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return f"[{', '.join(map(_number, values))}]"
-
-
-def _number(value: float) -> str:
-    return repr(float(value))
-
-
-def _text(value: str) -> str:
-    """Quote text: TOML's basic strings are JSON's, but for DEL."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+def _stated(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave out what nobody stated, in tables within it too."""
+    stated = {key: value for key, value in table.items() if value is not None}
+    return {key: _stated(value) if isinstance(value, Mapping) else value for key, value in stated.items()}

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cbsr_qa.config.choices import Choice, check_choice, check_measured, chosen, tables
 from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, version_problems
-from cbsr_qa.config.tables import FileModel, OpenTable
+from cbsr_qa.config.tables import FileModel, OpenTable, as_domain
 from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe
 from cbsr_qa.domain.results import STRIP_MEASURES, CharacterisationSettings, OverlapBand
 from cbsr_qa.plugin import Kind, Plugins, Problem, Table
@@ -123,25 +123,8 @@ class AnalysisTable(Table):
 
     def to_domain(self) -> AnalysisSettings:
         """Percent become fractions, except the bands of the overlap, which is a percentage itself."""
-        return AnalysisSettings(
-            masks=tuple(p / 100 for p in self.masks_percent),
-            main_mask=self.main_mask_percent / 100,
-            noise_floor_frames=self.noise_floor_frames,
-            reference=self.reference,
-            reference_frames=self.reference_frames,
-            steady_frames=self.steady_frames,
-            settling_multiple=self.settling_multiple,
-            settling_tolerance=self.settling_tolerance_percent / 100,
-            settling_band=self.settling_band,
-            r_squared_gate=self.r_squared_gate,
-            overlap_bands=tuple(OverlapBand(b.name, b.lower_percent, b.upper_percent) for b in self.overlap_bands),
-            size_ratio=(self.size_ratio[0], self.size_ratio[1]),
-            clipping=self.clipping,
-            perimeter=self.perimeter,
-            outline=self.outline,
-            noise_weighting=self.noise_weighting,
-            transients=self.transients,
-        )
+        bands = tuple(OverlapBand(b.name, b.lower_percent, b.upper_percent) for b in self.overlap_bands)
+        return as_domain(AnalysisSettings, self, overlap_bands=bands)
 
 
 class CharacterisationTable(Table):
@@ -155,13 +138,7 @@ class CharacterisationTable(Table):
 
     def to_domain(self) -> CharacterisationSettings:
         """Percent become fractions."""
-        return CharacterisationSettings(
-            contact_length_mm=self.contact_length_mm,
-            contact_length_stderr_mm=self.contact_length_stderr_mm,
-            settling_tolerance=self.settling_tolerance_percent / 100,
-            settling_band=self.settling_band,
-            end_s=self.end_s,
-        )
+        return as_domain(CharacterisationSettings, self)
 
 
 class ReportTable(Table):

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field
 
 from cbsr_qa.config.choices import Choice, chosen, tables
 from cbsr_qa.config.station import IndenterTable
-from cbsr_qa.config.tables import FileModel, OpenTable
+from cbsr_qa.config.tables import FileModel, OpenTable, as_domain
 from cbsr_qa.config.text import plainly
 from cbsr_qa.domain.plan import CLEARANCE_MM, MOST_FRAMES, Motion, PluginChoice, Scene, SceneLoad, ScenePlan
 from cbsr_qa.plugin import Kind, Problem, Table
@@ -151,18 +151,14 @@ class SceneFile(FileModel[ScenePlan]):
             motion=self.head.motion(),
             seed=None if self.recording is None else self.recording.seed,
             duration_s=None if self.recording is None else self.recording.duration_s,
-            loads=tuple(
-                SceneLoad(t.x_mm, t.y_mm, t.strain_percent / 100, t.start_s, t.hold_s, t.head) for t in self.loads
-            ),
+            loads=tuple(as_domain(SceneLoad, load) for load in self.loads),
         )
 
     def _scene(self) -> Scene:
-        return Scene(
-            name=self.scene.name,
+        return as_domain(
+            Scene,
+            self.scene,
             effects=tuple(PluginChoice(e.name, e.options) for e in self.effects),
             current_A=self.scene.current_mA / 1000,
-            frame_period_s=self.scene.frame_period_s,
-            sheet_mesh_size_mm=self.scene.sheet_mesh_size_mm,
-            not_modelled=tuple(self.scene.not_modelled),
             reference_ring_ohm=tuple(self.scene.reference_ring_ohm or ()),
         )

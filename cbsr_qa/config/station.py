@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field
 
 from cbsr_qa.config.choices import Choice, chosen
 from cbsr_qa.config.documents import reference_path
-from cbsr_qa.config.tables import FileModel, OpenTable, Word
+from cbsr_qa.config.tables import FileModel, OpenTable, Word, as_domain
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing, SafetyLimits, Station
 from cbsr_qa.domain.run import Indenter
@@ -103,18 +103,7 @@ class SafetyTable(Table):
 
     def to_domain(self) -> SafetyLimits:
         """Percent become fractions, hours seconds."""
-        return SafetyLimits(
-            force_N=self.force_N,
-            strain=self.strain_percent / 100,
-            travel_radius_mm=self.travel_radius_mm,
-            duration_s=self.duration_h * 3600,
-            stale_s=self.stale_s,
-            dwell_s=self.dwell_s,
-            compliance=self.compliance_percent / 100,
-            heartbeat_s=self.heartbeat_s,
-            answer_s=self.answer_s,
-            temperature_C=None if self.temperature_C is None else (self.temperature_C[0], self.temperature_C[1]),
-        )
+        return as_domain(SafetyLimits, self, duration_s=self.duration_h * 3600)
 
 
 class EmulationTable(Table):
@@ -145,15 +134,12 @@ class ReferenceRingTable(Table):
     def to_domain(self) -> ReferenceRing:
         """Percent and ppm become fractions, millivolts volts."""
         one = () if self.resistance_ohm is None else (self.resistance_ohm,)
-        return ReferenceRing(
+        return as_domain(
+            ReferenceRing,
+            self,
             resistance_ohm=tuple(self.resistances_ohm or one),
-            tolerance=self.tolerance_percent / 100,
-            frames=self.frames,
-            gain=self.gain_percent / 100,
-            reading=self.reading_percent / 100,
             noise=self.noise_ppm / 1e6,
             offset_V=self.offset_mV / 1000,
-            lead_ohm=self.lead_ohm,
         )
 
 
@@ -168,15 +154,8 @@ class InstrumentTable(OpenTable):
 
     def to_domain(self, role: str) -> InstrumentSpec:
         """Return the instrument of this role."""
-        return InstrumentSpec(
-            role,
-            self.driver,
-            tuple(self.provides),
-            self.options,
-            self.calibration_due,
-            self.model or "",
-            self.serial or "",
-        )
+        who = {"model": self.model or "", "serial": self.serial or ""}
+        return as_domain(InstrumentSpec, self, role=role, options=self.options, **who)
 
 
 class StationFile(FileModel[Station]):

@@ -9,10 +9,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict
 from cbsr_qa.config.choices import Choice, check_choice
 from cbsr_qa.config.documents import Document, not_finite
 from cbsr_qa.config.text import line_of
-from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.domain import ConfigError, RefusedError, fitted
 from cbsr_qa.plugin import CheckedTable, Plugins, Problem, check
 
 T = TypeVar("T")
+D = TypeVar("D")
+_PERCENT = "_percent"
 
 #: Problems of a file that are listed.
 MOST_LISTED = 50
@@ -56,6 +58,19 @@ class FileModel(CheckedTable, Generic[T]):
     def to_domain(self) -> T:
         """Return the domain object; units are converted here and nowhere else."""
         raise NotImplementedError
+
+
+def as_domain(kind: type[D], table: BaseModel, **others: Any) -> D:
+    """Return a domain object of a table's keys; ``others`` go first, and ``x_percent`` is the fraction ``x``."""
+    values = {name: getattr(table, name) for name in type(table).model_fields}
+    percent = {name.removesuffix(_PERCENT): value for name, value in values.items() if name.endswith(_PERCENT)}
+    return fitted(kind, {name: _fraction(value) for name, value in percent.items()} | values, **others)
+
+
+def _fraction(percent: float | list[float] | None) -> float | list[float] | None:
+    if isinstance(percent, list):
+        return [one / 100 for one in percent]
+    return None if percent is None else percent / 100
 
 
 def validated(model: type[FileModel[T]], document: Document, plugins: Plugins | None = None) -> T:

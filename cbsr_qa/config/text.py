@@ -136,7 +136,8 @@ def _table(table: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
     for key, value in later.items():
         name = ".".join(map(_key, (*path, key)))
         if _is_table(value):
-            yield from ("", f"[{name}]", *_table(value, (*path, key)))
+            own = any(not (_is_table(one) or _is_tables(one)) for one in value.values())
+            yield from (*(("", f"[{name}]") if own else ()), *_table(value, (*path, key)))
             continue
         for one in value:
             yield from ("", f"[[{name}]]", *(f"{_key(k)} = {toml_value(v)}" for k, v in one.items()))

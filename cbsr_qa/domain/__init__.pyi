@@ -2,6 +2,7 @@ from . import errors as errors
 from .errors import (
     LONGEST_PROBLEM as LONGEST_PROBLEM,
     AbortedError as AbortedError,
+    BrokenError as BrokenError,
     BrokenRunError as BrokenRunError,
     CalibrationError as CalibrationError,
     CbsrError as CbsrError,
@@ -14,9 +15,11 @@ from .errors import (
     RefusedError as RefusedError,
     RowProblem as RowProblem,
     SafetyError as SafetyError,
+    StoppedError as StoppedError,
     StoreError as StoreError,
     UnconcludedError as UnconcludedError,
 )
+from .filling import filled as filled, fitted as fitted, typed as typed
 from .kept import (
     Kept as Kept,
     KeptField as KeptField,

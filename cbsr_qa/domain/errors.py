@@ -39,6 +39,9 @@ class CbsrError(Exception):
     """
 
     exit_code: ClassVar[int] = 2
+    #: Key of the document that ``--json`` prints (empty: none), and the attributes it holds.
+    heading: ClassVar[str] = "refused"
+    stated: ClassVar[tuple[str, ...]] = ("reason", "remedy")
 
     def __init__(self, reason: str, *, remedy: str = "") -> None:
         super().__init__(f"{reason}\n{remedy}" if remedy else reason)
@@ -47,7 +50,8 @@ class CbsrError(Exception):
 
     def document(self) -> dict[str, Any]:
         """Return the document that ``--json`` prints."""
-        return {"refused": {"reason": self.reason, "remedy": self.remedy}}
+        stated = {name: getattr(self, name) for name in self.stated}
+        return {self.heading: stated} if self.heading else stated
 
 
 class RefusedError(CbsrError):
@@ -117,33 +121,45 @@ class SafetyError(CbsrError):
 
 
 class BrokenRunError(CbsrError):
-    """A run had begun and could not be completed; its stored data stay (exit code 3)."""
+    """A run had begun and could not be completed; its stored data stay (exit code 3).
+
+    Its document is the run's, as far as it exists.
+    """
 
     exit_code = 3
+    heading = ""
+    stated = ("run", "end", "outcome", "reason", "remedy", "report", "calibration", "measurements")
+    end: ClassVar[str] = "broken"
+    outcome: ClassVar[str] = "not measured"
+    report: ClassVar[None] = None
+    calibration: ClassVar[None] = None
+    measurements: ClassVar[tuple[()]] = ()
 
     def __init__(self, run: str, reason: str, *, remedy: str = "") -> None:
         prefix = f"run {run}: "  # which refusals of the database have already
         super().__init__(prefix + reason.removeprefix(prefix), remedy=remedy)
         self.run = run
 
-    def document(self) -> dict[str, Any]:
-        """Return the document that ``--json`` prints: the run's, as far as it exists."""
-        ending = {"run": self.run, "end": "broken", "outcome": "not measured", "reason": self.reason}
-        nothing: dict[str, Any] = {"report": None, "calibration": None, "measurements": []}
-        return {**ending, "remedy": self.remedy, **nothing}
 
-
-class NotReproducedError(CbsrError):
-    """A simulated sensor of a reproduction gave no values: its run stopped, or has no analysis (exit code 3)."""
+class BrokenError(CbsrError):
+    """The program, or a process of it, failed outside of a run (exit code 3)."""
 
     exit_code = 3
-
-    def document(self) -> dict[str, Any]:
-        """Return the document that ``--json`` prints."""
-        return {"broken": {"reason": self.reason, "remedy": self.remedy}}
+    heading = "broken"
 
 
-class UnconcludedError(CbsrError):
+class NotReproducedError(BrokenError):
+    """A simulated sensor of a reproduction gave no values: its run stopped, or has no analysis (exit code 3)."""
+
+
+class StoppedError(CbsrError):
+    """Somebody stopped a command outside of a run (exit code 3)."""
+
+    exit_code = 3
+    heading = "aborted"
+
+
+class UnconcludedError(StoppedError):
     """Measuring was complete, and the program was stopped before the result was written (exit code 3).
 
     Parameters
@@ -152,7 +168,7 @@ class UnconcludedError(CbsrError):
     by : who or what stopped it.
     """
 
-    exit_code = 3
+    stated = ("run", "reason", "remedy")
 
     def __init__(self, run: str, again: str, by: str) -> None:
         super().__init__(
@@ -160,10 +176,6 @@ class UnconcludedError(CbsrError):
             remedy=f"to continue: {again}",
         )
         self.run = run
-
-    def document(self) -> dict[str, Any]:
-        """Return the document that ``--json`` prints."""
-        return {"aborted": {"run": self.run, "reason": self.reason, "remedy": self.remedy}}
 
 
 class AbortedError(CbsrError):

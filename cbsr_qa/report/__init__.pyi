@@ -1,7 +1,6 @@
 from .document import (
     IF_GIVEN as IF_GIVEN,
     Refusal as Refusal,
-    filled as filled,
     json_document as json_document,
     json_schema as json_schema,
 )

@@ -1,7 +1,7 @@
 """An outcome as a JSON document, and the JSON Schema of it: both from the fields of its dataclass."""
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import date
 from functools import lru_cache
 from pathlib import Path
@@ -21,12 +21,6 @@ class Refusal:
 
     reason: str
     remedy: str
-
-
-def filled(kind: type[T], source: object, **rest: Any) -> T:
-    """Return a dataclass of the attributes that ``source`` has by the names of its fields; ``rest`` goes first."""
-    names = (field.name for field in fields(kind) if field.name not in rest)  # type: ignore[arg-type]
-    return kind(**{name: getattr(source, name) for name in names if hasattr(source, name)}, **rest)
 
 
 def json_document(result: Any) -> dict[str, Any]:

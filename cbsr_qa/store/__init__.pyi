@@ -1,8 +1,8 @@
+from .damage import shown as shown
 from .engine import (
     open_engine as open_engine,
     parsed_url as parsed_url,
     reading as reading,
-    shown as shown,
     sqlite_file as sqlite_file,
     writing as writing,
 )

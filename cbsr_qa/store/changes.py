@@ -21,7 +21,9 @@ from cbsr_qa.domain.run import (
     differences,
 )
 from cbsr_qa.store.chain import add_rows, check_run
-from cbsr_qa.store.engine import reading, stored, writing
+from cbsr_qa.store.damage import stored
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.runs import current_state, run_row
 from cbsr_qa.store.tables import AnalysisRow, ConfigurationChangeRow, RunRow, VerdictOverrideRow
@@ -98,17 +100,15 @@ def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[Conf
     row = ConfigurationChangeRow
     query = select(*row.__table__.columns).where(*wanted).order_by(row.run, row.kind)
     return tuple(
-        ConfigurationChange(
-            run=found.run,
+        of_row(
+            ConfigurationChange,
+            found,
             kind=stored(FileKind, found.kind, "configuration_changes.kind", f"run {found.run}"),
-            name=found.name,
-            earlier_run=found.earlier_run,
             old_digest=found.old_sha256,
             new_digest=found.new_sha256,
             differences=tuple(Difference(*one) for one in found.differences),
             by=found.operator,
             at=found.noted_at,
-            why=found.why,
         )
         for found in connection.execute(query)
     )

@@ -1,134 +1,25 @@
-"""Database connections: SQLite set up for journalling, PostgreSQL with its defaults.
+"""Database connections: SQLite set up for journalling, PostgreSQL with its defaults."""
 
-What a database says when something is wrong, turned into one clear message with what to do.
-"""
-
-import sqlite3
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from sqlalchemy import (
     URL,
-    ColumnElement,
     Connection,
     Engine,
     RootTransaction,
-    Table,
     create_engine,
     event,
     make_url,
-    select,
     true,
-    type_coerce,
 )
-from sqlalchemy.exc import ArgumentError, DBAPIError, OperationalError, SQLAlchemyError, StatementError
-from sqlalchemy.types import NullType
+from sqlalchemy.exc import ArgumentError, OperationalError
 
-from cbsr_qa.domain import CbsrError, StoreError
-
-#: Part of the driver's message → (what it means, what to do). The first that fits is used.
-_KNOWN = (
-    ("file is not a database", "is not a database", "name another file, or restore it from a copy"),
-    ("malformed", "is damaged or cut off", "restore it from a copy; the damaged file is left as it is"),
-    ("unable to open database file", "cannot be opened", "check that its folder exists and may be written to"),
-    ("readonly database", "is read-only", "make the file and its folder writable, or use another database"),
-    ("read-only transaction", "is read-only", "connect as a user with write access, or use another database"),
-    ("permission denied", "refuses this user", "grant the user the right to read and write its tables"),
-    ("database is locked", "is in use by another program", "end that program, or try again"),
-    ("disk is full", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
-    ("no space left", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
-    (
-        "disk i/o error",
-        "cannot be read or written: the disk fails, or a quota or file size limit is reached",
-        "check the disk and the limits (quota, ulimit -f); committed data is kept unless the disk loses it",
-    ),
-    ("authentication failed", "refuses the user or the password", "check both in the database URL"),
-    ("does not exist", "does not exist", "create it, or correct its name in the database URL"),
-    ("connection refused", "does not answer", "start the server, or correct its address in the database URL"),
-    ("could not translate host", "has an unknown host", "correct its address in the database URL"),
-    ("failed to resolve host", "has an unknown host", "correct its address in the database URL"),
-    ("server closed the connection", "closed the connection", "check the server; all committed data is kept"),
-    ("terminating connection", "closed the connection", "check the server; everything committed so far is kept"),
-)
-
-
-_Word = TypeVar("_Word", bound=StrEnum)
-
-
-def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
-    """Return a stored text as a member of its column's enumeration.
-
-    Parameters
-    ----------
-    column : with its table, e.g. ``"analyses.outcome"``.
-    row : its key in words, e.g. ``"analysis 0199…"``.
-
-    Raises
-    ------
-    StoreError
-        If it is not one of them.
-    """
-    try:
-        return words(value)
-    except ValueError:
-        raise StoreError(
-            f"the database is damaged: {row} has {column} {str(value)[:64]!r}; allowed: {', '.join(words)}",
-            remedy="restore the database from a copy; the row is left unchanged",
-        ) from None
-
-
-def shown(url: URL) -> str:
-    """Write a URL with its password hidden; a SQLite file as its path."""
-    if url.get_backend_name() == "sqlite":
-        return f"database {url.database or 'in memory'}"
-    return f"database {url.render_as_string(hide_password=True)}"
-
-
-def address(url: URL) -> str:
-    """Return what names a database to ``--database``: a file's path, or the URL with its password hidden."""
-    sqlite = url.get_backend_name() == "sqlite"
-    return str(url.database) if sqlite else url.render_as_string(hide_password=True)
-
-
-@contextmanager
-def translated(url: URL) -> Iterator[None]:
-    """Turn any database exception of the body into a StoreError that names it and gives a remedy."""
-    try:
-        yield
-    except CbsrError:
-        raise
-    except UnicodeEncodeError as error:
-        raise StoreError(
-            f"{shown(url)} cannot hold {error.object[:60]!r}: {error.reason}", remedy="write it in UTF-8"
-        ) from error
-    except (UnicodeDecodeError, OverflowError) as error:  # Python's sqlite3 itself, of bytes that SQLite never checks
-        raise _driver_error(url, sqlite3.DatabaseError(f"malformed: {error}")) from error
-    except sqlite3.Error as error:  # outside of a statement, e.g. while a connection is set up
-        raise _driver_error(url, error) from error
-    except StatementError as error:
-        if isinstance(error, DBAPIError) and error.orig is not None:
-            raise _driver_error(url, error.orig) from error
-        # A value our column types refuse.
-        raise StoreError(f"{shown(url)}: {_first_line(str(error.orig))}") from error
-    except SQLAlchemyError as error:
-        raise StoreError(f"{shown(url)}: {_first_line(str(error))}") from error
-
-
-def _driver_error(url: URL, error: BaseException) -> StoreError:
-    said = _first_line(str(error))
-    for part, meaning, remedy in _KNOWN:
-        if part in said.lower():
-            return StoreError(f"{shown(url)} {meaning} ({said})", remedy=remedy)
-    return StoreError(f"{shown(url)}: {said}")
-
-
-def _first_line(text: str) -> str:
-    return text.strip().splitlines()[0] if text.strip() else "no reason given"
-
+from cbsr_qa.domain import StoreError
+from cbsr_qa.store.damage import foreign_cell, shown, translated
 
 #: How long a writer waits for another one before it gives up [ms].
 BUSY_TIMEOUT_MS = 10_000
@@ -217,37 +108,6 @@ def _foreign_cells_named(connection: Connection) -> Iterator[None]:
 
         foreign = foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
         raise foreign or error from error
-
-
-def foreign_cell(
-    connection: Connection, rows: Iterable[tuple[Table, ColumnElement[bool]]], what: str = "the database is damaged"
-) -> StoreError | None:
-    """Return the error for the first cell that its column cannot hold; None if there is none.
-
-    SQLite keeps bytes in a column of text, and text in one of numbers, dates or JSON.
-
-    Parameters
-    ----------
-    rows : tables, and which of their rows are looked at.
-    what : begins the message.
-    """
-    for table, wanted in rows:
-        kinds = [(one, one.type.dialect_impl(connection.dialect)) for one in table.columns]
-        converters = [(one, kind.result_processor(connection.dialect, None)) for one, kind in kinds]
-        raw = select(*(type_coerce(one, NullType()).label(one.name) for one in table.columns))
-        for row in connection.execute(raw.where(wanted)).mappings():
-            for column, convert in converters:
-                try:
-                    if convert is not None:
-                        convert(row[column.name])
-                except (TypeError, ValueError, AttributeError):
-                    key = ", ".join(f"{one.name} {row[one.name]}" for one in table.primary_key)
-                    return StoreError(
-                        f"{what}: {table.name}.{column.name} ({key}) holds {repr(row[column.name])[:60]},"
-                        " which is not a value of that column",
-                        remedy="restore the database from a copy; the row is left unchanged",
-                    )
-    return None
 
 
 @contextmanager

@@ -36,7 +36,8 @@ from cbsr_qa.store.chain import (
     unreadable,
     words,
 )
-from cbsr_qa.store.engine import reading, stored
+from cbsr_qa.store.damage import stored
+from cbsr_qa.store.engine import reading
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow, RunStateRow, StationCheckRow
 from cbsr_qa.store.types import made_at
@@ -52,7 +53,7 @@ _STATES: Final = {
     for outcome in Outcome
     for bound in Bound
 }
-
+_EVERY: Final = RunSelection()
 
 _T = TypeVar("_T")
 #: Raised by a cell that holds a value of another type than its column.
@@ -61,12 +62,12 @@ _UNREADABLE: Final = (AttributeError, KeyError, TypeError, ValueError, Operation
 _BY_NAME: Final = (RunRow.recipe, RunRow.batch, RunRow.station, RunRow.operator)
 
 
-def run_lines(engine: Engine, selection: RunSelection) -> tuple[RunLine, ...]:
+def run_lines(engine: Engine, selection: RunSelection = _EVERY) -> tuple[RunLine, ...]:
     """Return the selected runs in the order they were made in. StoreError as for :func:`fleet_table`."""
     return _read(engine, selection, lambda connection, chosen: tuple(_runs(connection, chosen)[0]))
 
 
-def fleet_table(engine: Engine, selection: RunSelection) -> FleetTable:
+def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
     """Return runs with the values of their latest analyses.
 
     Raises

@@ -14,7 +14,8 @@ from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.store.engine import shown, sqlite_file, translated
+from cbsr_qa.store.damage import shown, translated
+from cbsr_qa.store.engine import sqlite_file
 from cbsr_qa.system import FileLock, HeldError, holder
 
 _NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL

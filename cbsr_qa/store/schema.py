@@ -10,7 +10,8 @@ from typing import Final
 from sqlalchemy import Connection, Engine, inspect, text
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.store.engine import address, reading, shown, sqlite_file, use_write_ahead_log, writing
+from cbsr_qa.store.damage import address, shown
+from cbsr_qa.store.engine import reading, sqlite_file, use_write_ahead_log, writing
 from cbsr_qa.store.locks import changing_schema
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database

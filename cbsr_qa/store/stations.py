@@ -7,31 +7,31 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, RowMapping, insert, select
+from sqlalchemy import Connection, Engine, Row, insert, select
 
-from cbsr_qa.domain import StoreError
+from cbsr_qa.domain import StoreError, fitted
 from cbsr_qa.domain.run import (
     ChartKind,
     ChartReference,
     CheckOutcome,
     CheckResult,
+    InstrumentIdentity,
     RingReadings,
     StationCheck,
 )
-from cbsr_qa.store.engine import reading, stored, writing
-from cbsr_qa.store.runs import frame_block, frame_values, instrument_of, instrument_values
+from cbsr_qa.store.damage import stored
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.store.runs import frame_block, frame_values
 from cbsr_qa.store.tables import (
     ChartReferenceRow,
     FrameBlockRow,
+    InstrumentRow,
     StationCheckFramesRow,
     StationCheckLineRow,
     StationCheckRow,
 )
 
-_PLAIN = (
-    *("reference", "station", "recipe", "name", "phase", "qualifier", "location", "unit", "mean", "deviation"),
-    *("runs", "first_run", "last_run", "operator", "made_at", "why"),
-)
 _SETTINGS = ("subgroup", "rules", "weight", "width", "slack", "threshold")
 
 
@@ -77,30 +77,25 @@ def all_references(engine: Engine, station: str = "") -> tuple[ChartReference, .
 def _values(one: ChartReference) -> dict[str, Any]:
     settings = {name: getattr(one, name) for name in _SETTINGS} | {"rules": list(one.rules)}
     return {
-        **{name: getattr(one, name) for name in _PLAIN},
-        "golden": one.golden or "",
-        "kind": str(one.chart),
+        **row_of(ChartReferenceRow, one, golden=one.golden or "", kind=str(one.chart)),
         # Only where it is, so that rows of earlier versions of this program read alike.
         "settings": settings | ({"retired": True} if one.retired else {}),
     }
 
 
 def _reference(row: Row[Any]) -> ChartReference:
-    own = row._mapping
-    settings = {name: own["settings"][name] for name in _SETTINGS}
-    return ChartReference(
-        stored(ChartKind, own["kind"], "chart_references.kind", f"reference {own['reference']}"),
+    settings = {name: row.settings[name] for name in _SETTINGS}
+    return of_row(
+        ChartReference,
+        row,
+        chart=stored(ChartKind, row.kind, "chart_references.kind", f"reference {row.reference}"),
+        golden=row.golden or None,
+        retired=bool(row.settings.get("retired", False)),
         **settings | {"rules": tuple(settings["rules"])},
-        **{name: own[name] for name in _PLAIN},
-        golden=own["golden"] or None,
-        retired=bool(own["settings"].get("retired", False)),
     )
 
 
-_LINE = ("name", "value", "unit", "allowed", "remedy", "said", "subject")
-
-
-def save_check(engine: Engine, check: StationCheck, ring: RingReadings | None) -> None:
+def save_check(engine: Engine, check: StationCheck, ring: RingReadings | None = None) -> None:
     """Store a check with all its lines, and the frames of its ring, in one transaction.
 
     Raises
@@ -108,21 +103,10 @@ def save_check(engine: Engine, check: StationCheck, ring: RingReadings | None) -
     StoreError
         If it is stored already, its golden run is not, or the database cannot be written.
     """
-    values = {
-        "check_id": check.check,
-        "station": check.station,
-        "operator": check.operator,
-        "checked_at": check.checked_at,
-        "sensor_type": check.sensor_type,
-        "configuration_digest": check.configuration_digest,
-        "software": [list(pair) for pair in check.software],
-        "instruments": [instrument_values(one) for one in check.instruments],
-        "outcome": str(check.outcome),
-        "golden_run": check.golden_run,
-    }
+    instruments = [row_of(InstrumentRow, one) for one in check.instruments]
+    values = row_of(StationCheckRow, check, check_id=check.check, instruments=instruments)
     lines = [
-        {"check_id": check.check, "number": number, "outcome": str(line.outcome)}
-        | {name: getattr(line, name) for name in _LINE}
+        row_of(StationCheckLineRow, line, check_id=check.check, number=number)
         for number, line in enumerate(check.results)
     ]
     with writing(engine) as connection:
@@ -176,27 +160,16 @@ def ring_of(engine: Engine, check: str) -> RingReadings | None:
 
 def _check(connection: Connection, row: Row[Any]) -> StationCheck:
     lines = select(*StationCheckLineRow.__table__.columns).where(StationCheckLineRow.check_id == row.check_id)
-    found = connection.execute(lines.order_by(StationCheckLineRow.number)).mappings()
-    return StationCheck(
+    of_check = f"check {row.check_id}"
+    return of_row(
+        StationCheck,
+        row,
         check=row.check_id,
-        station=row.station,
-        operator=row.operator,
-        checked_at=row.checked_at,
-        sensor_type=row.sensor_type,
-        configuration_digest=row.configuration_digest,
-        software=tuple((name, version) for name, version in row.software),
-        instruments=tuple(instrument_of(one) for one in row.instruments),
+        instruments=tuple(fitted(InstrumentIdentity, one) for one in row.instruments),
         results=tuple(
-            CheckResult(
-                outcome=stored(CheckOutcome, line["outcome"], "station_check_lines.outcome", f"check {row.check_id}"),
-                **{name: line[name] for name in _LINE},
+            of_row(
+                CheckResult, line, outcome=stored(CheckOutcome, line.outcome, "station_check_lines.outcome", of_check)
             )
-            for line in found
+            for line in connection.execute(lines.order_by(StationCheckLineRow.number))
         ),
-        golden_run=row.golden_run,
     )
-
-
-def _outcome(line: RowMapping) -> CheckOutcome:
-    row = f"check {line['check_id']}, line {line['number']},"
-    return stored(CheckOutcome, line["outcome"], "station_check_lines.outcome", row)

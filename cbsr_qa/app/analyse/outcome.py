@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Self
 import numpy as np
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.domain import CbsrError, RowProblem
+from cbsr_qa.domain import CbsrError, RowProblem, filled
 from cbsr_qa.domain.readings import (
     ChannelReport,
     EventImaging,
@@ -21,7 +21,7 @@ from cbsr_qa.domain.readings import (
     ScanKind,
 )
 from cbsr_qa.domain.results import Block, CommandOutcome, Paragraph, ParameterChoice, Section
-from cbsr_qa.report import IF_GIVEN, Refusal, filled, fixed, plural, recording_page, text_table
+from cbsr_qa.report import IF_GIVEN, Refusal, fixed, plural, recording_page, text_table
 
 _USED_FOR: Final = "images of the events and what is said of them; events are found in the readings, without images"
 

@@ -8,6 +8,7 @@ from typing import Annotated, Self
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.app.analyse import ChosenParameter
+from cbsr_qa.domain import filled
 from cbsr_qa.domain.results import (
     Bound,
     CommandOutcome,
@@ -17,7 +18,7 @@ from cbsr_qa.domain.results import (
     RunResult,
 )
 from cbsr_qa.domain.run import ChainState, ConfigurationChange, EarlierRun, SensorHistory, VerdictOverride
-from cbsr_qa.report import filled, run_page
+from cbsr_qa.report import run_page
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from typing import Annotated, Self
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.app.run.outcome import PastRuns
-from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain import RefusedError, filled
 from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Section
 from cbsr_qa.domain.run import SensorHistory
-from cbsr_qa.report import Refusal, duration, filled, plural, text_table
+from cbsr_qa.report import Refusal, duration, plural, text_table
 from cbsr_qa.station import DryRun
 
 

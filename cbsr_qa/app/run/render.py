@@ -15,7 +15,7 @@ from cbsr_qa.app.run.outputs import calibration_path, report_sections
 from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.calibration.force import prepared_force
 from cbsr_qa.config import database_url, reports_folder, restore
-from cbsr_qa.domain import CalibrationError, NumericsError, StoreError
+from cbsr_qa.domain import CalibrationError, NumericsError, StoreError, filled
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.results import (
     Calibration,
@@ -30,7 +30,7 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.run import ChainState, RunRecord, VerdictOverride
 from cbsr_qa.plugin import Kind, Plugins, create_plugin, discover
-from cbsr_qa.report import filled, render_run, report_name, run_page, write_report
+from cbsr_qa.report import render_run, report_name, run_page, write_report
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.results import StoredAnalysis
 from cbsr_qa.studies.charts import charts_after

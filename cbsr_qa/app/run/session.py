@@ -15,7 +15,7 @@ from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import write_outputs
 from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
 from cbsr_qa.config import Configuration
-from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, UnconcludedError
+from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, UnconcludedError, filled
 from cbsr_qa.domain.results import EndReason, RunResult
 from cbsr_qa.domain.run import (
     InstrumentIdentity,
@@ -27,7 +27,6 @@ from cbsr_qa.domain.run import (
     RunStarted,
 )
 from cbsr_qa.plugin import Plugins, left_running
-from cbsr_qa.report import filled
 from cbsr_qa.station import (
     DryRun,
     LoadKey,

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.analysis import RING, fit_ring
-from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain import NumericsError, filled
 from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Page, Paragraph, Section
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.report import counted, filled, lines_table, quantity, remedies, text_table
+from cbsr_qa.report import counted, lines_table, quantity, remedies, text_table
 from cbsr_qa.report.draw import ring_figure
 
 _RING_WORDS: Final = (

@@ -21,7 +21,7 @@ from cbsr_qa.store.chain.run_documents import (
     stored_figures,
     tables,
 )
-from cbsr_qa.store.engine import foreign_cell
+from cbsr_qa.store.damage import foreign_cell
 from cbsr_qa.store.tables import AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
 
 #: What is read of a run to say what came of it, and to say what it was.

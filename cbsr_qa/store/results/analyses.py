@@ -3,14 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, Row, select
-from sqlalchemy.orm import Session
 
 from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, RunResult, Verdict
 from cbsr_qa.store.chain import FIGURES, RESULTS, add_links, add_rows, check_run, stored_figures
-from cbsr_qa.store.engine import reading, stored, writing
+from cbsr_qa.store.damage import stored
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.mapping import of_row, row_of
 from cbsr_qa.store.results.calibrations import insert_calibration
 from cbsr_qa.store.tables import AnalysisRow, CalibrationRow, MeasurementRow, RunRow, WarningRow
 
@@ -98,51 +99,34 @@ def _numbered(analysis: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]
     return [{"analysis": analysis, "number": number, **row} for number, row in enumerate(rows)]
 
 
+#: Columns of a limit, and the fields they hold.
+_BOUNDS: Final = {
+    "lower_limit": "lower",
+    "upper_limit": "upper",
+    "marginal": "marginal",
+    "limit_phase": "phase",
+    "limit_qualifier": "qualifier",
+}
+
+
 def _values(measurement: Measurement) -> dict[str, Any]:
     limit = measurement.limit
-    return {
-        "name": measurement.name,
-        "value": measurement.value,
-        "unit": measurement.unit,
-        "uncertainty": measurement.uncertainty,
-        "phase": measurement.phase,
-        "location": measurement.location,
-        "trial": measurement.trial,
-        "qualifier": measurement.qualifier,
-        "how": measurement.how,
-        "bound": str(measurement.bound),
-        "load_index": measurement.load,
-        "strain": measurement.strain,
-        "outcome": str(measurement.outcome),
-        "limited": limit is not None,
-        "lower_limit": limit.lower if limit else None,
-        "upper_limit": limit.upper if limit else None,
-        "marginal": limit.marginal if limit else None,
-        "limit_phase": limit.phase if limit else None,
-        "limit_qualifier": limit.qualifier if limit else None,
-    }
+    bounds = {column: getattr(limit, name, None) for column, name in _BOUNDS.items()}
+    return row_of(MeasurementRow, measurement, load_index=measurement.load, limited=limit is not None, **bounds)
 
 
 def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
     issued = select(CalibrationRow.calibration).where(CalibrationRow.analysis == row.analysis)
     warnings = select(WarningRow.text).where(WarningRow.analysis == row.analysis).order_by(WarningRow.number)
-    measured = select(MeasurementRow).where(MeasurementRow.analysis == row.analysis)
-    with Session(bind=connection) as session:
-        measurements = session.scalars(measured.order_by(MeasurementRow.number))
-        return StoredAnalysis(
-            analysis=row.analysis,
-            run=row.run,
-            analysed_at=row.analysed_at,
-            software=tuple((name, version) for name, version in row.software),
-            verdict=Verdict(analysis_outcome(row), row.reason),
-            measurements=tuple(_measurement(m) for m in measurements),
-            warnings=tuple(connection.scalars(warnings)),
-            compute_s=tuple((stage, seconds) for stage, seconds in row.compute_s),
-            calibration=connection.scalar(issued),
-            calibration_why=row.calibration_why,
-            noise_weighting=row.noise_weighting,
-            weight_ratio=row.weight_ratio,
-        )
+    measured = select(*MeasurementRow.__table__.columns).where(MeasurementRow.analysis == row.analysis)
+    return of_row(
+        StoredAnalysis,
+        row,
+        verdict=Verdict(analysis_outcome(row), row.reason),
+        measurements=tuple(map(_measurement, connection.execute(measured.order_by(MeasurementRow.number)))),
+        warnings=tuple(connection.scalars(warnings)),
+        calibration=connection.scalar(issued),
+    )
 
 
 def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
@@ -150,35 +134,18 @@ def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
     return stored(Outcome, row.outcome, "analyses.outcome", f"analysis {row.analysis}")
 
 
-def _measurement(row: MeasurementRow) -> Measurement:
+def _measurement(row: Row[Any]) -> Measurement:
     key = f"analysis {row.analysis}, measurement {row.number},"
-    return Measurement(
-        name=row.name,
-        value=row.value,
-        unit=row.unit,
-        uncertainty=row.uncertainty,
-        phase=row.phase,
-        location=row.location,
-        trial=row.trial,
-        qualifier=row.qualifier,
-        how=row.how,
+    return of_row(
+        Measurement,
+        row,
         bound=stored(Bound, row.bound, "measurements.bound", key),
         load=row.load_index,
-        strain=row.strain,
-        limit=_limit(row),
+        limit=_limit(row) if row.limited else None,
         outcome=stored(Outcome, row.outcome, "measurements.outcome", key),
     )
 
 
-def _limit(row: MeasurementRow) -> Limit | None:
-    if not row.limited:
-        return None
-    return Limit(
-        row.name,
-        row.unit,
-        row.lower_limit,
-        row.upper_limit,
-        row.marginal or 0.0,
-        row.limit_phase or "",
-        row.limit_qualifier or "",
-    )
+def _limit(row: Row[Any]) -> Limit:
+    bounds = row.lower_limit, row.upper_limit, row.marginal or 0.0
+    return Limit(row.name, row.unit, *bounds, row.limit_phase or "", row.limit_qualifier or "")

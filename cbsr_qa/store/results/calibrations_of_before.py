@@ -34,7 +34,8 @@ from cbsr_qa.domain.results import (
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
 from cbsr_qa.store.chain import RESULTS, check_run
-from cbsr_qa.store.engine import reading, stored
+from cbsr_qa.store.damage import stored
+from cbsr_qa.store.engine import reading
 from cbsr_qa.store.runs import decoded_indenter, decoded_sensor_type
 from cbsr_qa.store.tables import (
     AnalysisRow,

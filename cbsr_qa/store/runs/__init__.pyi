@@ -13,8 +13,6 @@ from .journal import Journal as Journal
 from .outcomes import latest_outcome as latest_outcome
 from .rows import (
     current_state as current_state,
-    instrument_of as instrument_of,
-    instrument_values as instrument_values,
     run_row as run_row,
 )
 from .runs import RunSummary as RunSummary

@@ -4,34 +4,23 @@ Blocks of frames and samples as rows, and back with their digest checked.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, replace
+from typing import Any, cast
 
 import numpy as np
+from sqlalchemy import Row
 
-from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.geometry import Polygon
+from cbsr_qa.domain import StoreError, typed
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import (
-    DrivePattern,
-    ElectrodeKind,
-    ElectrodeLayout,
-    Electrodes,
     GivenMesh,
     Material,
-    MeasuredKernel,
-    Parameter,
-    PlacedElectrodes,
-    QuasiStatic,
-    Relaxation,
-    Response,
     SensorType,
-    StripRelaxation,
     mesh_arrays,
     mesh_of_arrays,
 )
-from cbsr_qa.store.tables import FrameBlockRow, SampleBlockRow
+from cbsr_qa.store.tables import FrameBlockRow
 from cbsr_qa.store.types import digest, packed, packed_flags, unpacked, unpacked_flags
 
 
@@ -56,7 +45,7 @@ def frame_values(block: FrameBlock) -> dict[str, Any]:
     }
 
 
-def frame_block(row: FrameBlockRow) -> FrameBlock:
+def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
     """Return the block of a row.
 
     Raises
@@ -99,7 +88,7 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
     }
 
 
-def sample_block(row: SampleBlockRow) -> SampleBlock:
+def sample_block(row: Row[Any]) -> SampleBlock:
     """Return the block of a row; StoreError as for :func:`frame_block`."""
     if digest(f"{row.channel}|{row.unit}|{row.samples}", (row.time_s, row.sample_values)) != row.sha256:
         raise _damaged("sample", row.run, row.phase, row.block)
@@ -137,80 +126,18 @@ def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | No
 
 
 def decoded_sensor_type(setting: Mapping[str, Any]) -> SensorType:
-    """Return the sensor type; KeyError or TypeError where the JSON is not ours."""
+    """Return the sensor type; KeyError, TypeError or ValueError where the JSON is not ours."""
     data = dict(setting["sensor_type"])
-    pattern, polygon, mesh = dict(data.pop("pattern")), data.pop("polygon", None), data.pop("mesh", None)
-    electrodes = _electrodes(data.pop("electrodes"))
-    return SensorType(
-        **{**data, "response": Response(data["response"])},
-        electrodes=electrodes,
-        polygon=None if polygon is None else Polygon(_points(polygon["corners_mm"]), polygon["corner_radius_mm"]),
-        mesh=None if mesh is None else GivenMesh.of(mesh_of_arrays(mesh)),
-        pattern=DrivePattern(pattern["electrode_count"], _pairs(pattern["drive"]), _pairs(pattern["measure"])),
-    )
+    mesh = data.pop("mesh", None)
+    sensor_type: SensorType = typed(SensorType, data)
+    return sensor_type if mesh is None else replace(sensor_type, mesh=GivenMesh.of(mesh_of_arrays(mesh)))
 
 
 def decoded_indenter(setting: Mapping[str, Any]) -> Indenter:
-    """Return the indenter."""
-    data = setting["indenter"]
-    return Indenter(data["diameter_mm"], _points(data.get("outline_mm", [])))
+    """Return the indenter; errors as for :func:`decoded_sensor_type`."""
+    return cast(Indenter, typed(Indenter, setting["indenter"]))
 
 
 def decoded_material(setting: Mapping[str, Any]) -> Material:
-    """Return the material."""
-    data = setting["material"]
-    return Material(
-        name=data["name"],
-        interelectrode_resistance_ohm=Parameter(**data["interelectrode_resistance_ohm"]),
-        modulus_kPa=Parameter(**data["modulus_kPa"]),
-        against_stress=_quasi_static(data["against_stress"]),
-        against_strain=_quasi_static(data["against_strain"]),
-        stress_relaxation=_relaxation(data["stress_relaxation"]),
-        loading_relaxation=_relaxation(data["loading_relaxation"]),
-        unloading_relaxation=_relaxation(data["unloading_relaxation"]),
-        relative_noise=Parameter(**data["relative_noise"]),
-        strip_relaxation=_strip(data.get("strip_relaxation")),
-    )
-
-
-def _electrodes(data: Mapping[str, Any]) -> Electrodes:
-    kind = ElectrodeKind(data["kind"])
-    if "places_mm" in data:
-        return PlacedElectrodes(kind, _points(data["places_mm"]), data["width_mm"])
-    return ElectrodeLayout(**{**data, "kind": kind})
-
-
-def _points(data: list[list[float]]) -> tuple[tuple[float, float], ...]:
-    return tuple((x, y) for x, y in data)
-
-
-def _pairs(data: list[list[int]]) -> tuple[tuple[int, int], ...]:
-    return tuple((plus, minus) for plus, minus in data)
-
-
-def _quasi_static(data: Mapping[str, Any]) -> QuasiStatic:
-    return QuasiStatic(Parameter(**data["slope"]), Parameter(**data["intercept"]), data["covariance"])
-
-
-def _relaxation(data: Mapping[str, Any]) -> Relaxation:
-    first, second = data["weights"]
-    fast, slow = data["time_constants_s"]
-    return Relaxation((first, second), (fast, slow), data["source"])
-
-
-def _strip(data: Mapping[str, Any] | None) -> StripRelaxation | None:
-    if data is None:
-        return None
-    kernels = {way: _measured(data[way]) for way in ("loading", "unloading")}
-    return StripRelaxation(**{**data, **kernels})
-
-
-def _measured(data: Mapping[str, Any] | None) -> MeasuredKernel | None:
-    if data is None:
-        return None
-    tables = {
-        "weights": tuple(data["weights"]),
-        "time_constants_s": tuple(data["time_constants_s"]),
-        "covariance": tuple(tuple(row) for row in data["covariance"]),
-    }
-    return MeasuredKernel(**{**data, **tables})
+    """Return the material; errors as for :func:`decoded_sensor_type`."""
+    return cast(Material, typed(Material, setting["material"]))

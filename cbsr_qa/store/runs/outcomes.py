@@ -11,7 +11,8 @@ from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run import EarlierRun
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store.chain import check_run, unreadable
-from cbsr_qa.store.engine import open_engine, parsed_url, reading, shown, sqlite_file, stored
+from cbsr_qa.store.damage import shown, stored
+from cbsr_qa.store.engine import open_engine, parsed_url, reading, sqlite_file
 from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, StationCheckRow, VerdictOverrideRow
 from cbsr_qa.store.types import made_at
 

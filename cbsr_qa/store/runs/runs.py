@@ -6,8 +6,8 @@ from datetime import datetime
 from itertools import groupby
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, select
-from sqlalchemy.orm import Session
+from sqlalchemy import Connection, Engine, Result, Row, select
+from sqlalchemy.orm import InstrumentedAttribute
 
 from cbsr_qa.domain import RefusedError, StoreError
 from cbsr_qa.domain.plan import Role
@@ -15,7 +15,9 @@ from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_s
 from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord, RunSession
 from cbsr_qa.store.chain import IDENTITY, check_run, key_to_continue, unreadable
-from cbsr_qa.store.engine import address, file_problem, look_afresh, reading, shown, stored
+from cbsr_qa.store.damage import address, shown, stored
+from cbsr_qa.store.engine import file_problem, look_afresh, reading
+from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.results import analysis_outcome
 from cbsr_qa.store.runs.codec import (
     decoded_indenter,
@@ -224,13 +226,9 @@ def _known(connection: Connection, run: str) -> Row[Any]:
 def _summary(connection: Connection, row: Row[Any]) -> RunSummary:
     latest = select(AnalysisRow.analysis, AnalysisRow.outcome, AnalysisRow.reason).where(AnalysisRow.run == row.run)
     found = connection.execute(latest.order_by(AnalysisRow.analysis.desc()).limit(1)).one_or_none()
-    return RunSummary(
-        run=row.run,
-        serial=row.serial,
-        batch=row.batch,
-        station=row.station,
-        recipe=row.recipe,
-        started_at=row.started_at,
+    return of_row(
+        RunSummary,
+        row,
         end=EndReason(current_state(connection, row.run).end),
         outcome=None if found is None else analysis_outcome(found),
         reason="" if found is None else found.reason,
@@ -248,28 +246,24 @@ def _phases(
     connection: Connection, run: str, sessions: tuple[RunSession, ...]
 ) -> tuple[tuple[PhaseRecord, ...], int]:
     """Phases of a run, and how many frames of them do not count."""
-    with Session(bind=connection) as session:
-        rows = session.scalars(select(PhaseRow).where(PhaseRow.run == run).order_by(PhaseRow.phase)).all()
-        found = [_phase(connection, session, row, sessions) for row in rows]
-        return tuple(phase for phase, _ in found), sum(aside for _, aside in found)
+    phases = select(*PhaseRow.__table__.columns).where(PhaseRow.run == run).order_by(PhaseRow.phase)
+    found = [_phase(connection, row, sessions) for row in connection.execute(phases).all()]
+    return tuple(phase for phase, _ in found), sum(aside for _, aside in found)
 
 
-def _phase(
-    connection: Connection, session: Session, row: PhaseRow, sessions: tuple[RunSession, ...]
-) -> tuple[PhaseRecord, int]:
-    loads = _loads(session, row)
+def _phase(connection: Connection, row: Row[Any], sessions: tuple[RunSession, ...]) -> tuple[PhaseRecord, int]:
+    loads = _loads(connection, row)
     spans = counted_spans(connection, row, sessions, loads)
-    frames, aside = _frames(session, row, spans)
+    frames, aside = _frames(connection, row, spans)
     marks = select(UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == row.run, UnloadedMarkRow.phase == row.phase)
-    phase = PhaseRecord(
+    phase = of_row(
+        PhaseRecord,
+        row,
         index=row.phase,
-        name=row.name,
-        sequence=row.sequence,
-        started_s=row.started_s,
         # A phase that was cut off ends with the last thing known about it.
         ended_s=last_time_s(connection, row.run, row.phase) if row.ended_s is None else row.ended_s,
         frames=frames,
-        samples=_samples(session, row, spans),
+        samples=_samples(connection, row, spans),
         loads=tuple(load for load in loads if not load.eased),
         loops=tuple(load for load in loads if load.eased),
         # A resumed phase rested again: the latest mark is followed by its presses.
@@ -279,18 +273,22 @@ def _phase(
     return phase, aside
 
 
-def _frames(session: Session, phase: PhaseRow, spans: list[Span]) -> tuple[FrameBlock | None, int]:
+def _rows(connection: Connection, phase: Row[Any], table: Any, order: InstrumentedAttribute[int]) -> Result[Any]:
+    """Rows that a phase has in a table."""
+    query = select(*table.__table__.columns).where(table.run == phase.run, table.phase == phase.phase)
+    return connection.execute(query.order_by(order))
+
+
+def _frames(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple[FrameBlock | None, int]:
     """Frames that count, and how many do not."""
-    query = select(FrameBlockRow).where(FrameBlockRow.run == phase.run, FrameBlockRow.phase == phase.phase)
-    blocks = [frame_block(row) for row in session.scalars(query.order_by(FrameBlockRow.block))]
+    blocks = [frame_block(row) for row in _rows(connection, phase, FrameBlockRow, FrameBlockRow.block)]
     counted = [within(block.time_s, spans) for block in blocks]
     kept = [block.select(inside) for block, inside in zip(blocks, counted, strict=True) if inside.any()]
     return join_frames(kept) if kept else None, sum(int((~inside).sum()) for inside in counted)
 
 
-def _samples(session: Session, phase: PhaseRow, spans: list[Span]) -> tuple[SampleBlock, ...]:
-    query = select(SampleBlockRow).where(SampleBlockRow.run == phase.run, SampleBlockRow.phase == phase.phase)
-    blocks = [sample_block(row) for row in session.scalars(query.order_by(SampleBlockRow.block))]
+def _samples(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple[SampleBlock, ...]:
+    blocks = [sample_block(row) for row in _rows(connection, phase, SampleBlockRow, SampleBlockRow.block)]
     by_channel = groupby(sorted(blocks, key=lambda b: b.channel), key=lambda b: b.channel)  # sorting is stable
     joined = [join_samples(list(group)) for _, group in by_channel]
     kept = [(block, within(block.time_s, spans)) for block in joined]
@@ -301,19 +299,14 @@ def _samples(session: Session, phase: PhaseRow, spans: list[Span]) -> tuple[Samp
     )
 
 
-def _loads(session: Session, phase: PhaseRow) -> tuple[LoadRecord, ...]:
-    query = select(LoadRow).where(LoadRow.run == phase.run, LoadRow.phase == phase.phase)
+def _loads(connection: Connection, phase: Row[Any]) -> tuple[LoadRecord, ...]:
     return tuple(
-        LoadRecord(
-            row.load_index,
-            Load(row.label, row.x_mm, row.y_mm, row.strain, row.trial),
-            row.press_start_s,
-            row.hold_start_s,
-            row.release_start_s,
-            row.release_end_s,
-            row.rest_end_s,
-            row.clear_s,
-            tuple(EasedStrain(*(float(number) for number in one)) for one in row.eased or ()),
+        of_row(
+            LoadRecord,
+            row,
+            index=row.load_index,
+            load=of_row(Load, row),
+            eased=tuple(EasedStrain(*map(float, one)) for one in row.eased or ()),
         )
-        for row in session.scalars(query.order_by(LoadRow.load_index))
+        for row in _rows(connection, phase, LoadRow, LoadRow.load_index)
     )

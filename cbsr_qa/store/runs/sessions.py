@@ -13,7 +13,8 @@ from sqlalchemy import Connection, Engine, Row, exists, func, select
 
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import LoadRecord, RunSession
-from cbsr_qa.store.engine import reading, stored
+from cbsr_qa.store.damage import stored
+from cbsr_qa.store.engine import reading
 from cbsr_qa.store.locks import writer_of
 from cbsr_qa.store.tables import (
     AnalysisRow,
@@ -51,7 +52,7 @@ def sessions_of(connection: Connection, run: str) -> tuple[RunSession, ...]:
 
 
 def counted_spans(
-    connection: Connection, phase: PhaseRow, sessions: Sequence[RunSession], loads: Sequence[LoadRecord]
+    connection: Connection, phase: Row[Any], sessions: Sequence[RunSession], loads: Sequence[LoadRecord]
 ) -> list[Span]:
     """Return the spans of time whose frames and samples count for a phase.
 

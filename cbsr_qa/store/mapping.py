@@ -1,0 +1,34 @@
+"""Rows of tables as dataclasses of the domain, and back: what has one name holds the same."""
+
+from enum import StrEnum
+from typing import Any, TypeVar
+
+from sqlalchemy import Row
+
+from cbsr_qa.domain import fitted
+
+T = TypeVar("T")
+
+
+def of_row(kind: type[T], row: Row[Any], /, **others: Any) -> T:
+    """Return a dataclass of the columns that have the names of its fields; ``others`` go first.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If the JSON of a column does not fit the field's type.
+    """
+    return fitted(kind, dict(row._mapping), **others)
+
+
+def row_of(table: Any, source: object, /, **others: Any) -> dict[str, Any]:
+    """Return the columns of a table that ``source`` has as attributes; ``others`` go first."""
+    names = [column.name for column in table.__table__.columns]
+    taken = {name: _plain(getattr(source, name)) for name in names if name not in others and hasattr(source, name)}
+    return taken | others
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, StrEnum):
+        return str(value)
+    return [_plain(one) for one in value] if isinstance(value, tuple) else value
