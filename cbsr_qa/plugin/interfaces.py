@@ -177,7 +177,6 @@ class SequenceContext:
 
     Parameters
     ----------
-    sensor_type, indenter : what is tested.
     seed : of the run; a sequence that draws numbers addresses them by its own name.
     """
 

@@ -96,8 +96,6 @@ class Driver(Generic[Opts, Opened]):
 
     Parameters
     ----------
-    name : of the driver.
-    options : their model.
     opens : called with the context and the options.
     """
 

@@ -284,23 +284,3 @@ def test_a_sample_that_is_not_a_number_is_refused_and_the_journal_goes_on(reposi
         journal(SamplesTaken(0, SampleBlock("force", "N", np.array([1.0]), np.array([np.nan]))))
     journal(SamplesTaken(0, force(1.0)))
     assert len(repository.load_run(run).phases[0].samples[0]) == 20
-
-
-def test_a_changed_byte_is_found_when_the_run_is_loaded(repository, path):
-    run = repository.new_id()
-    journalled(repository, short_run(run))
-    with sqlite3.connect(path) as other:
-        (data,) = other.execute("select voltages from frame_blocks where block = 0 and phase = 0").fetchone()
-        spoilt = data[:100] + bytes([data[100] ^ 1]) + data[101:]
-        other.execute("update frame_blocks set voltages = ? where block = 0 and phase = 0", (spoilt,))
-    with pytest.raises(StoreError, match=r"frame block 0 of phase 0 .* digest does not match"):
-        repository.load_run(run)
-
-
-def test_a_changed_current_is_found_too(repository, path):
-    run = repository.new_id()
-    journalled(repository, short_run(run))
-    with sqlite3.connect(path) as other:
-        other.execute("update frame_blocks set current_a = 0.0004000001 where block = 1")
-    with pytest.raises(StoreError, match=r"frame_blocks \(phase 0, block 1\) was changed"):
-        repository.load_run(run)

@@ -197,16 +197,6 @@ def test_on_a_full_disk_the_run_is_refused_and_the_disk_is_named(repository, pat
     assert not list(path.parent.glob("*.lock"))
 
 
-def test_who_writes_a_run_is_told_and_what_a_killed_run_left_is_removed(repository, path):
-    with holding(path, "run-1") as process:
-        (lock,) = path.parent.glob("*.lock")
-        assert repository.writer_of("run-1").startswith("Kim on ")
-        process.kill()
-        process.wait()
-    assert repository.writer_of("run-1") == ""
-    assert not lock.exists()
-
-
 def test_the_lock_is_given_back_after_an_error(repository):
     with pytest.raises(RuntimeError), repository.writing_alone("run-1"):
         raise RuntimeError

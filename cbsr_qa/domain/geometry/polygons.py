@@ -166,14 +166,14 @@ def signed_area(corners: Points) -> float:
     """Area of a polygon, positive counterclockwise."""
     around = corners - corners[0]
     following = np.roll(around, -1, axis=0)
-    return float(_cross_polygons(around, following).sum()) / 2
+    return float(_cross(around, following).sum()) / 2
 
 
 def centroid(corners: Points) -> Points:
     """Centre of mass of a polygon's area, (2,)."""
     around = corners - corners[0]
     following = np.roll(around, -1, axis=0)
-    weight = _cross_polygons(around, following)
+    weight = _cross(around, following)
     centre: Points = corners[0] + weight @ (around + following) / (3 * weight.sum())
     return centre
 
@@ -255,9 +255,9 @@ def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points)
     start = corners[side]
     along = corners[(side + 1) % len(corners)] - start
     away = points - start
-    share = np.clip(_dot_polygons(away, along) / _dot_polygons(along, along), 0.0, 1.0)
+    share = np.clip(_dot(away, along) / _dot(along, along), 0.0, 1.0)
     off = away - share[..., None] * along
-    distance: Values = np.sqrt(_dot_polygons(off, off))
+    distance: Values = np.sqrt(_dot(off, off))
     return distance
 
 
@@ -302,22 +302,12 @@ def _first_crossing(corners: Points) -> tuple[int, int] | None:
     one, other = np.triu_indices(count, 1)
     follows = (other == one + 1) | ((one == 0) & (other == count - 1))
     a, b, c, d = corners[one], end[one], corners[other], end[other]
-    turns = [np.sign(_cross_polygons(q - p, r - p)) for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
+    turns = [np.sign(_cross(q - p, r - p)) for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
     crosses = (turns[0] * turns[1] < 0) & (turns[2] * turns[3] < 0)
     touches = np.zeros_like(crosses)
     for turn, p, q, r in zip(turns, (a, a, c, c), (b, b, d, d), (c, d, a, b), strict=True):
-        touches |= (turn == 0) & (_dot_polygons(r - p, r - q) <= 0)
+        touches |= (turn == 0) & (_dot(r - p, r - q) <= 0)
     # Neighbours share one corner; they meet elsewhere only where the second turns back on the first.
-    back = follows & (turns[1] == 0) & (turns[0] == 0) & (_dot_polygons(b - a, d - c) < 0)
+    back = follows & (turns[1] == 0) & (turns[0] == 0) & (_dot(b - a, d - c) < 0)
     found = np.flatnonzero((~follows & (crosses | touches)) | back)
     return (int(one[found[0]]), int(other[found[0]])) if found.size else None
-
-
-def _dot_polygons(a: Points, b: Points) -> Values:
-    dot: Values = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
-    return dot
-
-
-def _cross_polygons(a: Points, b: Points) -> Values:
-    cross: Values = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return cross

@@ -31,8 +31,6 @@ class InstrumentSpec:
 
     Parameters
     ----------
-    role : the table's name.
-    driver : name of the instrument plugin.
     provides : roles it fills for the runner: ``frame_source``, ``force_applicator``, ``source_meter``,
         ``multiplexer``, or the channel it samples.
     options : everything else in the table, for the driver.
@@ -82,10 +80,8 @@ class SafetyLimits:
 
     Parameters
     ----------
-    force_N : ceiling of the measured force.
     strain : highest strain a press may ask for.
     travel_radius_mm : furthest the head's centre may go from the sheet's centre.
-    duration_s : longest run.
     stale_s : force data older than this while pressed stop the run.
     dwell_s : longest time the head may stay down.
     compliance : share of a frame's readings at the source's compliance or the meter's limit that stops the run.
@@ -115,7 +111,6 @@ class ReferenceRing:
     resistance_ohm : of each resistor between neighbouring electrodes, the first between electrodes 0 and 1; a single
         one where all are alike.
     tolerance : of a resistor, as a fraction: readings may differ by this much with nothing wrong.
-    frames : how many are taken.
     gain : largest error of the gain, as a fraction.
     reading : largest deviation of a reading from the closed form, as a fraction, beside the tolerance.
     noise : largest rms noise of a reading, as a fraction of it.
@@ -264,7 +259,6 @@ class Scene:
     Parameters
     ----------
     effects : those that are on, in the order they are applied.
-    current_A : drive current.
     frame_period_s : time of one frame (256 readings).
     sheet_mesh_size_mm : element size of the forward model far from the electrodes.
     not_modelled : what this world leaves out, in words.

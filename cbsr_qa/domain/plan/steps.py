@@ -68,7 +68,6 @@ class Hold:
 
     Parameters
     ----------
-    hold_s : how long [s].
     acquire : whether frames are taken all the while.
     """
 

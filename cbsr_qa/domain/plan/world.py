@@ -69,9 +69,7 @@ class SceneSetting:
 
     Parameters
     ----------
-    sensor_type, material, indenter : what is simulated.
     seed : of the run; random numbers are addressed with it.
-    current_A : drive current.
     frame_period_s : time of one frame.
     began_s : when on the run's time line the station's clock began; above 0 in a resumed session.
     """
@@ -169,7 +167,6 @@ class Transcript:
 
     Parameters
     ----------
-    setting : the constants of the scene.
     time_s : (frames,) middles of the frames, on the station's clock, without pauses.
     lost : (frames, drives) rows that never arrive.
     dumps : of the board's watchdog, by frame and row.
@@ -200,7 +197,6 @@ class Moment:
 
     Parameters
     ----------
-    setting : the constants of the scene.
     time_s : on the station's clock.
     index : of the frame, or of the force sample, 0 for the geometry; random numbers are addressed with it.
     presses : all so far, also those released whose residue may linger.

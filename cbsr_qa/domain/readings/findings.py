@@ -32,7 +32,6 @@ class NoiseStep:
 
     Parameters
     ----------
-    time_s : when.
     what : ``"level"`` or ``"noise"``.
     before, after : level or rms noise on either side, in the recording's unit.
     """
@@ -191,7 +190,6 @@ class LoadEvent:
     sign : +1 where the place conducts more, −1 less.
     snr : detection statistic over its noise, dimensionless.
     x_mm, y_mm : only where a sensor type was named.
-    image : of the change it made.
     force_N : peak force while it lasted; None where not recorded.
     track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
     motion : how an object moves; None where it stays, and for a press.

@@ -131,7 +131,6 @@ class BaselineConductance:
     Parameters
     ----------
     location : label of the load, e.g. ``"L0"``.
-    x_mm, y_mm : its place.
     value, stderr : relative image units; ``value`` is None where the load says nothing about it.
     loads : how many loads it was taken from.
     why : reason where there is no value, or a remark.
@@ -228,20 +227,16 @@ class Calibration:
     ----------
     calibration, run : time-ordered UUIDs as text.
     issued_at : ISO time with zone.
-    sensor, sensor_type, indenter : what it is for.
     reference : (drives, measures) float64 V, the unloaded frame.
     current_A : drive current of the reference.
-    scale : see :class:`LinearReconstruction`.
     reconstruction : matrix with its mesh and used readings.
     response : INCREASE or DECREASE.
     noise_floor, mask : image pre-processing.
     baseline : ρ̄₀ per location.
     against_stress, against_strain : α, β with their sources; "assumed" unless this sensor was characterised.
     assumed : names of what was taken from the material file and not measured on this sensor.
-    settling : summaries.
     overlap_bands, overlap_threshold : thresholds on area overlap [%].
     size_ratio : lowest and highest blob area over head area for which a band counts; None where nobody said.
-    validity : range of use.
     simulated : what was simulated in the issuing run; empty for a real one.
     relaxations : every fit the summaries were taken from.
     noise_figure : measured on this sensor with its own matrix; None where it was not. That of the matrix on the

@@ -113,7 +113,6 @@ class ImagingProblem:
 
     Parameters
     ----------
-    sensor_type : what is imaged.
     mesh : of the image, e elements (coarser than the forward model's; no electrodes needed).
     jacobian : (m, e) float64, change of the m used readings per *relative* change of an element's conductance,
         at unit current and unit sheet conductance [V/(A·Ω)].
@@ -247,10 +246,7 @@ class LinearReconstruction:
 
     Parameters
     ----------
-    method : name of the plugin.
-    problem : what it was prepared for.
     matrix : (e, m) float64.
-    choice : the regularisation parameter.
     """
 
     method: str

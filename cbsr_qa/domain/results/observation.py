@@ -67,7 +67,6 @@ class LoadEstimate:
     misfit : sum of squared residuals over their number less that of the unknowns: 1 for a round load on such a sheet.
     misfit_probability : of a misfit at least as large, were the model right.
     inflation : by which the covariance was multiplied because the misfit says that the model is wrong; else 1.
-    steps : of the fit.
     """
 
     finding: LoadFinding
@@ -97,7 +96,6 @@ class Trace:
 
     Parameters
     ----------
-    name, unit : what and in what.
     time_s, values : (n,) float64.
     """
 
@@ -164,9 +162,6 @@ class LoadObservation:
 
     Parameters
     ----------
-    phase : name of the phase.
-    record : when and where.
-    indenter : the head.
     image : steady image, un-subtracted and not response-signed.
     response : sign that was applied before masking.
     noise_floor : relative, subtracted for masks only.
@@ -175,7 +170,6 @@ class LoadObservation:
     settled : whether they lie at or beyond 1.5 × the settling time; None where no settling time is known.
     together : how many loads were held while the steady frames were taken, this one included.
     force_N, force_stderr_N : mean over the same window; None where no force was recorded.
-    relaxations : fits of this load's traces.
     residue : largest absolute value of the image just before the press: what earlier loads left behind, of
         either sign (an unloading spike goes the other way).
     alternate : the same load against the other reference (``settings.reference``), given where the residue
@@ -235,7 +229,6 @@ class LoopObservation:
 
     Parameters
     ----------
-    phase : name of the phase.
     records : of the loops, in time order.
     output : amplitude of every frame along the pattern that all of them share, 1 at the deepest strain, on the run's
         clock from the first press to the end of the last rest.
@@ -260,7 +253,6 @@ class MetricTimeline:
 
     Parameters
     ----------
-    phase : name of the phase.
     time_s : (n,) float64 on the run's clock.
     masks : k fractions.
     error_mm, overlap_percent, deviation_mm2 : (k, n) float64, NaN while nothing is pressed or no blob is seen.
@@ -282,7 +274,6 @@ class RunObservation:
 
     Parameters
     ----------
-    record : the run as stored.
     reconstruction : the matrix used throughout.
     scale : s of :class:`LinearReconstruction`, V per unit-model V [A·Ω].
     unloaded : frames of the rested sheet that set reference and noise floor.
@@ -294,7 +285,6 @@ class RunObservation:
     main_mask : fraction the verdict uses (0.85), as in ``settings``.
     loads : every held press, in time order; without loops.
     usable : (drives, measures) bool, readings that were imaged.
-    warnings : in plain words.
     timelines : metrics of every frame, for the phases that press a grid of places.
     settings : how images became numbers.
     loops : presses that were eased to other strains, by place.

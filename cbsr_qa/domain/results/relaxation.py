@@ -26,7 +26,6 @@ class RelaxationFit:
 
     Parameters
     ----------
-    status : which form was kept.
     offset : a₀, in the trace's unit.
     amplitudes : (a₁[, a₂]).
     time_constants_s : (τ₁[, τ₂]) rising [s].

@@ -143,7 +143,6 @@ class RunResult:
 
     Parameters
     ----------
-    record : the run as stored.
     observation : None where the run ended before anything could be analysed.
     calibration : None where none was issued; ``calibration_why`` then says why.
     compute_s : seconds of computing by stage.

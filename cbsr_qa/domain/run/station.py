@@ -67,7 +67,6 @@ class StationCheck:
     configuration_digest : SHA-256 of the merged configuration it was checked with.
     software : distribution name → version.
     instruments : those that answered, as they identified themselves.
-    results : every line, in order.
     golden_run : of the golden sensor, where one was measured.
     """
 
@@ -98,7 +97,6 @@ class RingReadings:
 
     Parameters
     ----------
-    frames : as they were taken.
     resistances_ohm : (electrodes,) the first joins electrodes 0 and 1, the last the last one and 0.
     """
 
@@ -147,7 +145,6 @@ class ChartReference(ChartSettings):
 
     Parameters
     ----------
-    reference : its name, time-ordered.
     golden : serial number where only runs of this sensor are charted; None for production runs.
     name, phase, qualifier, location : of the metric.
     mean, deviation : of single values, in ``unit``.
@@ -198,7 +195,6 @@ class StandingSignal:
 
     Parameters
     ----------
-    label : of the chart.
     rules : those that spoke, the earliest first.
     since_run, since_serial, since : the run at which it began, its sensor, and when by the station's clock.
     runs : how many runs there were from then on, that one included.
@@ -242,7 +238,6 @@ class StationCharts:
     Parameters
     ----------
     charts : how many have a stored reference and were looked at.
-    signals : those that signal; none where the station is in control.
     notes : what could not be charted, and doubtful clocks, in sentences.
     """
 

@@ -206,11 +206,6 @@ def widest_ring_mm(width_mm: float, radius_mm: float) -> float:
     return radius_mm - width_mm * (0.5 + LEAST_ROOM)
 
 
-def strip_centres_mm(electrodes: PlacedElectrodes, outline: SheetOutline) -> NDArray[np.float64]:
-    """Lengths along the edge at which the strips' centres lie, (count,) [mm]."""
-    return outline.curve.nearest(electrodes.positions_mm())[0]
-
-
 def _pins(electrodes: Electrodes, outline: SheetOutline) -> Iterator[tuple[int, str]]:
     places, width = electrodes.positions_mm(), electrodes.width_mm
     clearance = outline.clearance_mm(places)

@@ -52,7 +52,6 @@ class SensorType:
     name : as in the shipped or the user's file.
     radius_mm : of the round sheet, or of the disc of equal area: lengths are scaled by it. What asks where the sheet
         ends asks ``outline``.
-    thickness_mm : of the sheet.
     electrodes : their layout; they must lie inside the sheet (pins) or on its edge (arcs, strips).
     pattern : drive and measure pairs of these electrodes.
     response : sign of the conductance change under load.
@@ -207,8 +206,6 @@ class Material:
     name : e.g. ``"cbsr-8wt"``.
     interelectrode_resistance_ohm : resistance between neighbouring electrodes.
     modulus_kPa : relaxed compressive modulus E.
-    against_stress, against_strain : quasi-static fits.
-    stress_relaxation : of stress.
     loading_relaxation, unloading_relaxation : of conductance, after a press and after a release.
     relative_noise : rms noise of one reading relative to the mean magnitude of the used readings.
     strip_relaxation : as measured in one dimension, with its errors; None where it was not.

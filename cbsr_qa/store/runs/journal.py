@@ -140,7 +140,6 @@ class Journal:
     engine : of an up-to-date database.
     configuration : canonical JSON whose SHA-256 is the identity's digest.
     sensor_type, material, indenter : what is tested, and with which head.
-    tell : told while the database is waited for.
     why : why files of the run are not those of the runs before it, in the operator's words.
     """
 
