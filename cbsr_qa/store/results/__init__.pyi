@@ -1,4 +1,2 @@
 from . import analyses as analyses, calibrations as calibrations, calibrations_of_before as calibrations_of_before
 from .analyses import StoredAnalysis as StoredAnalysis, analysis_outcome as analysis_outcome
-from .calibrations import CalibrationSummary as CalibrationSummary
-from .calibrations_of_before import PrepareForce as PrepareForce

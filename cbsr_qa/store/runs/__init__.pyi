@@ -15,7 +15,6 @@ from .rows import (
     current_state as current_state,
     run_row as run_row,
 )
-from .runs import RunSummary as RunSummary
 from .sessions import (
     IncompleteRun as IncompleteRun,
     counts as counts,
