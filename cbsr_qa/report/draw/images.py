@@ -141,12 +141,11 @@ def _laid_out(count: int, across: int, *, each_in: float = 0.0, below_in: float 
     row_in = side_in + 0.42 + each_in
     height_in = ceil(count / across) * row_in + below_in
     figure = canvas(height_in)
-    left_in = (WIDTH_IN - across * side_in) / 2
     places = []
     for index in range(count):
         row, column = divmod(index, across)
         bottom_in = height_in - (row + 1) * row_in + 0.2 + each_in
-        corner = ((left_in + column * side_in) / WIDTH_IN, bottom_in / height_in)
+        corner = ((column + 0.5) / across - side_in / WIDTH_IN / 2, bottom_in / height_in)
         places.append(figure.add_axes((*corner, side_in / WIDTH_IN, side_in / height_in)))
     return figure, places
 
