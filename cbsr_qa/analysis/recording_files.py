@@ -44,6 +44,9 @@ _ANY_SIZE: Final = 2**40
 #: How notes of files that have no ``simulated`` of their own begin.
 _SIMULATED_NOTE: Final = "simulated: "
 
+#: Fields of a recording that the attribute ``description`` holds as they are.
+_DESCRIBED: Final = ("dataset", "still", "magnitudes_only", "clock", "sensor_type")
+
 _LOAD_COLUMNS: Final = (
     ("x_mm", "mm"),
     ("y_mm", "mm"),
@@ -148,13 +151,8 @@ def _check(path: Path, file: h5py.File) -> None:
 def _write(file: h5py.File, recording: Recording) -> None:
     file.attrs["format"] = FORMAT
     file.attrs["schema_version"] = SCHEMA_VERSION
-    described: dict[str, Any] = {
-        "dataset": recording.dataset,
+    described: dict[str, Any] = {name: getattr(recording, name) for name in _DESCRIBED} | {
         "scan": recording.scan.value,
-        "still": recording.still,
-        "magnitudes_only": recording.magnitudes_only,
-        "clock": recording.clock,
-        "sensor_type": recording.sensor_type,
         "layout": None if recording.layout is None else asdict(recording.layout),
         "notes": list(recording.notes),
         "simulated": list(recording.simulated),
@@ -208,20 +206,16 @@ def _read(path: Path, file: h5py.File) -> Recording:
     return Recording(
         path=path,
         format=FORMAT,
-        dataset=description.dataset,
         scan=ScanKind(description.scan),
         frames=_read_frames(group_of(file, "frames")),
         reference=_read_frames(group_of(file, "reference")) if "reference" in file else None,
-        still=description.still,
-        magnitudes_only=description.magnitudes_only,
-        clock=description.clock,
         samples=_read_channels(group_of(file, "samples")) if "samples" in file else (),
         loads=_read_loads(group_of(file, "loads")) if "loads" in file else (),
         layout=description.electrodes(),
-        sensor_type=description.sensor_type,
         notes=notes,
         frames_dropped=description.frames_dropped,
         simulated=simulated,
+        **{name: getattr(description, name) for name in _DESCRIBED},
     )
 
 

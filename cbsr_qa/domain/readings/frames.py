@@ -3,7 +3,7 @@
 A recording somebody else's rig, or ours, wrote to a file.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntFlag, StrEnum
 from pathlib import Path
 from typing import Final, Self
@@ -229,16 +229,16 @@ class Recording:
     dataset: str
     scan: ScanKind
     frames: FrameBlock
-    reference: FrameBlock | None
-    still: bool
-    magnitudes_only: bool
-    clock: str
+    reference: FrameBlock | None = None
+    still: bool = False
+    magnitudes_only: bool = False
+    clock: str = "none"
     samples: tuple[SampleBlock, ...] = ()
     loads: tuple[LoadRecord, ...] = ()
     problems: tuple[RowProblem, ...] = ()
     layout: Electrodes | None = None
     sensor_type: str | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     frames_dropped: int = 0
     simulated: tuple[str, ...] = ()
 

@@ -10,25 +10,19 @@ from cbsr_qa.analysis import FORMAT, SIGNATURE, read_recording, write_recording
 from cbsr_qa.calibration.file import BLOCK_BEGINS
 from cbsr_qa.domain import RecordingError, RefusedError
 from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.domain.readings import ReadOptions, Recording
+from cbsr_qa.domain.readings import Recording
 from cbsr_qa.domain.run import LoadRecord
-from cbsr_qa_plugins.recordings.lab_files import refuse_dataset, refuse_existing
+from cbsr_qa_plugins.recordings.lab_files import OneDataSet, refuse_existing
 
 
-class CbsrRecording:
+class CbsrRecording(OneDataSet):
     """Reads what ``cbsr-qa export`` writes, and writes simulated scenes."""
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Tell by HDF5's own signature; an HDF5 file of another kind is refused by name when read."""
         return head.startswith((SIGNATURE, BLOCK_BEGINS)) and path.suffix != ".mat"
 
-    def datasets(self, path: Path) -> tuple[str, ...]:
-        """Such a file is one data set."""
-        return ()
-
-    def read(self, path: Path, options: ReadOptions) -> Recording:
-        """Read a file; RecordingError where it is damaged, edited, or of a later version."""
-        refuse_dataset(path, options)
+    def _read(self, path: Path) -> Recording:
         return _from_first_frame(read_recording(path))
 
     def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
@@ -74,11 +68,5 @@ def _from_first_frame(recording: Recording) -> Recording:
 
 
 def _moved(load: LoadRecord, zero_s: float) -> LoadRecord:
-    return replace(
-        load,
-        press_start_s=load.press_start_s - zero_s,
-        hold_start_s=load.hold_start_s - zero_s,
-        release_start_s=load.release_start_s - zero_s,
-        release_end_s=load.release_end_s - zero_s,
-        rest_end_s=load.rest_end_s - zero_s,
-    )
+    names = ("press_start_s", "hold_start_s", "release_start_s", "release_end_s", "rest_end_s")
+    return replace(load, **{name: getattr(load, name) - zero_s for name in names})

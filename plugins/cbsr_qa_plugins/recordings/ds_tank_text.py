@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain import RecordingError, RowProblem
-from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ReadOptions, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, adjacent_pattern
-from cbsr_qa_plugins.recordings.lab_files import refuse_dataset, text_lines
+from cbsr_qa_plugins.recordings.lab_files import OneDataSet, number, text_lines
 
 _ELECTRODES: Final = 16
 _LENGTH: Final = 208  # 16 drives × 13 measure pairs that touch no driven electrode
@@ -22,35 +22,20 @@ _LARGEST: Final = 1e6  # no voltage or current of a tank
 Rows = list[tuple[int, list[str]]]
 
 
-class DsTankText:
+class DsTankText(OneDataSet):
     """Reads one averaged frame a file; the empty tank has its own file.
 
     The in-phase voltage Vr is used. Dividing it by the current column makes reciprocity worse (14 % against 1.3 %),
     so it is not divided. Values are magnitudes: the sign of the pattern's geometry is put back by the analysis.
+    Readings that touch a driven electrode are flagged MISSING. A copy of the last row is left out; any other row too
+    few, too many or unreadable refuses the file: readings have no place but their order.
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Tell by the ``#MEAS`` first line and the ``#Vector, Vr Vi I`` line."""
         return head.lstrip().startswith(b"#MEAS") and b"#Vector" in head
 
-    def datasets(self, path: Path) -> tuple[str, ...]:
-        """Such a file is one data set."""
-        return ()
-
-    def read(self, path: Path, options: ReadOptions) -> Recording:
-        """Read a file.
-
-        Returns
-        -------
-        Recording with one (1, 16, 16) frame; readings that touch a driven electrode are flagged MISSING.
-
-        Raises
-        ------
-        RecordingError
-            If the file has no ``#Start`` line, or not 208 rows of three numbers. A copy of the last row is left out.
-            Any other row too few, too many or unreadable refuses the file: readings have no place but their order.
-        """
-        refuse_dataset(path, options)
+    def _read(self, path: Path) -> Recording:
         frame, problems = _read_frame(path)
         return Recording(
             path=path,
@@ -58,7 +43,6 @@ class DsTankText:
             dataset="",
             scan=ScanKind.FULL,
             frames=frame,
-            reference=None,
             still=True,
             magnitudes_only=True,
             clock="none",
@@ -101,11 +85,9 @@ def _rows(path: Path) -> tuple[Rows, list[RowProblem]]:
 
 def _voltage(fields: list[str]) -> float | None:
     """Vr of a row; None if it is not three numbers."""
-    try:
-        numbers = [float(field) for field in fields]
-    except ValueError:
-        return None
-    return numbers[0] if len(numbers) == _COLUMNS and all(abs(n) <= _LARGEST for n in numbers) else None
+    numbers = [number(field) for field in fields]
+    possible = all(value is not None and abs(value) <= _LARGEST for value in numbers)
+    return numbers[0] if possible and len(numbers) == _COLUMNS else None
 
 
 def _frame(values: NDArray[np.float64]) -> FrameBlock:

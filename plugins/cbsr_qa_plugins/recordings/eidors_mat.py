@@ -1,6 +1,7 @@
 """MATLAB files of 16-electrode adjacent data as EIDORS distributes them (format ``eidors-mat``).
 
-Real matrices in MATLAB files of version 5 (saved with -v6 or -v7), and nothing else that such a file may hold.
+Of a file of version 5 (saved with -v6 or -v7) only real matrices are read. scipy.io would do the same for sound
+files, but looks types up without checking them: a damaged file can crash it.
 
 Structures, cells and objects are skipped unread: nested thousands deep, they exhaust the stack of any reader. Packed
 variables are unpacked only when their header says a size that a file of this length may have.
@@ -262,18 +263,10 @@ def _frames_said(matrix: Matrix) -> str:
 
 
 def _reference(matrices: dict[str, Matrix], name: str) -> tuple[FrameBlock | None, str]:
-    conventional = _conventional_reference(name)
-    if conventional is None or conventional not in matrices:
+    conventional = "vvRef" if name.startswith("vvAvg") else "zc_h_" + name.removeprefix("zc_")
+    if not name.startswith(("vvAvg", "zc_")) or name.startswith("zc_h_") or conventional not in matrices:
         return None, ""
     return _block(matrices[conventional], None), f"changes are against {conventional} of the same file, by its name"
-
-
-def _conventional_reference(name: str) -> str | None:
-    if name.startswith("vvAvg"):
-        return "vvRef"
-    if name.startswith("zc_") and not name.startswith("zc_h_"):
-        return "zc_h_" + name.removeprefix("zc_")
-    return None
 
 
 def _block(matrix: Matrix, rate_hz: float | None) -> FrameBlock:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cbsr_qa.domain import RecordingError, RowProblem
 from cbsr_qa.domain.plan import Transcript
-from cbsr_qa.domain.readings import FrameBlock, ReadOptions, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
 from cbsr_qa_plugins.recordings.ert_board_rows import (
     PAIRS,
@@ -24,7 +24,7 @@ from cbsr_qa_plugins.recordings.ert_board_rows import (
     parse_line,
 )
 from cbsr_qa_plugins.recordings.ert_board_writer import write_ert_board
-from cbsr_qa_plugins.recordings.lab_files import MOST_BAD_IN_A_ROW, marked, refuse_dataset, text_lines
+from cbsr_qa_plugins.recordings.lab_files import MOST_BAD_IN_A_ROW, OneDataSet, marked, number, text_lines
 
 _TITLE = re.compile(rb"(?im)^\s*time(_pc)? \[s\],.*data")
 _WITH_MASS = re.compile(r"(?i)mass")
@@ -34,11 +34,12 @@ _TOP: Final = 10
 _MOST_UA: Final = 1e6
 
 
-class ErtBoardCsv:
+class ErtBoardCsv(OneDataSet):
     """Reads every variant of the ERT board's CSV files, and writes simulated scenes as one of them.
 
     Values are converter counts whatever the titles say (they promise mV, the firmware's conversion is commented out).
-    Row i of a frame is drive pair i, column j measure pair j; the board scans a row after the other.
+    Row i of a frame is drive pair i, column j measure pair j; the board scans a row after the other. Frames are
+    (n, 16, 16), or (n, 1, 16) where the board ran in calibration mode.
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
@@ -48,23 +49,7 @@ class ErtBoardCsv:
         text = head.removeprefix(b"\xef\xbb\xbf").lstrip().replace(b"\r", b"\n")
         return bool(_TITLE.search(text)) or (text.startswith(b"UTC:") and b"[s]" not in head)
 
-    def datasets(self, path: Path) -> tuple[str, ...]:
-        """Such a file is one data set."""
-        return ()
-
-    def read(self, path: Path, options: ReadOptions) -> Recording:
-        """Read a file.
-
-        Returns
-        -------
-        Recording with (n, 16, 16) frames, or (n, 1, 16) where the board ran in calibration mode.
-
-        Raises
-        ------
-        RecordingError
-            If the file is empty, holds only headers, or no frame is complete; with the problems of its rows.
-        """
-        refuse_dataset(path, options)
+    def _read(self, path: Path) -> Recording:
         lines, given_up = _lines(path)
         _refuse_without_rows(path, lines)
         width = _row_width(lines)
@@ -81,7 +66,7 @@ class ErtBoardCsv:
         return _recording(path, lines, width, scan, assembly, problems)
 
     def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
-        """Write a simulated recording; see :func:`~cbsr_qa_plugins.recordings.ert_board_writer.write_ert_board`."""
+        """Write a simulated recording."""
         return write_ert_board(path, recording, transcript)
 
 
@@ -214,9 +199,6 @@ def _recording(
         dataset="",
         scan=scan,
         frames=block,
-        reference=None,
-        still=False,
-        magnitudes_only=False,
         clock=clock.name,
         samples=samples,
         problems=tuple(sorted((*_with_frames(problems, assembly), *clock.problems), key=lambda p: p.line)),
@@ -252,10 +234,7 @@ def _current(lines: list[BoardLine]) -> tuple[float | None, list[str]]:
     if len(texts) > 1:
         return None, [f"the file states different drive currents ({', '.join(sorted(texts))} µA): none is used"]
     (text,) = texts
-    try:
-        current_uA = float(text)
-    except ValueError:
-        current_uA = float("nan")
+    current_uA = number(text) or 0.0
     if not 0 < current_uA <= _MOST_UA:
         return None, [f"Isrc is {text[:20]!r}, which is no current in µA: the current is not stated"]
     return current_uA * 1e-6, []

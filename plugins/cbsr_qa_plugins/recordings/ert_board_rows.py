@@ -1,4 +1,4 @@
-r"""Lines of the ERT board's CSV files, one at a time.
+r"""Lines of the ERT board's CSV files, and whole frames out of them.
 
 The lab's script puts its own clock and the load cell in front of whatever line the board printed. The board prints
 rows of readings, ``A`` at the start of each frame, and, now and then, a log. Variants that exist:
@@ -7,8 +7,6 @@ rows of readings, ``A`` at the start of each frame, and, now and then, a log. Va
 - the payload with the board's clock in ms first, or without it, whatever the title says;
 - the mass, or the whole serial line, written as a Python bytes literal (``b'0.62'``, ``"b'183927,11022,…\r\n'"``);
 - saved again by a spreadsheet, which pads every line with commas to the longest one.
-
-Whole frames out of the ERT board's lines.
 """
 
 import csv
@@ -23,6 +21,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain import RowProblem
 from cbsr_qa.domain.readings import ScanKind
+from cbsr_qa_plugins.recordings.lab_files import number as as_number
 
 PAIRS: Final = 16
 #: A 16-bit converter, printed as signed or unsigned.
@@ -122,11 +121,11 @@ def parse_line(number: int, text: str, *, with_mass: bool) -> BoardLine:
     key = fields[0].lower()
     if key in ("utc:", "isrc:") or key.startswith("time"):
         return BoardLine(number, LineKind.HEADER, said=",".join(fields))
-    computer_s = _float(fields[0])
+    computer_s = as_number(fields[0])
     if computer_s is None or abs(computer_s) > _LAST_COMPUTER_S:
         return BoardLine(number, LineKind.GARBLED, said=f"it does not start with a time but with {fields[0][:20]!r}")
     with_mass = with_mass and not whole_line
-    mass_g = _float(fields[1]) if with_mass and len(fields) > 1 else None
+    mass_g = as_number(fields[1]) if with_mass and len(fields) > 1 else None
     payload = fields[2:] if with_mass else fields[1:]
     kind, numbers, said = _payload(payload)
     return BoardLine(number, kind, computer_s, mass_g, numbers, said, closed)
@@ -150,14 +149,6 @@ def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
             f"a log is printed into a row after {leading} numbers; the rest of the row follows it",
         )
     return LineKind.GARBLED, (), f"{len(fields)} fields with {odd[:40]!r} among the numbers"
-
-
-def _float(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if abs(value) < float("inf") else None
 
 
 def complaint(numbers: tuple[int, ...], width: int) -> str:

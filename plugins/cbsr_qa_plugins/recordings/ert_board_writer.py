@@ -68,11 +68,6 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
     Returns
     -------
     What the file does not say, in words.
-
-    Raises
-    ------
-    RefusedError
-        If the board cannot have recorded this; see :func:`~cbsr_qa_plugins.recordings.lab_files.refuse_unfit`.
     """
     refuse_unfit(NAME, path, recording, transcript)
     row_s: NDArray[np.float64] = reading_times(NAME, recording, transcript, "measure").mean(axis=2)
@@ -102,13 +97,7 @@ def _away() -> NDArray[np.bool_]:
 
 
 def counts_per_volt(largest_V: float) -> float:
-    """Return the largest of 1, 2, 5 × 10^k counts per volt by which a reading stays within :data:`MOST_COUNTS`.
-
-    Raises
-    ------
-    RefusedError
-        If the largest reading is 0 V.
-    """
+    """Return the largest of 1, 2, 5 × 10^k counts per volt by which a reading stays within :data:`MOST_COUNTS`."""
     if not largest_V > 0:
         raise RefusedError(f"all readings are {largest_V:g} V: {NAME} has no scale", remedy="drive a current")
     decade = int(np.floor(np.log10(MOST_COUNTS / largest_V)))

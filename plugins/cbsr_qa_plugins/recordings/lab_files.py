@@ -1,12 +1,10 @@
-"""What writing a scene in either of the lab's CSV formats has in common.
+"""Reading and writing of the lab's text files: bounded lines, the mark of simulated files, refusals and remarks.
 
-Lines of a text file whatever is in it: one at a time, each of bounded length.
-
-How a lab CSV says that nobody measured it: in further fields of its ``UTC:`` line.
-
-The lab's recorders write one field there. Readers skip the line, so the mark disturbs none, and ours find it.
+A file that was simulated says so in further fields of its ``UTC:`` line. Readers skip that line, so the mark disturbs
+none, and ours find it.
 """
 
+import math
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -60,18 +58,38 @@ def text_lines(path: Path) -> Iterator[TextLine]:
             yield TextLine(number, text.rstrip("\n").strip("\x00"), bool(rest), too_long)
 
 
-def refuse_dataset(path: Path, options: ReadOptions) -> None:
-    """Refuse a choice among data sets where a file is one.
+class OneDataSet:
+    """A format whose files are one data set each."""
 
-    Raises
-    ------
-    RecordingError
-        If a data set was chosen.
-    """
-    if options.dataset:
-        raise RecordingError(
-            f"{path.name} is one data set; it has none named {options.dataset!r}", remedy="leave the name out"
-        )
+    def datasets(self, path: Path) -> tuple[str, ...]:
+        """Name no data set."""
+        return ()
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        """Read a file.
+
+        Raises
+        ------
+        RecordingError
+            If a data set was chosen, or the file cannot be used; with the problems of its rows.
+        """
+        if options.dataset:
+            raise RecordingError(
+                f"{path.name} is one data set; it has none named {options.dataset!r}", remedy="leave the name out"
+            )
+        return self._read(path)
+
+    def _read(self, path: Path) -> Recording:
+        raise NotImplementedError
+
+
+def number(text: str) -> float | None:
+    """Return a finite number; None where the text is anything else."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
 
 
 _MARK: Final = "simulated: "
@@ -106,13 +124,7 @@ def utc_line(recording: Recording) -> str:
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse to write over a file.
-
-    Raises
-    ------
-    RefusedError
-        If there is one.
-    """
+    """Refuse with RefusedError to write over a file."""
     if path.exists():
         raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first")
 
@@ -195,11 +207,6 @@ def reading_times(name: str, recording: Recording, transcript: Transcript, order
     ----------
     name : of the format.
     order : which pair steps faster on its rig: ``"measure"`` or ``"drive"``.
-
-    Raises
-    ------
-    RefusedError
-        If a time falls in the order in which the rig takes readings, or is no finite number.
     """
     frames = recording.frames
     times_s = frames.reading_time_s
@@ -235,38 +242,31 @@ def left_out(recording: Recording, transcript: Transcript, carried: Collection[s
     carried : channels that are written.
     flags : of readings that the format does not hold.
     """
-    said = []
     channels = [s.channel for s in recording.samples if s.channel not in carried]
-    if channels:
-        said.append(f"channels that are not written: {', '.join(channels)}")
-    if recording.loads:
-        said.append(f"the {len(recording.loads)} presses are not written: the format documents none")
-    if recording.sensor_type is not None or recording.layout is not None:
-        said.append("sensor type and numbering of the electrodes are not written: name --sensor-type to analyse")
-    if recording.reference is not None:
-        said.append("the reference frames are not written")
-    if recording.notes:
-        said.append(f"what the recording notes is not written: {'; '.join(recording.notes)}")
     flagged = int(np.count_nonzero(recording.frames.flags & flags.value))
-    if flagged:
-        said.append(f"{flagged} readings are flagged, which is not written; their values are")
-    if recording.frames.reading_time_s is None:
-        said.append("the readings of a frame are taken at once: all are written with the frame's time")
     broken = int(transcript.lost.any(axis=1).sum())
-    if broken:
-        said.append(f"{broken} of {len(transcript.lost)} frames lost rows; what arrived of them is written")
-    return said
+    remarks = (
+        (channels, f"channels that are not written: {', '.join(channels)}"),
+        (recording.loads, f"the {len(recording.loads)} presses are not written: the format documents none"),
+        (
+            recording.sensor_type is not None or recording.layout is not None,
+            "sensor type and numbering of the electrodes are not written: name --sensor-type to analyse",
+        ),
+        (recording.reference is not None, "the reference frames are not written"),
+        (recording.notes, f"what the recording notes is not written: {'; '.join(recording.notes)}"),
+        (flagged, f"{flagged} readings are flagged, which is not written; their values are"),
+        (
+            recording.frames.reading_time_s is None,
+            "the readings of a frame are taken at once: all are written with the frame's time",
+        ),
+        (broken, f"{broken} of {len(transcript.lost)} frames lost rows; what arrived of them is written"),
+    )
+    return [remark for applies, remark in remarks if applies]
 
 
 @contextmanager
 def new_text_file(path: Path) -> Iterator[TextIO]:
-    """Write a text file whole or not at all.
-
-    Raises
-    ------
-    RecordingError
-        If the folder cannot be written to.
-    """
+    """Write a text file whole or not at all."""
     with recording_file(path) as file:
         text = TextIOWrapper(file, encoding="utf-8", newline="\n")
         yield text

@@ -1,7 +1,4 @@
-"""Per-reading CSV of the rig behind the paper: SMU, command multiplexer, applicator (format ``smu-rig-csv``).
-
-Whole frames out of the SMU rig's readings, and where in the scan each stretch of them stands.
-"""
+"""Per-reading CSV of the rig behind the paper: SMU, command multiplexer, applicator (format ``smu-rig-csv``)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,14 +14,13 @@ from cbsr_qa.domain.plan import Transcript
 from cbsr_qa.domain.readings import (
     FrameBlock,
     ReadingFlag,
-    ReadOptions,
     Recording,
     SampleBlock,
     ScanKind,
     VoltageUnit,
 )
-from cbsr_qa_plugins.recordings.lab_files import refuse_dataset
-from cbsr_qa_plugins.recordings.smu_rig_rows import FRAME, Reading, Stretch, read_stretches, write_smu_rig
+from cbsr_qa_plugins.recordings.lab_files import ELECTRODES, OneDataSet
+from cbsr_qa_plugins.recordings.smu_rig_rows import CHANNELS, FRAME, Reading, Stretch, read_stretches, write_smu_rig
 
 #: Scan positions at which drive and measure pair are the same: the largest readings of a frame.
 _DRIVEN: Final = np.arange(16) * 17
@@ -127,7 +123,6 @@ def _position(readings: list[Reading], expected: int) -> int:
     return best if stands_out and explained[best] - explained[expected] > half_a_pair else expected
 
 
-_PAIRS: Final = 16
 _DECLARED_ORDER: Final = "the current pair is the inner loop"
 #: Largest pause between two sessions of one file that is believed [s]; longer ones only push later frames away.
 _SESSION_GAP_S: Final = 1.0
@@ -135,7 +130,7 @@ _SESSION_GAP_S: Final = 1.0
 Frames = list[list[Reading]]
 
 
-class SmuRigCsv:
+class SmuRigCsv(OneDataSet):
     """Reads one line a reading, 256 a frame, the current pair as the inner loop; simulated scenes are written so too.
 
     Frames are put into canonical order (row = drive pair, column = measure pair). The rig's start-up query was itself
@@ -147,19 +142,7 @@ class SmuRigCsv:
         """Tell by the titles."""
         return b"voltage [V]" in head and b"i_src [A]" in head
 
-    def datasets(self, path: Path) -> tuple[str, ...]:
-        """Such a file is one data set."""
-        return ()
-
-    def read(self, path: Path, options: ReadOptions) -> Recording:
-        """Read a file.
-
-        Raises
-        ------
-        RecordingError
-            If the file is empty, holds only headers or lacks a column, or no frame of 256 good readings is complete.
-        """
-        refuse_dataset(path, options)
+    def _read(self, path: Path) -> Recording:
         stretches, problems, simulated = read_stretches(path)
         scans = frames_of(stretches)
         frames = scans.frames
@@ -180,9 +163,6 @@ class SmuRigCsv:
             dataset="",
             scan=ScanKind.FULL,
             frames=_block(frames, times - zero_s),
-            reference=None,
-            still=False,
-            magnitudes_only=False,
             clock="computer",
             samples=samples,
             problems=tuple(problems),
@@ -192,7 +172,7 @@ class SmuRigCsv:
         )
 
     def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
-        """Write a simulated recording; see :func:`~cbsr_qa_plugins.recordings.smu_rig_rows.write_smu_rig`."""
+        """Write a simulated recording."""
         return write_smu_rig(path, recording, transcript)
 
 
@@ -214,7 +194,7 @@ def _order_note(late: int) -> str:
 
 def _canonical(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """From scan order (n, 256), current pair inner, to (n, drive, measure)."""
-    return values.reshape(-1, _PAIRS, _PAIRS).swapaxes(1, 2)
+    return values.reshape(-1, ELECTRODES, ELECTRODES).swapaxes(1, 2)
 
 
 def _reading_times(frames: Frames) -> NDArray[np.float64]:
@@ -242,7 +222,7 @@ def _samples(frames: Frames, times: NDArray[np.float64]) -> tuple[tuple[SampleBl
     flat_s = times.ravel()
     blocks: list[SampleBlock] = []
     notes: list[str] = []
-    for name, unit, column in _columns(values):
+    for (name, unit), column in zip(CHANNELS, values.T, strict=True):
         good = np.isfinite(column)
         if not good.any() or (name == "force" and not column[good].any()):
             continue
@@ -252,8 +232,3 @@ def _samples(frames: Frames, times: NDArray[np.float64]) -> tuple[tuple[SampleBl
             notes.append("the force column is negative in compression; it is turned so that compression is positive")
         blocks.append(SampleBlock(name, unit, flat_s[good], kept))
     return tuple(blocks), notes
-
-
-def _columns(values: NDArray[np.float64]) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
-    for k, (name, unit) in enumerate((("force", "N"), ("x", "mm"), ("y", "mm"), ("z", "mm"))):
-        yield name, unit, values[:, k]

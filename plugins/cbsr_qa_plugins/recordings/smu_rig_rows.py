@@ -1,7 +1,4 @@
-"""Readings of the SMU rig's CSV: one line each, 256 a frame.
-
-Simulated scenes as the script of the rig behind the paper writes them: a line a reading.
-"""
+"""Lines of the SMU rig's CSV, a line a reading: read in stretches without gaps, and written from simulated scenes."""
 
 import math
 import re
@@ -90,11 +87,6 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem], tuple[s
     Returns
     -------
     The stretches, what is wrong with lines, and what the headers say was simulated.
-
-    Raises
-    ------
-    RecordingError
-        If the file is empty, holds only headers, or its titles lack a column.
     """
     sessions: list[list[Reading]] = [[]]
     problems: list[RowProblem] = []
@@ -146,11 +138,13 @@ def _reading(number: int, fields: list[str], *, copy: bool) -> Reading:
         return _bad(number, f"{len(fields)} fields where a reading has {COLUMNS}")
     saturated = _SATURATED.match(fields[1])
     texts = [fields[0], saturated["value"] if saturated else fields[1], *fields[2:]]
-    try:
-        time_s, voltage, current, *others = (float(text) for text in texts)
-    except ValueError:
-        wrong = next(text for text in texts if not _is_number(text))
-        return _bad(number, f"{wrong[:40]!r} is not a number")
+    values: list[float] = []
+    for text in texts:
+        try:
+            values.append(float(text))
+        except ValueError:
+            return _bad(number, f"{text[:40]!r} is not a number")
+    time_s, voltage, current, *others = values
     if not (abs(time_s) <= _LAST_TIME_S and abs(voltage) <= MOST_V):
         return _bad(number, f"time {time_s} s or voltage {voltage} V is not a possible number")
     if abs(current) > MOST_A:
@@ -161,14 +155,6 @@ def _reading(number: int, fields: list[str], *, copy: bool) -> Reading:
 
 def _bad(number: int, why: str) -> Reading:
     return Reading(number, float("nan"), 0.0, False, None, (), why)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _stretches(session: list[Reading], problems: list[RowProblem]) -> list[Stretch]:
@@ -205,7 +191,7 @@ def _without_copies(session: list[Reading], problems: list[RowProblem]) -> list[
 
 NAME: Final = "smu-rig-csv"
 #: Channels in the order of their columns, with their units.
-_CHANNELS: Final = (("force", "N"), ("x", "mm"), ("y", "mm"), ("z", "mm"))
+CHANNELS: Final = (("force", "N"), ("x", "mm"), ("y", "mm"), ("z", "mm"))
 
 
 def write_smu_rig(path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
@@ -217,11 +203,6 @@ def write_smu_rig(path: Path, recording: Recording, transcript: Transcript) -> t
     Returns
     -------
     What the file does not say, in words.
-
-    Raises
-    ------
-    RefusedError
-        If the rig cannot have recorded this; see :func:`~cbsr_qa_plugins.recordings.lab_files.refuse_unfit`.
     """
     refuse_unfit(NAME, path, recording, transcript)
     times_s = reading_times(NAME, recording, transcript, "drive")
@@ -246,7 +227,7 @@ def _frame_lines(
 ) -> list[str]:
     """Lines of one frame, without those of lost rows."""
     scan_s = times_s.T.ravel()
-    columns = zip(*[_column(recording, *named, scan_s) for named in _CHANNELS], strict=True)
+    columns = zip(*[_column(recording, *named, scan_s) for named in CHANNELS], strict=True)
     volts = recording.frames.voltages[frame].T.ravel().tolist()
     at_limit = (recording.frames.flags[frame].T.ravel() & ReadingFlag.COMPLIANCE.value) > 0
     gone = lost.tolist() * ELECTRODES
@@ -286,14 +267,14 @@ def _refuse_numbers(recording: Recording, transcript: Transcript) -> None:
 
 
 def _not_said(recording: Recording, transcript: Transcript) -> list[str]:
-    carried = [name for name, unit in _CHANNELS if channel(recording, name, unit) is not None]
+    carried = [name for name, unit in CHANNELS if channel(recording, name, unit) is not None]
     said = left_out(recording, transcript, carried, ReadingFlag.SATURATED)
     if transcript.dumps:
         said.append(
             f"{len(transcript.dumps)} watchdog dumps are not written: this rig's multiplexer sends none;"
             " their pauses are in the times where readings have times of their own"
         )
-    absent = [name for name, _ in _CHANNELS if name not in carried]
+    absent = [name for name, _ in CHANNELS if name not in carried]
     if absent:
         said.append(f"columns of nan, since nothing recorded them: {', '.join(absent)}")
     return said
