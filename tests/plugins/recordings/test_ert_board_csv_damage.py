@@ -68,12 +68,35 @@ def test_a_row_torn_by_a_dump_is_one_rejected_row(tmp_path):
     assert recording.rows_rejected == 1
 
 
-def test_lost_rows_cost_their_frame_and_are_said(tmp_path):
-    file = BoardFile().header().mark().rows(BLOCK[0]).mark().rows(BLOCK[1][:12]).frames(BLOCK[2:]).mark()
-    recording = read(file.save(tmp_path))
-    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 2, 3, 4]])
+@pytest.mark.parametrize(
+    ("third", "said"),
+    [
+        (lambda file: file.mark().rows(BLOCK[2][:12]), "12 whole rows"),
+        (lambda file: file.mark().rows(BLOCK[2][:15]), "15 whole rows"),
+        (lambda file: file.mark().rows([*BLOCK[2], BLOCK[2][0]]), "17 whole rows"),
+        (lambda file: file.mark().rows(BLOCK[2][:7]).header().rows(BLOCK[2][7:]), "7 whole rows"),
+        (lambda file: file.mark().header().rows(BLOCK[2]), "headers"),
+    ],
+)  # fmt: skip
+def test_a_frame_that_is_not_whole_is_dropped_and_said_by_its_first_line(tmp_path, third, said):
+    file = BoardFile().header().frames(BLOCK[:2])
+    recording = read(third(file).frames(BLOCK[3:]).save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 1, 3, 4]])
     (problem,) = recording.problems
-    assert "12 whole rows" in problem.what
+    assert problem.line == 3 + 2 * (PAIRS + 1)
+    assert said in problem.what
+    assert (recording.frames_dropped, recording.rows_rejected) == (1, 0)
+
+
+@pytest.mark.parametrize("mark", ["AA", "A123,4", "A-12,99,"])
+def test_a_spoilt_mark_is_a_rejected_line_and_no_log(tmp_path, mark):
+    file = BoardFile().header().frames(BLOCK[:2]).payload(mark).rows(BLOCK[2]).frames(BLOCK[3:])
+    recording = read(file.save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 3, 4]])
+    (problem,) = recording.problems
+    assert problem.rejected
+    assert problem.line == 3 + 2 * (PAIRS + 1)
+    assert "frame mark" in problem.what
 
 
 def test_a_cut_first_line_of_sixteen_numbers_is_no_row(tmp_path):
@@ -133,45 +156,6 @@ def test_rows_without_a_comma_at_their_end_are_whole_where_no_row_has_one(tmp_pa
     recording = read(file.save(tmp_path))
     np.testing.assert_array_equal(recording.frames.voltages, BLOCK)
     assert recording.rows_rejected == 0
-
-
-@pytest.mark.parametrize("mark", ["AA", "A123,4", "A-12,99,"])
-def test_a_spoilt_mark_is_a_rejected_line_and_no_log(tmp_path, mark):
-    file = BoardFile().header().frames(BLOCK[:2]).payload(mark).rows(BLOCK[2]).frames(BLOCK[3:])
-    recording = read(file.save(tmp_path))
-    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 3, 4]])
-    (problem,) = recording.problems
-    assert problem.rejected
-    assert problem.line == 3 + 2 * (PAIRS + 1)
-    assert "frame mark" in problem.what
-
-
-def test_headers_inside_a_frame_cost_it_and_it_is_said_and_counted(tmp_path):
-    file = BoardFile().header().frames(BLOCK[:2]).mark().rows(BLOCK[2][:7])
-    file.header().rows(BLOCK[2][7:]).frames(BLOCK[3:])
-    recording = read(file.save(tmp_path))
-    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 1, 3, 4]])
-    (problem,) = recording.problems
-    assert problem.line == 3 + 2 * (PAIRS + 1)
-    assert "7 whole rows" in problem.what
-    assert "headers" in problem.what
-    assert (recording.frames_dropped, recording.rows_rejected) == (1, 0)
-
-
-def test_headers_right_behind_a_mark_cost_the_frame_and_it_is_said(tmp_path):
-    file = BoardFile().header().frames(BLOCK[:2]).mark().header().rows(BLOCK[2]).frames(BLOCK[3:])
-    recording = read(file.save(tmp_path))
-    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 1, 3, 4]])
-    assert recording.frames_dropped == 1
-    assert "headers" in recording.problems[0].what
-
-
-@pytest.mark.parametrize("count", [15, 17])
-def test_a_frame_of_another_number_of_rows_is_counted_as_dropped(tmp_path, count):
-    odd = [*BLOCK[2], BLOCK[2][0]][:count]
-    recording = read(BoardFile().header().frames(BLOCK[:2]).mark().rows(odd).frames(BLOCK[3:]).save(tmp_path))
-    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 1, 3, 4]])
-    assert (recording.frames_dropped, recording.rows_rejected) == (1, 0)
 
 
 def test_a_refused_file_keeps_its_problems(tmp_path):

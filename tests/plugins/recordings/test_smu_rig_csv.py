@@ -78,24 +78,34 @@ def test_the_last_frame_may_be_cut_and_headers_may_repeat(tmp_path):
     assert (np.diff(recording.frames.time_s) > 0).all()
 
 
-@pytest.mark.parametrize("bad", ["0.3,abc,nan,0,0,0,0", "0.3,1.0", "0.3,nan,nan,0,0,0,0"])
-def test_a_bad_line_costs_its_frame_alone(tmp_path, bad):
-    voltages = frames(3)
-    lines = lines_of(voltages)
-    lines[300] = bad
-    recording = read(tmp_path, HEADER + lines)
-    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2]])
-    assert recording.rows_rejected == 1
-    assert recording.problems[0].line == 303
-
-
-def test_lost_lines_are_seen_by_the_current_readings_and_cost_one_frame(tmp_path):
-    voltages = frames(4)
-    lines = lines_of(voltages)
-    del lines[300:305]
-    recording = read(tmp_path, HEADER + lines)
-    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2, 3]])
-    assert any("5 lines are missing" in p.what for p in recording.problems)
+@pytest.mark.parametrize(
+    ("damage", "rejected", "said"),
+    [
+        *((lambda rows, bad=bad: [*rows[:300], bad, *rows[301:]], 1, said) for bad, said in (
+            ("0.3,abc,nan,0,0,0,0", "'abc'"),
+            ("0.3,1.0", "2 fields"),
+            ("0.3,nan,nan,0,0,0,0", "possible"),
+            ("0.3,0.1,inf,0,0,0,0", "possible"),
+            ("0.3,1e300,nan,0,0,0,0", "possible"),
+            ("1e300,0.1,nan,0,0,0,0", "possible"),
+        )),
+        (lambda rows: rows[:300] + rows[305:], 0, "5 lines are missing"),
+        # More lines lost than lie between two current readings: counting alone would be 16 readings off.
+        (lambda rows: rows[:300] + rows[320:], 0, "lines are missing"),
+        (lambda rows: [*rows[:300], "3.0,0.01,nan,2.5,1.0,2.0,-3.0", *rows[300:]], 0, "1 too many"),
+        (lambda rows: rows[:300] + HEADER + rows[300:], 0, "headers stand in it"),
+        (lambda rows: [*rows[:300], rows[301], rows[300], *rows[302:]], 0, "steps back in it 1×, first in line 304"),
+    ],
+)  # fmt: skip
+def test_damage_in_a_frame_costs_it_alone_and_is_said(tmp_path, damage, rejected, said):
+    voltages = frames(5)
+    recording = read(tmp_path, HEADER + damage(lines_of(voltages)))
+    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2, 3, 4]])
+    assert (recording.frames_dropped, recording.rows_rejected) == (1, rejected)
+    assert recording.frames.current_A == pytest.approx(0.0009)
+    assert sum("frame of lines 259 to" in p.what for p in recording.problems) == 1
+    assert any(said in p.what for p in recording.problems)
+    assert [p.line for p in recording.problems if p.rejected] == [303] * rejected
 
 
 def test_compression_comes_out_positive(tmp_path):
@@ -112,17 +122,6 @@ def test_headers_only_and_half_a_frame_are_refused(tmp_path):
         read(tmp_path, HEADER + lines_of(frames(1))[:200])
 
 
-def test_what_lost_lines_cost_is_no_shift_of_the_rest(tmp_path):
-    """More lines lost than lie between two current readings: counting alone would be 16 readings off."""
-    voltages = frames(5)
-    lines = lines_of(voltages)
-    del lines[300:320]
-    recording = read(tmp_path, HEADER + lines)
-    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2, 3, 4]])
-    assert recording.frames_dropped == 1
-    assert sum("frame of lines" in p.what for p in recording.problems) == 1
-
-
 @pytest.mark.parametrize("at", [304, 305])  # a reading of the current, and another one
 def test_a_line_written_twice_is_left_out_and_costs_nothing(tmp_path, at):
     voltages = frames(4)
@@ -136,39 +135,10 @@ def test_a_line_written_twice_is_left_out_and_costs_nothing(tmp_path, at):
     assert problem.line == at + 4
 
 
-def test_a_foreign_line_too_many_costs_one_frame(tmp_path):
-    voltages = frames(5)
-    lines = lines_of(voltages)
-    lines.insert(300, "3.0,0.01,nan,2.5,1.0,2.0,-3.0")
-    recording = read(tmp_path, HEADER + lines)
-    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2, 3, 4]])
-    assert any("1 too many" in p.what for p in recording.problems)
-
-
-def test_headers_inside_a_frame_cost_it_and_it_is_said_and_counted(tmp_path):
-    voltages = frames(4)
-    lines = lines_of(voltages)
-    recording = read(tmp_path, HEADER + lines[:300] + HEADER + lines[300:])
-    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2, 3]])
-    assert recording.frames_dropped == 1
-    assert any("headers stand in it" in p.what for p in recording.problems)
-
-
 def test_a_dead_driven_pair_does_not_move_the_scan(tmp_path):
     voltages = frames(4)
     voltages[:, 0, 0] = 0.0
     np.testing.assert_array_equal(read(tmp_path, HEADER + lines_of(voltages)).frames.voltages, voltages)
-
-
-@pytest.mark.parametrize("bad", ["0.3,0.1,inf,0,0,0,0", "0.3,1e300,nan,0,0,0,0", "1e300,0.1,nan,0,0,0,0"])
-def test_impossible_numbers_are_bad_lines(tmp_path, bad):
-    voltages = frames(3)
-    lines = lines_of(voltages)
-    lines[300] = bad
-    recording = read(tmp_path, HEADER + lines)
-    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2]])
-    assert "possible" in recording.problems[0].what
-    assert recording.frames.current_A == pytest.approx(0.0009)
 
 
 def test_missing_columns_are_named(tmp_path):
@@ -201,15 +171,6 @@ def test_shuffled_lines_are_no_recording(tmp_path):
     with pytest.raises(RecordingError, match="time steps back in it") as refused:
         read(tmp_path, HEADER + body)
     assert len(refused.value.problems) == 4
-
-
-def test_two_lines_that_changed_places_cost_their_frame(tmp_path):
-    lines = lines_of(frames())
-    lines[300], lines[301] = lines[301], lines[300]
-    recording = read(tmp_path, HEADER + lines)
-    assert (len(recording.frames), recording.frames_dropped) == (3, 1)
-    (problem,) = recording.problems
-    assert "frame of lines 259 to 514 dropped: time steps back in it 1×, first in line 304" in problem.what
 
 
 def test_a_step_back_of_the_clock_between_frames_is_listed(tmp_path):
