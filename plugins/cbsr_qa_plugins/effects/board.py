@@ -1,19 +1,4 @@
-"""A board that prints its log into the readings.
-
-What a converter acts on.
-
-Readings in steps of a converter.
-
-A converter that ends.
-
-A constant on every reading.
-
-Each reading keeps a share of the one before.
-
-Readings of a frame are taken one after the other.
-
-Rows of a frame that never arrive.
-"""
+"""Effects of converter and board: steps, range, offset, carry-over, order of readings, lost rows, printed logs."""
 
 from collections.abc import Iterator
 from typing import Annotated, Final, Literal
@@ -61,11 +46,9 @@ class Quantisation(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Compute the step."""
         self._step_V = 2 * self.options.range_V / 2**self.options.bits
 
     def apply(self, moment: Moment) -> None:
-        """Round."""
         if moment.voltages is not None:
             moment.voltages = self._step_V * np.round(moment.voltages / self._step_V)
 
@@ -86,7 +69,6 @@ class ConverterSaturation(SceneEffect):
     options: Options
 
     def apply(self, moment: Moment) -> None:
-        """Clip and flag."""
         if moment.voltages is not None and moment.flags is not None:
             range_V = self.options.range_V
             beyond = np.abs(moment.voltages) >= range_V
@@ -110,7 +92,6 @@ class ReadingOffset(SceneEffect):
     options: Options
 
     def apply(self, moment: Moment) -> None:
-        """Add it."""
         if moment.voltages is not None:
             moment.voltages = moment.voltages + self.options.offset_V
 
@@ -138,11 +119,9 @@ class ReadingMemory(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Nothing is computed yet: how many readings there are is seen at the first frame."""
         self._shares: NDArray[np.float64] | None = None
 
     def apply(self, moment: Moment) -> None:
-        """Mix the readings in their order."""
         if moment.voltages is None:
             return
         turned = self._order(moment) == "drive"
@@ -190,7 +169,6 @@ class TimeSkew(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Compute when each reading is taken."""
         drives, measures = setting.sensor_type.pattern.shape
         count = np.arange(drives * measures, dtype=np.float64)
         along_measures = self.options.inner == "measure"
@@ -200,7 +178,6 @@ class TimeSkew(SceneEffect):
         self._offsets_s = TICK_S * np.rint(((order + 0.5) / order.size - 0.5) * spent_s / TICK_S)
 
     def apply(self, moment: Moment) -> None:
-        """Give every reading its time."""
         moment.reading_offsets_s = self._offsets_s
 
 
@@ -223,13 +200,11 @@ class FrameLoss(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Refuse runs that are longer than a frame."""
         self._rows = setting.sensor_type.pattern.shape[0]
         check_at_most("most_rows", self.options.most_rows, self._rows, "a frame has no more rows")
         self._stream = RandomStream(setting.seed, "frame-loss")
 
     def record(self, transcript: Transcript) -> None:
-        """Mark the rows as lost."""
         for frame in range(len(transcript.lost)):
             numbers = self._stream.generator(frame)
             if numbers.random() < self.options.share:
@@ -256,7 +231,6 @@ class WatchdogDump(SceneEffect):
         pause_ms: Annotated[float, Field(ge=0, le=10_000)] = 75.0
 
         def problems(self) -> Iterator[Problem]:
-            """Printing is over before the next dump."""
             if self.pause_ms / 1000 >= self.period_s:
                 what = f"is {self.pause_ms!r}, which is not over before the next dump after {self.period_s:g} s"
                 yield Problem(("pause_ms",), what, "take a shorter pause_ms, or a longer period_s")
@@ -265,14 +239,12 @@ class WatchdogDump(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Draw when the first dump comes."""
         self._pause_s = self.options.pause_ms / 1000
         self._frame_s = setting.frame_period_s
         random = RandomStream(setting.seed, "watchdog-dump").generator(0)
         self._first_s = self.options.period_s * float(random.uniform())
 
     def record(self, transcript: Transcript) -> None:
-        """Add the dumps, one after the other."""
         frames, rows = transcript.lost.shape
         if not frames:
             return

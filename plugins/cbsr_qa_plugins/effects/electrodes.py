@@ -1,17 +1,4 @@
-"""A lead or a contact in series with an electrode that went bad.
-
-What lies outside the sheet: in series with an electrode, or between two.
-
-Contacts that change in the course of a run.
-
-Contacts that are not alike.
-
-An electrode whose lead opens now and then.
-
-An electrode whose lead is open.
-
-Two electrodes that touch.
-"""
+"""Effects of electrodes: uneven and drifting contacts, and leads that are bad, open, intermittent or shorted."""
 
 import math
 from collections.abc import Iterator
@@ -58,13 +45,11 @@ class ContactDrift(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Draw the rate of every contact."""
         per_s = self.options.deviation_per_hour / 3600
         count = setting.sensor_type.electrodes.count
         self._rate_per_s = per_s * RandomStream(setting.seed, "contact-drift").normal(0, (count,))
 
     def apply(self, moment: Moment) -> None:
-        """Change the contacts by what has passed since the run began."""
         if moment.contact_mm is None:
             return
         grown = self._rate_per_s * moment.run_s
@@ -94,12 +79,10 @@ class ContactSpread(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Compute the deviation of the logarithm."""
         self._spread = float(np.sqrt(np.log1p(self.options.deviation**2)))
         self._stream = RandomStream(setting.seed, "contact-spread")
 
     def design(self, design: SheetDesign) -> None:
-        """Scatter the contacts."""
         factor = np.exp(self._spread * self._stream.normal(0, design.contact_mm.shape) - self._spread**2 / 2)
         given_mm = self.options.contact_mm
         mean_mm = design.contact_mm if given_mm is None else given_mm
@@ -140,7 +123,6 @@ class ElectrodeIntermittent(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Compute the rates of the process."""
         check_electrode("electrode", self.options.electrode, setting)
         open_s, closed_s = self.options.mean_open_s, self.options.mean_closed_s
         self._share_open = open_s / (open_s + closed_s)
@@ -148,12 +130,10 @@ class ElectrodeIntermittent(SceneEffect):
         self._stream = RandomStream(setting.seed, "electrode-intermittent")
 
     def apply(self, moment: Moment) -> None:
-        """Open the lead if this is a time at which it is."""
         if self._is_open(moment.run_s):
             in_series(moment, self.options.electrode, self.options.resistance_ohm)
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
-        """When it opens or closes."""
         began_s = moment.setting.began_s
         first_s, last_s = first_s + began_s, last_s + began_s
         blocks = range(math.floor(max(first_s, 0.0) / self._block_s), math.floor(last_s / self._block_s) + 1)
@@ -191,7 +171,6 @@ class _LeadOptions(PluginOptions):
     to_s: Amount = 1e12
 
     def problems(self) -> Iterator[Problem]:
-        """It begins before it ends."""
         if self.to_s <= self.from_s:
             yield Problem(("to_s",), f"is {self.to_s:g}", f"it must be a number above from_s, {self.from_s:g}")
 
@@ -205,16 +184,13 @@ class _BadLead(SceneEffect):
     options: _LeadOptions
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Refuse an electrode that is not there."""
         check_electrode("electrode", self.options.electrode, setting)
 
     def apply(self, moment: Moment) -> None:
-        """Put it in series."""
         if self.options.from_s <= moment.run_s < self.options.to_s:
             in_series(moment, self.options.electrode, self.options.resistance_ohm)
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
-        """When it begins and ends."""
         times_s = (at_s - moment.setting.began_s for at_s in (self.options.from_s, self.options.to_s))
         return [at_s for at_s in times_s if first_s < at_s <= last_s]
 
@@ -255,7 +231,6 @@ class ElectrodeShort(SceneEffect):
         resistance_ohm: Amount = 0.0
 
         def problems(self) -> Iterator[Problem]:
-            """Two electrodes touch."""
             if self.electrodes[0] == self.electrodes[1]:
                 yield Problem(("electrodes",), f"is {list(self.electrodes)}", "it must be two different electrodes")
 
@@ -264,14 +239,12 @@ class ElectrodeShort(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Note which electrodes touch."""
         self._between = np.zeros(setting.sensor_type.electrodes.count)
         for electrode, sign in zip(self.options.electrodes, (1.0, -1.0), strict=True):
             check_electrode("electrodes", electrode, setting)
             self._between[electrode] = sign
 
     def apply(self, moment: Moment) -> None:
-        """Put the resistance beside the sheet."""
         if moment.impedance_ohm is not None:
             ohm, seen = self.options.resistance_ohm, moment.impedance_ohm @ self._between
             moment.impedance_ohm = moment.impedance_ohm - np.outer(seen, seen) / (ohm + self._between @ seen)

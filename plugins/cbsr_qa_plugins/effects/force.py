@@ -1,13 +1,4 @@
-"""A load cell that ends.
-
-Elastic stress under the head.
-
-A thin sheet under a wide head is stiffer than its material.
-
-Stress relaxation of the sheet: a generalised Maxwell body with two terms.
-
-Noise of the load cell.
-"""
+"""Effects of stress and load cell: elastic stress, confinement, relaxation, noise, and a cell that ends."""
 
 from cbsr_qa.domain.plan import Moment, SceneSetting
 from cbsr_qa.plugin import PluginOptions
@@ -23,11 +14,9 @@ class ElasticStress(SceneEffect):
     perturbs = "stress"
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Take the modulus."""
         self._modulus_kPa = setting.material.modulus_kPa.value
 
     def apply(self, moment: Moment) -> None:
-        """Add the elastic stress of every press."""
         for index, press in enumerate(moment.presses):
             moment.stress_kPa[index] += self._modulus_kPa * press.strain_at(moment.time_s)
 
@@ -51,12 +40,10 @@ class Confinement(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Compute the factor of the layer."""
         shape, given = setting.indenter.radius_mm / (2 * setting.sensor_type.thickness_mm), self.options.factor
         self._factor = 1 + 2 * shape**2 if given is None else given
 
     def apply(self, moment: Moment) -> None:
-        """Stiffen."""
         moment.stress_kPa = [self._factor * stress for stress in moment.stress_kPa]
 
 
@@ -72,13 +59,11 @@ class StressRelaxation(SceneEffect):
     perturbs = "stress"
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Take the kernel."""
         self._modulus_kPa = setting.material.modulus_kPa.value
         kernel = setting.material.stress_relaxation
         self._transients = Transients(kernel, kernel)
 
     def apply(self, moment: Moment) -> None:
-        """Add what has not yet relaxed of every press."""
         for index, press in enumerate(moment.presses):
             moment.stress_kPa[index] += self._modulus_kPa * self._transients.of(press, moment.time_s)
 
@@ -98,11 +83,9 @@ class LoadCellNoise(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Begin the random numbers."""
         self._stream = RandomStream(setting.seed, "load-cell-noise")
 
     def apply(self, moment: Moment) -> None:
-        """Add the sample's noise."""
         moment.force_N += self.options.rms_N * float(self._stream.normal(moment.index))
 
 
@@ -122,5 +105,4 @@ class LoadCellSaturation(SceneEffect):
     options: Options
 
     def apply(self, moment: Moment) -> None:
-        """Clip."""
         moment.force_N = min(max(moment.force_N, -self.options.limit_N), self.options.limit_N)

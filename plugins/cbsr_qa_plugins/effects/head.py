@@ -19,13 +19,7 @@ _ROUNDING = 1e-9  # of the square of the head's reach
 
 
 def check_nested(indenter: Indenter) -> None:
-    """Refuse a head whose smaller outlines do not lie within the larger ones: one that its axis does not see whole.
-
-    Raises
-    ------
-    ConfigError
-        Naming the edge.
-    """
+    """Refuse a head whose smaller outlines do not lie within larger ones: its axis does not see it whole."""
     if not indenter.outline_mm:
         return
     corners = np.array(indenter.outline_mm)
@@ -62,14 +56,12 @@ class HeadEdge(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Refuse a band that is wider than the head."""
         check_nested(setting.indenter)
         radius_mm = setting.indenter.radius_mm
         check_at_most("width_mm", self.options.width_mm, 1.9 * radius_mm, "the head is no wider")
         self._share = self.options.width_mm / radius_mm
 
     def design(self, design: SheetDesign) -> None:
-        """Put the nested heads in the place of each ring."""
         sizes = 1 + self._share * ((np.arange(_RINGS) + 0.5) / _RINGS - 0.5)
         weight = 1 / float((sizes**2).sum())
         design.rings = tuple(
@@ -98,11 +90,9 @@ class PressureProfile(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Refuse a head that its axis does not see whole."""
         check_nested(setting.indenter)
 
     def design(self, design: SheetDesign) -> None:
-        """Put annuli in the place of each ring."""
         edges = np.linspace(0, 1, _RINGS_PRESSURE_PROFILE + 1)
         inside = 1 - np.sqrt(1 - edges**2) if self.options.shape == "punch" else 2 * edges**2 - edges**4
         pressure = np.diff(inside) / np.diff(edges**2)
@@ -132,11 +122,9 @@ class ApplicatorPositionError(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Begin the random numbers."""
         self._stream = RandomStream(setting.seed, "applicator-position-error")
 
     def apply(self, moment: Moment) -> None:
-        """Put the head beside its target."""
         x, y, depth = self._stream.normal(moment.index, (3,))
         moment.place_mm = (
             moment.place_mm[0] + self.options.error_mm * float(x),
@@ -166,7 +154,6 @@ class Backlash(SceneEffect):
     options: Options
 
     def apply(self, moment: Moment) -> None:
-        """Hold the head back."""
         (x, y), (from_x, from_y) = moment.place_mm, moment.from_mm
         moment.place_mm = (_played(x, from_x, self.options.play_mm), _played(y, from_y, self.options.play_mm))
         moment.depth_mm = _played(moment.depth_mm, moment.from_depth_mm, self.options.depth_play_mm)
@@ -196,12 +183,10 @@ class MisplacedSheet(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Compute the turn."""
         turn = math.radians(self.options.rotation_deg)
         self._cos, self._sin = math.cos(turn), math.sin(turn)
 
     def apply(self, moment: Moment) -> None:
-        """Say where on the sheet the head is told to go."""
         x, y = moment.place_mm[0] - self.options.x_mm, moment.place_mm[1] - self.options.y_mm
         moment.place_mm = (self._cos * x + self._sin * y, self._cos * y - self._sin * x)
 
@@ -221,14 +206,12 @@ class SheetSeat(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Draw level and tilt."""
         level, along_x, along_y = self.options.error_mm * RandomStream(setting.seed, "sheet-seat").normal(0, (3,))
         radius_mm = setting.sensor_type.radius_mm
         self._level_mm = float(level)
         self._slope = float(along_x) / radius_mm, float(along_y) / radius_mm
 
     def apply(self, moment: Moment) -> None:
-        """Lower (or raise) the surface under the head."""
         x_mm, y_mm = moment.place_mm
         moment.surface_mm += self._level_mm + self._slope[0] * x_mm + self._slope[1] * y_mm
 
@@ -248,9 +231,7 @@ class PinPositionError(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Begin the random numbers."""
         self._stream = RandomStream(setting.seed, "pin-position-error")
 
     def design(self, design: SheetDesign) -> None:
-        """Move the electrodes."""
         design.shift_mm = design.shift_mm + self.options.error_mm * self._stream.normal(0, design.shift_mm.shape)

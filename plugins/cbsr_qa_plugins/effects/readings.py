@@ -1,15 +1,4 @@
-"""A voltmeter that is not ideal.
-
-Noise of the voltage readings.
-
-An electrode that is noisier than the others.
-
-Thermal noise of the sheet itself.
-
-The mains, as far as the integration time lets it through.
-
-A current source whose voltage ends.
-"""
+"""Effects of source and voltmeter: noise, mains, input resistance, and a source whose voltage ends."""
 
 from typing import Annotated, Final
 
@@ -24,12 +13,29 @@ from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.plugin import PluginOptions
 from cbsr_qa.simulate import Amount, Electrode, Positive, RandomStream, SceneEffect, check_electrode
 
+Array = NDArray[np.float64]
+
 #: What the materials' noise is stated at: the rig's script reads at 0.01 power line cycles. The paper prints none.
 REFERENCE_NPLC: Final = 0.01
 Cycles = Annotated[float, Field(gt=0, le=25)]
 
 
-class MeasurementNoise(SceneEffect):
+class _RelativeNoise(SceneEffect):
+    """Adds Gaussian noise, relative to the mean used reading, to every frame: subclasses say how much."""
+
+    after: tuple[str, ...] = ("voltmeter-input",)
+    perturbs = "voltages"
+
+    def _begin(self, setting: SceneSetting, name: str, relative: float | Array) -> None:
+        self._relative, self._stream = relative, RandomStream(setting.seed, name)
+
+    def apply(self, moment: Moment) -> None:
+        if moment.voltages is not None:
+            rms_V = self._relative * moment.reading_scale_V
+            moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)
+
+
+class MeasurementNoise(_RelativeNoise):
     """Independent Gaussian noise on all readings, alike on each, less where a reading is averaged for longer.
 
     White noise averaged over a rectangular window of N power line cycles falls as √(1/N); what averaging does not
@@ -53,12 +59,9 @@ class MeasurementNoise(SceneEffect):
         measured_at_nplc: Cycles = REFERENCE_NPLC
         relative_floor: Amount = 0.0
 
-    after: tuple[str, ...] = ("voltmeter-input",)
-    perturbs = "voltages"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Compute the noise of a reading that is averaged for so long."""
         options = self.options
         given, floor = options.relative_noise, options.relative_floor
         stated = setting.material.relative_noise.value if given is None else given
@@ -68,17 +71,11 @@ class MeasurementNoise(SceneEffect):
                 remedy=f"it is at most relative_noise, {stated:g}",
             )
         longer = options.nplc / options.measured_at_nplc
-        self._relative = float(np.sqrt(floor**2 + (stated - floor) * (stated + floor) / longer))
-        self._stream = RandomStream(setting.seed, "measurement-noise")
-
-    def apply(self, moment: Moment) -> None:
-        """Add the frame's noise."""
-        if moment.voltages is not None:
-            rms_V = self._relative * moment.reading_scale_V
-            moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)
+        relative = float(np.sqrt(floor**2 + (stated - floor) * (stated + floor) / longer))
+        self._begin(setting, "measurement-noise", relative)
 
 
-class ElectrodeNoise(SceneEffect):
+class ElectrodeNoise(_RelativeNoise):
     """Independent Gaussian noise on every reading that uses an electrode, to drive, to measure or both.
 
     It adds to that of other effects. Readings that use the electrode twice have no more of it than the others.
@@ -94,23 +91,13 @@ class ElectrodeNoise(SceneEffect):
         electrode: Electrode
         relative_noise: Amount
 
-    after: tuple[str, ...] = ("voltmeter-input",)
-    perturbs = "voltages"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Note which readings use the electrode."""
         which, pattern = self.options.electrode, setting.sensor_type.pattern
         check_electrode("electrode", which, setting)
         drives, measures = (np.array([which in pair for pair in pairs]) for pairs in (pattern.drive, pattern.measure))
-        self._relative = self.options.relative_noise * (drives[:, None] | measures)
-        self._stream = RandomStream(setting.seed, "electrode-noise")
-
-    def apply(self, moment: Moment) -> None:
-        """Add the frame's noise."""
-        if moment.voltages is not None:
-            rms_V = self._relative * moment.reading_scale_V
-            moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)
+        self._begin(setting, "electrode-noise", self.options.relative_noise * (drives[:, None] | measures))
 
 
 class JohnsonNoise(SceneEffect):
@@ -134,14 +121,12 @@ class JohnsonNoise(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Compute the noise of one ohm."""
         integration_s = self.options.nplc / self.options.mains_Hz
         kelvin = zero_Celsius + self.options.temperature_C
         self._per_ohm = 4 * Boltzmann * kelvin / (2 * integration_s)
         self._stream = RandomStream(setting.seed, "johnson-noise")
 
     def apply(self, moment: Moment) -> None:
-        """Add the frame's noise."""
         if moment.voltages is not None and moment.measure_ohm is not None:
             drawn = self._stream.normal(moment.index, moment.voltages.shape)
             moment.voltages = moment.voltages + np.sqrt(self._per_ohm * moment.measure_ohm) * drawn
@@ -170,14 +155,12 @@ class MainsHum(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Average the sine over a reading, and draw its phase."""
         options = self.options
         self._amplitude_V = options.amplitude_V * float(np.sinc(options.nplc))
         self._rate_rad_s = 2 * np.pi * options.mains_Hz
         self._phase = float(RandomStream(setting.seed, "mains-hum").generator(0).uniform(0, 2 * np.pi))
 
     def apply(self, moment: Moment) -> None:
-        """Add the hum of each reading's own time."""
         if moment.voltages is not None and moment.reading_offsets_s is not None:
             turned = self._rate_rad_s * (moment.run_s + moment.reading_offsets_s) + self._phase
             moment.voltages = moment.voltages + self._amplitude_V * np.sin(turned)
@@ -200,16 +183,12 @@ class SourceCompliance(SceneEffect):
     options: Options
 
     def apply(self, moment: Moment) -> None:
-        """Lower the current of those pairs."""
         if moment.current_A is None or moment.drive_ohm is None or moment.flags is None:
             return
         limit_V = self.options.limit_V
         limited = moment.current_A * moment.drive_ohm > limit_V
         moment.current_A = np.divide(limit_V, moment.drive_ohm, out=moment.current_A.copy(), where=limited)
         moment.flags |= np.where(limited, np.uint8(ReadingFlag.COMPLIANCE), np.uint8(0))
-
-
-Array = NDArray[np.float64]
 
 
 class VoltmeterInput(SceneEffect):
@@ -233,7 +212,6 @@ class VoltmeterInput(SceneEffect):
     options: Options
 
     def apply(self, moment: Moment) -> None:
-        """Load every pair."""
         if moment.voltages is None or moment.measure_ohm is None:
             return
         ohm = _behind(moment, moment.voltages, moment.measure_ohm)

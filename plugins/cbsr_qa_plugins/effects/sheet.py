@@ -1,7 +1,4 @@
-"""Effects of the sheet: unevenness by place, its answer to strain, and change with time and temperature.
-
-Unevenness is a smooth random factor by place, of conductance, response or thickness.
-"""
+"""Effects of the sheet: unevenness by place, its answer to strain, and change with time and temperature."""
 
 import math
 from typing import Annotated, ClassVar, Final
@@ -81,11 +78,9 @@ class UnevenSheet(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Begin the random numbers."""
         self._stream = RandomStream(setting.seed, f"uneven-{self.quantity}")
 
     def design(self, design: SheetDesign) -> None:
-        """Add the factor to the sheet."""
         factors: list[SheetField] = getattr(design, self.quantity)
         factors.append(
             smooth_factor(
@@ -130,16 +125,27 @@ class Piezoresistivity(SceneEffect):
     memory_s = 0.0
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Take the line."""
         self._line = setting.material.against_strain
 
     def apply(self, moment: Moment) -> None:
-        """Add the quasi-static change of every press."""
         for index, press in enumerate(moment.presses):
             moment.response[index] += quasi_static(self._line, press.strain_at(moment.time_s))
 
 
-class ConductanceRelaxation(SceneEffect):
+class _Transient(SceneEffect):
+    """Adds a transient of every press: subclasses prepare it."""
+
+    perturbs = "response"
+
+    def _begin(self, transients: Transients) -> None:
+        self._transients, self.memory_s = transients, transients.memory_s
+
+    def apply(self, moment: Moment) -> None:
+        for index, press in enumerate(moment.presses):
+            moment.response[index] += self._transients.of(press, moment.time_s)
+
+
+class ConductanceRelaxation(_Transient):
     """The conductance change nears its held value by two exponentials after every press and every release.
 
     Paper Eq 3, superposed over all ramps. Every ramp of the quasi-static change q(t) is answered with K(t) = 1 + w₁
@@ -152,23 +158,13 @@ class ConductanceRelaxation(SceneEffect):
     """
 
     needs: tuple[str, ...] = ("piezoresistivity",)
-    perturbs = "response"
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Take the kernels."""
         material = setting.material
-        self._transients = Transients(
-            material.loading_relaxation, material.unloading_relaxation, material.against_strain
-        )
-        self.memory_s = self._transients.memory_s
-
-    def apply(self, moment: Moment) -> None:
-        """Add what has not yet relaxed of every press."""
-        for index, press in enumerate(moment.presses):
-            moment.response[index] += self._transients.of(press, moment.time_s)
+        self._begin(Transients(material.loading_relaxation, material.unloading_relaxation, material.against_strain))
 
 
-class Residue(SceneEffect):
+class Residue(_Transient):
     """A share of every change stays when it is released, and fades slowly.
 
     Residues of earlier loads (paper 4.2), beside the relaxation of the material itself: ramps that lift are answered
@@ -185,23 +181,15 @@ class Residue(SceneEffect):
         decay_s: Positive
 
     needs: tuple[str, ...] = ("piezoresistivity",)
-    perturbs = "response"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Make the kernel of what stays."""
         decay_s = self.options.decay_s
         kernel = Relaxation((-self.options.share, 0.0), (decay_s, decay_s), "scene")
-        self._transients = Transients(None, kernel, setting.material.against_strain)
-        self.memory_s = self._transients.memory_s
-
-    def apply(self, moment: Moment) -> None:
-        """Add what is left of every press."""
-        for index, press in enumerate(moment.presses):
-            moment.response[index] += self._transients.of(press, moment.time_s)
+        self._begin(Transients(None, kernel, setting.material.against_strain))
 
 
-class UnloadingSpike(SceneEffect):
+class UnloadingSpike(_Transient):
     """A release first raises the change by some share of what it will take away, and that fades.
 
     Paper 3.1.2. At the moment of a release the material's unloading kernel keeps −Σ w of what is released
@@ -220,21 +208,13 @@ class UnloadingSpike(SceneEffect):
         decay_s: Positive
 
     needs: tuple[str, ...] = ("piezoresistivity", "conductance-relaxation")
-    perturbs = "response"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Make the kernel of the spike."""
         decay_s = self.options.decay_s
         kept = -sum(setting.material.unloading_relaxation.weights)
         kernel = Relaxation((kept - 1 - self.options.size, 0.0), (decay_s, decay_s), "scene")
-        self._transients = Transients(None, kernel, setting.material.against_strain)
-        self.memory_s = self._transients.memory_s
-
-    def apply(self, moment: Moment) -> None:
-        """Add the spikes of every press that is being lifted, or was."""
-        for index, press in enumerate(moment.presses):
-            moment.response[index] += self._transients.of(press, moment.time_s)
+        self._begin(Transients(None, kernel, setting.material.against_strain))
 
 
 class Hysteresis(SceneEffect):
@@ -257,11 +237,9 @@ class Hysteresis(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        """Take the slope."""
         self._slope = setting.material.against_strain.slope.value
 
     def apply(self, moment: Moment) -> None:
-        """Add what the way back is higher by, of every press."""
         for index, press in enumerate(moment.presses):
             strain = press.strain_at(moment.time_s)
             if strain > 0:  # closed at the loop's lower end
@@ -298,7 +276,6 @@ class TemperatureDrift(SceneEffect):
     options: Options
 
     def apply(self, moment: Moment) -> None:
-        """Scale what the electrodes see."""
         if moment.impedance_ohm is not None:
             options = self.options
             warmer_K = options.rate_K_per_h / 3600 * moment.run_s

@@ -28,7 +28,6 @@ class ParameterOptions(PluginOptions):
     noise_figure: Positive | None = None
 
     def problems(self) -> Iterator[Problem]:
-        """Yield options that contradict each other."""
         yield from contradicted(self, self.given_as, ("choose", "noise_figure"))
         if self.choose not in (None, "noise-figure"):
             yield from contradicted(self, "choose", ("noise_figure",))

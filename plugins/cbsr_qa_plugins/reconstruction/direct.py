@@ -1,9 +1,4 @@
-"""GREIT, trained on targets as wide as the indenter.
-
-Linear back-projection, the historic baseline.
-
-Truncated singular value decomposition.
-"""
+"""Methods that are one matrix by themselves: GREIT, linear back-projection, truncated SVD."""
 
 from collections.abc import Iterator
 from typing import Annotated
@@ -25,7 +20,6 @@ from cbsr_qa.eit.inverse import (
     Truncation,
     central_signal,
     noise_figure,
-    noise_figure as noise_figure_of,
 )
 from cbsr_qa.eit.inverse.greit import TargetDesign, greit_matrix, hyperparameter_for
 from cbsr_qa.plugin import Array, PluginOptions, Problem, WithOptions
@@ -48,7 +42,6 @@ class LinearBackProjection:
     weighs_noise = False
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix; NumericsError if an element is felt by no reading."""
         reference = problem.reference
         known = np.abs(reference) > _LEAST_READING * np.abs(reference).max()
         relative = np.where(known, 1 / np.where(known, reference, 1.0), 0.0)
@@ -92,13 +85,7 @@ class TruncatedSvd(WithOptions):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix.
-
-        Raises
-        ------
-        NumericsError
-            If k cannot be chosen, is out of range, or would split a pair; or no k keeps within the noise figure.
-        """
+        """Prepare the imaging matrix."""
         regularisation = self.options.regularisation()
         value, how, curve = regularisation.choose(problem, Truncation)
         truncation, kept = Truncation(problem), int(value)
@@ -107,7 +94,7 @@ class TruncatedSvd(WithOptions):
             kept = truncation.within(bound)
         matrix = truncation.matrix(kept)
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
-        figure = noise_figure_of(matrix, central_signal(problem), areas, noise_variance=variance)
+        figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
         if bound is not None:
             how += (
                 f"; {int(value)} components there, chosen again on {_readings(problem)}: the most within noise figure"
@@ -164,20 +151,12 @@ class Greit(WithOptions):
         target_diameters_mm: Annotated[tuple[Positive, ...], Array, Field(min_length=1)] | None = None
 
         def problems(self) -> Iterator[Problem]:
-            """Yield options that contradict each other."""
             yield from contradicted(self, "hyperparameter", ("noise_figure",))
 
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix.
-
-        Raises
-        ------
-        NumericsError
-            If the noise figure cannot be reached, λ is too small to determine the image, a target does not fit the
-            sheet, no reading feels it, or the image's elements do not resolve the head.
-        """
+        """Prepare the imaging matrix."""
         design = TargetDesign.of(problem, self.options.indenter_diameter_mm, self.options.target_diameters_mm)
         value: float | None
         value, how, curve = self.options.hyperparameter, "hyperparameter given", None

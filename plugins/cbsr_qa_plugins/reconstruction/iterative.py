@@ -1,7 +1,4 @@
-"""Iterative absolute Gauss–Newton with contact impedances unknown.
-
-One-step images of least total variation.
-"""
+"""Methods that iterate on each frame: total variation, and absolute Gauss–Newton with contacts unknown."""
 
 from collections.abc import Iterator
 from typing import Annotated
@@ -56,13 +53,7 @@ class TotalVariation(WithOptions):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> TotalVariationImages:
-        """Choose α and prepare the minimisation.
-
-        Raises
-        ------
-        NumericsError
-            If no α leaves a residual of the noise's size.
-        """
+        """Choose α and prepare the minimisation."""
         options = self.options
         choice, variance = choose_alpha(problem, given=options.hyperparameter, noise_dB=options.noise_dB)
         return TotalVariationImages.of(
@@ -108,20 +99,13 @@ class AbsoluteGaussNewton(WithOptions):
         iterations: Steps = 20
 
         def problems(self) -> Iterator[Problem]:
-            """Yield options that contradict each other."""
             yield from contradicted(self, "load_spread", ("noise_figure",))
 
     absolute = True
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> AbsoluteImages:
-        """Find the state of the unloaded sensor.
-
-        Raises
-        ------
-        NumericsError
-            If its readings belong to no such sheet, or the iteration does not converge.
-        """
+        """Find the state of the unloaded sensor."""
         given = self.options.model_dump(exclude={"noise_figure"})
         expected = Expected(noise_figure=self.options.noise_figure or 1.0, **given)
         return AbsoluteImages.of(_NAME_ABSOLUTE_GAUSS_NEWTON, problem, expected)

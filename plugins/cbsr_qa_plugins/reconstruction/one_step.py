@@ -46,7 +46,6 @@ class _OneStepMethod(WithOptions):
         return ridge_reconstruction(self.name, problem, self.prior, self.options.regularisation())
 
     def prior(self, problem: ImagingProblem) -> Prior:
-        """What is expected of images of a problem."""
         raise NotImplementedError
 
 
@@ -62,7 +61,6 @@ class GaussNewtonTikhonov(_OneStepMethod):
     name = "gauss-newton-tikhonov"
 
     def prior(self, problem: ImagingProblem) -> Prior:
-        """All elements alike."""
         return Prior.diagonal(np.ones(len(problem.mesh.elements)))
 
 
@@ -80,7 +78,6 @@ class GaussNewtonLaplace(_OneStepMethod):
     name = "gauss-newton-laplace"
 
     def prior(self, problem: ImagingProblem) -> Prior:
-        """Differences between neighbours."""
         return laplace(problem.mesh)
 
 
@@ -104,7 +101,6 @@ class GaussNewtonNoser(_OneStepMethod):
     options: Options
 
     def prior(self, problem: ImagingProblem) -> Prior:
-        """Sensitivities, to a power."""
         return Prior.diagonal(noser(problem.jacobian, self.options.exponent))
 
 
@@ -126,7 +122,6 @@ class GaussNewtonHighPass(_OneStepMethod):
     options: Options
 
     def prior(self, problem: ImagingProblem) -> Prior:
-        """What the filter lets through."""
         return high_pass(problem.mesh, 2 * self.options.width * problem.sensor_type.radius_mm)
 
 
@@ -149,7 +144,6 @@ class GaussNewtonIndenter(_OneStepMethod):
     options: _HeadOptions
 
     def prior(self, problem: ImagingProblem) -> Prior:
-        """Smooth over the head."""
         return _smooth_over_head(problem, self.options)
 
 
@@ -185,7 +179,6 @@ class Temporal(WithOptions):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> TemporalImages:
-        """Choose λ and prepare the spectrum; NumericsError if λ cannot be chosen or is too small."""
         options = self.options
         correlation = Correlation(options.correlation_frames, options.lag)
         regularisation = options.regularisation()

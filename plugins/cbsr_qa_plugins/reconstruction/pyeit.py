@@ -1,11 +1,7 @@
-"""pyEIT's GREIT, for comparison.
-
-A problem in pyEIT's words: its mesh, its point electrodes, its protocol; and its images on our mesh.
+"""pyEIT's JAC and GREIT, for comparison: its mesh, point electrodes and protocol; its images on our mesh.
 
 pyEIT solves on the unit disc at unit conductivity. Readings of point electrodes in two dimensions do not depend on
 the radius, so its Jacobian has our unit, with the sign turned: its images are −H·(v − v₀).
-
-pyEIT's one-step Gauss–Newton (JAC), for comparison.
 """
 
 import contextlib
@@ -74,14 +70,7 @@ class _PyeitMethod(WithOptions):
 
 
 def pyeit_problem(problem: ImagingProblem, mesh_size: float) -> PyeitProblem:
-    """Put a problem into pyEIT's words.
-
-    Raises
-    ------
-    NumericsError
-        If the sheet is not round, or a used reading touches a driven electrode: between point electrodes that
-        voltage has no value but the mesh's.
-    """
+    """Put a problem into pyEIT's words."""
     sensor = problem.sensor_type
     if sensor.polygon is not None:
         raise NumericsError(
@@ -119,11 +108,6 @@ def check_determined(squares: Array, p: float, lamb: float) -> None:
     Parameters
     ----------
     squares : diagonal of JᵀJ or JJᵀ, whose p-th powers are R.
-
-    Raises
-    ------
-    NumericsError
-        If the condition number, against R, may be above 1e12.
     """
     least = float((squares ** (1 - p)).sum()) / _MOST_CONDITION
     if not lamb >= least:
@@ -143,13 +127,7 @@ def invertible() -> Iterator[None]:
 
 
 def finished(method: str, problem: ImagingProblem, matrix: Array, regularisation: float) -> LinearReconstruction:
-    """Wrap an imaging matrix on our mesh, with its noise figure.
-
-    Raises
-    ------
-    NumericsError
-        If pyEIT's matrix is not finite.
-    """
+    """Wrap an imaging matrix on our mesh, with its noise figure."""
     if not np.isfinite(matrix).all():
         raise NumericsError("pyEIT's matrix is not finite", remedy="give a larger lamb")
     radius = _TARGET_RADIUS * problem.sensor_type.radius_mm
@@ -209,13 +187,7 @@ class PyeitJac(_PyeitMethod):
     """
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix.
-
-        Raises
-        ------
-        NumericsError
-            If the sheet is not round, a reading touches a driven electrode, or lamb is lost in rounding.
-        """
+        """Prepare the imaging matrix."""
         given = pyeit_problem(problem, self.options.mesh_size)
         jac = solver("pyeit.eit.jac:JAC", given)
         with quiet(), invertible():
@@ -249,13 +221,7 @@ class PyeitGreit(_PyeitMethod):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix.
-
-        Raises
-        ------
-        NumericsError
-            If the sheet is not round, a reading touches a driven electrode, or lamb is lost in rounding.
-        """
+        """Prepare the imaging matrix."""
         given = pyeit_problem(problem, self.options.mesh_size)
         greit = solver("pyeit.eit.greit:GREIT", given)
         with quiet(), invertible():
