@@ -43,11 +43,6 @@ def numbers(
     ----------
     kinds : numpy's letters of the types it may have.
     shape : the one it must have; None for any.
-
-    Raises
-    ------
-    RefusedError
-        If it is missing, a group, or of another type or shape.
     """
     dataset = _dataset(parent, name)
     if dataset.dtype.kind not in kinds:
@@ -79,11 +74,6 @@ def real_of(item: h5py.Group, name: str, what: str) -> float | None:
     Parameters
     ----------
     what : how messages name it.
-
-    Raises
-    ------
-    RefusedError
-        If it is anything else: a text, a list, a complex number, true or false.
     """
     if name not in item.attrs:
         return None

@@ -1,9 +1,7 @@
 """Complete analysis of a recording: channels, carry-over, noise, presses."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from time import perf_counter
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 
@@ -28,8 +26,7 @@ from cbsr_qa.domain.readings import (
 )
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.plugin import Reconstruction
-
-_Result = TypeVar("_Result")
+from cbsr_qa.system import Stages
 
 #: What images events where nobody chose.
 DEFAULT_RECONSTRUCTION: Final = "gauss-newton-noser"
@@ -74,23 +71,26 @@ def analyse_recording(
         If the reconstruction cannot image the events; names it.
     """
     choices = choices or AnalysisChoices()
-    spent: dict[str, float] = {}
+    stages = Stages()
     pattern = None if choices.sensor_type is None else choices.sensor_type.pattern
-    ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_carry_over, pattern))
+    with stages.stage("channels"):
+        ready = make_ready(recording, choices.correct_carry_over, pattern)
     rate_hz = frame_rate_hz(recording)
-    searched = _timed(spent, "events", lambda: _searched(recording, ready, choices, rate_hz))
-    imaged = _timed(spent, "images", lambda: _imaged(searched, reconstruction, choices.reconstruction, tell))
-    events, why = imaged.events, searched.why
-    noise = _timed(spent, "noise", lambda: _noise(recording, ready, events))
+    with stages.stage("events"):
+        searched = _searched(recording, ready, choices, rate_hz)
+    with stages.stage("images"):
+        imaged = _imaged(searched, reconstruction, choices.reconstruction, tell)
+    with stages.stage("noise"):
+        noise = _noise(recording, ready, imaged.events)
     return RecordingResult(
         recording=recording,
         frame_rate_hz=rate_hz,
         channels=replace(channel_report(ready), suspect_electrodes=searched.suspect_electrodes),
         noise=noise,
-        events=events,
-        events_why="" if events else why,
+        events=imaged.events,
+        events_why="" if imaged.events else searched.why,
         warnings=(*_warnings(recording, ready, searched), *imaged.remarks),
-        compute_s=tuple(spent.items()),
+        compute_s=stages.table(),
         sensor_type=choices.sensor_type,
         imaging=imaged.imaging,
     )
@@ -111,13 +111,6 @@ def frame_rate_hz(recording: Recording) -> float | None:
     steps = np.diff(times)
     typical = steps[(steps < 1.1 * np.median(steps)) & (steps > 0)]
     return float(1 / typical.mean()) if typical.size else None
-
-
-def _timed(spent: dict[str, float], stage: str, work: Callable[[], _Result]) -> _Result:
-    begin = perf_counter()
-    result = work()
-    spent[stage] = perf_counter() - begin
-    return result
 
 
 def _searched(

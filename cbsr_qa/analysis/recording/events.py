@@ -124,7 +124,7 @@ def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loa
     return search.found
 
 
-def search(white: Array, match: Matcher, no_loads: NoLoads | None = None) -> tuple[Found, tuple[Change, ...]]:
+def search(white: Array, match: Matcher, no_loads: NoLoads) -> tuple[Found, tuple[Change, ...]]:
     """Search for short and for lasting presses.
 
     Parameters
@@ -144,7 +144,7 @@ def search(white: Array, match: Matcher, no_loads: NoLoads | None = None) -> tup
     calm = without_pulses(white, pulses)
     changes = find_changes(calm @ match.patterns)
     presses = find_presses(calm, match, changes, no_loads)
-    short = _Search(white, match, no_loads or NoLoads(np.zeros(white.shape[1])), [])
+    short = _Search(white, match, no_loads, [])
     for pulse in pulses:
         short.close_short(pulse)
     for press in short.found.presses:

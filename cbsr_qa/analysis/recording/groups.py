@@ -1,16 +1,13 @@
-"""Short presses: visible for one to three frames only.
+"""Steps grouped into presses, and pulses: presses of one to three frames.
 
-Windows of a step hold the beginning and the end of such a press at once. So it is looked for by itself: a pulse is a
-few frames that stand out of the frames before *and* of the frames after them, to the same side. As with steps the
-noise of that comparison is estimated per place from all moments of the same recording.
+A step at the place of an earlier one and of its sign goes on with that press, unless the press had lost much of its
+trace by then; one of the other sign takes it back. A step elsewhere begins a press of its own sign if it leads away
+from the state the recording began in. One that leads back to that state, though no press seen before explains it,
+releases a load that came too slowly to be a step.
 
-Steps put together: which of them begin a press, which belong to one, and which take one back.
-
-A sheet is pressed and released, and both are steps. A step at the place of an earlier one and of its sign goes on
-with that press, unless the press had lost much of its trace by then; one of the other sign takes it back. A step
-elsewhere begins a press of its own sign if it leads away from the state the recording began in. One that leads back
-to that state, though nothing that was seen to be pressed explains it, releases a load that
-came too slowly to be a step.
+The windows of a step hold the beginning and the end of a short press at once. So pulses are looked for by themselves:
+a few frames that stand out of those before *and* after them, to the same side. As with steps, the noise of that
+comparison is estimated per place from all moments of the same recording.
 """
 
 from dataclasses import dataclass, field
@@ -174,7 +171,7 @@ def find_pulses(scores: Array) -> tuple[Change, ...]:
         candidates += [Change(int(at[k]), width, int(place[k]), int(sign[k]), float(size[k])) for k in over]
     taken: list[Change] = []
     for pulse in sorted(candidates, key=lambda change: -change.score)[: 10 * _MOST_PULSES]:
-        if all(_apart_recording_pulses(pulse, other) > _BESIDE for other in taken):
+        if all(_frames_between(pulse, other) > _BESIDE for other in taken):
             taken.append(pulse)
     return tuple(sorted(taken[:_MOST_PULSES], key=lambda change: change.frame))
 
@@ -208,5 +205,5 @@ def _scaled(difference: Array) -> Array:
     return scaled
 
 
-def _apart_recording_pulses(earlier: Change, other: Change) -> int:
+def _frames_between(earlier: Change, other: Change) -> int:
     return max(earlier.frame - (other.frame + other.window), other.frame - (earlier.frame + earlier.window))

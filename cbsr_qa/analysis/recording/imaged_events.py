@@ -1,9 +1,4 @@
-"""Events of a recording with their images.
-
-Where images show events, and whether those that overlap in time each still have a region of their own.
-
-Whether an object that was followed through frames moves, and how.
-"""
+"""Events of a recording with their images: where images show them, what overlaps merge, and which objects move."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -37,9 +32,7 @@ _LARGEST: Final = 0.5  #: a region above half its peak over more than this share
 Together = Callable[[Sequence[int]], Array]
 
 
-def with_fates(
-    events: Sequence[LoadEvent], radius_mm: float, *, together: Together | None = None
-) -> tuple[LoadEvent, ...]:
+def with_fates(events: Sequence[LoadEvent], radius_mm: float, together: Together) -> tuple[LoadEvent, ...]:
     """Report of simultaneous events whether their images are separate, merged or missing.
 
     The image is that of the changes of the events that last at this one's peak, each once; a region is one of its
@@ -49,16 +42,9 @@ def with_fates(
     Parameters
     ----------
     radius_mm : of the sheet the images are of.
-    together : images several changes at once; None for the sum of their images, which is the same for linear methods.
+    together : images the changes of several events at once.
     """
-
-    def summed(numbers: Sequence[int]) -> Array:
-        # What was pressed at once has one change between it.
-        images = {events[k].image.values.tobytes(): events[k].image.values for k in numbers}
-        total: Array = np.sum(list(images.values()), axis=0)
-        return total
-
-    fates = [_fate(number, events, radius_mm, together or summed) for number in range(len(events))]
+    fates = [_fate(number, events, radius_mm, together) for number in range(len(events))]
     return tuple(replace(event, fate=fate) for event, fate in zip(events, fates, strict=True))
 
 
@@ -202,10 +188,11 @@ def image_events(
         made.append(_event(scene, seen, images.of(seen, _name(scene, number, seen.peak_s))))
 
     def together(numbers: Sequence[int]) -> Array:
-        tell(f"imaging event {numbers[0] + 1} and its neighbours with {chosen.name}")
+        if not images.superposes:
+            tell(f"imaging event {numbers[0] + 1} and its neighbours with {chosen.name}")
         return images.together([sightings[k] for k in numbers])
 
-    fated = with_fates(made, sheet.radius_mm, together=None if images.superposes else together)
+    fated = with_fates(made, sheet.radius_mm, together)
     events = with_imaged_places(fated, sheet.radius_mm, sheet.layout)
     imaging = EventImaging(chosen, images.prepared.choice, len(sheet.problem.mesh.elements))
     alone = images.sequences and all(len(seen.frames) == 1 for seen in sightings)

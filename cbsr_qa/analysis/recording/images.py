@@ -111,11 +111,6 @@ class EventImages:
         Parameters
         ----------
         name : of the event, for a refusal.
-
-        Raises
-        ------
-        NumericsError
-            If the method cannot image it; names method and event.
         """
         where = f"{self.name} cannot image {name}"
         if self.sequences:

@@ -150,11 +150,6 @@ def unit_model(reference: Array, problem: ImagingProblem, *, offset: bool) -> Un
     ----------
     reference : (m,) used readings of the unloaded sheet.
     offset : whether an unstated offset is part of them.
-
-    Raises
-    ------
-    NumericsError
-        If readings with an offset do not follow the model at all, or one without is zero.
     """
     model = problem.reference
     if not offset:

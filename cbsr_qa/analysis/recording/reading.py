@@ -68,14 +68,10 @@ def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[R
 
 def _head(path: Path) -> bytes:
     try:
-        there = path.exists()
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
-    if not there:
-        raise RecordingError(f"there is no file {path}", remedy="check its name and folder")
-    if not path.is_file():
-        raise RecordingError(f"{path} is not a file", remedy="name a file in it")
-    try:
+        if not path.exists():
+            raise RecordingError(f"there is no file {path}", remedy="check its name and folder")
+        if not path.is_file():
+            raise RecordingError(f"{path} is not a file", remedy="name a file in it")
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
     except OSError as error:

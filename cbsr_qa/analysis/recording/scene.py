@@ -74,11 +74,6 @@ class RecordedScene:
         Parameters
         ----------
         named : whether a user named the sensor type, so that lengths may be given in millimetres.
-
-        Raises
-        ------
-        NumericsError
-            If too few readings are left, or they do not follow the model.
         """
         block, used = ready.block, ready.used
         frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference

@@ -1,10 +1,8 @@
-"""Recordings of tanks: depth from the reference frame, and patterns of balls.
+"""Objects in a tank against a frame of the empty tank: still or moving, with the tank's depth and patterns of balls.
 
 In a tank readings fall off faster with distance than on a sheet, and a large ball is not a small one: the parts of it
 that are near an electrode are seen by it alone. In a tank as deep as it is wide a sheet's patterns put balls of 0.15
 radii up to 0.04 radii too far out; those of balls of the right size, in the tank, are right within 0.01 up to 0.6.
-
-Objects in a tank, against a frame of the empty tank: still images, and objects that move.
 """
 
 from dataclasses import dataclass, replace
@@ -132,7 +130,7 @@ def _object(stretch: list[tuple[int, Place]]) -> Object:
 _DEPTHS: Final = (0.3, 5.0)  # in radii: shallower is a sheet, deeper looks alike
 _THIN: Final = 0.05  # depth that stands for a sheet
 _ELECTRODE: Final = 0.1  # width and height of a nominal electrode, of the radius
-_EXPLAINED_RECORDING_TANK: Final = 0.05  # deviation of log readings over distances that a tank may leave,
+_EXPLAINED_BY_TANK: Final = 0.05  # deviation of log readings over distances that a tank may leave,
 _OF_SHEET: Final = 0.25  # and of what a sheet leaves
 _FEWEST: Final = 5  # distances between drive and measurement
 _SIZES: Final = (0.02, 0.3)  # radii of balls, of the tank's
@@ -203,7 +201,7 @@ def fitted_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
 
     fit = minimize_scalar(left, bounds=_DEPTHS, method="bounded", options={"xatol": 1e-3})
     depth = float(fit.x)
-    if not float(fit.fun) < min(_EXPLAINED_RECORDING_TANK, _OF_SHEET * left(_THIN)):
+    if not float(fit.fun) < min(_EXPLAINED_BY_TANK, _OF_SHEET * left(_THIN)):
         return None
     return Tank(depth, DeepTank(depth, angles, pattern, electrode=_ELECTRODE))
 

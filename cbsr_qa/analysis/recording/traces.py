@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from cbsr_qa.analysis.defects import MAD_TO_SIGMA
 from cbsr_qa.analysis.recording.changes import Change
@@ -56,8 +57,7 @@ def smooth(along: Array, window: int = 2) -> Array:
     half = window // 2
     if len(along) < 2 * half + 1:
         return along
-    padded = np.pad(along, half, mode="edge")
-    smoothed: Array = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
+    smoothed: Array = median_filter(along, 2 * half + 1, mode="nearest")
     return smoothed
 
 

@@ -5,8 +5,8 @@ the places that were left out. It says nothing of what lies between places that 
 error does.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -100,12 +100,14 @@ class _Loads:
         learned = force.learned
         assert learned is not None
         responds = np.isfinite(learned.ratio)
-        used = [load for load, yes in zip(force.used, responds, strict=True) if yes]
+        used = list(compress(force.used, responds))
         self._places = force.sheet_pose.places_mm(places_mm(used))
         self._log = np.log(learned.ratio[responds]) + _by_the_line(run, force, used)
         self._variance = (learned.ratio_stderr[responds] / learned.ratio[responds]) ** 2
         self._scatter = learned.model.scatter
-        self._seconds = np.array(list(_seconds(run, used)))
+        # Each load's share of the time of its phase: surfaces may be found before the first press.
+        share_s = {p.name: (p.ended_s - p.started_s) / len(p.loads) for p in run.record.phases if p.loads}
+        self._seconds = np.array([share_s[load.phase] for load in used])
         self._radius_mm = run.record.sensor_type.radius_mm
         radius_mm = calibrated_radius_mm(force)
         area = sheet_places(learned.model, stride=2)
@@ -173,15 +175,6 @@ def _by_the_line(run: RunObservation, force: RunForce, used: list[LoadObservatio
     nominal = given.slope.value * stress + given.intercept.value
     ratio: Array = np.log(nominal / (own.slope.value * stress + own.intercept.value))
     return ratio
-
-
-def _seconds(run: RunObservation, used: list[LoadObservation]) -> Iterator[float]:
-    """Share of each load in the time of its phase [s]: surfaces may be found before the first press."""
-    share = {
-        phase.name: (phase.ended_s - phase.started_s) / len(phase.loads) for phase in run.record.phases if phase.loads
-    }
-    for load in used:
-        yield share[load.phase]
 
 
 def _rms(squares: Array) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -26,10 +27,6 @@ from cbsr_qa.domain.results import ForceModel, LoadObservation, RunObservation
 from cbsr_qa.eit.estimate import load_model, merged_readings
 
 Array = NDArray[np.float64]
-
-#: What is said of loads held beside others.
-_TOGETHER: Final = "several loads were held at once"
-
 
 #: How a load came to be tested.
 HELD_OUT: Final = "held out"
@@ -119,7 +116,7 @@ def learned_from(run: RunObservation) -> RunForce:
     """
     loads = run.derived(_RunForce)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
-    used = tuple(load for load, yes in zip(loads.loads, calibrating, strict=True) if yes)
+    used = tuple(compress(loads.loads, calibrating))
     learned = loads.learn(calibrating)
     if loads.at_s is not None:
         learned = replace(learned, model=replace(learned.model, steady_s=loads.at_s))
@@ -186,7 +183,9 @@ class _RunForce:
 
     def _data(self) -> CalibrationLoads:
         if not self.loads:
-            raise NumericsError(f"no load was pressed alone with its force recorded ({_TOGETHER}, or no load cell)")
+            raise NumericsError(
+                "no load was pressed alone with its force recorded (several loads were held at once, or no load cell)"
+            )
         windows = [window_of(self.run, load) for load in self.loads]
         steady = [self._rows(window.steady.voltages) for window in windows]
         before = [self._rows(window.before.voltages) for window in windows]
@@ -232,12 +231,12 @@ class _RunForce:
             again = left_out & self._pressed_in(others)
             if again.any():
                 tests += self.tests(self.learn(others), again, TRIAL_LEFT_OUT)
-        used = tuple(load for load, yes in zip(self.loads, calibrating, strict=True) if yes)
+        used = tuple(compress(self.loads, calibrating))
         return RunForce(learned, used, tuple(tests), sheet_pose=self.sheet_pose)
 
     def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
         """Add the time of the hold that loads were evaluated at, and their kernels."""
-        loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
+        loads = list(compress(self.loads, which))
         filter_ = TemplateFilter(learned.model)
         loading, unloading = force_kernels(self.run, loads, self.data.place_mm[which], self.merging, filter_)
         held_to_s = float(np.mean([steady_s(self.run, load) for load in loads])) if self.at_s is None else self.at_s
@@ -265,7 +264,7 @@ class _RunForce:
         """Test a model on some loads; those whose head does not fit the map are excluded."""
         if not which.any():
             return []
-        loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
+        loads = list(compress(self.loads, which))
         data = self.data.select(which)
         filter_ = TemplateFilter(learned.model)
         inverse = ForceInverse(learned.model, learned.line, self.head.area_mm2, map_tables(learned.model))

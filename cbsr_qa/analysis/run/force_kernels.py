@@ -6,6 +6,7 @@ cell); with that as prior, the others are predicted to the time at which those w
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -83,12 +84,8 @@ class StrengthTraces:
 
     def loading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
         """The kernel of presses."""
-        traces, ramps, noises = [], [], []
-        for load in loads:
-            traces.append(self.change(load))
-            ramps.append(ramp_s(load))
-            noises.append(self.held(load)[2])
-        return _usable(traces, ramps, noises, None, 0.0)
+        noises = [self.held(load)[2] for load in loads]
+        return _usable([self.change(load) for load in loads], [ramp_s(load) for load in loads], noises, None, 0.0)
 
     def change(self, load: LoadObservation) -> TimedValues:
         """Times from the start of the hold [s], and strengths under it without what earlier loads left."""
@@ -211,14 +208,11 @@ def compensated(
     long = held_s >= LONG * held_s.max()
     if long.all():
         return Compensated(data, None, ~long)
-    held_to_s = [steady_s(run, load) for load, yes in zip(loads, long, strict=True) if yes]
-    at_s = float(np.mean(held_to_s))
-    references = [load for load, yes in zip(loads, long, strict=True) if yes]
+    references = list(compress(loads, long))
+    at_s = float(np.mean([steady_s(run, load) for load in references]))
     strength = _usable_transients("conductance", traces.loading(references), len(references))
     forces = [_force_trace(run, load) for load in loads]
-    stress = _usable_transients(
-        "stress", _stress_kernel(references, [f for f, y in zip(forces, long, strict=True) if y]), None
-    )
+    stress = _usable_transients("stress", _stress_kernel(references, list(compress(forces, long))), None)
     rows, frames = data.rows.copy(), data.frames.astype(np.float64)
     force, stderr = data.force_N.copy(), data.force_stderr_N.copy()
     for k in np.flatnonzero(~long).tolist():

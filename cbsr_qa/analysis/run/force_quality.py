@@ -50,11 +50,6 @@ class ForceErrors:
 
         The standard error is that of a sample with this kurtosis, at least a normal one's: heavy loads err more than
         light ones.
-
-        Raises
-        ------
-        NumericsError
-            If there are fewer than two loads.
         """
         count = self._enough()
         left = self.error_N - self.error_N.mean()
@@ -84,13 +79,7 @@ class ForceErrors:
         return int((np.abs(self.error_N) <= reach * self.stderr_N).sum())
 
     def coverage(self, reach: float, nominal: float) -> Estimate:
-        """Return the share of loads within this many stated standard errors, ± chance scatter of a nominal share.
-
-        Raises
-        ------
-        NumericsError
-            If there are too few loads to say.
-        """
+        """Return the share of loads within this many stated standard errors, ± chance scatter of a nominal share."""
         count = len(self.error_N)
         if count < FEWEST_COVERED:
             raise NumericsError(f"{self.inside(reach)} of {count} loads; a share needs at least {FEWEST_COVERED}")

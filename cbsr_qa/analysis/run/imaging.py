@@ -120,9 +120,7 @@ def mask_views(
     """
     image = _cleared(mesh, signed, noise_floor)
     blobs = masked_blobs(image, settings.masks)
-    outlined: Sequence[Sequence[Region]] = blobs
-    if settings.outline == "contour":
-        outlined = masked_contours(image, settings.masks)
+    outlined = _outlined(image, settings) if settings.outline == "contour" else blobs
     views = []
     for fraction, own, regions in zip(settings.masks, blobs, outlined, strict=True):
         region, fate = _sensed(regions, pressed, others)
@@ -140,13 +138,12 @@ def sensed_regions(
     others: Sequence[Footprint] = (),
 ) -> list[Region | None]:
     """Return :attr:`MaskView.region` of every mask alone, for half the time."""
-    image = _cleared(mesh, signed, noise_floor)
-    regions_of_masks: Sequence[Sequence[Region]] = (
-        masked_contours(image, settings.masks)
-        if settings.outline == "contour"
-        else masked_blobs(image, settings.masks)
-    )
-    return [_sensed(regions, pressed, others)[0] for regions in regions_of_masks]
+    outlined = _outlined(_cleared(mesh, signed, noise_floor), settings)
+    return [_sensed(regions, pressed, others)[0] for regions in outlined]
+
+
+def _outlined(image: Image, settings: AnalysisSettings) -> Sequence[Sequence[Region]]:
+    return (masked_contours if settings.outline == "contour" else masked_blobs)(image, settings.masks)
 
 
 def _sensed(

@@ -39,13 +39,7 @@ def unloaded_frames(record: RunRecord) -> FrameBlock:
 
 
 def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBlock, FrameBlock]:
-    """Split unloaded frames into those of the noise floor (the first ones, as in the paper) and the reference.
-
-    Raises
-    ------
-    NumericsError
-        If no frame would be left for the reference.
-    """
+    """Split unloaded frames into those of the noise floor (the first ones, as in the paper) and the reference."""
     if len(frames) <= noise_floor_frames:
         raise NumericsError(
             f"{len(frames)} unloaded frames are too few: the noise floor needs {noise_floor_frames}, the reference at"

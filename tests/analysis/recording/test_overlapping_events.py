@@ -1,5 +1,6 @@
 """Events that overlap in time: which the image shows apart, which it merges, which it loses."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +38,11 @@ def _event_at(x_mm: float, y_mm: float, start_s: float, end_s: float, *, size=1.
 
 
 def _fates(*events: LoadEvent) -> list[str]:
-    return [event.fate for event in with_fates(events, RADIUS_MM)]
+    def together(numbers: Sequence[int]) -> np.ndarray:
+        changes = {events[k].image.values.tobytes(): events[k].image.values for k in numbers}
+        return sum(changes.values())
+
+    return [event.fate for event in with_fates(events, RADIUS_MM, together)]
 
 
 def test_events_one_after_another_have_no_fate():
