@@ -8,7 +8,6 @@ from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import show
 
 if TYPE_CHECKING:
-    from cbsr_qa.domain import filled
     from cbsr_qa.domain.results import Section
     from cbsr_qa.plugin import PluginReference
 
@@ -29,6 +28,7 @@ def list_plugins(
     """List plugins by kind and name, and those that could not be loaded, with the reason."""
     from dataclasses import replace
 
+    from cbsr_qa.domain import filled
     from cbsr_qa.domain.results import Section
     from cbsr_qa.plugin import FailedPlugin, Kind, ListedPlugin, ListedPlugins, discover, kind_named, plugin_reference
     from cbsr_qa.report import answer, plural, text_table

@@ -185,7 +185,7 @@ def test_the_report_draws_the_agreement_that_was_asked_for(alike, strip):
     assert isinstance(drawn, Figure)
     assert "equivalent" in drawn.svg
     assert "The sheet against a strip of its material" in drawn.caption
-    assert _agreements(alike, ()) == []
+    assert list(_agreements(alike, ())) == []
     bare = replace(alike, record=replace(alike.record, material=MATERIAL))
     (told,) = _agreements(bare, SheetAndStripRelaxation().measure_run(bare))
     assert isinstance(told, Paragraph)
