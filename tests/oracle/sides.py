@@ -24,6 +24,8 @@ TOP = HERE.parents[1]
 SHARED = TOP.parent / "shared" / "data"
 #: Seconds that one line may take; a line that takes longer is ended, and its exit code says so.
 _LONGEST = 900
+#: A JSON document among what was printed: the order of its keys means nothing.
+_JSON = re.compile(r"^\{\n.*?^\}$", re.M | re.S)
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,8 @@ class Side:
             str(SHARED): "<shared>",
             os.environ.get("TMPDIR", "/tmp"): "<tmp>",
         }
-        texts = {f"{case}/{name}": text for name, text in json.loads(self._kept(case).read_text()).items()}
+        printed = json.loads(self._kept(case).read_text())
+        texts = {f"{case}/{name}": _JSON.sub(_by_key, text) for name, text in printed.items()}
         for path in sorted(place.rglob("*")):
             text = dumped(path) if path.is_file() else None
             if text is not None:
@@ -172,6 +175,13 @@ class Side:
 
 def _names(case: str) -> list[str]:
     return [f"{number:02} {line}" for number, line in enumerate(CASES[case], start=1)]
+
+
+def _by_key(document: re.Match[str]) -> str:
+    try:
+        return json.dumps(json.loads(document[0]), indent=2, sort_keys=True, ensure_ascii=False)
+    except ValueError:
+        return document[0]
 
 
 def by_name(texts: Mapping[str, str], folders: Mapping[str, str]) -> dict[str, str]:
