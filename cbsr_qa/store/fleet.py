@@ -89,7 +89,7 @@ def _read(engine: Engine, selection: RunSelection, read: Callable[[Connection, C
     """Read something of the selected runs; refuse by its name the first run that cannot be read."""
     with reading(engine) as connection:
         chosen = _conditions(selection)
-        if chosen:
+        if chosen and selection.latest is None:  # the latest are asked for at the end of each run: by indices alone
             _naming_runs(connection, [], partial(_check_left_out, selection))
         return _naming_runs(connection, chosen, read)
 
