@@ -229,7 +229,7 @@ def apply_calibration(
 def _serial_remarks(own: str, stated: str | None) -> tuple[str, ...]:
     """Say that nobody knows whether a recording is of the calibration's sensor, unless it was said to be."""
     if stated is None:
-        why = "recordings state no serial number; --serial is held against it"
+        why = "recordings state no serial number; --serial states it"
         return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",)
     if validate_serial(stated) != own:
         raise CalibrationError(

@@ -379,7 +379,7 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
     low, high = 100 * force.response_lowest, 100 * force.response_highest
     best, worst = 100 * force.response_stderr_lowest, 100 * force.response_stderr_highest
     yield (
-        f"The sheet answers with {low:.0f} to {high:.0f} % of what its material would at {force.places} places, known"
+        f"The sheet answers with {low:.1f} to {high:.1f} % of what its material would at {force.places} places, known"
         f" to {best:.1f} to {worst:.1f} % (1 s.e.); single loads scatter by {100 * force.scatter:.1f} %."
     )
     x, y = force.least_force_worst_at_mm

@@ -47,7 +47,7 @@ def analyse(
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     as_json: AsJson = False,
 ) -> int:
-    """Find faulty channels, noise and presses in recordings; nothing about the presses need be known."""
+    """Find faulty channels, noise and presses in recordings, without being told where or when."""
     from cbsr_qa.app.analyse import AnalysedFiles, AnalyseRequest, analyse_file, analyse_outcome
     from cbsr_qa.report import json_document
 

@@ -58,7 +58,7 @@ def apply(
     place: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            metavar="X Y", help="Where the head presses [mm from the centre]; by default estimated for each frame."
+            metavar="X Y", help="Where the head presses, in mm from the centre; by default estimated for each frame."
         ),
     ] = None,
     format_: Annotated[

@@ -24,7 +24,7 @@ def check(
     operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
     ring_ohm: Annotated[
         float | None,
-        typer.Option(help="Resistance of each resistor of the reference ring [ohm]; by default the station file's."),
+        typer.Option(help="Resistance of each resistor of the reference ring in ohm; by default the station file's."),
     ] = None,
     ring: Annotated[bool, typer.Option(help="Measure the reference ring, if its resistances are known.")] = True,
     ring_connected: Annotated[

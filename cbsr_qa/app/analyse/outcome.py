@@ -310,7 +310,7 @@ def analyse_outcome(analysed: Analysed, *, imaged: bool) -> CommandOutcome[Analy
 
 def _events(result: RecordingResult, *, imaged: bool) -> Iterator[Block]:
     timed, in_mm = result.frame_rate_hz is not None, any(event.x_mm is not None for event in result.events)
-    columns = ["event", *(["from [s]", "to [s]"] * timed), "place", *(["x [mm]", "y [mm]"] * in_mm), "it", "SNR"]
+    columns = ["event", *(["from [s]", "to [s]"] * timed), "place", *(["x [mm]", "y [mm]"] * in_mm), "change", "SNR"]
     rows = []
     for number, event in enumerate(result.events, start=1):
         times = [fixed(event.start_s, 1), fixed(event.end_s, 1)] * timed

@@ -215,7 +215,7 @@ class _Look:
         """Take frames of the ring and judge them; a line says why if none are taken."""
         sensor_type = self.configuration.sensor_type
         if ring is None:
-            return self._add(_no_ring("no ring was asked for", _NO_RING))
+            return self._add(_no_ring("its resistances are not given, or --no-ring", _NO_RING))
         if not resistances_ohm:
             why = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes, between which there is no ring"
             return self._add(_no_ring(why, "set the station up for a sensor type with more"))

@@ -12,7 +12,7 @@ from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Page, Paragraph, Section
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.report import counted, lines_table, quantity, remedies, text_table
+from cbsr_qa.report import counted, lines_table, plural, quantity, remedies, text_table
 from cbsr_qa.report.draw import ring_figure
 
 _RING_WORDS: Final = (
@@ -87,7 +87,7 @@ def _head(check: StationCheck, golden_run: str) -> Page:
     elif check.outcome is CheckOutcome.WARNING:
         banner = Banner("marginal", "≈", "OK, with warnings", counted(check))
     else:
-        banner = Banner("pass", "✓", "OK", f"{len(check.lines(CheckOutcome.OK))} lines are well")
+        banner = Banner("pass", "✓", "OK", f"{plural(len(check.lines(CheckOutcome.OK)), 'check')} passed")
     facts = (
         ("Station", check.station),
         ("Checked", check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()),

@@ -200,7 +200,7 @@ def _images(result: RecordingResult) -> Figure:
         place = Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
         moves = event.motion is not None
         track = np.array([at[1:] for at in event.track]) * sheet.radius_mm if moves else None
-        note = f"{'clearest at ' if moves else ''}electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}"
+        note = f"{'clearest at ' if moves else ''}{event.place}"
         panels.append(ImagePanel(_name(rank), event.image, (place,), note, track))
     left = "" if len(shown) == len(events) else f" The first {len(shown)} of {len(events)}."
     moved = (
