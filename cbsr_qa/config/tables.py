@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict
@@ -102,8 +103,9 @@ def refusal(document: Document, problems: list[Problem]) -> ConfigError:
     some = "" if len(problems) <= MOST_LISTED else f", of which these are the first {MOST_LISTED}"
     lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}{some}:"]
     placed = [(line_of(document.text, problem.path), problem) for problem in problems]
+    file = Path(document.label).name
     for line, problem in sorted(placed, key=lambda each: each[0] or 0)[:MOST_LISTED]:
-        where = f"line {line}: " if line else ""
+        where = f"{file} line {line}: " if line else ""
         lines.append(f"  {where}{problem}")
     what = "it" if len(problems) == 1 else "them"
     return ConfigError(
