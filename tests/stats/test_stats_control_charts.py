@@ -51,7 +51,7 @@ def test_moving_averages_are_the_handbooks(oracle):
     chart = ewma(printed["data"], weight=printed["lam"], width=printed["k"], reference=known)
     assert chart.points == pytest.approx(printed["z"][1:], abs=0.01)  # printed to two decimals, and carried on so
     # The handbook prints the limits of a long series.
-    assert (chart.lower[-1], chart.upper[-1]) == pytest.approx((printed["LCL"], printed["UCL"]), abs=2e-4)
+    assert (chart.lower[-1], chart.upper[-1]) == pytest.approx((printed["LCL"], printed["UCL"]), abs=1e-4)
     assert chart.upper[0] - printed["target"] == pytest.approx(3 * 0.3 * printed["s"], rel=1e-12)
     assert chart.in_control
 

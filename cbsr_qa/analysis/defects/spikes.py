@@ -31,7 +31,7 @@ def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mas
     Parameters
     ----------
     voltages : (n, drives, measures), carry-over taken out.
-    usable : (drives, measures) bool, channels to mend; the others are left as they are.
+    usable : (drives, measures) bool, channels whose spikes are replaced; others stay as they are.
     counts : whether the values are whole counts.
 
     Returns
