@@ -112,6 +112,18 @@ def test_a_door_offers_what_somebody_outside_uses_and_nothing_else():
     assert {door: names for door, names in absent.items() if names} == {}
 
 
+def _named_like_their_module(source: str) -> list[str]:
+    """Names that a door takes from a module of the same name: once that is imported, it hides them."""
+    taken = [node for node in ast.parse(source).body if isinstance(node, ast.ImportFrom)]
+    return [alias.name for node in taken for alias in node.names if node.module == (alias.asname or alias.name)]
+
+
+def test_no_door_offers_a_name_that_its_own_module_hides():
+    assert _named_like_their_module("from .gauge import gauge as gauge, study as study") == ["gauge"]
+    assert _named_like_their_module("from . import gauge as gauge") == []
+    assert {door: names for door in DOORS if (names := _named_like_their_module(DOORS[door].read_text()))} == {}
+
+
 @pytest.mark.parametrize("door", sorted(DOORS))
 def test_a_door_gives_what_it_lists_and_no_module_stands_in_its_way(door):
     """Importing a module makes it an attribute of its package: it must not be named as something the door offers."""
