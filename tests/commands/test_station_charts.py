@@ -44,7 +44,7 @@ def test_a_station_that_is_out_of_control_says_so_on_its_reports(tmp_path):
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
         latest = store.find_runs()[0]
         warnings = store.analyses(latest.run)[0].warnings
-    said = "noise_floor, chart i-mr, signals since the run of sensor G-2 on "
+    said = "noise floor, chart i-mr, signals since the run of sensor G-2 on "
     assert any("station simulated is out of control" in words and said in words for words in warnings)
     (page,) = (tmp_path / "var" / "reports").glob("G-2-*.html")
     assert "The station is out of control: 1 of 2 control charts of station simulated signal." in page.read_text()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.results.measurement import EndReason, Outcome
+from cbsr_qa.domain.results.measurement import EndReason, Outcome, metric_words
 from cbsr_qa.domain.run import run_named
 
 
@@ -30,9 +30,17 @@ class MetricKey:
 
     @property
     def label(self) -> str:
-        """Name with phase, qualifier and location, for people."""
+        """Name with phase, qualifier and location, as recipes and JSON write it."""
+        return self._with_detail(self.name)
+
+    @property
+    def title(self) -> str:
+        """The same for people, the name in words."""
+        return self._with_detail(metric_words(self.name))
+
+    def _with_detail(self, name: str) -> str:
         detail = ", ".join(part for part in (self.phase, self.qualifier, self.location) if part)
-        return f"{self.name} ({detail})" if detail else self.name
+        return f"{name} ({detail})" if detail else name
 
 
 @dataclass(frozen=True, slots=True)

@@ -186,7 +186,7 @@ class ChartReference(ChartSettings):
     def label(self) -> str:
         """Metric and chart for people, with the golden sensor if there is one."""
         of = f" of golden sensor {self.golden}" if self.golden else ""
-        return f"{self.key.label}{of}, chart {self.chart}"
+        return f"{self.key.title}{of}, chart {self.chart}"
 
 
 @dataclass(frozen=True, slots=True)

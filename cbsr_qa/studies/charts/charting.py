@@ -212,7 +212,7 @@ class MetricChart:
 
 def no_chart(series: Series, why: str) -> MetricChart:
     """Return what there is of a metric without limits, and why it has none."""
-    return MetricChart(series.key.label, series.unit, _names(series.lines), series.values, series.notes, why)
+    return MetricChart(series.key.title, series.unit, _names(series.lines), series.values, series.notes, why)
 
 
 def metric_chart(series: Series, reference: ChartReference) -> MetricChart:

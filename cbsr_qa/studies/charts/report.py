@@ -17,7 +17,7 @@ from cbsr_qa.domain.results import (
     Table,
 )
 from cbsr_qa.domain.run import ChartKind, ChartReference
-from cbsr_qa.report import capital, number, plural, text_table, unit_shown
+from cbsr_qa.report import capital, number, plural, text_table, unit_column, unit_shown
 from cbsr_qa.studies.charts.charting import MOST_DRAWN, STANDS, ChartPhase, MetricChart
 from cbsr_qa.studies.charts.charts import Charts
 
@@ -56,7 +56,9 @@ def charts_outcome(charts: Charts) -> CommandOutcome[Charts]:
     """Lay charts out; the exit code is 1 where a signal stands."""
     sections = [Section("How to read this page", tuple(_reading(charts)), page_only=True)]
     sections += [Section("Charts", (_table(charts),))] if charts.charts else []
-    sections += [Section(chart.label, tuple(_blocks(chart))) for chart in charts.charts]
+    sections += [
+        Section(unit_column(capital(chart.label), chart.unit), tuple(_blocks(chart))) for chart in charts.charts
+    ]
     return CommandOutcome(charts, _page(charts), tuple(sections), 0 if charts.in_control else 1)
 
 

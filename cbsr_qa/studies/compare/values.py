@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import FleetTable, MetricKey, State
+from cbsr_qa.domain.results import FleetTable, MetricKey, State, metric_words
 from cbsr_qa.report import named, plural
 from cbsr_qa.stats import LARGEST
 
@@ -92,7 +92,7 @@ def values_of(table: FleetTable, used: BoolArray) -> Iterator[MetricValues]:
     named_so = Counter(key.name for key in keys)
     for key, chosen in zip(keys, np.split(order, ends[:-1]), strict=True):
         if len(chosen):
-            title = (key.name if named_so[key.name] == 1 else key.label).replace("_", " ")
+            title = metric_words(key.name) if named_so[key.name] == 1 else key.title
             yield _values(key, title, table, chosen, used)
 
 

@@ -61,7 +61,10 @@ _LARGEST: Final = "The largest part is {name}: deviation {deviation}, {share} of
 def gauge_outcome(study: GaugeStudy) -> CommandOutcome[GaugeStudy]:
     """Lay a study out."""
     sections = [Section("How to read this page", tuple(map(Paragraph, _READING)), page_only=True)]
-    sections += [Section(metric.label, tuple(_blocks(metric, study))) for metric in study.metrics]
+    sections += [
+        Section(unit_column(capital(metric.title), metric.unit), tuple(_blocks(metric, study)))
+        for metric in study.metrics
+    ]
     return CommandOutcome(study, _page(study), tuple(sections))
 
 
@@ -79,7 +82,7 @@ def _page(study: GaugeStudy) -> Page:
 
 
 def _banner(study: GaugeStudy) -> Banner:
-    shares = [(metric.anova.components.gauge.percent_study, metric.label) for metric in study.metrics if metric.anova]
+    shares = [(metric.anova.components.gauge.percent_study, metric.title) for metric in study.metrics if metric.anova]
     if not shares:
         return Banner("plain", _NONE, "No gauge study", "bias alone is shown; what is missing is named below")
     share, label = max(shares)
@@ -159,12 +162,12 @@ def _figure(metric: MetricGauge, appraiser: str) -> Figure:
         return six_panels(metric.crossing, metric.anova.components, metric.unit)
 
     caption = (
-        f"Where the variation of {metric.label} comes from: shares of the components; every run by sensor and by "
+        f"Where the variation of {metric.title} comes from: shares of the components; every run by sensor and by "
         f"{appraiser}, with means; ranges of repeated runs, where a point beyond the limit repeats worse than the "
         "rest; means against limits of repeatability, most of which lie outside where the gauge tells sensors apart; "
         f"and means of each sensor by {appraiser}, whose lines cross where there is an interaction."
     )
-    return Figure(caption, f"Six panels of the gauge study of {metric.label}; the table has the components.", draw)
+    return Figure(caption, f"Six panels of the gauge study of {metric.title}; the table has the components.", draw)
 
 
 def _components(metric: MetricGauge, confidence: float) -> Table:

@@ -124,9 +124,9 @@ class MetricGauge:
     crossing: Annotated[InstanceOf[Study] | None, Field(exclude=True)] = None
 
     @property
-    def label(self) -> str:
-        """Name with phase, qualifier and location."""
-        return MetricKey(self.name, self.phase, self.qualifier, self.location).label
+    def title(self) -> str:
+        """Name in words with phase, qualifier and location."""
+        return MetricKey(self.name, self.phase, self.qualifier, self.location).title
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -264,7 +264,7 @@ def _check_any(metrics: Sequence[MetricGauge], *, largest_balanced: bool) -> Non
     if any(metric.anova is not None or metric.references is not None for metric in metrics):
         return
     first = metrics[0]
-    reason = f"{first.label}: {first.why}"
+    reason = f"{first.title}: {first.why}"
     reason += f"; uneven: {named(first.missing)}" if first.missing else ""
     reason += "".join(f"; {note}" for note in first.notes)
     reason += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""

@@ -143,7 +143,7 @@ def test_limits_of_charts_are_listed_with_what_they_were_before(tmp_path, docume
     assert (second["operator"], second["why"], second["station"]) == ("Ada", "no reason given", STATION)
     assert second["earlier"]["reference"] == first["reference"]
     said = listed()
-    assert f"limits of force_gain, chart i-mr, on station {STATION}, by Ada" in said
+    assert f"limits of force gain, chart i-mr, on station {STATION}, by Ada" in said
     assert f"  set: mean {number(values()[:30].mean(), 4)} N/V\n" in said
     assert "  changed: mean " in said
     assert "  changed: settings rules 1, 2 → rules 1\n" in said
@@ -161,7 +161,7 @@ def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
         (signal,) = found.signals
         assert (signal.since_run, signal.runs) == (run, 1)
         (warning,) = found.warnings()
-        assert f"station {STATION} is out of control: force_gain, chart i-mr, signals since" in warning
+        assert f"station {STATION} is out of control: force gain, chart i-mr, signals since" in warning
         assert "sensor S-900 on 2026-11-2" in warning
         assert "rule 1: one point beyond 3σ" in warning
         blocks = chart_blocks(found)

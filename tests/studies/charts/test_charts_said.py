@@ -68,7 +68,7 @@ def test_the_page_says_where_limits_are_and_whose(tmp_path, command, kind, words
     assert words in page
     assert "Orange: points that break a rule" in page
     assert f"{kind} set on " in out
-    assert f"force_gain, chart {kind} N/V " in out
+    assert f"force gain, chart {kind} N/V " in out
 
 
 def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, command, capsys):
@@ -79,7 +79,7 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
     assert "a signal stands on 2 of 2 charts" in command(path)[1]
     code, out, err = command(path, "--retire", "cusum", "--operator", "Ada", "--why", "one chart is enough")
     assert code == 1, err
-    assert "retired by Ada: force_gain, chart cusum; a new reference begins them anew" in out
+    assert "retired by Ada: force gain, chart cusum; a new reference begins them anew" in out
     assert "a signal stands on 1 of 1 chart" in out
     with open_store(f"sqlite:///{path}") as store:
         assert [str(one.chart) for one in store.chart_references(STATION)] == ["i-mr"]
