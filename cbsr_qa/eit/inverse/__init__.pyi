@@ -12,7 +12,6 @@ from .noise_figures import (
 )
 from .one_step import (
     RidgeCurves as RidgeCurves,
-    RidgeSearch as RidgeSearch,
     ridge_reconstruction as ridge_reconstruction,
 )
 from .overlap import overlap_fractions as overlap_fractions

@@ -39,26 +39,7 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
     NumericsError
         If λ is negative or above 1e50, or so small that the readings do not determine the solve.
     """
-    check_hyperparameter(hyperparameter)
-    system = _System.of(jacobian, prior, variance)
-    if system.half is not None:
-        spectrum = system.spectrum()
-        sizes = spectrum.values[[0, -1]] + hyperparameter**2
-        if np.sqrt(sizes[1]) > _MOST_CONDITION * np.sqrt(sizes[0]):
-            raise _too_small(hyperparameter)
-        return spectrum.matrix(hyperparameter)
-    normal = system.normal()
-    normal.flat[:: len(normal) + 1] += hyperparameter**2
-    try:
-        factor = linalg.cho_factor(normal, lower=True)
-    except linalg.LinAlgError:
-        factor = None
-    if factor is None or _condition(normal, factor[0]) > _MOST_CONDITION:
-        raise _too_small(hyperparameter)
-    matrix: Array = system.back @ linalg.cho_solve(factor, system.analysis)
-    if len(system.free_analysis):
-        matrix += system.free @ system.free_analysis
-    return matrix
+    return dual_spectrum(jacobian, prior, variance).determined(hyperparameter)
 
 
 def _too_small(hyperparameter: float) -> NumericsError:
@@ -77,11 +58,13 @@ class DualSpectrum:
     basis : (e, k + f) image of each eigenvector; the last f are of what R leaves free (none where R is regular).
     values : (k,) eigenvalues, rising, not negative.
     analysis : (k + f, m) from readings to eigenvectors; rows have unit variance under the noise, and no covariance.
+    most_condition : of Λ + λ², beyond which rounding decides the solve.
     """
 
     basis: Array
     values: Array
     analysis: Array
+    most_condition: float = _MOST_CONDITION
 
     def gains(self, hyperparameter: float) -> Array:
         """Factor of each eigenvector, (k + f,): 1/(Λ + λ²), and 1 for unregularised ones."""
@@ -93,6 +76,14 @@ class DualSpectrum:
         """Imaging matrix (e, m) of a hyperparameter; of zero only where no eigenvalue is zero."""
         check_hyperparameter(hyperparameter)
         return (self.basis * self.gains(hyperparameter)) @ self.analysis
+
+    def determined(self, hyperparameter: float) -> Array:
+        """Imaging matrix (e, m); NumericsError, too, for a hyperparameter with which readings do not determine it."""
+        check_hyperparameter(hyperparameter)
+        least, largest = self.values[[0, -1]] + hyperparameter**2
+        if largest > self.most_condition * least:
+            raise _too_small(hyperparameter)
+        return self.matrix(hyperparameter)
 
 
 def dual_spectrum(jacobian: Array, prior: Prior | Array, variance: Array | None = None) -> DualSpectrum:
@@ -144,17 +135,18 @@ class _System:
         """Eigenvectors and eigenvalues, rising."""
         if self.half is None:
             values, vectors = linalg.eigh(self.normal())
-            values = np.maximum(values, 0)
+            values, most_condition = np.maximum(values, 0), _MOST_CONDITION
         else:
             (triangle,) = linalg.qr(self.half, mode="r")
             _, roots, rows = linalg.svd(triangle[: len(self.white)])
             sizes = np.zeros(len(rows))
             sizes[: len(roots)] = roots
-            values, vectors = sizes[::-1] ** 2, rows[::-1].T
+            values, vectors, most_condition = sizes[::-1] ** 2, rows[::-1].T, _MOST_CONDITION**2
         return DualSpectrum(
             np.hstack([self.back @ vectors, self.free]),
             values,
             np.vstack([vectors.T @ self.analysis, self.free_analysis]),
+            most_condition,
         )
 
     @classmethod
@@ -182,9 +174,3 @@ def check_hyperparameter(value: float) -> None:
             f"hyperparameter λ is {value}; it must be a finite number, zero or above, up to {_LARGEST:.0e}",
             remedy="give a λ in that range, or give a noise figure",
         )
-
-
-def _condition(matrix: Array, factor: Array) -> float:
-    """Estimate the condition number in the 1-norm from a lower Cholesky factor (LAPACK pocon)."""
-    reciprocal, _ = linalg.lapack.dpocon(np.asfortranarray(factor), np.linalg.norm(matrix, 1), uplo="L")
-    return float(1 / reciprocal) if reciprocal > 0 else float("inf")

@@ -16,7 +16,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, ParameterChoice
-from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_matrix, dual_spectrum
+from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
 from cbsr_qa.eit.inverse.noise_figures import (
     Evidence,
     central_signal,
@@ -42,7 +42,7 @@ def ridge_reconstruction(
     problem: ImagingProblem,
     prior_of: Callable[[ImagingProblem], Prior],
     regularisation: Regularisation,
-) -> LinearReconstruction:
+) -> tuple[LinearReconstruction, DualSpectrum]:
     """Prepare x = (JᵀWJ + λ²R)⁻¹JᵀW y, solved in its dual form on folded readings.
 
     Parameters
@@ -51,18 +51,37 @@ def ridge_reconstruction(
     prior_of : makes the prior of a problem's image.
     regularisation : how λ is chosen.
 
+    Returns
+    -------
+    The reconstruction, and the problem's spectrum, which solves it for any λ.
+
     Raises
     ------
     NumericsError
         If λ is out of range, cannot be chosen or is too small to determine the image, or the prior cannot be made.
     """
-    value, how, curve = regularisation.choose(problem, lambda base: RidgeSearch(base, prior_of(base)))
-    fold, prior = ReadingFold.of(problem), prior_of(problem)
-    matrix = fold.unfold(dual_matrix(fold.rows(problem.jacobian), prior, value, fold.variance))
+    own = RidgeSearch(problem, prior_of(problem))
+    value, how, curve = regularisation.choose(
+        problem, lambda base: own if _same_system(base, problem) else RidgeSearch(base, prior_of(base))
+    )
+    matrix = own.spectrum.determined(value)
     areas, variance = problem.mesh.areas_mm2, problem.noise_variance
     figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
     choice = ParameterChoice(value, how, figure, curve=curve, criterion=regularisation.decided_by)
-    return LinearReconstruction(method, problem, matrix, choice)
+    return LinearReconstruction(method, problem, matrix, choice), own.spectrum
+
+
+def _same_system(one: ImagingProblem, other: ImagingProblem) -> bool:
+    """Whether two problems differ in their readings at most: one decomposition serves both."""
+    if one is other:
+        return True
+    return (
+        one.noise_variance is None
+        and other.noise_variance is None
+        and np.array_equal(one.used, other.used)
+        and np.array_equal(one.reference, other.reference)
+        and np.array_equal(one.jacobian, other.jacobian)
+    )
 
 
 class RidgeSearch:

@@ -13,7 +13,6 @@ from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
 from cbsr_qa.eit.inverse import (
     Correlation,
     Prior,
-    RidgeSearch,
     TemporalImages,
     high_pass,
     indenter_smoothness,
@@ -43,7 +42,7 @@ class _OneStepMethod(WithOptions):
             If λ cannot be chosen or is too small to determine the image, an element is felt by no reading, or a
             length does not fit the image.
         """
-        return ridge_reconstruction(self.name, problem, self.prior, self.options.regularisation())
+        return ridge_reconstruction(self.name, problem, self.prior, self.options.regularisation())[0]
 
     def prior(self, problem: ImagingProblem) -> Prior:
         raise NotImplementedError
@@ -181,11 +180,10 @@ class Temporal(WithOptions):
     def prepare(self, problem: ImagingProblem) -> TemporalImages:
         options = self.options
         correlation = Correlation(options.correlation_frames, options.lag)
-        regularisation = options.regularisation()
-        choice = ridge_reconstruction(
-            self.name, problem, lambda base: _smooth_over_head(base, options), regularisation
-        ).choice
-        spectrum = RidgeSearch(problem, _smooth_over_head(problem, options)).spectrum
+        single, spectrum = ridge_reconstruction(
+            self.name, problem, lambda base: _smooth_over_head(base, options), options.regularisation()
+        )
+        choice = single.choice
         lasting = lasting_noise_figure(problem, spectrum, choice.value, correlation)
         how = f"{choice.how}, for one frame; a change that lasts is imaged with noise figure {lasting:.2f}"
         return TemporalImages(self.name, problem, replace(choice, how=how), spectrum, correlation)
