@@ -189,6 +189,7 @@ class RunRecord:
     sessions : in order; one where the run was not interrupted.
     set_aside : frames that are stored and do not count: a load that was cut off was pressed again.
     chain : state of the digests it is under, checked when it was loaded.
+    chain_head : digest of the last link that was checked then; empty where the run has no chain.
     """
 
     identity: RunIdentity
@@ -203,6 +204,7 @@ class RunRecord:
     sessions: tuple[RunSession, ...] = field(default=())
     set_aside: int = 0
     chain: ChainState = field(default_factory=ChainState)
+    chain_head: str = field(default="", compare=False)
 
     def phase(self, name: str) -> PhaseRecord:
         """Return a phase by its name in the recipe.

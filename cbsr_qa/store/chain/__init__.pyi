@@ -11,6 +11,7 @@ from .links import (
     SigningKey as SigningKey,
     add_links as add_links,
     add_rows as add_rows,
+    chain_head as chain_head,
     key_to_continue as key_to_continue,
     link_digest as link_digest,
     new_chain as new_chain,

@@ -141,6 +141,12 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
     connection.execute(_INSERT, rows)
 
 
+def chain_head(connection: Connection, run: str) -> str:
+    """Return the digest of the last link of a run's chain; empty where it has none."""
+    newest = select(LinkRow.sha256).where(LinkRow.run == run).order_by(LinkRow.number.desc()).limit(1)
+    return connection.scalar(newest) or ""
+
+
 def key_to_continue(connection: Connection, run: str, chain: str | None) -> SigningKey | None:
     """Return the key for a run's further links; None if it is not signed.
 

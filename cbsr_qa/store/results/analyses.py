@@ -8,7 +8,7 @@ from typing import Any, Final
 from sqlalchemy import Connection, Engine, Row, select
 
 from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, RunResult, Verdict
-from cbsr_qa.store.chain import FIGURES, RESULTS, add_links, add_rows, check_run, stored_figures
+from cbsr_qa.store.chain import FIGURES, RESULTS, add_links, add_rows, chain_head, check_run, stored_figures
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import of_row, row_of
@@ -60,9 +60,11 @@ def save_result(
     Raises
     ------
     StoreError
-        If the run is not stored, not what was stored, or a number is not finite; nothing of it is stored then.
+        If the run is not stored, not what was stored, or a number is not finite; nothing of it is stored then. What
+        was checked when the run was loaded is not checked again, unless rows of it were added since.
     """
-    run, observation = result.record.identity.run, result.observation
+    record, observation = result.record, result.observation
+    run = record.identity.run
     values = {
         "analysis": analysis,
         "run": run,
@@ -76,7 +78,8 @@ def save_result(
         "compute_s": [[stage, float(seconds)] for stage, seconds in result.compute_s],
     }
     with writing(engine) as connection:
-        check_run(connection, run)
+        if not record.chain_head or chain_head(connection, run) != record.chain_head:
+            check_run(connection, run)  # else what was analysed was checked when it was loaded, up to this very link
         add_rows(connection, run, AnalysisRow, [values])
         add_rows(connection, run, WarningRow, _numbered(analysis, [{"text": text} for text in result.warnings]))
         add_rows(connection, run, MeasurementRow, _numbered(analysis, [_values(m) for m in result.measurements]))

@@ -14,7 +14,7 @@ from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord, RunSession
-from cbsr_qa.store.chain import IDENTITY, check_run, key_to_continue, unreadable
+from cbsr_qa.store.chain import IDENTITY, chain_head, check_run, key_to_continue, unreadable
 from cbsr_qa.store.damage import address, shown, stored
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
 from cbsr_qa.store.mapping import of_row
@@ -74,6 +74,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
         If there is no such run, or what is stored is not what was measured.
     """
     with reading(engine) as connection:
+        head = chain_head(connection, run)  # before the check, which covers it then
         chain, row = check_run(connection, run), _known(connection, run)
         state = current_state(connection, run)
         states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
@@ -94,6 +95,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
                 sessions=sessions,
                 set_aside=set_aside,
                 chain=chain,
+                chain_head=head,
             )
         except StoreError:
             raise

@@ -460,6 +460,27 @@ def test_measurements_in_another_order_are_the_same_fleet(tmp_path, monkeypatch)
     assert by_itself == []
 
 
+@pytest.mark.parametrize("added_between", [False, True])
+def test_a_result_is_added_to_what_was_analysed_or_the_run_is_checked_again(copied, added_between):
+    """An analysis takes minutes: only what is added meanwhile makes a second check of all rows necessary."""
+    path, run = copied
+    with open_store(f"sqlite:///{path}") as store:
+        result = RunResult(store.load_run(run), None, MEASURED, decide(MEASURED), None, "")
+        if added_between:
+            store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")
+        before = len(store.analyses(run))
+        with closing(sqlite3.connect(path)) as database, database:
+            database.execute("UPDATE steps SET time_s = 7e6 WHERE run = ? AND number = 0", (run,))
+        if added_between:
+            with pytest.raises(StoreError, match=f"run {run}: .* was changed"):
+                store.save_result(result)
+        else:
+            store.save_result(result)
+        assert len(store.analyses(run)) == before + (not added_between)
+        with pytest.raises(StoreError, match=f"run {run}: .* was changed"):  # whoever reads it next
+            store.load_run(run)
+
+
 def stripped(path):
     with sqlite3.connect(path) as database:
         database.executescript("delete from run_links; update runs set chain = null")
