@@ -187,7 +187,7 @@ def _assumed(learned: LearnedForce | None) -> tuple[str, ...]:
 
 
 def _validity(observation: RunObservation, reached: Sequence[LoadObservation], reduced: Sequence[str]) -> Validity:
-    """Range of the loads that force was learned from or bore out, else of those with a baseline conductance."""
+    """Range of the loads that force was learned from or agrees with, else of those with a baseline conductance."""
     forces = [load.force_N for load in reached if load.force_N is not None]
     strains = [load.record.load.strain for load in reached]
     return Validity(

@@ -25,7 +25,7 @@ from cbsr_qa.report.tables import limit_text, plain, plural, value_cell, with_un
 SPATIAL = (
     ("centre_of_mass_error", "E_CoM", "mm"),
     ("area_overlap", "A_OL", "%"),
-    ("shape_deviation", "SD", "mm²"),
+    ("shape_deviation", "Shape deviation", "mm²"),
 )
 
 

@@ -15,11 +15,11 @@ _CELLS: Final = {
     CheckOutcome.FAILED: Outcome.FAIL,
     CheckOutcome.NOT_DONE: Outcome.NOT_JUDGED,
 }
-_COLUMNS: Final = ("Of", "Looked at", "Found", "Allowed", "In words", "Outcome")
+_COLUMNS: Final = ("Part", "Check", "Value", "Allowed", "Details", "Outcome")
 
 
 def lines_table(caption: str, results: Sequence[CheckResult]) -> Table:
-    """Return lines of a check, one a row."""
+    """Return results of a check, one a row."""
     return text_table(caption, _COLUMNS, [_row(line) for line in results], (2,))
 
 
@@ -41,9 +41,9 @@ def remedies(results: Sequence[CheckResult]) -> tuple[Paragraph, ...]:
 
 
 def counted(check: StationCheck) -> str:
-    """Say how many lines failed and warn: ``2 lines failed, 1 warning``; ``no line failed``."""
+    """Say how many results failed and warn: ``2 failed, 1 warning``; ``none failed``."""
     failed, warned = len(check.lines(CheckOutcome.FAILED)), len(check.lines(CheckOutcome.WARNING))
-    words = f"{plural(failed, 'line')} failed"
+    words = f"{failed or 'none'} failed"
     return f"{words}, {plural(warned, 'warning')}" if warned else words
 
 
@@ -62,12 +62,12 @@ def station_blocks(station: str, check: StationCheck | None, begun: datetime) ->
     at = check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()
     words = f"Station {station} was last checked {age(check, begun)} before this run began, on {at}{by}"
     tone = {CheckOutcome.FAILED: "warning", CheckOutcome.WARNING: "note"}.get(check.outcome, "plain")
-    blocks: list[Block] = [Paragraph(f"{words}: {counted(check)} of {len(check.results)}.", tone)]
+    blocks: list[Block] = [Paragraph(f"{words}: of {plural(len(check.results), 'check')}, {counted(check)}.", tone)]
     bad = [line for line in check.results if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING)]
     if bad:
-        blocks.append(lines_table("What was not well then.", bad))
+        blocks.append(lines_table("Failed checks and warnings.", bad))
         blocks += remedies(bad)
-    full = lines_table(f"All lines of check {check.check}.", check.results)
+    full = lines_table(f"All results of check {check.check}.", check.results)
     blocks.append(Table(full.caption, full.columns, full.rows, full.numeric, folded=True))
     return tuple(blocks)
 

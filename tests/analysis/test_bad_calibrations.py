@@ -141,6 +141,8 @@ def test_loads_that_bear_a_model_out_widen_its_range(record):
     parts = (replace(phase, loads=inner), replace(phase, index=1, name="others", loads=outer))
     issued, _ = _calibrated(replace(record, phases=parts))
     assert issued.validity.radius_mm == 30.0
-    assert "force was learned up to 21.2 mm from the centre; loads up to 30 mm bore it out" in issued.validity.reduced
+    assert (
+        "force was learned up to 21.2 mm from the centre; loads up to 30 mm agree with it" in issued.validity.reduced
+    )
     alone, _ = _calibrated(replace(record, phases=parts[:1]))
     assert alone.validity.radius_mm == pytest.approx(15 * 2**0.5)

@@ -109,11 +109,11 @@ def _sections(
     rest = [line for line in check.results if line not in of_ring and line not in of_golden]
     todo = remedies(check.results)
     sections = [Section("What to do", todo)] if todo else []
-    sections.append(Section("Instruments", (lines_table("What was asked of each instrument.", rest),)))
+    sections.append(Section("Instruments", (lines_table("Checks of the instruments.", rest),)))
     if of_ring:
         sections.append(Section("Reference ring", _ring_blocks(of_ring, ring, pattern, allowed)))
     if of_golden:
-        caption = "The golden sensor's figures against its history."
+        caption = "The golden sensor's values against its history."
         sections.append(Section("Golden sensor", (Paragraph(_GOLDEN_WORDS), lines_table(caption, of_golden))))
     versions = text_table("Versions.", ("Distribution", "Version"), check.software)
     sections.append(Section("Software", (versions,), page_only=True))
@@ -133,7 +133,7 @@ def _ring_blocks(
             Paragraph(f"{len(ring.resistances_ohm)} resistors of {ohm}, {len(ring.frames)} frames at {at}.")
         )
         blocks += _figure(ring, pattern, allowed)
-    return (*blocks, lines_table("What the ring says of the station.", lines))
+    return (*blocks, lines_table("Checks with the reference ring.", lines))
 
 
 def _figure(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> list[Block]:

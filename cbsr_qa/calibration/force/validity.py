@@ -61,14 +61,14 @@ def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObserv
     forces, tried = ([load.force_N for load in loads if load.force_N is not None] for loads in (used, confirmed))
     if forces and tried and (min(tried) < min(forces) or max(tried) > max(forces)):
         yield (
-            f"force was learned from {min(forces):.3g} to {max(forces):.3g} N; beyond, {len(tried)} loads from"
-            f" {min(tried):.3g} to {max(tried):.3g} N bore it out within three standard errors"
+            f"force was learned from {min(forces):.3g} to {max(forces):.3g} N; {len(tried)} further loads from"
+            f" {min(tried):.3g} to {max(tried):.3g} N agree with it within three standard errors"
         )
     radii, reached = ([float(np.hypot(*load.place_mm)) for load in loads] for loads in (used, confirmed))
     if radii and reached and max(reached) > max(radii):
         yield (
             f"force was learned up to {max(radii):.3g} mm from the centre;"
-            f" loads up to {max(reached):.3g} mm bore it out"
+            f" loads up to {max(reached):.3g} mm agree with it"
         )
 
 

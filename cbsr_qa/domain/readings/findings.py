@@ -26,6 +26,31 @@ def place_in_words(electrode: float, r_over_R: float, electrodes: int) -> str:
     return f"electrode {round(electrode, 1) % electrodes:.1f}, r/R {r_over_R:.2f}"
 
 
+class _OnDisc:
+    """What follows from a place on a disc, ``x_over_R`` and ``y_over_R``, and its direction ``electrode``."""
+
+    __slots__ = ()
+    x_over_R: float
+    y_over_R: float
+    electrode: float
+    electrodes: int
+
+    @property
+    def r_over_R(self) -> float:
+        """Distance from the centre in units of the radius."""
+        return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
+
+    @property
+    def central(self) -> bool:
+        """Whether it is so near the centre that its direction says nothing."""
+        return self.r_over_R < _AT_CENTRE
+
+    @property
+    def place(self) -> str:
+        """The place in words, see :func:`place_in_words`."""
+        return place_in_words(self.electrode, self.r_over_R, self.electrodes)
+
+
 @dataclass(frozen=True, slots=True)
 class NoiseStep:
     """A sudden change of a recording's noise or level.
@@ -96,7 +121,7 @@ class ChannelReport:
 
 
 @dataclass(frozen=True, slots=True)
-class ImagedPlace:
+class ImagedPlace(_OnDisc):
     """Place and strength of an event in its image.
 
     Parameters
@@ -113,16 +138,6 @@ class ImagedPlace:
     electrodes: int
     largest: float
     area_share: float
-
-    @property
-    def r_over_R(self) -> float:
-        """Distance from the centre in units of the radius."""
-        return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
-
-    @property
-    def place(self) -> str:
-        """The place in words, see :func:`place_in_words`."""
-        return place_in_words(self.electrode, self.r_over_R, self.electrodes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +194,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoadEvent:
+class LoadEvent(_OnDisc):
     """One press (or object), detected without prior knowledge of place or time.
 
     Parameters
@@ -215,16 +230,6 @@ class LoadEvent:
     motion: Motion | None = None
     fate: str = ""
     imaged: ImagedPlace | None = None
-
-    @property
-    def r_over_R(self) -> float:
-        """Distance from the centre in units of the radius."""
-        return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
-
-    @property
-    def place(self) -> str:
-        """The place in words, see :func:`place_in_words`."""
-        return place_in_words(self.electrode, self.r_over_R, self.electrodes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -209,7 +209,7 @@ class Measurement:
 
 def metric_words(name: str) -> str:
     """Write the name of a measurement as words."""
-    return name.replace("_", " ").replace("snr", "SNR")
+    return name.replace("_sd", " standard deviation").replace("_", " ").replace("snr", "SNR")
 
 
 @dataclass(frozen=True, slots=True)

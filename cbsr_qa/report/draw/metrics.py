@@ -51,7 +51,7 @@ def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held]) -> Canv
     rows = (
         ("error E_CoM [mm]", timeline.error_mm),
         ("overlap A_OL [%]", timeline.overlap_percent),
-        ("deviation SD [mm²]", timeline.deviation_mm2),
+        ("shape deviation [mm²]", timeline.deviation_mm2),
     )
     start_s = held[0].start_s if held else float(timeline.time_s[0])
     labelled: list[Axes] = []

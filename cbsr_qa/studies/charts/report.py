@@ -72,7 +72,7 @@ def _page(charts: Charts) -> Page:
         *(("Limits", text) for text in dict.fromkeys(map(_set, charted))),
         *((("Stored", plural(len(charted), "new reference")),) if charts.stored else ()),
     )
-    simulated = ("the runs charted here",) if charts.simulated else ()
+    simulated = ("all charted runs",) if charts.simulated else ()
     return Page("Control charts", charts.station, _banner(charts, len(charted)), facts, simulated, charts.notes)
 
 

@@ -55,7 +55,7 @@ def _panels(below: float) -> tuple[Canvas, list[Axes]]:
 def _components(axes: Axes, components: Components) -> None:
     parts = (components.gauge, components.repeatability, components.reproducibility, components.sensor)
     bars = [("of the variance", [part.percent_contribution for part in parts])]
-    bars.append(("of the deviation", [part.percent_study for part in parts]))
+    bars.append(("of study variation", [part.percent_study for part in parts]))
     if components.gauge.percent_tolerance is not None:
         bars.append(("of the tolerance", [part.percent_tolerance or 0.0 for part in parts]))
     width = 0.8 / len(bars)

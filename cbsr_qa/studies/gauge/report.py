@@ -21,7 +21,7 @@ from cbsr_qa.stats.gauge import FEWEST_CHARTED
 from cbsr_qa.studies.gauge.references import AgainstReferences, Bias, BiasLinearity, BiasStability
 from cbsr_qa.studies.gauge.study import GaugeStudy, MetricGauge
 
-#: AIAG's bands for the gauge's share of the total deviation or of the tolerance [%], and for categories.
+#: AIAG's bands for the gauge's share of the study variation or of the tolerance [%], and for categories.
 _GOOD_PERCENT: Final = 10.0
 _POOR_PERCENT: Final = 30.0
 _LEAST_CATEGORIES: Final = 5
@@ -43,19 +43,21 @@ _READING: Final = (
     "effects; an interaction of sensor and station with p above 0.25 is pooled into repeatability. The column "
     "'by ranges' uses the older method of averages and ranges, which ignores the interaction and has no intervals. "
     "Both follow AIAG, Measurement Systems Analysis, 4th edition. Its bands are: good below "
-    f"{_GOOD_PERCENT:g} %, not good enough above {_POOR_PERCENT:g} % of deviation or tolerance, and at least "
+    f"{_GOOD_PERCENT:g} %, not good enough above {_POOR_PERCENT:g} % of study variation or tolerance, and at least "
     f"{_LEAST_CATEGORIES} distinct categories.",
 )
 
 # Sentences, in the order they are read.
 _SHARE: Final = (
     "The gauge accounts for {contribution} of the variance ({confidence:g} % interval {low} to {high}) and {study} "
-    "of the deviation: {grade}."
+    "of the study variation: {grade}."
 )
-_TOLERANCE: Final = "Six deviations of the gauge take {share}{inside} of the {of}'s tolerance of {width}: {grade}."
+_TOLERANCE: Final = (
+    "Six standard deviations of the gauge take {share}{inside} of the {of}'s tolerance of {width}: {grade}."
+)
 _NO_TOLERANCE: Final = "Without a lower and an upper limit there is no tolerance to compare the gauge with."
 _CATEGORIES: Final = "It distinguishes {count} of sensors (interval {inside}); at least {least} are needed."
-_LARGEST: Final = "The largest part is {name}: deviation {deviation}, {share} of the gauge's variance."
+_LARGEST: Final = "The largest part is {name}: standard deviation {deviation}, {share} of the gauge's variance."
 
 
 def gauge_outcome(study: GaugeStudy) -> CommandOutcome[GaugeStudy]:
@@ -77,7 +79,7 @@ def _page(study: GaugeStudy) -> Page:
     days = [f"{word} {day}" for word, day in (("from", study.since), ("to", study.until)) if day]
     facts += [("Period", f"{' '.join(days)} (UTC)")] if days else []
     subject = f"{plural(len(study.sensors), 'sensor')} by {plural(len(study.appraisers), study.appraiser)}"
-    simulated = ("the runs of this study",) if study.simulated else ()
+    simulated = ("all runs of this study",) if study.simulated else ()
     return Page("Gauge study", subject, _banner(study), tuple(facts), simulated, study.notes)
 
 
@@ -90,7 +92,9 @@ def _banner(study: GaugeStudy) -> Banner:
     if share > _POOR_PERCENT:
         tone, symbol = "fail", "✗"
     of = f"{label} is the worst of {plural(len(shares), 'metric')}" if len(shares) > 1 else label
-    return Banner(tone, symbol, f"The gauge makes up {_percent(share)} of the deviation", f"{of}: {_grade(share)}")
+    return Banner(
+        tone, symbol, f"The gauge makes up {_percent(share)} of the study variation", f"{of}: {_grade(share)}"
+    )
 
 
 def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
@@ -188,8 +192,8 @@ def _components(metric: MetricGauge, confidence: float) -> Table:
                 number(getattr(metric.average_range.components, name).deviation),
             )
         )
-    of = ("of variance", "of deviation", "of tolerance", "by ranges")
-    columns = ("component", unit_column("deviation", metric.unit), f"{100 * confidence:g} % interval", *of)
+    of = ("of variance", "of study variation", "of tolerance", "by ranges")
+    columns = ("component", unit_column("standard deviation", metric.unit), f"{100 * confidence:g} % interval", *of)
     return text_table("Components of variation.", columns, rows, range(1, 7))
 
 

@@ -156,10 +156,10 @@ def _table(whole: dict[tuple[str, str], Measurement]) -> Table:
     if ("hysteresis", "") not in whole:
         rows.append(["Hysteresis", "not determined", _NO_LOOP])
     caption = (
-        "Figures of the sensor at its nominal places and strains, value ± one standard deviation. Span: a location's"
+        "Values of the sensor at its nominal places and strains, value ± one standard deviation. Span: a location's"
         " change at the highest strain. Amplitudes are taken without subtracting the noise floor."
     )
-    return text_table(caption, ("Figure", "Value", "How"), rows, (1,))
+    return text_table(caption, ("Quantity", "Value", "How"), rows, (1,))
 
 
 def _value_data_sheet(measurement: Measurement) -> Cell:

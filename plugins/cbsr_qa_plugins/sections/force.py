@@ -138,10 +138,10 @@ def _covered(errors: ForceErrors) -> str:
     count = len(errors.error_N)
     words = (
         f"Stated error bars: {errors.inside(1.0)} of {count} loads lie within one of them and {errors.inside(1.96)}"
-        f" within 1.96; of honest ones {number(0.6827 * count, 2)} and {number(0.95 * count, 2)} are expected"
+        f" within 1.96; if they are right, {number(0.6827 * count, 2)} and {number(0.95 * count, 2)} are expected"
     )
     slack = np.sqrt(0.6827 * 0.3173 * count)
-    return f"{words}, give or take {number(slack, 1)} for the first by chance alone."
+    return f"{words}, ± {number(slack, 1)} for the first by chance alone."
 
 
 def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:

@@ -42,7 +42,7 @@ _COLUMNS: Final = (
     ("amplitude_response", "AR"),
     ("position_error", "PE [mm]"),
     ("resolution", "RES"),
-    ("shape_deformation", "SD"),
+    ("shape_deformation", "Deformation"),
     ("ringing", "RNG"),
     ("false_regions", "False regions"),
 )
@@ -68,7 +68,7 @@ def _in_words(measurements: Sequence[Measurement], run: RunObservation) -> tuple
     counts = {m.name: m.value for m in measurements if m.name in ("missed_loads", "merged_loads") and m.value}
     fates = " and ".join(f"{plural(int(count), 'load')} {name.partition('_')[0]}" for name, count in counts.items())
     two = (
-        f"Two equal loads are seen as two from {', from '.join(ways)} (linearised model, without noise)."
+        f"Two equal loads are told apart from {', from '.join(ways)} (linearised model, without noise)."
         if ways
         else ""
     )
@@ -83,8 +83,8 @@ def _table(loads: Sequence[LoadObservation], measured: Measured) -> Table:
     caption = (
         "Figures of merit of Adler et al. 2009. AR: integral of the image, over head area times the change that the"
         " material file expects. PE: how much nearer to the centre it is seen. RES: size of the set above a quarter"
-        " of the maximum, of the sheet. SD: its share outside a circle of its area. RNG: opposite sign outside that"
-        " circle, of what is inside. False regions: at the main mask, beyond the loads held."
+        " of the maximum, of the sheet. Deformation: its share outside a circle of its area. RNG: opposite sign"
+        " outside that circle, of what is inside. False regions: at the main mask, beyond the loads held."
     )
     columns = ["Location", *(title for _, title in _COLUMNS)]
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))

@@ -187,8 +187,8 @@ class RandomLoads(ObservedSection):
         seen = seen_loads(loads, run, measured)
         mean = spread_text([load.error_mm for load in seen if load.error_mm is not None], "mm")
         yield Figure(
-            "Random loads, true to place; discs grow with strain. Crosses: where the centre of mass was seen. Right:"
-            " error against strain; a weak press is harder to place.",
+            "Random loads where they were pressed; discs grow with strain. Crosses: where the centre of mass was"
+            " seen. Right: error against strain; a weak press is harder to place.",
             f"{len(seen)} random loads; error {mean} mm (mean ± standard deviation).",
             random_loads_figure(seen, run.record.sensor_type),
         )

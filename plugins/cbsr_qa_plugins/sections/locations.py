@@ -118,15 +118,15 @@ def _registration(result: RunResult, left_mm: Sequence[float]) -> tuple[Paragrap
     if shift.value is None or rotation.value is None or scale.value is None:
         return ()
     moved = (
-        f"shifted by {with_uncertainty(shift.value, shift.uncertainty)} mm, turned by"
+        f"shifted by {with_uncertainty(shift.value, shift.uncertainty)} mm, rotated by"
         f" {with_uncertainty(rotation.value, rotation.uncertainty)}° and scaled by"
         f" {with_uncertainty(scale.value, scale.uncertainty)}"
     )
     parts = ((shift, 0.0), (rotation, 0.0), (scale, 1.0))
     clear = any(abs((m.value or 0.0) - none) > _CLEAR * (m.uncertainty or 0.0) for m, none in parts)
-    whose = "the station's part" if clear else "no more than their own scatter explains"
+    whose = "a systematic error of the station" if clear else "no more than random scatter explains"
     left = f"mean error {number(fmean(left_mm), 2)} mm, largest {number(max(left_mm), 2)} mm"
-    return (Paragraph(f"All locations together are seen {moved}: {whose}. Without it: {left}."),)
+    return (Paragraph(f"The images show all locations together {moved}: {whose}. Corrected for that: {left}."),)
 
 
 def _table(loads: Sequence[LoadObservation], run: RunObservation, result: RunResult, measured: Measured) -> Table:
@@ -135,7 +135,7 @@ def _table(loads: Sequence[LoadObservation], run: RunObservation, result: RunRes
     several = any(len(members) > 1 for members in places.values())
     columns = ["Location", "x, y [mm]", *(["Presses"] if several else [])]
     numeric = [*range(1, len(columns) + 2), len(columns) + 3, len(columns) + 4]
-    columns += ["E_CoM [mm]", "A_OL [%]", "Band", "SD [mm²]", "Force [N]"]
+    columns += ["E_CoM [mm]", "A_OL [%]", "Band", "Shape deviation [mm²]", "Force [N]"]
     if baseline:
         numeric.append(len(columns))
         columns.append("ρ̄₀")
@@ -153,7 +153,8 @@ def _table(loads: Sequence[LoadObservation], run: RunObservation, result: RunRes
             row.append(Cell("–" if value is None else with_uncertainty(value, stderr)))
         rows.append(tuple(row))
     caption = (
-        "Each location: error of the centre of mass, mutual overlap with its band, deviation of the outline, force."
+        "Each location: error of the centre of mass (E_CoM), mutual overlap (A_OL) with its band, shape deviation of"
+        " the outline, force."
         " Over several presses: mean ± standard deviation."
     )
     return Table(caption, tuple(columns), tuple(rows), tuple(numeric))

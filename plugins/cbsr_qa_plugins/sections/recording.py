@@ -6,7 +6,7 @@ import numpy as np
 
 from cbsr_qa.analysis.recording import nominal_disc
 from cbsr_qa.domain.geometry import Disc
-from cbsr_qa.domain.readings import LoadEvent, RecordingResult, ScanKind
+from cbsr_qa.domain.readings import ImagedPlace, LoadEvent, RecordingResult, ScanKind
 from cbsr_qa.domain.results import Block, Figure, Paragraph, Table, Trace
 from cbsr_qa.report import RecordingSection, capital, dashed, fixed, number, plural, text_table
 from cbsr_qa.report.draw import (
@@ -118,9 +118,13 @@ def _name(rank: int) -> str:
     return f"E{rank + 1}"
 
 
+def _direction(at: LoadEvent | ImagedPlace) -> str:
+    return "centre" if at.central else fixed(at.electrode, 2)
+
+
 def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     named = any(event.x_mm is not None for event in events)
-    columns = ["Event", "Start [s]", "Peak [s]", "End [s]", "Electrode", "r/R", "The place", "SNR"]
+    columns = ["Event", "Start [s]", "Peak [s]", "End [s]", "Electrode", "r/R", "Conductance", "SNR"]
     columns += ["x [mm]", "y [mm]"] if named else []
     forced = any(event.force_N is not None for event in events)
     columns += ["Force [N]"] if forced else []
@@ -129,8 +133,8 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     rows = []
     for rank, event in enumerate(events):
         times = ["–"] * 3 if still else [fixed(t, 1) for t in (event.start_s, event.peak_s, event.end_s)]
-        row = [_name(rank), *times, fixed(event.electrode, 2), fixed(event.r_over_R, 2)]
-        row += ["conducts more" if event.sign > 0 else "conducts less", fixed(event.snr, 1)]
+        row = [_name(rank), *times, _direction(event), fixed(event.r_over_R, 2)]
+        row += ["rises" if event.sign > 0 else "falls", fixed(event.snr, 1)]
         if named:
             row += [dashed(at, lambda mm: fixed(mm, 1)) for at in (event.x_mm, event.y_mm)]
         if forced:
@@ -138,7 +142,7 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         if beside:
             row.append(event.fate or "–")
         rows.append(row)
-    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "The place", "Beside others"))
+    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "Conductance", "Beside others"))
     caption = (
         "Events, found without being told where or when. Electrode: direction as a fractional electrode number. SNR:"
         " change over the noise of such changes in this recording."
@@ -173,7 +177,7 @@ def _imaged(events: Sequence[LoadEvent]) -> Table:
         seen = event.imaged
         shown = ["–"] * 4
         if seen is not None:
-            shown = [fixed(seen.electrode, 2), fixed(seen.r_over_R, 2)]
+            shown = [_direction(seen), fixed(seen.r_over_R, 2)]
             shown += [fixed(100 * seen.largest, 2), fixed(100 * seen.area_share, 1)]
         rows.append([_name(rank), *shown])
     columns = ("Event", "Electrode", "r/R", "Largest change [%]", "Area above half of it [% of the sheet]")

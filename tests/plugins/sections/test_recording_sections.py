@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from board_files import BoardFile, counts
+from recording_samples import sample_recording
 from section_texts import blocks, tables, texts
 
 from cbsr_qa.analysis.recording import analyse_recording
@@ -36,6 +37,14 @@ def test_no_event_is_said_with_its_reason(result):
     said = " ".join(words(SECTIONS[0].render(result)))
     assert result.events_why in said
     assert "not reciprocal" in said
+
+
+@pytest.mark.parametrize(("r_over_R", "shown"), [(0.05, "centre"), (0.5, "7.00")])
+def test_an_event_at_the_centre_has_no_electrode(r_over_R, shown):
+    sample = sample_recording(1)
+    event = replace(sample.events[0], x_over_R=r_over_R, y_over_R=0.0, electrode=7.0)
+    table = tables(SECTIONS[0].render(replace(sample, events=(event,))))[0]
+    assert texts(table)[0][table.columns.index("Electrode")] == shown
 
 
 def test_channels_say_noise_and_reciprocity(result):

@@ -39,7 +39,7 @@ def test_a_recipe_that_does_not_measure_places_is_not_said_to_have_seen_none(res
 
 
 @pytest.mark.parametrize(
-    ("shift_mm", "said"), [(1.14, "the station's part"), (0.2, "no more than their own scatter")]
+    ("shift_mm", "said"), [(1.14, "a systematic error of the station"), (0.2, "no more than random scatter")]
 )
 def test_what_all_locations_share_is_the_stations_where_it_is_more_than_scatter(result, shift_mm, said):
     whole = (
@@ -52,7 +52,9 @@ def test_what_all_locations_share_is_the_stations_where_it_is_more_than_scatter(
         for k, load in enumerate(loads_of(result.observation, Role.GRID))
     )
     section = NineLocations().render(replace(result, measurements=(*whole, *left)))
-    (words,) = [part.text for part in section.blocks if getattr(part, "text", "").startswith("All locations")]
+    (words,) = [
+        part.text for part in section.blocks if getattr(part, "text", "").startswith("The images show all locations")
+    ]
     assert said in words
     assert f"{shift_mm:.2f} ± 0.11 mm" in words
     assert "mean error 0.4 mm, largest 0.8 mm" in words.replace("0.40", "0.4").replace("0.80", "0.8")

@@ -229,7 +229,7 @@ def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
     titles = "components", "by sensor", "by station", "range of repeated", "mean of repeated", "sensor by station"
     assert [title for title in titles if title not in page] == []
     assert "not good enough (above 30 %)" in page
-    assert re.search(r"^simulated +the runs of this study$", out, re.M)
+    assert re.search(r"^simulated +all runs of this study$", out, re.M)
     assert re.search(r"^Force gain \(.*\) \[N/V\]$", out, re.M)  # in words, as compare writes it
     assert "force_gain" not in out
     assert "bench-c" in page
