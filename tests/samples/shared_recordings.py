@@ -13,3 +13,11 @@ def board(shared):
 def tank(shared):
     folder = shared / "data" / "tank"
     return lambda name, **options: document(folder / name, **options)
+
+
+@pytest.fixture(scope="session")
+def skins(shared):
+    """A real skin that a robot pressed, by name: ``no_pattern`` or ``parallel_lines``."""
+    from pressed_sheets import skin
+
+    return lambda name: skin(shared / "data" / "skins", name)

@@ -71,6 +71,10 @@ from .observation import (
     RunObservation as RunObservation,
     Trace as Trace,
 )
+from .press_calibration import (
+    SheetRegistration as SheetRegistration,
+    SourceFile as SourceFile,
+)
 from .relaxation import (
     FitStatus as FitStatus,
     RelaxationFit as RelaxationFit,

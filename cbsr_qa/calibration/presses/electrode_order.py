@@ -1,0 +1,156 @@
+"""Wrong electrode order: exchanged cables, and measuring electrodes numbered otherwise than driving ones.
+
+The other mistakes show in the registration itself: electrodes numbered the other way round as a mirrored sheet, a
+numbering that begins elsewhere as a rotation.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.presses.likeness import alikeness, answering_side, log_likelihood
+from cbsr_qa.calibration.presses.registration import (
+    Registered,
+    evenly_spread,
+    register_presses,
+    turned_likelihood,
+)
+from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
+from cbsr_qa.domain import Array, Indices
+
+#: Presses that exchanges are tried with, exchanges that are registered again, and exchanges that are looked for.
+_TRIED, _REGISTERED, _MOST_EXCHANGES = 60, 3, 2
+#: Presses that other numberings of the measuring electrodes are registered with.
+_FEW: Final = 30
+#: Electrodes up to which exchanges are tried: their number grows as the square.
+_MOST_ELECTRODES: Final = 64
+#: Standard errors, and share of the signal left unexplained, by which another order must be better.
+_CLEAR, _LESS_LEFT = 4.0, 0.92
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ElectrodeOrder:
+    """The order under which presses are best explained.
+
+    Parameters
+    ----------
+    registered : with that order.
+    pairs : (m, 4) as wired.
+    findings : what differs from the pattern, in words; empty where nothing does.
+    """
+
+    registered: Registered
+    pairs: Indices
+    findings: tuple[str, ...] = ()
+
+
+def find_electrode_order(
+    sheet: ModelledSheet, pairs: Indices, changes: Array, place_mm: Array, *, radius_stated: bool
+) -> ElectrodeOrder:
+    """Register a sheet and look for electrodes that are connected otherwise than the pattern says.
+
+    Parameters and errors as of :func:`~cbsr_qa.calibration.presses.registration.register_presses`.
+    """
+    order = ElectrodeOrder(register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated), pairs)
+    order = _other_numbering(sheet, order, changes, place_mm, radius_stated=radius_stated) or order
+    for _ in range(_MOST_EXCHANGES):
+        better = _exchanged(sheet, order, changes, place_mm, radius_stated=radius_stated)
+        if better is None:
+            break
+        order = better
+    return order
+
+
+def _exchanged(
+    sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, place_mm: Array, *, radius_stated: bool
+) -> ElectrodeOrder | None:
+    """The best single exchange of two electrodes, where it explains the presses clearly better."""
+    count = sheet.electrode_count
+    chosen = np.flatnonzero(sheet.clear(order.registered.places))
+    if count > _MOST_ELECTRODES or not len(chosen):
+        return None
+    chosen = chosen[evenly_spread(len(chosen), _TRIED)]
+    evidence_of = _Evidence(sheet, order.registered, changes, chosen)
+    before = evidence_of(order.pairs).sum()
+    exchanges = list(combinations(range(count), 2))
+    evidence = [evidence_of(_swapped(order.pairs, pair)).sum() for pair in exchanges]
+    for number in np.argsort(evidence)[::-1][:_REGISTERED]:
+        pair = exchanges[number]
+        if evidence[number] <= before:
+            break
+        pairs = _swapped(order.pairs, pair)
+        registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
+        if _clearly_better(sheet, order, registered, pairs, changes):
+            words = f"electrodes {pair[0]} and {pair[1]} are exchanged: {_share_words(order.registered, registered)}"
+            return ElectrodeOrder(registered, pairs, (*order.findings, words))
+    return None
+
+
+def _other_numbering(
+    sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, place_mm: Array, *, radius_stated: bool
+) -> ElectrodeOrder | None:
+    """Measuring electrodes numbered from elsewhere or the other way round, where that is clearly better."""
+    few, near = evenly_spread(len(changes), _FEW), order.registered.registration
+    before = turned_likelihood(sheet, order.pairs, changes[few], place_mm[few], near)
+    numberings = list(_numberings(order.pairs, sheet.electrode_count))
+    values = [turned_likelihood(sheet, pairs, changes[few], place_mm[few], near) for pairs, _ in numberings]
+    pairs, words = numberings[int(np.argmax(values))]
+    if max(values) <= before:
+        return None
+    registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
+    if not _clearly_better(sheet, order, registered, pairs, changes):
+        return None
+    return ElectrodeOrder(registered, pairs, (f"{words}: {_share_words(order.registered, registered)}",))
+
+
+def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:
+    for reverse in (False, True):
+        for shift in range(count):
+            if not shift and not reverse:
+                continue
+            measured = ((-pairs[:, 2:] if reverse else pairs[:, 2:]) + shift) % count
+            way = "the other way round, " if reverse else ""
+            words = f"measuring electrodes are numbered {way}from electrode {shift} of the driving ones"
+            yield np.column_stack([pairs[:, :2], measured]), words
+
+
+def _swapped(pairs: Indices, exchange: tuple[int, int]) -> Indices:
+    first, second = exchange
+    swapped: Indices = np.where(pairs == first, second, np.where(pairs == second, first, pairs))
+    return swapped
+
+
+class _Evidence:
+    """Log likelihoods of some presses at their registered places, by the pairs that their readings are taken for."""
+
+    def __init__(self, sheet: ModelledSheet, registered: Registered, changes: Array, chosen: Indices) -> None:
+        self._sheet = sheet
+        self._loads = sheet.loads(registered.places[chosen])
+        self._changes = registered.sign * changes[chosen]
+
+    def __call__(self, pairs: Indices) -> Array:
+        answers = answering_side(self._changes, self._sheet.unloaded(pairs)).answers
+        alike = alikeness(self._changes[:, answers], self._loads.readings(pairs[answers]))
+        return log_likelihood(alike)
+
+
+def _clearly_better(
+    sheet: ModelledSheet, order: ElectrodeOrder, other: Registered, pairs: Indices, changes: Array
+) -> bool:
+    before, after = order.registered.registration, other.registration
+    if not after.trusted or 1 - after.signal_share > _LESS_LEFT * (1 - before.signal_share):
+        return False
+    inside = sheet.clear(order.registered.places) & sheet.clear(other.places)
+    chosen = np.flatnonzero(inside)[evenly_spread(int(inside.sum()), _TRIED)]
+    gain = _Evidence(sheet, other, changes, chosen)(pairs)
+    gain = gain - _Evidence(sheet, order.registered, changes, chosen)(order.pairs)
+    spread = float(gain.std(ddof=1)) if len(gain) > 1 else np.inf
+    return bool(gain.mean() > _CLEAR * spread / np.sqrt(len(gain)))
+
+
+def _share_words(before: Registered, after: Registered) -> str:
+    shares = (before.registration.signal_share, after.registration.signal_share)
+    return f"the modelled sheet then explains {shares[1]:.0%} of the changes instead of {shares[0]:.0%}"

@@ -1,0 +1,134 @@
+"""How like the readings of a press are to those of a modelled load at each place of the sheet."""
+
+from copy import copy
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
+from cbsr_qa.domain import Array, Indices, Mask
+
+#: Readings and templates are compared as their signed powers of this exponent: of the exponents 0.3 to 1 it gives the
+#: smallest errors of place on a sheet with spikes, and next to nothing is lost on one without.
+_COMPRESSION: Final = 0.7
+#: Readings of one modelled polarity whose median is smaller than that of the other by this factor hardly answer.
+_DEAD: Final = 3.0
+#: Independent readings that a press counts as: what is left of a template is no noise but how the sheet differs from
+#: its model, alike in many readings.
+_INDEPENDENT: Final = 7.0
+#: Log likelihood of a press off the sheet.
+_OFF_SHEET: Final = -1.0
+_MOST_ALIKE: Final = 0.9999
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnsweringSide:
+    """Which readings answer to a press.
+
+    Parameters
+    ----------
+    answers : (m,) False for those of a polarity that hardly answers.
+    words : says so; empty where both polarities answer.
+    """
+
+    answers: Mask
+    words: str = ""
+
+
+def answering_side(changes: Array, unloaded: Array) -> AnsweringSide:
+    """Tell whether readings of one modelled polarity hardly answer, as behind a rectifying front end.
+
+    Parameters
+    ----------
+    changes : (n, m) of the presses, any unit.
+    unloaded : (m,) modelled readings without a load.
+    """
+    positive = unloaded > 0
+    if positive.all() or not positive.any():
+        return AnsweringSide(np.ones(len(unloaded), dtype=np.bool_))
+    sizes = [float(np.median(np.abs(changes[:, side]))) for side in (positive, ~positive)]
+    if max(sizes) <= _DEAD * min(sizes):
+        return AnsweringSide(np.ones(len(unloaded), dtype=np.bool_))
+    dead, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
+    words = (
+        f"{int(dead.sum())} readings whose modelled voltage is {name} hardly answer (median change {min(sizes):.3g},"
+        f" that of the others {max(sizes):.3g}): the front end appears to rectify"
+    )
+    return AnsweringSide(~dead, words)
+
+
+def alikeness(changes: Array, templates: Array) -> Array:
+    """Cosines of changes (n, m) and templates (…, m) where the shapes broadcast, both compressed: (…)."""
+    cosines: Array = np.einsum("...m,...m->...", _unit(changes), _unit(templates))
+    return cosines
+
+
+def _unit(rows: Array) -> Array:
+    compressed = np.sign(rows) * np.abs(rows) ** _COMPRESSION
+    length = np.linalg.norm(compressed, axis=-1, keepdims=True)
+    unit: Array = compressed / np.maximum(length, np.finfo(np.float64).tiny)
+    return unit
+
+
+def log_likelihood(alike: Array) -> Array:
+    """Log likelihood of presses by the cosines of their readings and a template, up to a constant."""
+    positive = np.clip(alike, 0.0, _MOST_ALIKE)
+    value: Array = -_INDEPENDENT / 2 * np.log1p(-(positive**2))
+    return value
+
+
+class Likeness:
+    """Log likelihoods of presses by place, on the sheet's lattice.
+
+    Parameters
+    ----------
+    sheet : as modelled.
+    pairs : (m, 4) of the readings.
+    changes : (n, m) of presses, with the sign that a rise of conductance has.
+    """
+
+    def __init__(self, sheet: ModelledSheet, pairs: Indices, changes: Array) -> None:
+        lattice = sheet.lattice
+        alike = _unit(changes) @ _unit(lattice.readings(pairs)).T
+        nodes = np.round(lattice.places / STEP).astype(np.int64)
+        self._centre = int(np.abs(nodes).max()) + 1
+        self._width = 2 * self._centre + 1
+        self.maps = np.full((len(changes), self._width, self._width), _OFF_SHEET)
+        rows, columns = (nodes + self._centre).T
+        self.maps[:, rows, columns] = log_likelihood(alike)
+        self._places = lattice.places
+        self._alike = alike
+
+    def of(self, presses: Indices) -> "Likeness":
+        """The same of some of the presses."""
+        some = copy(self)
+        some.maps, some._alike = self.maps[presses], self._alike[presses]
+        return some
+
+    def at(self, places: Array) -> Array:
+        """Log likelihoods (…, n) of each press at its place (…, n, 2), in radii; linear between nodes."""
+        at = np.clip(places / STEP + self._centre, 0, self._width - 1.001)
+        node = at.astype(np.int64)
+        (x, y), (i, j) = np.moveaxis(at - node, -1, 0), np.moveaxis(node, -1, 0)
+        press = np.arange(len(self.maps))
+        below = self.maps[press, i, j] * (1 - x) + self.maps[press, i + 1, j] * x
+        above = self.maps[press, i, j + 1] * (1 - x) + self.maps[press, i + 1, j + 1] * x
+        value: Array = below * (1 - y) + above * y
+        return value
+
+    def best_places(self) -> Array:
+        """Most likely place (n, 2) of each press, in radii, between nodes by parabolas."""
+        best = np.argmax(self._alike, axis=1)
+        places = self._places[best].copy()
+        node = np.round(places / STEP).astype(np.int64) + self._centre
+        press, (i, j) = np.arange(len(places)), node.T
+        middle = self.maps[press, i, j]
+        for axis, (di, dj) in enumerate(((1, 0), (0, 1))):
+            below, above = self.maps[press, i - di, j - dj], self.maps[press, i + di, j + dj]
+            bend = below + above - 2 * middle
+            inside = (below >= 0) & (above >= 0) & (bend < 0)
+            move = np.where(inside, (below - above) / np.where(bend < 0, 2 * bend, -1.0), 0.0)
+            places[:, axis] += STEP * np.clip(move, -0.5, 0.5)
+        between: Array = places
+        return between

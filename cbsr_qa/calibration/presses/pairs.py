@@ -1,0 +1,78 @@
+"""Electrode pairs in any order: repeats averaged, and the readings of one pattern found in another."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cbsr_qa.domain import Array, CalibrationError, Indices
+
+#: Missing pairs that a refusal names.
+_MOST_NAMED = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DistinctPairs:
+    """The readings of a table with repeats averaged.
+
+    Parameters
+    ----------
+    pairs : (m, 4) source, sink, plus and minus, each once, in the order in which they first come.
+    repeats : (m,) columns that each is the mean of; the variance of its noise falls as one over it.
+    merging : (columns, m) what turns rows of the table into rows of distinct readings.
+    """
+
+    pairs: Indices
+    repeats: Indices
+    merging: Array
+
+    @classmethod
+    def of(cls, pairs: Indices) -> "DistinctPairs":
+        """Return the distinct ones of pairs (columns, 4); a reversed pair differs, since a front end may rectify."""
+        _, first, which = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        rank = np.argsort(order)[which.ravel()]
+        repeats = np.bincount(rank)
+        merging = np.zeros((len(pairs), len(order)))
+        merging[np.arange(len(pairs)), rank] = 1 / repeats[rank]
+        return cls(pairs[first[order]], repeats, merging)
+
+
+def matched_readings(wanted: Indices, given: DistinctPairs) -> Array:
+    """Return what turns rows of distinct readings (…, k) into those of a calibration, (k, m).
+
+    A reading is taken from the same pair, or from one with the measured, the driven or both pairs reversed, with the
+    sign that has. Order and repeats of the columns do not matter.
+
+    Parameters
+    ----------
+    wanted : (m, 4) pairs of the calibration.
+    given : those that were read.
+
+    Raises
+    ------
+    CalibrationError
+        If a pair is missing, naming it.
+    """
+    index = {tuple(pair): column for column, pair in enumerate(given.pairs.tolist())}
+    selection = np.zeros((len(given.pairs), len(wanted)))
+    missing = []
+    for reading, (source, sink, plus, minus) in enumerate(wanted.tolist()):
+        candidates = (
+            (1, (source, sink, plus, minus)),
+            (-1, (source, sink, minus, plus)),
+            (-1, (sink, source, plus, minus)),
+            (1, (sink, source, minus, plus)),
+        )
+        found = next(((sign, index[pair]) for sign, pair in candidates if pair in index), None)
+        if found is None:
+            missing.append(f"{source},{sink},{plus},{minus}")
+        else:
+            selection[found[1], reading] = found[0]
+    if missing:
+        named = ", ".join(missing[:_MOST_NAMED]) + (", …" if len(missing) > _MOST_NAMED else "")
+        raise CalibrationError(
+            f"{len(missing)} of the {len(wanted)} readings that were calibrated are not in the pattern"
+            f" (source,sink,plus,minus): {named}",
+            remedy="read every pair that was calibrated; order and polarity do not matter",
+        )
+    return selection

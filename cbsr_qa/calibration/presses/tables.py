@@ -1,0 +1,254 @@
+"""Tables of presses, readings and electrode pairs: CSV with a header, or Parquet; refused by file, row and column.
+
+Rows are counted from 1 below the header; the first row of a CSV file is its line 2.
+"""
+
+import csv
+import hashlib
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain import Array, Indices, RecordingError
+from cbsr_qa.domain.results import SourceFile
+
+#: Larger than a table of a hundred thousand presses.
+_LARGEST_BYTES: Final = 2**29
+#: Problems of a table that are listed.
+_MOST_LISTED: Final = 10
+_PAIR_COLUMNS: Final = ("source", "sink", "plus", "minus")
+_PLACE: Final = ("x_mm", "y_mm")
+_OPTIONAL: Final = ("depth_mm", "force_N", "time_s")
+#: Names of columns, and rows of cells.
+_Cells = tuple[tuple[str, ...], Sequence[Sequence[object]]]
+_QUANTITIES: Final = {name.rpartition("_")[0]: name for name in (*_PLACE, *_OPTIONAL)}
+#: Electrodes a pattern may name.
+_MOST_ELECTRODES: Final = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NumberTable:
+    """A table of numbers.
+
+    Parameters
+    ----------
+    path : of the file.
+    columns : their names.
+    rows : cells as text, or as numbers where the file has numbers.
+    """
+
+    path: Path
+    columns: tuple[str, ...]
+    rows: Sequence[Sequence[object]]
+
+    def numbers(self, names: Sequence[str] | None = None) -> Array:
+        """Return some columns, (rows, columns); by default all. RecordingError naming cells that are no numbers."""
+        chosen = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
+        problems: list[str] = []
+        values = np.array([[self._number(row, k, problems) for k in chosen] for row in range(len(self.rows))])
+        self.refuse(problems)
+        return values.reshape(len(self.rows), len(chosen))
+
+    def refuse(self, problems: Sequence[str], remedy: str = "correct the table and try again") -> None:
+        """Raise RecordingError with what is wrong with the table, if anything is."""
+        if problems:
+            more = "" if len(problems) <= _MOST_LISTED else f"; and {len(problems) - _MOST_LISTED} more"
+            raise RecordingError(f"{self.path}: {'; '.join(problems[:_MOST_LISTED])}{more}", remedy=remedy)
+
+    def _number(self, row: int, column: int, problems: list[str]) -> float:
+        cell = self.rows[row][column]
+        try:
+            value = float(cell)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            value = math.nan
+        if not math.isfinite(value):
+            shown = "empty" if cell in ("", None) else f"{str(cell)[:40]!r}, not a finite number"
+            problems.append(f"row {row + 1}, column {self.columns[column]}: {shown}")
+        return value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressTable:
+    """Labels of presses.
+
+    Parameters
+    ----------
+    table : as read.
+    place_mm : (n, 2).
+    depth_mm, force_N, time_s : (n,), None where the table has no such column.
+    """
+
+    table: NumberTable
+    place_mm: Array
+    depth_mm: Array | None
+    force_N: Array | None
+    time_s: Array | None
+
+
+def read_table(path: Path) -> NumberTable:
+    """Read a table with a header: Parquet by its suffix, else CSV in UTF-8.
+
+    Raises
+    ------
+    RecordingError
+        If the file is missing, has no header, no row, rows of other lengths, or a column twice.
+    """
+    columns, rows = (_parquet if path.suffix.lower() in (".parquet", ".pq") else _csv)(path)
+    table = NumberTable(path, columns, rows)
+    double = sorted({name for name in columns if columns.count(name) > 1})
+    if double:
+        table.refuse([f"the header names {', '.join(map(repr, double))} more than once"])
+    if not rows:
+        table.refuse(["only a header, not one row"])
+    table.refuse(
+        [
+            f"row {number}: {len(row)} cells, the header has {len(columns)}"
+            for number, row in enumerate(rows, 1)
+            if len(row) != len(columns)
+        ]
+    )
+    return table
+
+
+def read_presses(path: Path) -> PressTable:
+    """Read labels of presses: ``x_mm``, ``y_mm``, and where known ``depth_mm``, ``force_N`` and ``time_s``.
+
+    Raises
+    ------
+    RecordingError
+        As of :func:`read_table`; if a column lacks its unit or is missing, or a cell is not a finite number; if all
+        depths or all forces are equal, or times fall.
+    """
+    table = read_table(path)
+    table.refuse(
+        list(_header_problems(table.columns)), remedy="name columns with their units: x_mm, y_mm, force_N, …"
+    )
+    others = [name for name in _OPTIONAL if name in table.columns]
+    values = table.numbers([*_PLACE, *others])
+    by_name = dict(zip(others, values[:, 2:].T, strict=True))
+    for name in ("depth_mm", "force_N"):
+        column = by_name.get(name)
+        if column is not None and len(column) > 1 and np.ptp(column) == 0:
+            table.refuse(
+                [f"column {name}: all {len(column)} rows hold {column[0]:g}, from which nothing can be learned"],
+                remedy=f"leave column {name} out; the place is learned without it",
+            )
+    time_s = by_name.get("time_s")
+    if time_s is not None:
+        back = np.flatnonzero(np.diff(time_s) < 0) + 1
+        table.refuse(
+            [f"row {k + 1}, column time_s: {time_s[k]:g} is before row {k}, {time_s[k - 1]:g}" for k in back]
+        )
+    return PressTable(table, values[:, :2], by_name.get("depth_mm"), by_name.get("force_N"), time_s)
+
+
+def read_pairs(path: Path, electrodes: int | None) -> Indices:
+    """Read electrode pairs (m, 4): ``source``, ``sink``, ``plus``, ``minus``, electrodes from 0.
+
+    Parameters
+    ----------
+    electrodes : of the sensor; None where it is not known.
+
+    Raises
+    ------
+    RecordingError
+        As of :func:`read_table`; if a column is missing, or a cell is no electrode of the sensor or joined with
+        itself.
+    """
+    table = read_table(path)
+    missing = [name for name in _PAIR_COLUMNS if name not in table.columns]
+    if missing:
+        table.refuse(
+            [f"the header is {', '.join(table.columns[:8])}; missing: {', '.join(missing)}"],
+            remedy=f"the columns of a pattern are {','.join(_PAIR_COLUMNS)}, electrodes from 0",
+        )
+    values = table.numbers(_PAIR_COLUMNS)
+    count = _MOST_ELECTRODES if electrodes is None else electrodes
+    table.refuse(list(_pair_problems(values, count)))
+    return values.astype(np.int64)
+
+
+def source_file(role: str, path: Path) -> SourceFile:
+    """Return name and SHA-256 of a file that was read."""
+    return SourceFile(role, path.name, hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def _header_problems(columns: Sequence[str]) -> Iterator[str]:
+    for name in columns:
+        quantity = name if name in _QUANTITIES else name.rpartition("_")[0]
+        wanted = _QUANTITIES.get(quantity)
+        if wanted is not None and name != wanted:
+            what = "has no unit" if name == quantity else "is in a unit that is not known"
+            yield f"column {name!r} {what}: {wanted} is allowed"
+    yield from (
+        f"column {name} is missing; the header is {', '.join(columns[:8])}"
+        for name in _PLACE
+        if name not in columns and name[0] not in [column.partition("_")[0] for column in columns]
+    )
+
+
+def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
+    for row, numbers in enumerate(values.tolist(), 1):
+        for name, number in zip(_PAIR_COLUMNS, numbers, strict=True):
+            if not (number.is_integer() and 0 <= number < electrodes):
+                yield f"row {row}, column {name}: {number:g}; electrodes are whole numbers from 0 to {electrodes - 1}"
+        source, sink, plus, minus = numbers
+        if source == sink:
+            yield f"row {row}, column sink: current from electrode {source:g} to itself"
+        if plus == minus:
+            yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
+
+
+def _csv(path: Path) -> _Cells:
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise RecordingError(
+                f"{path} is larger than {_LARGEST_BYTES >> 20} MiB: too large for a table of presses"
+            )
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = [[cell.strip() for cell in line] for line in csv.reader(file) if any(map(str.strip, line))]
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}", remedy="check its name") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(f"{path} is not CSV in UTF-8: {error}") from error
+    if not lines:
+        raise RecordingError(f"{path} is empty")
+    header, *rows = lines
+    if len(header) == 1 and ";" in header[0]:
+        raise RecordingError(
+            f"{path} line 1: separated by semicolons", remedy="separate by commas, decimals by points"
+        )
+    if _is_row(header):
+        raise RecordingError(
+            f"{path} line 1 holds numbers where the header is expected: {', '.join(header[:4])}",
+            remedy="name the columns in the first line",
+        )
+    return tuple(header), rows
+
+
+def _is_row(header: Sequence[str]) -> bool:
+    """Whether a first line holds numbers that are no numbering of columns."""
+    try:
+        numbers = [float(cell) for cell in header]
+    except ValueError:
+        return False
+    return not any(numbers == [float(k) for k in range(first, first + len(numbers))] for first in (0, 1))
+
+
+def _parquet(path: Path) -> _Cells:
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError as error:
+        raise RecordingError(
+            f"{path} is Parquet, which needs pyarrow", remedy="pip install 'cbsr-qa[parquet]', or write CSV"
+        ) from error
+    try:
+        table = parquet.read_table(path)
+    except (OSError, ArrowException) as error:
+        raise RecordingError(f"{path} cannot be read as Parquet: {error}") from error
+    columns: Iterable[Sequence[object]] = (column.to_pylist() for column in table.columns)
+    return tuple(table.column_names), [list(row) for row in zip(*columns, strict=True)]

@@ -1,0 +1,98 @@
+"""How readings of a modelled sheet change where it is pressed a little, for electrode pairs of any kind and order."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain.sensor import DrivePattern, SensorType
+from cbsr_qa.eit.estimate import load_model
+from cbsr_qa.eit.loads import RoundLoadModel
+
+#: Radius of the modelled load, of the sheet's: what the registration finds hardly depends on it.
+_LOAD: Final = 0.08
+#: Places are at least so far from edge and electrodes, of the radius.
+_CLEAR: Final = 0.02
+#: Largest share of its distance from edge and electrodes that a modelled load takes.
+_SMALL: Final = 0.5
+#: Spacing of the lattice of places, of the sheet's radius.
+STEP: Final = 0.08
+_AT_ONCE: Final = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeakLoads:
+    """Changes of transfer impedances under weak loads, per strength.
+
+    Parameters
+    ----------
+    places : (k, 2) where the loads are, in radii of the sheet.
+    changes : (k, e, e) of the potential of one electrode by the current into another; electrode e − 1 is the earth.
+    """
+
+    places: Array
+    changes: Array
+
+    def readings(self, pairs: Indices) -> Array:
+        """Changes (k, m) of readings of pairs (m, 4): source, sink, plus, minus."""
+        return _readings(self.changes, pairs)
+
+
+class ModelledSheet:
+    """A sensor type's even sheet, in radii.
+
+    Parameters
+    ----------
+    sensor_type : its pattern does not matter.
+    """
+
+    def __init__(self, sensor_type: SensorType) -> None:
+        self.radius_mm = sensor_type.radius_mm
+        self.electrode_count = count = sensor_type.electrodes.count
+        to_earth = tuple((electrode, count - 1) for electrode in range(count - 1))
+        pattern = DrivePattern(count, to_earth, to_earth)
+        self._model = RoundLoadModel(load_model(sensor_type).surroundings, pattern)
+
+    def unloaded(self, pairs: Indices) -> Array:
+        """Readings (m,) of pairs (m, 4) without a load, per current."""
+        readings: Array = _readings(_with_earth(self._model.unloaded()[None]), pairs)[0]
+        return readings
+
+    def loads(self, places: Array) -> WeakLoads:
+        """Weak loads at places (k, 2) in radii, each clear of edge and electrodes."""
+        places_mm = places * self.radius_mm
+        clear = self._model.surroundings.clearance_mm(places_mm)
+        size = np.minimum(_LOAD * self.radius_mm, _SMALL * np.maximum(clear, _CLEAR * self.radius_mm))
+        order = np.argsort(-clear, kind="stable")  # places alike in clearance need alike numbers of terms
+        changes = np.empty((len(places), *self._model.pattern.shape))
+        for first in range(0, len(order), _AT_ONCE):
+            part = order[first : first + _AT_ONCE]
+            changes[part] = self._model.weak(places_mm[part], size[part])
+        return WeakLoads(places, _with_earth(changes))
+
+    @cached_property
+    def lattice(self) -> WeakLoads:
+        """Weak loads all over the sheet, on a square lattice about its centre."""
+        most = int(np.floor(max(map(abs, self._model.surroundings.extent_mm)) / (STEP * self.radius_mm)))
+        axis = STEP * np.arange(-most, most + 1)
+        places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+        return self.loads(places[self.clear(places)])
+
+    def clear(self, places: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which places (k, 2) in radii are clear of edge and electrodes."""
+        room = self._model.surroundings.clearance_mm(places * self.radius_mm)
+        enough: np.ndarray[tuple[int], np.dtype[np.bool_]] = room > _CLEAR * self.radius_mm
+        return enough
+
+
+def _with_earth(changes: Array) -> Array:
+    """Append the electrode that all others are measured against."""
+    return np.pad(changes, ((0, 0), (0, 1), (0, 1)))
+
+
+def _readings(impedance: Array, pairs: Indices) -> Array:
+    source, sink, plus, minus = pairs.T
+    driven: Array = impedance[:, source, plus] - impedance[:, source, minus]
+    return driven - impedance[:, sink, plus] + impedance[:, sink, minus]

@@ -1,0 +1,155 @@
+"""Registration finds the pose that presses were labelled with, and refuses what does not determine it."""
+
+import numpy as np
+import pytest
+from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, round_sensor, some
+
+from cbsr_qa.calibration.presses.electrode_order import find_electrode_order
+from cbsr_qa.calibration.presses.registration import register_presses
+from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
+from cbsr_qa.domain import NumericsError
+
+
+def registered(pressed, *, stated=True, radius_mm=None):
+    sheet = ModelledSheet(round_sensor(radius_mm or pressed.sensor.radius_mm))
+    return register_presses(sheet, pressed.pairs, pressed.changes, pressed.labels_mm, radius_stated=stated)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize(("pairs", "sign"), [(opposite_pairs(), 1), (adjacent_pairs(), -1)])
+def test_the_pose_that_presses_were_labelled_with_is_found(mirrored, pairs, sign):
+    pressed = pressed_sheet(60, pairs=pairs, mirrored=mirrored, rotation_deg=-140.0, scale=1.04)
+    changes = sign * pressed.changes
+    found = register_presses(ModelledSheet(pressed.sensor), pairs, changes, pressed.labels_mm, radius_stated=True)
+    pose = found.registration
+    assert (pose.mirrored, found.sign, pose.trusted) == (mirrored, sign, True)
+    assert pose.rotation_deg == pytest.approx(-140, abs=1.5)
+    assert pose.scale == pytest.approx(1.04, abs=0.02)
+    assert pose.shift_mm == pytest.approx((46, -408), abs=1)
+    assert pose.signal_share > 0.9
+    assert pose.place_share > 0.95
+    np.testing.assert_allclose(pose.on_sheet_mm(pressed.labels_mm), pressed.places_mm, atol=2.5)
+
+
+def test_without_a_stated_radius_it_is_estimated_at_a_scale_of_one():
+    pressed = pressed_sheet(60, radius_mm=51.0, rotation_deg=100.0)
+    pose = registered(pressed, stated=False, radius_mm=200.0).registration
+    assert pose.scale == 1
+    assert pose.radius_mm == pytest.approx(51, abs=1.5)
+    assert 0 < pose.radius_stderr_mm < 2
+
+
+def test_places_on_the_sheet_and_labels_are_turned_into_each_other():
+    pose = registered(pressed_sheet(12, mirrored=True, scale=0.95)).registration
+    places = np.array([[3.0, 4.0], [-20.0, 7.0]])
+    np.testing.assert_allclose(pose.on_sheet_mm(pose.labelled_mm(places)), places, atol=1e-9)
+
+
+def test_a_rectifying_front_end_and_spikes_do_not_turn_the_sheet():
+    pressed = pressed_sheet(40, rectified=True, mirrored=True, rotation_deg=70.0)
+    changes, random = pressed.changes.copy(), np.random.default_rng(0)
+    for press in random.choice(40, 4, replace=False):
+        changes[press, random.integers(changes.shape[1])] += 100 * np.median(np.abs(changes[press]))
+    found = register_presses(
+        ModelledSheet(pressed.sensor), pressed.pairs, changes, pressed.labels_mm, radius_stated=True
+    )
+    assert "rectify" in found.findings[0]
+    assert found.registration.mirrored
+    assert found.registration.rotation_deg == pytest.approx(70, abs=3)
+    assert found.registration.trusted
+
+
+@pytest.mark.rest
+def test_its_standard_errors_are_those_of_presses_drawn_again():
+    whole = pressed_sheet(400, noise=1.5, rotation_deg=40.0)
+    drawn = [some(whole, np.random.default_rng(seed).choice(400, 12, replace=False)) for seed in range(16)]
+    poses = [registered(each).registration for each in drawn]
+    scatter = np.std([pose.rotation_deg for pose in poses])
+    stated = np.median([pose.rotation_stderr_deg for pose in poses])
+    assert 0.5 < stated / scatter < 2
+
+
+_LINE = np.column_stack([np.linspace(-40, 40, 9), np.linspace(-20, 20, 9)])
+
+
+@pytest.mark.parametrize(
+    ("places", "why"),
+    [
+        (np.tile([[3.0, 4.0]], (9, 1)), r"one place, \(3, 4\) mm"),
+        (np.tile([[3.0, 4.0], [8.0, 9.0], [1.0, 2.0]], (3, 1)), "3 different places"),
+        (_LINE, "on one line"),
+    ],
+)
+def test_places_that_do_not_determine_a_pose_are_refused(places, why):
+    pressed = pressed_sheet(9)
+    sheet = ModelledSheet(pressed.sensor)
+    with pytest.raises(NumericsError, match=why):
+        register_presses(sheet, pressed.pairs, pressed.changes, places, radius_stated=True)
+
+
+def test_readings_that_have_nothing_to_do_with_the_places_are_not_trusted():
+    pressed = pressed_sheet(30)
+    order = np.random.default_rng(1).permutation(30)
+    shuffled = register_presses(
+        ModelledSheet(pressed.sensor), pressed.pairs, pressed.changes[order], pressed.labels_mm, radius_stated=True
+    )
+    assert not shuffled.registration.trusted
+    assert "explains" in shuffled.registration.why
+
+
+@pytest.mark.parametrize("radius_stated", [True, False])
+def test_nine_presses_of_a_real_skin_are_registered_as_two_thousand_are(skins, radius_stated):
+    plain, sheet = skins("no_pattern"), ModelledSheet(round_sensor())
+    whole = register_presses(sheet, plain.pairs, plain.changes, plain.labels_mm, radius_stated=radius_stated)
+    assert "rectify" in whole.findings[0]
+    on_sheet = 40 * np.array([[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
+    apart = []
+    for seed in range(10):
+        nine = some(plain, np.random.default_rng(seed).choice(len(plain.labels_mm), 9, replace=False))
+        found = register_presses(sheet, nine.pairs, nine.changes, nine.labels_mm, radius_stated=radius_stated)
+        assert found.registration.trusted
+        assert found.registration.mirrored
+        places = [
+            pose.labelled_mm(on_sheet * pose.radius_mm / 73) for pose in (found.registration, whole.registration)
+        ]
+        apart.append(np.linalg.norm(places[0] - places[1], axis=1).mean())
+    assert np.quantile(apart, 0.9) < 9
+    assert np.median(apart) < 5
+
+
+def test_a_patterned_skin_is_not_what_the_disc_describes(skins):
+    lines = skins("parallel_lines")
+    for count in (9, 200):
+        rows = np.random.default_rng(count).choice(len(lines.labels_mm), count, replace=False)
+        assert not registered(some(lines, rows)).registration.trusted
+
+
+def ordered(pressed):
+    sheet = ModelledSheet(pressed.sensor)
+    return find_electrode_order(sheet, pressed.pairs, pressed.changes, pressed.labels_mm, radius_stated=True)
+
+
+def test_two_exchanged_electrodes_are_named_and_others_are_not():
+    wired = np.arange(16)
+    wired[[3, 10]] = 10, 3
+    order = ordered(pressed_sheet(40, wired=wired, noise=0.1))
+    assert len(order.findings) == 1
+    assert order.findings[0].startswith("electrodes 3 and 10 are exchanged")
+    assert order.registered.registration.signal_share > 0.9
+    assert not ordered(pressed_sheet(40, noise=0.1)).findings
+
+
+def test_measuring_electrodes_that_are_numbered_from_elsewhere_are_named():
+    pressed = pressed_sheet(40, noise=0.1)
+    shifted = pressed.pairs.copy()
+    shifted[:, 2:] = (shifted[:, 2:] - 3) % 16
+    sheet = ModelledSheet(pressed.sensor)
+    order = find_electrode_order(sheet, shifted, pressed.changes, pressed.labels_mm, radius_stated=True)
+    assert "numbered from electrode 3 of the driving ones" in order.findings[0]
+    np.testing.assert_array_equal(order.pairs, pressed.pairs)
+
+
+def test_electrodes_numbered_the_other_way_round_are_a_mirrored_sheet():
+    order = ordered(pressed_sheet(40, wired=-np.arange(16) % 16))
+    assert order.registered.registration.mirrored
+    assert not order.findings
