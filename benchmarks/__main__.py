@@ -1,11 +1,16 @@
-"""Prints the table and writes it to ``docs/reference/performance.md``. Names of parts choose some of them."""
+"""Measure speed and accuracy against the goals and other software.
+
+Prints a table for each part. Without a part, everything is measured and written to docs/reference/performance.md.
+"""
 
 import os
 
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
 
+import argparse
+import ast
 import platform
-import sys
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -38,11 +43,40 @@ Accuracy is measured against a truth that the method does not know. Unless the t
 _COLUMNS = "| what | to reach | here | peer | |\n| --- | --- | --- | --- | --- |\n"
 
 
+def _arguments() -> list[str]:
+    """Return the chosen parts; help lists them with what each measures."""
+    listed = "\n".join(f"  {part:<16} {_purpose(part)}" for part in PARTS)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description=__doc__,
+        epilog=f"parts:\n{listed}\n\nother programs:\n{_others()}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help="what to measure, by default everything")
+    chosen: list[str] = parser.parse_args().parts
+    for unknown in sorted(set(chosen) - set(PARTS)):
+        parser.error(f"no part is named {unknown!r}; choose from {', '.join(PARTS)}")
+    return chosen
+
+
+def _others() -> str:
+    """List the modules that are programs by themselves."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    programs = [
+        file.stem for file in files if f"python -m benchmarks.{file.stem}" in file.read_text(encoding="utf-8")
+    ]
+    return "\n".join(f"  python -m benchmarks.{name}\n      {_purpose(name)}" for name in programs)
+
+
+def _purpose(module: str) -> str:
+    """Return the first line of a module's docstring, without importing it."""
+    source = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
+    first = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
+    return re.sub(r":mod:|`", "", re.sub(r"; the trials are in .*|: ``python .*", "", first))
+
+
 def main(chosen: list[str]) -> None:
     """Measure the chosen parts, or everything, which alone is written to the page."""
-    unknown = sorted(set(chosen) - set(PARTS))
-    if unknown:
-        sys.exit(f"no part of the benchmarks is called {unknown[0]!r}; there are {', '.join(PARTS)}")
     page = [_HEAD, f"\nMeasured on {platform.machine()}, Python {platform.python_version()}.\n"]
     missed: list[Row] = []
     for part in chosen or PARTS:
@@ -61,4 +95,4 @@ def main(chosen: list[str]) -> None:
         print(f"written to {_PAGE}")
 
 
-main(sys.argv[1:])
+main(_arguments())

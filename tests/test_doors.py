@@ -43,6 +43,9 @@ def _imports(source: str, who: str, home: str) -> Iterator[Import]:
             yield from (Import(who, home, node.module, alias.name) for alias in node.names)
         elif isinstance(node, ast.Import):
             yield from (Import(who, home, alias.name, "") for alias in node.names)
+        elif isinstance(node, ast.keyword) and node.arg == "prints" and isinstance(node.value, ast.Constant):
+            module, _, name = str(node.value.value).partition(":")  # of a command, imported only for its schema
+            yield Import(who, home, module, name)
 
 
 def _home_of_test(path: Path) -> str:

@@ -5,14 +5,16 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, plugin_options
 from cbsr_qa.cli.output import announce, emit_json, note, show
 
 
+@command("analyse", prints="cbsr_qa.app.analyse:Analysed")
 def analyse(
-    files: Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE...")],
+    files: Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE")],
     format_: Annotated[
-        str | None, typer.Option("--format", help="File format; by default detected for each file.")
+        str | None, typer.Option("--format", metavar="NAME", help="File format; by default detected for each file.")
     ] = None,
     sensor_type: Annotated[
         str | None,
@@ -22,7 +24,8 @@ def analyse(
     reference: Annotated[
         str | None,
         typer.Option(
-            help="Recording of the unloaded sensor or empty tank: FILE, or FILE:NAME for one of its data sets."
+            metavar="FILE[:NAME]",
+            help="Recording of the unloaded sensor or empty tank: FILE, or FILE:NAME for one of its data sets.",
         ),
     ] = None,
     memory_correction: Annotated[
@@ -36,7 +39,7 @@ def analyse(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Method that images the events (see `cbsr-qa plugins list --kind reconstruction`); by default"
+            help="Method that images the events (cbsr-qa plugins list --kind reconstruction lists them); by default"
             " gauss-newton-noser. It does not affect which events are found.",
         ),
     ] = None,

@@ -5,16 +5,17 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import announce, note, say, show as show_outcome
 
-app = typer.Typer(help="Show, check, convert and apply calibration files.", no_args_is_help=True)
+group("calibration", "Show, check, convert and apply calibration files.")
 
 _STDOUT = Path("-")
 _File = Annotated[Path, typer.Argument(help="Calibration file (HDF5).")]
 
 
-@app.command("show")
+@command("calibration show", prints="cbsr_qa.app:ShownCalibration")
 def show(file: _File, as_json: AsJson = False) -> None:
     """Print the contents of a calibration: identity, range of use, baseline conductance, assumptions."""
     from cbsr_qa.app import show_calibration
@@ -22,7 +23,7 @@ def show(file: _File, as_json: AsJson = False) -> None:
     show_outcome(show_calibration(file), as_json=as_json)
 
 
-@app.command("verify")
+@command("calibration verify", prints="cbsr_qa.app:SoundFile")
 def verify(file: _File, as_json: AsJson = False) -> None:
     """Check that a calibration file is complete, unaltered and of a known version."""
     from cbsr_qa.app import verify_file
@@ -30,7 +31,7 @@ def verify(file: _File, as_json: AsJson = False) -> None:
     show_outcome(verify_file(file), as_json=as_json)
 
 
-@app.command("export")
+@command("calibration export", prints="cbsr_qa.app:Converted")
 def export(
     file: Annotated[Path, typer.Argument(help="Calibration file, .h5 or .json.")],
     output: Annotated[Path, typer.Option(help="File to write, .json or .h5; must not exist yet.")],
@@ -51,7 +52,7 @@ def export(
     show_outcome(export_calibration(file, output, firmware=firmware, stride=stride), as_json=as_json)
 
 
-@app.command("apply")
+@command("calibration apply", prints="cbsr_qa.app:AppliedCalibration")
 def apply(
     file: _File,
     recordings: Annotated[list[Path], typer.Argument(help="Recordings, in any supported format.")],

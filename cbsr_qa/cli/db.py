@@ -1,14 +1,13 @@
 """``cbsr-qa db``: looks after the database."""
 
-import typer
-
+from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import show
 
-app = typer.Typer(help="Maintain the database.", no_args_is_help=True)
+group("db", "Maintain the database.")
 
 
-@app.command()
+@command("db upgrade", prints="cbsr_qa.app:Upgrade")
 def upgrade(database: Database = None, as_json: AsJson = False) -> None:
     """Upgrade a database to this version of the program, or create it."""
     from cbsr_qa.app import upgrade_database
@@ -16,7 +15,7 @@ def upgrade(database: Database = None, as_json: AsJson = False) -> None:
     show(upgrade_database(database), as_json=as_json)
 
 
-@app.command()
+@command("db status", prints="cbsr_qa.app:DatabaseStatus")
 def status(database: Database = None, as_json: AsJson = False) -> None:
     """Show which database is used, its version, its contents and unfinished runs."""
     from cbsr_qa.app import database_status
@@ -24,7 +23,7 @@ def status(database: Database = None, as_json: AsJson = False) -> None:
     show(database_status(database), as_json=as_json)
 
 
-@app.command()
+@command("db changes", prints="cbsr_qa.app:Changes")
 def changes(database: Database = None, as_json: AsJson = False) -> None:
     """List changes of limits, recipes, other files, control charts and verdicts: who, when and why."""
     from cbsr_qa.app import list_changes

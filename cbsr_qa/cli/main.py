@@ -12,29 +12,8 @@ from typing import Annotated, Any, cast
 import typer
 
 import cbsr_qa
-from cbsr_qa.cli import (
-    analyse,
-    calibration,
-    db,
-    plugins,
-    run,
-    runs as export,
-    runs as report,
-    runs as verdict,
-    schema,
-    station,
-)
+from cbsr_qa.cli.command import Command, PlainCommand, PlainGroup, commands, purpose
 from cbsr_qa.cli.output import claim_stdout, emit_json, lost_output, note, reader_has_gone
-from cbsr_qa.cli.studies import (
-    charts,
-    compare,
-    frontier,
-    gauge,
-    limits,
-    reproduce,
-    scene,
-    stability,
-)
 from cbsr_qa.cli.supervised import end_child, supervise
 from cbsr_qa.domain import BrokenError, CbsrError, RefusedError, StoppedError
 from cbsr_qa.plugin import said
@@ -42,30 +21,12 @@ from cbsr_qa.system import Redelivery
 
 app = typer.Typer(
     name="cbsr-qa",
+    cls=PlainGroup,
     help="Test, judge and calibrate soft pressure sensors read by electrical impedance tomography.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command("run")(run.run)
-app.command("analyse")(analyse.analyse)
-app.command("report")(report.report)
-app.command("export")(export.export)
-app.command("compare")(compare.compare)
-app.command("stability")(stability.stability)
-app.command("frontier")(frontier.frontier)
-app.command("gauge")(gauge.gauge)
-app.command("charts")(charts.charts)
-app.command("schema")(schema.schema)
-app.add_typer(calibration.app, name="calibration")
-app.add_typer(limits.app, name="limits")
-app.add_typer(scene.app, name="scene")
-app.add_typer(reproduce.app, name="reproduce")
-app.add_typer(station.app, name="station")
-app.add_typer(plugins.app, name="plugins")
-app.add_typer(db.app, name="db")
-app.add_typer(verdict.app, name="verdict")
-
 
 #: Whether the command was asked for a document, once its line was read: "--json" may be another option's value.
 _asked_for_json: list[bool] = []
@@ -74,32 +35,36 @@ _asked_for_json: list[bool] = []
 _supervising = False
 
 
-def _supervised(command: Callable[..., Any]) -> Callable[..., Any]:
-    judging = command is run.run
+def _supervised(command: Command) -> Callable[..., Any]:
+    """Run a command in a child process, with stdout kept for its document; help needs neither."""
 
-    @wraps(command)
+    @wraps(command.run)
     def begun(*arguments: Any, **options: Any) -> Any:
         _asked_for_json.append(bool(options.get("as_json")))
+        judging = command.words == "run" and not options["dry_run"]
         # Here the command line is parsed, by nobody but click, and no plugin has been entered.
-        if _supervising and (code := supervise(judges=judging and not options["dry_run"])) is not None:
+        if _supervising and (code := supervise(judges=judging)) is not None:
             return code
         claim_stdout()
-        return command(*arguments, **options)
+        return command.run(*arguments, **options)
 
     return begun
 
 
-def _supervise_every_command(group: typer.Typer) -> None:
-    """Run every command in a child process, with stdout kept for its document; help needs neither."""
-    for one in group.registered_commands:
-        assert one.callback is not None
-        one.callback = _supervised(one.callback)
-    for sub in group.registered_groups:
-        assert sub.typer_instance is not None
-        _supervise_every_command(sub.typer_instance)
+def _add_commands(root: typer.Typer) -> None:
+    groups: dict[str, typer.Typer] = {"": root}
+    for command in commands():
+        if command.group not in groups:
+            groups[command.group] = typer.Typer(cls=PlainGroup, help=purpose(command.group), no_args_is_help=True)
+            root.add_typer(groups[command.group], name=command.group, rich_help_panel=command.panel)
+        panel = None if command.group else command.panel
+        add = groups[command.group].command(
+            command.words.split()[-1], cls=PlainCommand, help=command.purpose, rich_help_panel=panel
+        )
+        add(_supervised(command))
 
 
-_supervise_every_command(app)
+_add_commands(app)
 
 
 def _version(wanted: bool) -> None:

@@ -18,7 +18,9 @@ from cbsr_qa.plugin import echo
 _Word = TypeVar("_Word", bound=StrEnum)
 
 #: Options that most commands have.
-Database = Annotated[str | None, typer.Option(help="SQLAlchemy URL or SQLite file; by default var/cbsr-qa.db.")]
+Database = Annotated[
+    str | None, typer.Option(metavar="URL|FILE", help="SQLAlchemy URL or SQLite file; by default var/cbsr-qa.db.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Since = Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Runs from this day on (UTC).")]
 Until = Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Runs to the end of this day (UTC).")]

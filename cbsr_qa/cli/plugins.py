@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson
 from cbsr_qa.cli.output import show
 
@@ -11,15 +12,10 @@ if TYPE_CHECKING:
     from cbsr_qa.domain.results import Section
     from cbsr_qa.plugin import PluginReference
 
-app = typer.Typer(help="List and describe installed plugins.", no_args_is_help=True)
+group("plugins", "List and describe installed plugins.")
 
 
-@app.callback()
-def _group() -> None:
-    """List and describe installed plugins."""
-
-
-@app.command("list")
+@command("plugins list", prints="cbsr_qa.plugin:ListedPlugins")
 def list_plugins(
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
     options: Annotated[bool, typer.Option("--options", help="List the options of each plugin.")] = False,
@@ -49,7 +45,7 @@ def list_plugins(
     show(replace(outcome, sections=(Section("Installed", (table,)),)), as_json=as_json)
 
 
-@app.command("show")
+@command("plugins show", prints="cbsr_qa.plugin:ShownPlugins")
 def show_plugin(
     name: Annotated[str, typer.Argument(help="Name of the plugin.")],
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,

@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command, document
 from cbsr_qa.cli.options import AsJson, Database, given_options, option_names
 from cbsr_qa.cli.output import announce, note, operator_at_terminal, show
 from cbsr_qa.cli.supervised import begun
@@ -13,6 +14,10 @@ _NEEDED = ("station", "recipe", "serial")
 _WITH_RESUME = ("resume", "operator", "database", "as_json")
 
 
+document("dry run", prints="cbsr_qa.app.run:PlannedRun")
+
+
+@command("run", prints="cbsr_qa.app.run:RunOutcome")
 def run(
     context: typer.Context,
     station: Annotated[str, typer.Option(help="Station file, or the name of a shipped one.")] = "",
@@ -25,7 +30,9 @@ def run(
     material: Annotated[str | None, typer.Option(help="Material; by default the station's.")] = None,
     seed: Annotated[
         int | None,
-        typer.Option(help="Seed for random loads and simulations; by default derived from serial number and try."),
+        typer.Option(
+            help="Seed for random loads and simulations; by default from the serial number and the number of its run."
+        ),
     ] = None,
     database: Database = None,
     resume: Annotated[

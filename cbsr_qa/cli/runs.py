@@ -5,15 +5,19 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import show
 
 _Run = Annotated[str, typer.Argument(help="Run, or a serial number for the latest run of that sensor.")]
 
 
+@command("report", prints="cbsr_qa.app.run:Rendered")
 def report(
     run: _Run,
-    to: Annotated[Path | None, typer.Option("--to", help="Folder to write to; by default var/reports.")] = None,
+    to: Annotated[
+        Path | None, typer.Option("--to", metavar="FOLDER", help="Folder to write to; by default var/reports.")
+    ] = None,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
@@ -26,6 +30,7 @@ def report(
     show(rendered_outcome(render_stored(run, database=database, folder=to)), as_json=as_json)
 
 
+@command("export", prints="cbsr_qa.app:Exported")
 def export(
     run: _Run,
     to: Annotated[Path, typer.Option("--to", help="File to write; must not exist yet.")],
@@ -39,24 +44,26 @@ def export(
     show(export_run(run, to, phase=phase, database=database), as_json=as_json)
 
 
-app = typer.Typer(help="Override verdicts.", no_args_is_help=True)
+group("verdict", "Override verdicts.")
 
 
-@app.callback()
-def _verdict() -> None:
-    """Override verdicts."""
-
-
-@app.command()
+@command("verdict override", prints="cbsr_qa.app:Overridden")
 def override(
-    run: Annotated[str, typer.Argument(help="Run; a serial number is not accepted.")],
-    outcome: Annotated[str, typer.Option(help="New outcome: pass or fail.")],
+    run: Annotated[
+        str,
+        typer.Argument(help="Identifier of one run, as its report prints it; not a serial number."),
+    ],
+    outcome: Annotated[str, typer.Option(metavar="pass|fail", help="New outcome.")],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who decides.")],
     why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for the override.")],
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Override the verdict of a run, recording who, when and why; the original verdict is kept."""
+    """Override the verdict of a run, recording who, when and why; the original verdict is kept.
+
+    A sensor may have several runs, so RUN is the identifier of one of them, not a serial number. For example:
+    cbsr-qa verdict override 01989c3e-6d1f-7a42-b6d0-0e6f5a1f2c3d --outcome fail --by Ada --why "scratched sheet"
+    """
     from cbsr_qa.app import override_verdict
 
     show(override_verdict(run, outcome, by=by, why=why, database=database), as_json=as_json)

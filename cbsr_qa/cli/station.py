@@ -4,29 +4,36 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import announce, operator_at_terminal, show
 
-app = typer.Typer(help="Check stations.", no_args_is_help=True)
+group("station", "Check stations.")
 
 
-@app.callback()
-def _group() -> None:
-    """Check stations."""
-
-
-@app.command()
+@command("station check", prints="cbsr_qa.app.station_check:CheckedStation")
 def check(
-    station: Annotated[str, typer.Argument(help="Station file, or the name of a shipped one.")],
+    context: typer.Context,
+    station: Annotated[
+        str, typer.Option(help="Station file, or the name of a shipped one, as for cbsr-qa run. Required.")
+    ] = "",
+    named: Annotated[
+        str, typer.Argument(metavar="STATION", show_default=False, help="Shorter for --station STATION.")
+    ] = "",
     golden: Annotated[
         str | None, typer.Option(metavar="SERIAL", help="Golden sensor to run and compare with its earlier runs.")
     ] = None,
     operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
     ring_ohm: Annotated[
         float | None,
-        typer.Option(help="Resistance of each resistor of the reference ring in ohm; by default the station file's."),
+        typer.Option(
+            metavar="OHM", help="Resistance of each resistor of the reference ring; by default the station file's."
+        ),
     ] = None,
-    ring: Annotated[bool, typer.Option(help="Measure the reference ring, if its resistances are known.")] = True,
+    ring: Annotated[
+        bool,
+        typer.Option(show_default=False, help="Measure the reference ring; by default if its resistances are known."),
+    ] = True,
     ring_connected: Annotated[
         bool, typer.Option("--ring-connected", help="The ring is already connected; do not ask.")
     ] = False,
@@ -40,10 +47,12 @@ def check(
 
     Exit code 1 if a check failed, 3 if no instrument answered.
     """
+    if bool(station) == bool(named):
+        context.fail("The station is named twice: leave --station out." if station else "Missing option '--station'.")
     from cbsr_qa.app.station_check import CheckRequest, check_station
 
     request = CheckRequest(
-        station=station,
+        station=station or named,
         golden=golden,
         operator=operator,
         ring_ohm=ring_ohm,

@@ -163,7 +163,7 @@ def folder(tmp_path_factory):
 
 
 def _run(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments], standalone_mode=False)
+    return CliRunner().invoke(app, ["calibration", *map(str, arguments)], standalone_mode=False)
 
 
 def test_apply_prints_a_row_a_frame(folder, calibration):

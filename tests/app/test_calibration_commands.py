@@ -22,7 +22,7 @@ def issued(tmp_path: Path) -> Path:
 
 
 def _run(*arguments: str) -> Any:
-    return CliRunner().invoke(app, list(arguments))
+    return CliRunner().invoke(app, ["calibration", *arguments])
 
 
 def test_show_prints_what_a_reader_needs(issued):

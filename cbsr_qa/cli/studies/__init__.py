@@ -1,5 +1,1 @@
 """Commands of studies."""
-
-from cbsr_qa import door
-
-__getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, Database, PageOutput, one_of, to_day
 from cbsr_qa.cli.output import check_page, show
 from cbsr_qa.domain import RefusedError
@@ -16,12 +17,17 @@ if TYPE_CHECKING:
 _DAY = ["%Y-%m-%d"]
 
 
+@command("charts", prints="cbsr_qa.studies.charts:Charts")
 def charts(
     station: Annotated[str, typer.Option(help="Name of the station, as stored with its runs.")],
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
     golden: Annotated[str, typer.Option(metavar="SERIAL", help="Chart this golden sensor, not production.")] = "",
-    metric: Annotated[list[str] | None, typer.Option(help="What to chart; may be repeated.")] = None,
-    by_location: Annotated[bool, typer.Option("--by-location", help="A new reference for each location.")] = False,
+    metric: Annotated[
+        list[str] | None, typer.Option(metavar="METRIC", help="What to chart; may be repeated.")
+    ] = None,
+    by_location: Annotated[
+        bool, typer.Option("--by-location", help="Set a new reference for each location.")
+    ] = False,
     chart: Annotated[
         str | None, typer.Option(help="i-mr (default), xbar-r, ewma or cusum (of a new reference).")
     ] = None,

@@ -4,38 +4,48 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until
 from cbsr_qa.cli.output import check_page, show
 
 
+@command("compare", prints="cbsr_qa.studies.compare:Comparison")
 def compare(
-    by: Annotated[str, typer.Option(help="Groups to compare: batch, material, station, software or period.")],
+    by: Annotated[str, typer.Option(help="What the groups are: batch, material, station, software or period.")],
     groups: Annotated[
         str | None, typer.Option(metavar="A,B", help="Groups to compare, the reference first; by default all.")
     ] = None,
-    metric: Annotated[list[str] | None, typer.Option(help="Only this metric; may be repeated.")] = None,
+    metric: Annotated[
+        list[str] | None, typer.Option(metavar="METRIC", help="Only this metric; may be repeated.")
+    ] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
     since: Since = None,
     until: Until = None,
     margin: Annotated[
         list[str] | None,
-        typer.Option(metavar="METRIC=VALUE", help="Difference that does not matter, in the metric's unit."),
+        typer.Option(
+            metavar="METRIC=VALUE",
+            help="Test whether groups are alike within this difference, in the metric's unit; repeatable.",
+        ),
     ] = None,
     detect: Annotated[
         list[str] | None,
-        typer.Option(metavar="METRIC=VALUE", help="Difference whose number of sensors is wanted (80 % power)."),
+        typer.Option(
+            metavar="METRIC=VALUE",
+            help="Say how many sensors find a difference of this size (80 % power); repeatable.",
+        ),
     ] = None,
     policy: Annotated[
-        str, typer.Option(help="Run of a sensor that decides: first, last, or any that passed.")
+        str, typer.Option(help="Which run of a sensor decides: first, last, or any that passed.")
     ] = "last",
     quarantine: Annotated[
-        str, typer.Option(help="Sensors that could not be measured: apart from the yield, or failed.")
+        str, typer.Option(help="How sensors that could not be measured count: apart (not in the yield) or failed.")
     ] = "apart",
     period: Annotated[
         str | None, typer.Option(help="Length of a period, for --by period: day, week, month (default) or year.")
     ] = None,
     adjust: Annotated[
-        str, typer.Option(help="p values for many metrics: holm, benjamini-hochberg or none.")
+        str, typer.Option(help="How p values are adjusted for many metrics: holm, benjamini-hochberg or none.")
     ] = "holm",
     output: PageOutput = None,
     database: Database = None,

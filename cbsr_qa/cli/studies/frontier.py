@@ -7,6 +7,7 @@ from typing import Annotated, Final
 
 import typer
 
+from cbsr_qa.cli.command import command
 from cbsr_qa.cli.output import Counting, note, show
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.studies.frontier import TimeBasis
@@ -20,10 +21,22 @@ _NEWTONS: Final = {"N": 1.0, "mN": 1e-3}
 _SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
+@command("frontier", prints="cbsr_qa.studies.frontier:Frontier")
 def frontier(
-    clock: Annotated[str, typer.Option(help="Whose time: station, computer or both.")] = "both",
-    force_error: Annotated[str | None, typer.Option(metavar="0.5N", help="Cheapest setting this accurate.")] = None,
-    budget: Annotated[str | None, typer.Option(metavar="20min", help="Station time a sensor may take.")] = None,
+    clock: Annotated[str, typer.Option(help="Time to save: of the station, the computer or both.")] = "both",
+    force_error: Annotated[
+        str | None,
+        typer.Option(
+            metavar="0.5N", help="Recommend the cheapest setting with at most this force error, with its unit."
+        ),
+    ] = None,
+    budget: Annotated[
+        str | None,
+        typer.Option(
+            metavar="20min",
+            help="Recommend a setting that takes at most this station time per sensor, with its unit.",
+        ),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Few settings and one simulated sensor.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Forget what an earlier sweep has finished.")] = False,
     recipe: Annotated[Path | None, typer.Option(help="Recipe file to write the recommended setting to.")] = None,

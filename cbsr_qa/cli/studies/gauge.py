@@ -5,6 +5,7 @@ from typing import Annotated, Final
 
 import typer
 
+from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, given_options, option_names, to_day
 from cbsr_qa.cli.output import check_page, show
 
@@ -12,6 +13,7 @@ from cbsr_qa.cli.output import check_page, show
 _BESIDE_STUDY: Final = {"study", "output", "database", "as_json"}
 
 
+@command("gauge", prints="cbsr_qa.studies.gauge:GaugeStudy")
 def gauge(
     context: typer.Context,
     study: Annotated[
@@ -21,12 +23,13 @@ def gauge(
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
     stations: Annotated[str | None, typer.Option(metavar="A,B,…", help="Runs on these stations.")] = None,
     metric: Annotated[
-        list[str] | None, typer.Option(help="What to study; may be repeated. By default what the recipe limits.")
+        list[str] | None,
+        typer.Option(metavar="METRIC", help="What to study; may be repeated. By default what the recipe limits."),
     ] = None,
     by_location: Annotated[
         bool, typer.Option("--by-location", help="One study per location, not of their mean.")
     ] = False,
-    appraiser: Annotated[str, typer.Option(help="Who measures: station or operator.")] = "station",
+    appraiser: Annotated[str, typer.Option(help="What is compared: station or operator.")] = "station",
     since: Since = None,
     until: Until = None,
     largest_balanced: Annotated[
@@ -39,14 +42,16 @@ def gauge(
             help="True value of a golden sensor, or a TOML file; may be repeated.",
         ),
     ] = None,
-    confidence: Annotated[float, typer.Option(help="Of intervals, in per cent, above 50 and below 100.")] = 95.0,
+    confidence: Annotated[
+        float, typer.Option(metavar="PERCENT", help="Confidence level of intervals, above 50 and below 100.")
+    ] = 95.0,
     output: PageOutput = None,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
     """Gauge R&R of stored runs: every sensor on every station (or by every operator), more than once.
 
-    STUDY.toml names sensors, stations, metrics, tolerances and days; or options do.
+    Describe the study (sensors, stations, metrics, tolerances, days) in STUDY.toml or by options.
     """
     from cbsr_qa.domain.results import RunSelection
     from cbsr_qa.studies.gauge import (

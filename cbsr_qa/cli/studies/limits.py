@@ -5,35 +5,42 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database, Since, Until, to_day
 from cbsr_qa.cli.output import note, show
 
-app = typer.Typer(help="Propose limits from sensors known to be good.", no_args_is_help=True)
+group("limits", "Propose limits from sensors known to be good.")
 
 
-@app.callback()
-def _group() -> None:
-    """Propose limits from sensors known to be good."""
-
-
-@app.command("propose")
+@command("limits propose", prints="cbsr_qa.studies.limits:ProposedLimits")
 def propose(
-    serial: Annotated[list[str] | None, typer.Option(help="A sensor of the golden lot; may be repeated.")] = None,
+    serial: Annotated[
+        list[str] | None, typer.Option(metavar="SERIAL", help="A sensor of the golden lot; may be repeated.")
+    ] = None,
     serials: Annotated[Path | None, typer.Option(help="File with one serial number a line.")] = None,
     batch: Annotated[str | None, typer.Option(help="Runs of this batch.")] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
     since: Since = None,
     until: Until = None,
-    without: Annotated[list[str] | None, typer.Option(help="Leave this sensor out; may be repeated.")] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(metavar="SERIAL", help="Leave this sensor out; may be repeated.")
+    ] = None,
     measurement: Annotated[
-        list[str] | None, typer.Option(help="What to limit; may be repeated. By default what the recipe limits now.")
+        list[str] | None,
+        typer.Option(metavar="METRIC", help="What to limit; may be repeated. By default what the recipe limits now."),
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="Limit everything that was measured.")] = False,
-    coverage: Annotated[float, typer.Option(help="Percentage of good sensors that each limit accepts.")] = 99.0,
-    confidence: Annotated[float, typer.Option(help="Confidence in that, in per cent.")] = 95.0,
-    guard_factor: Annotated[float, typer.Option(help="Guard band over expanded uncertainty.")] = 1.0,
+    coverage: Annotated[
+        float, typer.Option(metavar="PERCENT", help="Share of good sensors that each limit accepts.")
+    ] = 99.0,
+    confidence: Annotated[float, typer.Option(metavar="PERCENT", help="Confidence in that share.")] = 95.0,
+    guard_factor: Annotated[
+        float,
+        typer.Option(metavar="FACTOR", help="Width of the guard band, as a multiple of the expanded uncertainty."),
+    ] = 1.0,
     distribution: Annotated[
-        str, typer.Option(help="Of single values: normal, log-normal, any, or auto (the widest not refuted).")
+        str,
+        typer.Option(help="Distribution of values: normal, log-normal, any, or auto (the widest not refuted)."),
     ] = "auto",
     include_failed: Annotated[bool, typer.Option("--include-failed", help="Include runs that failed.")] = False,
     allow_mixed: Annotated[

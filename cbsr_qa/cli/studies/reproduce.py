@@ -5,23 +5,19 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.output import check_page, note, show
 
-app = typer.Typer(help="Put published results beside simulated sensors.", no_args_is_help=True)
+group("reproduce", "Compare published results with simulated sensors.")
 
 
-@app.callback()
-def _group() -> None:
-    """Put published results beside simulated sensors."""
-
-
-@app.command("paper")
+@command("reproduce paper", prints="cbsr_qa.studies.reproduce:Reproduction")
 def paper(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer trials and strains, and no bench sheet.")] = False,
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> None:
-    """Tables 1 to 5 and F.6, settling times and force errors of Ellingham et al. beside our simulated sensors."""
+    """Compare tables 1 to 5 and F.6, settling times and force errors of Ellingham et al. with simulated sensors."""
     from cbsr_qa.studies.reproduce import reproduce_paper, reproduction_outcome
 
     check_page(output)

@@ -5,36 +5,32 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.output import Counting, say, show
 
-app = typer.Typer(help="What a simulated world contains, and a recording of it.", no_args_is_help=True)
+group("scene", "Explain simulated scenes, and record them.")
 
 _Scene = Annotated[str, typer.Argument(help="Scene file, or the name of a shipped one.", metavar="FILE")]
 _Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 
 
-@app.callback()
-def _group() -> None:
-    """What a simulated world contains, and a recording of it."""
-
-
-@app.command("run")
+@command("scene run", prints="cbsr_qa.studies.scenes:SceneRun")
 def run(
     scene: _Scene,
     output: Annotated[
         Path | None,
-        typer.Option(help="HDF5 file to write; must not exist yet. By default var/scenes/<scene>-seed<seed>.h5."),
+        typer.Option(help="HDF5 file to write; must not exist yet. By default var/scenes/SCENE-seedN.h5."),
     ] = None,
     format_: Annotated[
         list[str] | None,
         typer.Option(
             "--format",
             metavar="NAME",
-            help="Also in this format, to a file beside it, e.g. ert-board-csv; repeatable.",
+            help="Write this format too, to a file beside it, e.g. ert-board-csv; repeatable.",
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, max=2**31 - 1, help="Of all that is random; by default the scene's own.")
+        int | None, typer.Option(min=0, max=2**31 - 1, help="Seed of everything random; by default the scene's own.")
     ] = None,
     as_json: _Json = False,
 ) -> None:
@@ -52,18 +48,16 @@ def run(
         say(f"try: {recorded.analyse}")  # on one line, to be copied
 
 
-@app.command("explain")
+@command("scene explain", prints="cbsr_qa.studies.scenes:Explained")
 def explain(
     scene: _Scene,
-    no_measure: Annotated[
-        bool, typer.Option("--no-measure", help="Do not take frames to measure what effects cost.")
-    ] = False,
+    no_measure: Annotated[bool, typer.Option("--no-measure", help="Do not measure what effects cost.")] = False,
     as_json: _Json = False,
 ) -> None:
     """Say which effects of a scene are on and what each costs, which are off, and what is not modelled.
 
-    An effect's cost is the time within it and, where it changes how much is solved, the difference of the whole frame
-    with and without it and those that need it.
+    The cost of an effect is its own computing time per frame. Of an effect that changes how much has to be solved, it
+    is the difference between frames with and without it and the effects that need it.
     """
     from cbsr_qa.studies.scenes import explain_scene, explained_outcome
 

@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
+from cbsr_qa.cli.command import command
 from cbsr_qa.cli.output import Counting, check_page, show
 
 
+@command("stability", prints="cbsr_qa.studies.hard_cases:Stability")
 def stability(
     area: Annotated[list[str] | None, typer.Option(help="Only cases of this area; repeatable.")] = None,
     only: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this case; repeatable.")] = None,

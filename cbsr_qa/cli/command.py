@@ -1,0 +1,151 @@
+"""How a command is declared, in any file of this package or of ``studies``; no other file lists it.
+
+Its help shows what is meant (``SERIAL``, ``YYYY-MM-DD``), not types of Python.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from importlib import import_module
+from inspect import getdoc
+from pathlib import Path
+from pkgutil import walk_packages
+from typing import Any, Final, TypeVar, get_args, get_origin, get_type_hints
+
+from typer.core import TyperCommand, TyperGroup
+from typer.models import ArgumentInfo, OptionInfo
+
+_Run = TypeVar("_Run", bound=Callable[..., Any])
+
+#: What stands in help for a value whose option does not say better.
+_WORDS: Final = {bool: "", str: "TEXT", int: "N", float: "NUMBER", Path: "FILE", datetime: "YYYY-MM-DD"}
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command: what is typed after ``cbsr-qa``, and the function that carries it out."""
+
+    words: str
+    run: Callable[..., Any]
+
+    @property
+    def group(self) -> str:
+        """First of two words, else empty."""
+        return self.words.rpartition(" ")[0]
+
+    @property
+    def purpose(self) -> str:
+        """What help says: its paragraphs, each on one line, so that a terminal can break them where it likes."""
+        paragraphs = (getdoc(self.run) or "").split("\n\n")
+        return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+    @property
+    def panel(self) -> str:
+        """Under which heading help lists it."""
+        return "Studies of many runs or simulations" if ".studies." in self.run.__module__ else "Commands"
+
+
+_COMMANDS: Final[dict[str, Command]] = {}
+_GROUPS: Final[dict[str, str]] = {}
+_PRINTED: Final[dict[str, str]] = {}
+
+
+def command(words: str, *, prints: str = "") -> Callable[[_Run], _Run]:
+    """Declare a command.
+
+    Parameters
+    ----------
+    words : of the command line, e.g. ``"db status"``.
+    prints : dataclass of its document, ``"cbsr_qa.app:DatabaseStatus"``, imported only to print its schema.
+    """
+    if prints:
+        document(words, prints=prints)
+
+    def declare(run: _Run) -> _Run:
+        _name_values(run)
+        _COMMANDS[words] = Command(words, run)
+        return run
+
+    return declare
+
+
+def group(name: str, purpose: str) -> None:
+    """Declare what the commands that begin with this word are for."""
+    _GROUPS[name] = purpose
+
+
+def document(words: str, *, prints: str) -> None:
+    """Declare the dataclass of a document; see :func:`command`."""
+    _PRINTED[words] = prints
+
+
+def commands() -> list[Command]:
+    """Return all commands, in the order of their words."""
+    _import_all()
+    return [_COMMANDS[words] for words in sorted(_COMMANDS)]
+
+
+def purpose(of_group: str) -> str:
+    """Return what a group of commands is for."""
+    return _GROUPS[of_group]
+
+
+def documents() -> dict[str, type]:
+    """Return the dataclass of each document that a command prints, by the command's words."""
+    _import_all()
+    found = {}
+    for words in sorted(_PRINTED):
+        module, _, name = _PRINTED[words].partition(":")
+        found[words] = getattr(import_module(module), name)
+    return found
+
+
+def _import_all() -> None:
+    package = import_module(__package__)
+    for module in walk_packages(package.__path__, f"{__package__}."):
+        import_module(module.name)
+
+
+def _name_values(run: Callable[..., Any]) -> None:
+    """Give every option a word for its value, and every argument its name in capitals."""
+    for name, info, kind in _parameters(run):
+        if info.metavar is None:
+            info.metavar = name.upper() if isinstance(info, ArgumentInfo) else _WORDS[kind]
+
+
+def _parameters(run: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo | OptionInfo, Any]]:
+    for name, hint in get_type_hints(run, include_extras=True).items():
+        for info in getattr(hint, "__metadata__", ()):
+            yield name, info, _of_one(get_args(hint)[0])
+
+
+def _of_one(hint: Any) -> Any:
+    """Return the type of one value of an optional option, or of one that may be repeated."""
+    while get_origin(hint) is not None:
+        hint = get_args(hint)[0]
+    return next((kind for kind in get_args(hint)), hint)
+
+
+def _plain(parameters: list[Any]) -> list[Any]:
+    """Take types of arguments and ranges, which typer adds, out of help: words and descriptions say them."""
+    for one in parameters:
+        one._get_number_range_help_str = lambda: None
+        if one.param_type_name == "argument" or one.name in ("help", "version"):
+            one.display_type_rich = lambda ctx: ""
+    return parameters
+
+
+class PlainCommand(TyperCommand):
+    """A command whose help has no types of Python."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters."""
+        return _plain(super().get_params(ctx))
+
+
+class PlainGroup(TyperGroup):
+    """A group of commands whose help has no types of Python."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters."""
+        return _plain(super().get_params(ctx))

@@ -1,0 +1,54 @@
+"""Help in words: what is typed for a value, never a type of Python; one way to name a station."""
+
+import re
+
+import pytest
+
+from cbsr_qa.cli import guarded
+from cbsr_qa.cli.command import commands
+
+WORDS = [command.words for command in commands()]
+
+
+@pytest.mark.parametrize("words", ["", *sorted({words.partition(" ")[0] for words in WORDS} | set(WORDS))])
+def test_help_shows_no_types_of_python_and_no_markup(capsys, words):
+    assert guarded([*words.split(), "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "Usage" in out
+    assert not re.search(r"<\w+(\[\w+\])?>|<class|\bstr\b|\bfloat\b|list\[|range\b.*\[|%Y|x>=|<=x|`", out), out
+
+
+def test_every_option_and_argument_has_a_description():
+    from typer import main as typer_main
+
+    from cbsr_qa.cli import app
+
+    def all_of(command):
+        for below in getattr(command, "commands", {}).values():
+            yield from all_of(below)
+        yield command
+
+    for command in all_of(typer_main.get_command(app)):
+        for parameter in command.params:
+            assert parameter.help, f"{command.name} {parameter.name}"
+
+
+def test_a_run_and_a_check_name_their_station_alike(capsys):
+    for named in (("--station", "nowhere"), ("nowhere",)):
+        assert guarded(["station", "check", *named]) == 2
+        assert "no station named 'nowhere'" in capsys.readouterr().err
+    assert guarded(["station", "check", "simulated", "--station", "simulated"]) == 2
+    assert "named twice" in capsys.readouterr().err
+    assert guarded(["station", "check"]) == 2
+    assert "Missing option '--station'" in capsys.readouterr().err
+
+
+def test_help_on_benchmarks_lists_its_parts():
+    import subprocess
+    import sys
+
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "--help"], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert re.search(r"^  fleet +Batches compared", done.stdout, re.M)
+    assert "python -m benchmarks.chart_alarms" in done.stdout
