@@ -4,7 +4,6 @@ Runs are those of the shipped bench, but for frames that no force is worked out 
 last four are taken.
 """
 
-import copy
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -13,17 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.config import (
-    Configuration,
-    DocumentKind,
-    Loaded,
-    load_material,
-    load_recipe,
-    load_sensor_type,
-    load_station,
-    merge,
-    open_document,
-)
+from cbsr_qa.config import Configuration, DocumentKind, load_material
 from cbsr_qa.domain.plan import (
     AcquireFrames,
     FindSurface,
@@ -38,9 +27,10 @@ from cbsr_qa.domain.plan import (
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.results import EndReason, RunObservation
 from cbsr_qa.domain.run import Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import Material, SensorIdentity
+from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Kind, create_plugin, discover
 from cbsr_qa.station import Bench, Plan, PlannedPhase, open_station, plan_of, station_clock
+from cbsr_qa.studies import configuration_of, shipped
 from cbsr_qa.system import Clock
 
 Array = NDArray[np.float64]
@@ -126,13 +116,13 @@ def observed(sensors: Sensors, seed: int) -> Observed:
     reconstruction = create_plugin(
         plugins, Kind.RECONSTRUCTION, configuration.recipe.reconstruction, "[reconstruction]"
     )
-    stated = replace(record, material=_material(sensors, 0.0).value)
+    stated = replace(record, material=load_material(_material(sensors, 0.0)).value)
     return Observed(observe_run(stated, reconstruction, configuration.recipe.analysis, over_time=False), design)
 
 
-def _configuration(sensors: Sensors, seed: int, material: Loaded[Material]) -> Configuration:
+def _configuration(sensors: Sensors, seed: int, material: dict[str, Any]) -> Configuration:
     station, scene, recipe = (
-        _copied(kind, name)
+        shipped(kind, name)
         for kind, name in (
             (DocumentKind.STATION, "simulated"),
             (DocumentKind.SCENE, "base"),
@@ -144,8 +134,7 @@ def _configuration(sensors: Sensors, seed: int, material: Loaded[Material]) -> C
     phases: dict[str, Any] = {phase["name"]: phase for phase in recipe["phases"]}
     phases[NINE] |= {"strains_percent": list(sensors.strains_percent), "trials": sensors.trials}
     recipe |= {"phases": [phases[name] for name in (NINE, PLACES, RANDOM)], "limits": []}
-    at = load_station(station)
-    return merge(at, load_recipe(recipe), load_sensor_type(at.value.sensor_type), material, seed=seed)
+    return configuration_of(station, recipe, material, seed=seed)
 
 
 def _intercept(sensors: Sensors, seed: int) -> float:
@@ -153,18 +142,14 @@ def _intercept(sensors: Sensors, seed: int) -> float:
     return sensors.intercept_stderr * float(np.random.default_rng([seed, 5]).standard_normal())
 
 
-def _material(sensors: Sensors, intercept: float) -> Loaded[Material]:
+def _material(sensors: Sensors, intercept: float) -> dict[str, Any]:
     """The shipped material with another intercept, stated with its standard error."""
-    material = _copied(DocumentKind.MATERIAL, f"cbsr-{sensors.percent}wt")
+    material = shipped(DocumentKind.MATERIAL, f"cbsr-{sensors.percent}wt")
     if sensors.intercept_stderr:
         stated = {"value": intercept, "stderr": sensors.intercept_stderr, "source": "drawn"}
         material["material"]["against_stress"]["intercept"] = stated
         material["material"]["against_strain"]["intercept"] = stated
-    return load_material(material)
-
-
-def _copied(kind: DocumentKind, name: str) -> dict[str, Any]:
-    return copy.deepcopy(dict(open_document(kind, name).data))
+    return material
 
 
 class _Station:

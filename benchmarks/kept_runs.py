@@ -1,28 +1,17 @@
 """Simulated runs kept in memory, and what metrics say of them."""
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from typing import Any
 
 from cbsr_qa.analysis import ask
 from cbsr_qa.analysis.run import observe_run
-from cbsr_qa.config import (
-    DocumentKind,
-    load_material,
-    load_recipe,
-    load_sensor_type,
-    load_station,
-    merge,
-    open_document,
-)
+from cbsr_qa.config import DocumentKind, load_recipe
 from cbsr_qa.domain.plan import AnalysisSettings, PluginChoice
 from cbsr_qa.domain.results import EndReason, Measurement
-from cbsr_qa.domain.run import RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.plugin import Kind, create_plugin, discover
-from cbsr_qa.station import MemoryJournal, execute, open_station, plan_of, station_clock
+from cbsr_qa.studies import configuration_of, shipped, simulated_run
 
 Settings = Mapping[str, Any]
 
@@ -47,8 +36,7 @@ class Figures:
 
 def shipped_phases(*names: str, recipe: str = RECIPE) -> list[Settings]:
     """Phases of a shipped recipe, those of these names or all."""
-    phases = open_document(DocumentKind.RECIPE, recipe).data["phases"]
-    return [dict(phase) for phase in phases if not names or phase["name"] in names]
+    return [phase for phase in shipped(DocumentKind.RECIPE, recipe)["phases"] if not names or phase["name"] in names]
 
 
 def simulated(
@@ -66,39 +54,18 @@ def simulated(
     scene, effects : a shipped scene, and effects beside its own.
     noise : relative noise of a reading in place of the 8 wt% material's.
     """
-    station, world, recipe, material = (
-        copy.deepcopy(dict(open_document(kind, name).data))
-        for kind, name in (
-            (DocumentKind.STATION, "simulated"),
-            (DocumentKind.SCENE, scene),
-            (DocumentKind.RECIPE, RECIPE),
-            (DocumentKind.MATERIAL, "cbsr-8wt"),
-        )
-    )
+    station, world = shipped(DocumentKind.STATION, "simulated"), shipped(DocumentKind.SCENE, scene)
+    recipe, material = shipped(DocumentKind.RECIPE, RECIPE), shipped(DocumentKind.MATERIAL, "cbsr-8wt")
     world["effects"] = [*world["effects"], *effects]
     station["instruments"]["bench"]["scene"] = world
     recipe |= {"phases": list(phases), "limits": []}
     recipe["recipe"]["calibrate_phases"] = [phases[0]["name"]]
     if noise is not None:
         material["material"]["relative_noise"]["value"] = noise
-    at, plugins = load_station(station), discover()
-    configuration = merge(
-        at, load_recipe(recipe), load_sensor_type(at.value.sensor_type), load_material(material), seed=seed
-    )
-    plan, clock = plan_of(configuration, plugins), station_clock(configuration)
-    bench = open_station(configuration, plugins, clock)
-    try:
-        identity = RunIdentity(
-            f"seed-{seed}", SensorIdentity("BENCH", "", configuration.sensor_type.name), "simulated", RECIPE, "",
-            datetime(2026, 1, 1, tzinfo=UTC), configuration.digest, (), bench.identities(),
-        )  # fmt: skip
-        journal = MemoryJournal(plan)
-        ended = execute(plan, identity, bench, clock, [journal])
-        if ended.end is not EndReason.FINISHED:
-            raise SystemExit(f"the run was {ended.end}: {ended.detail}")
-        return journal.record(identity, ended)
-    finally:
-        bench.close()
+    record, _ = simulated_run(configuration_of(station, recipe, material, seed=seed), f"seed-{seed}", discover())
+    if record.end is not EndReason.FINISHED:
+        raise SystemExit(f"the run was {record.end}: {record.end_detail}")
+    return record
 
 
 def measured(

@@ -45,7 +45,5 @@ from .tables import (
 )
 from .text import (
     line_of as line_of,
-    one_line as one_line,
     toml_document as toml_document,
-    toml_value as toml_value,
 )

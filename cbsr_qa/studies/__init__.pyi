@@ -6,3 +6,4 @@ from .fleet_demo import (
     build_fleet as build_fleet,
 )
 from .selection import measuring_digest as measuring_digest
+from .simulated import configuration_of as configuration_of, shipped as shipped, simulated_run as simulated_run

@@ -156,12 +156,7 @@ class ForceInverse:
         by_map = relative**2 * (stderr**2 + model.scatter**2)
         scale = self.area_mm2 / 1e3
         per = scale / alpha
-        return Newtons(stress * scale, towards * per, (by_map + self._of_line(stress)) * per**2)
-
-    def _of_line(self, stress: Array) -> Array:
-        slope, intercept = self.line.slope.stderr or 0.0, self.line.intercept.stderr or 0.0
-        variance = (slope * stress) ** 2 + intercept**2 + 2 * stress * (self.line.covariance or 0.0)
-        return np.maximum(variance, 0.0)
+        return Newtons(stress * scale, towards * per, (by_map + self.line.variance(stress)) * per**2)
 
 
 def least_force_N(inverse: ForceInverse, size: Array, places_mm: Array) -> Array:

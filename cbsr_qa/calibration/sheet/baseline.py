@@ -75,11 +75,8 @@ def load_baseline(
 
 def predicted_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[float, float]:
     """Relative change α_σ σ + β_σ and its standard error; an error nobody stated counts as none."""
-    slope, intercept = against_stress.slope, against_stress.intercept
-    predicted = slope.value * stress_kPa + intercept.value
-    variance = ((slope.stderr or 0.0) * stress_kPa) ** 2 + (intercept.stderr or 0.0) ** 2
-    variance += 2 * stress_kPa * (against_stress.covariance or 0.0)
-    return predicted, float(np.sqrt(max(variance, 0.0)))
+    predicted = against_stress.slope.value * stress_kPa + against_stress.intercept.value
+    return predicted, float(np.sqrt(against_stress.variance(np.array(stress_kPa))))
 
 
 def location_baseline(location: str, x_mm: float, y_mm: float, loads: Sequence[LoadBaseline]) -> BaselineConductance:

@@ -93,13 +93,6 @@ class RelaxationKernel:
     start_s: float = 0.0
     why: str = ""
 
-    @property
-    def new_load_covariance(self) -> NDArray[np.float64]:
-        """Covariance (2 k, 2 k) of (w, log τ) of a new load: of the means and between loads."""
-        between = np.concatenate([self.scatter**2, np.zeros_like(self.scatter)])
-        covariance: NDArray[np.float64] = self.covariance + np.diag(between)
-        return covariance
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteadyPrediction:

@@ -4,6 +4,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline
 from cbsr_qa.domain.kept import OWN, Kept
@@ -138,6 +141,11 @@ class QuasiStatic:
     slope: Annotated[Parameter, Kept("slope", OWN)]
     intercept: Annotated[Parameter, Kept("intercept", "1")]
     covariance: Annotated[float | None, Kept(units=OWN)] = None  # β has the unit 1
+
+    def variance(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Variance (n,) of the change at stresses or strains (n,); an error nobody stated counts as none."""
+        slope, intercept = self.slope.stderr or 0.0, self.intercept.stderr or 0.0
+        return np.maximum((slope * x) ** 2 + intercept**2 + 2 * x * (self.covariance or 0.0), 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from cbsr_qa.domain.results import Block, Figure, Paragraph, Section, Table
 from cbsr_qa.report import capital, number, plural, text_table, unit_column, unit_shown
 from cbsr_qa.stats import Index, Interval
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
-from cbsr_qa.studies.compare.describe import Distribution
+from cbsr_qa.studies.compare.describe import QUANTILES, Distribution
 from cbsr_qa.studies.compare.differences import Difference, Estimated, PlaceDifference
 from cbsr_qa.studies.compare.terms import By
 
@@ -227,18 +227,23 @@ def _draw_map(unit: str, places: Sequence[tuple[float, float, PlaceDifference]],
 
 
 def _values_table(comparison: Comparison) -> Iterator[Table]:
-    columns = ("metric", "group", "n", "mean", "spread", "5 %", "25 %", "median", "75 %", "95 %")
+    columns = ("metric", "group", "n", "mean", "spread", *map(_quantile_name, QUANTILES))
     rows = [
         (_label(metric), distribution.group, str(distribution.n), *_moments(distribution))
         for metric in comparison.of_metrics
         for distribution in metric.distributions
     ]
-    return _table(_VALUES, columns, rows, range(2, 10))
+    return _table(_VALUES, columns, rows, range(2, len(columns)))
+
+
+def _quantile_name(share: float) -> str:
+    return "median" if share == 0.5 else f"{100 * share:g} %"
 
 
 def _moments(distribution: Distribution) -> tuple[str, ...]:
-    moments = [distribution.mean, distribution.deviation, *distribution.quantiles.values()]
-    return tuple(_NONE if value is None else number(value) for value in (*moments, *[None] * (7 - len(moments))))
+    quantiles = [distribution.quantiles.get(f"{share:g}") for share in QUANTILES]
+    moments = (distribution.mean, distribution.deviation, *quantiles)
+    return tuple(_NONE if value is None else number(value) for value in moments)
 
 
 def _capability_table(comparison: Comparison) -> Iterator[Table]:

@@ -1,13 +1,13 @@
 """Limits and guard bands from a golden lot: read from the store, proposed, written to a file for a recipe."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.config import database_url, limits_digest, one_line, toml_value
+from cbsr_qa.config import database_url, limits_digest, toml_document
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Limit
 from cbsr_qa.plugin import echo
@@ -167,11 +167,7 @@ def limits_toml(proposed: ProposedLimits) -> str:
         "data_sha256": proposed.data_sha256,
         "limits_sha256": limits_digest(tables),
     }
-    lines = [f"# {one_line(remark)}" for remark in _remarks(proposed)]
-    lines += ["", "[limits_version]", *_keys(header)]
-    for table in tables:
-        lines += ["", "[[limits]]", *_keys(table)]
-    return "\n".join(lines) + "\n"
+    return toml_document({"limits_version": header, "limits": tables}, tuple(_remarks(proposed)))
 
 
 def _remarks(proposed: ProposedLimits) -> Iterator[str]:
@@ -200,11 +196,6 @@ def _limit_table(limit: Limit) -> dict[str, Any]:
         "version": limit.version or None,
     }
     return {key: value for key, value in table.items() if value is not None}
-
-
-def _keys(table: Mapping[str, Any]) -> Iterator[str]:
-    for key, value in table.items():
-        yield f"{key} = {toml_value(value)}"
 
 
 def write_new(path: Path, text: str) -> None:

@@ -99,8 +99,9 @@ def test_the_prediction_is_generalised_least_squares_with_the_kernels_covariance
     parts, slopes = exponentials(time_s, TAUS_S)
     design, mean = np.concatenate([parts, slopes * WEIGHTS], axis=1), 1 + parts @ WEIGHTS
     amplitude = size
+    of_new_load = kernel.covariance + np.diag([*kernel.scatter**2, *np.zeros_like(kernel.scatter)])
     for _ in range(30):
-        covariance = np.diag(noise**2) + amplitude**2 * design @ kernel.new_load_covariance @ design.T
+        covariance = np.diag(noise**2) + amplitude**2 * design @ of_new_load @ design.T
         weights = np.linalg.solve(covariance, mean)
         amplitude = weights @ values / (weights @ mean)
     assert found.values[0] == pytest.approx(amplitude, rel=1e-3)
