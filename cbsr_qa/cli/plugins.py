@@ -1,5 +1,6 @@
 """``cbsr-qa plugins``: what is installed and from where, and what each plugin takes."""
 
+import re
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -63,7 +64,10 @@ def show_plugin(
     shown = tuple(plugin_reference(plugins, each, name) for each in kinds)
     if not shown:
         raise plugins.unknown(asked, name)
-    outcome = answer(ShownPlugins(shown), name)
+    kinds_text = " and ".join(
+        f"{'an' if plugin.kind[0] in 'aeiou' else 'a'} {plugin.kind} plugin" for plugin in shown
+    )
+    outcome = answer(ShownPlugins(shown), f"{name} is {kinds_text}")
     show(replace(outcome, sections=tuple(map(_section, shown))), as_json=as_json)
 
 
@@ -71,16 +75,27 @@ def _section(plugin: "PluginReference") -> "Section":
     from cbsr_qa.domain.results import Block, Paragraph, Section
     from cbsr_qa.report import text_table
 
-    blocks: list[Block] = [Paragraph(plugin.summary)]
+    blocks: list[Block] = [Paragraph(_plain(plugin.summary))]
     if plugin.measures:
         rows = [(name, unit) for name, unit in plugin.measures.items()]
-        blocks.append(text_table("What it measures.", ("measurement", "unit"), rows))
+        blocks.append(text_table("Measurements.", ("measurement", "unit"), rows))
     if plugin.options:
         options = [
-            (o.name, o.unit, "required" if o.required else o.default, o.allowed, o.description)
+            (o.name, o.unit, "required" if o.required else o.default, o.allowed, _plain(o.description))
             for o in plugin.options
         ]
-        blocks.append(text_table("Its options.", ("option", "unit", "default", "allowed", ""), options))
+        blocks.append(
+            text_table(
+                "Options.",
+                ("option", "unit", "default", "allowed", "meaning"),
+                options,
+            )
+        )
     else:
         blocks.append(Paragraph("It has no options."))
-    return Section(f"{plugin.kind} {plugin.name}", tuple(blocks))
+    return Section(f"{plugin.kind.capitalize()} {plugin.name}", tuple(blocks))
+
+
+def _plain(text: str) -> str:
+    """Take the markup of docstrings out: roles such as :class: and back-quotes."""
+    return re.sub(r":\w+:(?=`)|`", "", text).replace("~", "")

@@ -31,6 +31,14 @@ def test_show_prints_options_with_units_defaults_and_ranges_and_what_is_measured
         assert words in out
 
 
+def test_show_says_what_the_plugin_is_without_markup_of_its_docstring(capsys):
+    assert main.guarded(["plugins", "show", "keithley-2600"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("✓ keithley-2600 is an instrument plugin\n")
+    assert "(role source_meter)" in out
+    assert "`" not in out
+
+
 def test_show_tells_of_every_plugin_of_a_name(capsys):
     assert main.guarded(["plugins", "show", "noise-figure", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)["plugins"]
