@@ -55,7 +55,11 @@ def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem
     try:
         factory = plugins.factory(choice.kind, choice.name)
     except PluginError as error:
-        return None, [Problem(choice.named or choice.path, f"is {shown(choice.name)}: {error.reason}", error.remedy)]
+        path = choice.named or choice.path
+        name = "" if choice.name == path[-1] else f"{shown(choice.name)}, "
+        unknown = choice.name not in plugins.names(choice.kind)
+        why = f"is {name}no installed {choice.kind} plugin" if unknown else f"cannot be used: {error.reason}"
+        return None, [Problem(path, why, error.remedy)]
     if choice.kind is Kind.INSTRUMENT and not hasattr(factory, "Options"):
         return factory, []  # it looks at its table itself
     _, problems = check(options_of(factory, handed=int(choice.kind is Kind.EFFECT)), choice.options)

@@ -207,17 +207,15 @@ class StationFile(FileModel[Station]):
 
     def to_domain(self) -> Station:
         """Speeds become mm/s, percent a fraction, hours seconds."""
-        return Station(
-            name=self.station.name,
-            clock=self.station.clock,
-            sensor_type=self.station.sensor_type,
-            material=self.station.material,
+        return as_domain(
+            Station,
+            self.station,
             indenter=self.indenter.to_domain(),
-            motion=Motion(
+            motion=as_domain(
+                Motion,
+                self.motion,
                 press_speed_mm_s=self.motion.press_speed_mm_per_min / 60,
                 travel_speed_mm_s=self.motion.travel_speed_mm_per_min / 60,
-                hover_mm=self.motion.hover_mm,
-                homing_s=self.motion.homing_s,
             ),
             safety=self.safety.to_domain(),
             instruments=tuple(
@@ -225,7 +223,6 @@ class StationFile(FileModel[Station]):
                 for name, table in sorted(self.instruments.items())  # tables have no order in TOML
             ),
             emulated_scene=None if self.emulation is None else self.emulation.scene,
-            overdue=self.station.overdue,
             reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),
         )
 
