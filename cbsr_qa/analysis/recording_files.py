@@ -32,7 +32,7 @@ from cbsr_qa.domain import CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
 from cbsr_qa.domain.run import Load, LoadRecord
 from cbsr_qa.plugin import echo
-from cbsr_qa.system import written_whole
+from cbsr_qa.system import writing, written_whole
 
 FORMAT: Final = "cbsr-recording"
 SCHEMA_VERSION: Final = 1
@@ -85,15 +85,10 @@ def recording_file(path: Path) -> Iterator[BinaryIO]:
     RecordingError
         If the folder cannot be written to.
     """
-    try:
+    with writing(path, refusal=RecordingError, remedy="choose a writable folder"):
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             yield file
-    except OSError as error:
-        raise RecordingError(
-            f"the recording cannot be written to {path}: {error.strerror or error}",
-            remedy="choose a writable folder",
-        ) from error
 
 
 def _image(recording: Recording) -> bytes:

@@ -16,7 +16,7 @@ from cbsr_qa.calibration.file import (
 from cbsr_qa.domain import CalibrationError, RefusedError, filled
 from cbsr_qa.domain.results import Calibration, CommandOutcome
 from cbsr_qa.report import answer
-from cbsr_qa.system import read_untrusted, written_whole
+from cbsr_qa.system import read_untrusted, writing, written_whole
 
 _JSON: Final = ".json"
 _HDF5: Final = (".h5", ".hdf5")
@@ -102,24 +102,18 @@ def _json(document: dict[str, Any]) -> str:
 
 def check_free(output: Path) -> None:
     """Make sure that a file does not exist yet. RefusedError if it does, or its path cannot be used."""
-    try:
+    with writing(output):
         taken = output.is_symlink() or output.exists()
-    except OSError as error:
-        raise RefusedError(f"{output} cannot be written: {error.strerror or error}") from error
     if taken:
         raise RefusedError(f"{output} exists already", remedy="name another file, or remove it first")
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all. RefusedError if it cannot be written."""
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             file.write(text.encode())
-    except FileExistsError as error:
-        raise RefusedError(f"{path} cannot be written: {error.filename} is a file, not a folder") from error
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 @dataclass(frozen=True, slots=True)

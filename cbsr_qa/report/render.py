@@ -15,7 +15,7 @@ from cbsr_qa.domain.results import Block, Figure, Page, Paragraph, RunResult, Se
 from cbsr_qa.plugin import ReportSection, failure
 from cbsr_qa.report.draw import checked_svg
 from cbsr_qa.report.page import recording_page, run_page
-from cbsr_qa.system import written_whole
+from cbsr_qa.system import writing, written_whole
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
@@ -79,15 +79,11 @@ def write_report(path: Path, html: str) -> None:
     _check_no_folder(path)
     if html.startswith(_PAGE):
         check_replaceable(path)
-    try:
+    remedy = "make the folder writable, name another, or set CBSR_QA_VAR where no file was named"
+    with writing(path, remedy=remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             file.write(html.encode("utf-8", errors="xmlcharrefreplace"))
-    except OSError as error:
-        raise RefusedError(
-            f"the report cannot be written to {path.parent}: {error.strerror or error}",
-            remedy="make the folder writable, name another, or set CBSR_QA_VAR where no file was named",
-        ) from error
 
 
 def check_replaceable(path: Path) -> None:
@@ -101,14 +97,12 @@ def check_replaceable(path: Path) -> None:
     _check_no_folder(path)
     if not path.exists():
         return
-    try:
+    with writing(path):
         if path.is_file():
             with path.open("rb") as file:
                 begins = file.read(len(_PAGE)).decode("latin-1")
             if begins.lower() in ("", _PAGE.lower()):
                 return
-    except OSError as error:
-        raise RefusedError(f"the page cannot be written to {path}: {error.strerror or error}") from error
     raise RefusedError(
         f"refusing to overwrite {path}: not an HTML page", remedy="name another file, for example page.html"
     )
@@ -116,7 +110,7 @@ def check_replaceable(path: Path) -> None:
 
 def _check_no_folder(path: Path) -> None:
     if path.is_dir():
-        raise RefusedError(f"the report cannot be written to {path}: that is a folder", remedy="name a file in it")
+        raise RefusedError(f"{path} cannot be written: it is a folder", remedy="name a file in it")
 
 
 def report_name(*parts: str) -> str:

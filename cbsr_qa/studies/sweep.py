@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from cbsr_qa.domain import StoreError
+from cbsr_qa.system import writing
 
 #: Called with the number of pieces done, of all, and which was the last.
 Tell = Callable[[int, int, str], None]
@@ -85,13 +86,10 @@ class Kept:
         """Keep a finished piece, in its file before anything else is done. StoreError if it cannot be written."""
         if self._path is not None:
             line = json.dumps({"key": key, "documents": documents}, allow_nan=False).encode() + b"\n"
-            try:
-                with self._path.open("ab") as file:
-                    if self._cut_at is not None:
-                        file.truncate(self._cut_at)
-                    file.write(line)
-            except OSError as error:
-                raise StoreError(f"{self._path} cannot be written: {error.strerror or error}") from error
+            with writing(self._path, refusal=StoreError), self._path.open("ab") as file:
+                if self._cut_at is not None:
+                    file.truncate(self._cut_at)
+                file.write(line)
             self._cut_at = None
         self.found[key] = documents
 

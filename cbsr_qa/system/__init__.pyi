@@ -12,6 +12,7 @@ from .files import (
     HeldError as HeldError,
     csv_text as csv_text,
     holder as holder,
+    writing as writing,
     written_whole as written_whole,
 )
 from .redelivery import Redelivery as Redelivery

@@ -12,6 +12,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from cbsr_qa.domain import RefusedError
+
 if sys.platform == "win32":  # untested
     import msvcrt
 
@@ -169,6 +171,18 @@ def _is(file: int, path: Path) -> bool:
 
 #: What spreadsheets take for the beginning of a formula.
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
+
+
+@contextmanager
+def writing(path: Path, *, refusal: type[RefusedError] = RefusedError, remedy: str = "") -> Iterator[None]:
+    """Turn an error of the operating system in writing ``path`` into a refusal that names it and says why."""
+    try:
+        yield
+    except OSError as error:
+        why = error.strerror or str(error)
+        if isinstance(error, FileExistsError):  # a folder was to be made there
+            why = f"{error.filename} is a file, not a folder"
+        raise refusal(f"{path} cannot be written: {why}", remedy=remedy) from error
 
 
 @contextmanager

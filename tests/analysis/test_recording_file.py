@@ -194,7 +194,7 @@ def test_a_full_disk_is_refused_in_one_message_and_leaves_nothing(tmp_path):
         "except RecordingError as error: print(error.reason)"
     )
     done = subprocess.run([sys.executable, "-c", code, tmp_path / "x.h5"], capture_output=True, text=True, check=True)
-    assert "cannot be written to" in done.stdout
+    assert "x.h5 cannot be written: File too large" in done.stdout
     assert done.stderr == ""
     assert list(tmp_path.iterdir()) == []
 

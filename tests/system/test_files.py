@@ -12,10 +12,11 @@ import pytest
 from calibration_samples import sample_calibration
 
 from cbsr_qa.calibration.file import write_calibration
+from cbsr_qa.domain import RefusedError, StoreError
 from cbsr_qa.eit.mesh import write_mesh
 from cbsr_qa.report import write_report
 from cbsr_qa.studies.limits import write_new
-from cbsr_qa.system.files import FileLock, HeldError, csv_text, holder, written_whole
+from cbsr_qa.system.files import FileLock, HeldError, csv_text, holder, writing, written_whole
 
 
 def plainly(path):
@@ -162,3 +163,15 @@ def test_a_spreadsheet_takes_no_text_for_a_formula(begins):
 )
 def test_other_text_stays_as_it_is(text, cell):
     assert csv_text([(text,)]).rstrip("\n").strip('"') == cell
+
+
+def test_an_error_in_writing_is_a_refusal_that_names_the_file_and_says_why(tmp_path):
+    path = tmp_path / "file" / "x.json"
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(StoreError) as refused, writing(path, refusal=StoreError, remedy="name another"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    assert refused.value.reason == f"{path} cannot be written: {path.parent} is a file, not a folder"
+    assert refused.value.remedy == "name another"
+    refuses = pytest.raises(RefusedError, match=r"x\.json cannot be written: Not a directory")
+    with refuses, writing(path), path.open("w"):
+        pass

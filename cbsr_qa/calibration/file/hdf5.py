@@ -33,7 +33,7 @@ from cbsr_qa.calibration.file.entries import decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
 from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.domain.results import Calibration, VerifiedFile
-from cbsr_qa.system import read_untrusted, written_whole
+from cbsr_qa.system import read_untrusted, writing, written_whole
 
 #: More than any calibration file has.
 _LARGEST_BYTES: Final = 2**28
@@ -74,15 +74,11 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
     entries = _as_issued(calibration)
     digest = content_digest(entries)
     data = calibration.file if calibration.file and digest == calibration.digest else _whole_file(entries, digest)
-    try:
+    remedy = "give a folder that exists and may be written, with room for some megabytes"
+    with writing(path, refusal=CalibrationError, remedy=remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             file.write(data)
-    except OSError as error:
-        raise CalibrationError(
-            f"the calibration file {path} cannot be written: {error.strerror or error}",
-            remedy="give a folder that exists and may be written, with room for some megabytes",
-        ) from error
     return digest
 
 

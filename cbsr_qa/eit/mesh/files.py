@@ -27,7 +27,7 @@ from cbsr_qa.domain.sensor import (
     mesh_of_arrays,
 )
 from cbsr_qa.eit.mesh.imported import ElectrodeGiven, imported_mesh
-from cbsr_qa.system import written_whole
+from cbsr_qa.system import writing, written_whole
 
 #: More than any mesh of a sheet holds; a file that claims more is refused before memory is taken for it.
 LARGEST_BYTES: Final = 200_000_000
@@ -43,15 +43,10 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
     NumericsError
         If the file cannot be written.
     """
-    try:
-        with written_whole(path) as file:
-            arrays: dict[str, Any] = mesh_arrays(mesh)
-            np.savez_compressed(file, **arrays)
-    except OSError as error:
-        raise NumericsError(
-            f"the mesh cannot be written to {path}: {error.strerror or error}",
-            remedy="choose an existing, writable folder",
-        ) from error
+    remedy = "choose an existing, writable folder"
+    with writing(path, refusal=NumericsError, remedy=remedy), written_whole(path) as file:
+        arrays: dict[str, Any] = mesh_arrays(mesh)
+        np.savez_compressed(file, **arrays)
 
 
 def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *, fix: bool = False) -> Mesh:

@@ -15,6 +15,7 @@ from cbsr_qa.report.draw import CYCLE, FAINT, INK, QUIET, canvas, drawing, light
 from cbsr_qa.studies.frontier.point import Point, TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommended
 from cbsr_qa.studies.frontier.station import PAPER
+from cbsr_qa.system import writing
 
 _HEIGHT_IN: Final = 3.6
 _COLOURS: Final = (*CYCLE, INK)  # one a series
@@ -71,8 +72,5 @@ def write_png(points: Sequence[Point], chosen: Recommended | None, path: Path) -
     """Draw the station's frontier as a PNG picture. RefusedError if the file cannot be written."""
     if not any("force_error" in point.accuracy for point in points):
         raise RefusedError("there is no force error to draw", remedy="sweep the station's clock")
-    try:
-        with drawing(), mpl.rc_context({"svg.fonttype": "path"}):
-            _canvas(points, chosen).savefig(path, dpi=200, metadata={"Software": None})
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
+    with writing(path), drawing(), mpl.rc_context({"svg.fonttype": "path"}):
+        _canvas(points, chosen).savefig(path, dpi=200, metadata={"Software": None})

@@ -1,5 +1,6 @@
 """Files that ``cbsr-qa frontier`` is asked for: refused before a sweep of minutes, not after it."""
 
+import errno
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from cbsr_qa.config import toml_document
 from cbsr_qa.domain import RefusedError, check_encodable
 from cbsr_qa.studies.frontier.point import TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommended
-from cbsr_qa.system import written_whole
+from cbsr_qa.system import writing, written_whole
 
 #: First words of every recipe that is written here; what begins otherwise is somebody's own.
 WRITTEN_BY: Final = "Written by cbsr-qa frontier"
@@ -64,12 +65,11 @@ def check_recipe(path: Path) -> None:
     """Refuse a name that ``run --recipe`` would not take for a file's, and a file that was not written here."""
     if path.suffix != ".toml":
         raise RefusedError(f"{path} is no name of a recipe file", remedy="let it end in .toml")
-    try:
-        first = path.read_bytes()[:100]
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
+    with writing(path):
+        try:
+            first = path.read_bytes()[:100]
+        except FileNotFoundError:
+            return
     if not first.startswith(f"# {WRITTEN_BY}".encode()):
         raise RefusedError(
             f"{path} exists already, and cbsr-qa frontier did not write it",
@@ -79,16 +79,14 @@ def check_recipe(path: Path) -> None:
 
 def _check_place(option: str, path: Path) -> None:
     """A file can be made there: its folder, or the nearest one above that is there, can be written to."""
-    try:
+    with writing(path):
         if path.is_dir():
             raise RefusedError(f"{option}: {path} is a folder", remedy="name a file in it")
         above = next(folder for folder in path.absolute().parents if folder.exists())
-    except OSError as error:
-        raise RefusedError(f"{option}: {path} cannot be written: {error.strerror or error}") from error
-    if not above.is_dir():
-        raise RefusedError(f"{option}: {path} cannot be written: {above} is no folder", remedy="name another file")
-    if not os.access(above, os.W_OK | os.X_OK):
-        raise RefusedError(f"{option}: {path} cannot be written: folder {above} cannot be written to")
+        if not above.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, f"{above} is not a folder")
+        if not os.access(above, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, f"folder {above} is not writable")
 
 
 def write_recipe(recommended: Recommended, path: Path) -> None:
@@ -105,9 +103,7 @@ def write_recipe(recommended: Recommended, path: Path) -> None:
         "A setting is as good as the simulation it was found in: check it on sensors of your own.",
     )
     text = toml_document(recommended.setting.recipe(name), comments)
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             file.write(text.encode())
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error

@@ -16,7 +16,7 @@ from cbsr_qa.store import open_store
 from cbsr_qa.studies.limits.golden_lot import Lot, LotChoice, gather
 from cbsr_qa.studies.limits.groups import groups_of
 from cbsr_qa.studies.limits.proposals import NoLimit, ProposedLimit, Terms, propose
-from cbsr_qa.system import written_whole
+from cbsr_qa.system import writing, written_whole
 
 RULE: Final = (
     "a value beyond a limit fails; one inside by less than the guard band passes marginally, because its uncertainty"
@@ -201,18 +201,13 @@ def _limit_table(limit: Limit) -> dict[str, Any]:
 def write_new(path: Path, text: str) -> None:
     """Write a file, whole or not at all. RefusedError if it exists, or its folder cannot be written to."""
     refuse_existing(path)
-    try:
-        with written_whole(path) as file:
-            file.write(text.encode())
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
+    with writing(path), written_whole(path) as file:
+        file.write(text.encode())
 
 
 def refuse_existing(path: Path) -> None:
     """Refuse to write over a file: limits that runs were judged by stay as they were."""
-    try:
+    with writing(path):
         there = path.exists()
-    except OSError as error:
-        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
     if there:
         raise RefusedError(f"{path} exists already", remedy="name another file: versions of limits are kept")

@@ -13,6 +13,7 @@ from cbsr_qa.domain import CbsrError, ConfigError, PluginError, RefusedError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.plugin import Kind, Plugins, RecordingWriter, create_plugin
 from cbsr_qa.simulate import RecordedScene
+from cbsr_qa.system import writing
 
 #: Format every scene is written in.
 OWN_FORMAT = "cbsr-recording"
@@ -105,15 +106,16 @@ def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Wri
 
 def _written(recorded: RecordedScene, target: Target) -> Written:
     recording = replace(recorded.recording, path=target.path)
-    try:
-        notes = target.writer.write(target.path, recording, recorded.transcript)
-    except CbsrError as error:
-        reason = f"the scene cannot be written as {target.format}: {error.reason}"
-        raise RefusedError(reason, remedy=error.remedy) from error
-    except OSError as error:
-        raise RefusedError(f"{target.path} cannot be written: {error.strerror or error}") from error
-    except Exception as error:
-        raise _failed(target, f"{type(error).__name__}: {error}") from error
+    with writing(target.path):
+        try:
+            notes = target.writer.write(target.path, recording, recorded.transcript)
+        except CbsrError as error:
+            reason = f"the scene cannot be written as {target.format}: {error.reason}"
+            raise RefusedError(reason, remedy=error.remedy) from error
+        except OSError:
+            raise
+        except Exception as error:
+            raise _failed(target, f"{type(error).__name__}: {error}") from error
     if not isinstance(notes, tuple) or not all(isinstance(note, str) for note in notes):
         raise _failed(target, f"it returned {type(notes).__name__} instead of a tuple of texts")
     if not target.path.is_file():

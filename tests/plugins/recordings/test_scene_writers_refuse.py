@@ -92,7 +92,7 @@ def test_no_file_is_written_over(tmp_path, name):
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_folder_that_cannot_be_made_is_refused_by_name(tmp_path, name):
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(RefusedError, match="cannot be written to"):
+    with pytest.raises(RefusedError, match="cannot be written"):
         FORMATS[name]().write(tmp_path / "file" / "x.csv", *made_up(4))
 
 

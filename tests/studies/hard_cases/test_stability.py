@@ -174,4 +174,4 @@ def test_a_name_that_is_no_case_is_answered_by_those_near_it_and_not_by_all(caps
 def test_a_folder_as_the_page_is_refused_by_its_own_name(catalogued, capsys, tmp_path):
     catalogued(_GOOD)
     assert guarded(["stability", "--output", str(tmp_path)]) == 2
-    assert f"cannot be written to {tmp_path}: that is a folder" in capsys.readouterr().err
+    assert f"{tmp_path} cannot be written: it is a folder" in capsys.readouterr().err
