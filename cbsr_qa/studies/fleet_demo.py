@@ -114,7 +114,8 @@ def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, pa
     path.parent.mkdir(parents=True, exist_ok=True)
     _make_room(path)
     runs = tuple(designed())
-    configurations = {(run.recipe, run.station): _configuration(run) for run in runs}
+    kinds = {(run.recipe, run.station): run for run in runs}
+    configurations = {kind: _configuration(run) for kind, run in kinds.items()}
     now = _BEGAN
     # Designs draw apart, so that runs of one change nothing in another.
     compared, repeated = np.random.default_rng(SEED), np.random.default_rng([SEED, len(_LETTERS)])

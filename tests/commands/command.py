@@ -24,8 +24,9 @@ def _forks():
     """A server whose forks have everything loaded: two to four seconds less for every command."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["warm"])
-    # The server looks for the module on this path alone, and says nothing where it is not.
-    environment = {**_ONE_THREAD, "PYTHONPATH": str(Path(__file__).parent)}
+    # The server looks for modules on this path alone, and says nothing where it is not.
+    here = Path(__file__).parent
+    environment = {**_ONE_THREAD, "PYTHONPATH": os.pathsep.join(map(str, (here, here.parent / "samples")))}
     with pytest.MonkeyPatch.context() as patch:
         for name, value in environment.items():
             patch.setenv(name, value)

@@ -30,6 +30,14 @@ CHANGES = {table.__tablename__ for table in (records.ConfigurationChangeRow, rec
 LINKS = records.LinkRow.__tablename__
 
 
+@pytest.fixture(autouse=True)
+def repeated(monkeypatch):
+    """Here every database is migrated; returns what other tests make their tables with."""
+    repeated = schema._alembic
+    monkeypatch.setattr(schema, "_alembic", repeated.__wrapped__)
+    return repeated
+
+
 @pytest.fixture
 def engine(database_url):
     engine = open_engine(parsed_url(database_url))
@@ -250,6 +258,20 @@ def test_calibrations_of_before_keep_their_rows_and_files_are_lost_on_the_way_ba
     assert content(engine) == before | {"calibrations": [tuple(lost.values())]}
     with closing(engine.raw_connection()) as raw, pytest.raises(Exception, match=r"(?i)not.null"):
         raw.cursor().execute("UPDATE calibrations SET scale = NULL")
+
+
+def test_other_tests_have_the_tables_that_the_migrations_make(tmp_path, monkeypatch, repeated):
+    made = []
+    for name, make in (("migrated", repeated.__wrapped__), ("first", repeated), ("repeated", repeated)):
+        monkeypatch.setattr(schema, "_alembic", make)
+        engine = open_engine(parsed_url(f"sqlite:///{tmp_path / name}.db"))
+        schema.upgrade(engine)
+        assert schema.found_version(engine).age is schema.Age.CURRENT
+        with reading(engine) as connection:
+            tables = connection.execute(sa.text("SELECT type, name, tbl_name, sql FROM sqlite_master"))
+            made.append(sorted(tables.all(), key=str))
+        engine.dispose()
+    assert made[0] == made[1] == made[2]
 
 
 def test_the_migrations_make_what_the_program_uses(engine):

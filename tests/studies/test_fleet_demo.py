@@ -17,6 +17,7 @@ from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Outcome, RunSelection
 from cbsr_qa.store import open_store
+from cbsr_qa.studies import fleet_demo
 from cbsr_qa.studies.fleet_demo import DRAWN, ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet, designed
 
 TOP = Path(__file__).parents[2]
@@ -122,13 +123,15 @@ def test_make_fleet_demo_opens_the_pages_where_there_is_a_screen_and_needs_no_br
     assert [line for line in lines if "webbrowser" in line] == shown[:opened]
 
 
-def test_a_fleet_is_replaced_and_anything_else_is_not(built, tmp_path):
+def test_a_fleet_is_replaced_and_anything_else_is_not(built, tmp_path, monkeypatch):
     path = tmp_path / "fleet-demo.db"
     path.write_bytes(built[0].read_bytes())
+    few = tuple(designed())[:3]
+    monkeypatch.setattr(fleet_demo, "designed", lambda: few)
     build_fleet(path=path)
     with open_store(f"sqlite:///{path}", create=False) as store:
         run = store.find_runs()[0].run
-        assert store.counts()["runs"] == 198
+        assert store.counts()["runs"] == 3
     with sqlite3.connect(path) as database:
         database.execute("UPDATE runs SET recipe = 'nine-locations' WHERE run = ?", (run,))
     database.close()
