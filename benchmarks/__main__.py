@@ -30,6 +30,7 @@ PARTS = (
     "methods",
     "steady_state",
     "force",
+    "pressed_places",
     "fleet",
 )
 _HEAD = """# Performance

@@ -1,4 +1,3 @@
-from .content import FLAG as FLAG, INDEX as INDEX, PURE as PURE, TEXT as TEXT, Entry as Entry
 from .entries import as_filed as as_filed, decode as decode, encode as encode
 from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
 from .hdf5 import (

@@ -44,6 +44,15 @@ from .image import (
     checked_readings as checked_readings,
     linear as linear,
 )
+from .learned_place import (
+    FeatureScaling as FeatureScaling,
+    LearnedPlace as LearnedPlace,
+    PatternTurns as PatternTurns,
+    PlaceMixture as PlaceMixture,
+    PlaceProcess as PlaceProcess,
+    PlaceScales as PlaceScales,
+    PlaceTemplates as PlaceTemplates,
+)
 from .measurement import (
     SEVERITY as SEVERITY,
     Bound as Bound,

@@ -1,0 +1,81 @@
+"""Readings as features, the pattern's symmetry, and the covariance both estimates are made of."""
+
+import numpy as np
+
+from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain.results import FeatureScaling, PatternTurns
+
+
+def features_of(readings: Array, scaling: FeatureScaling) -> Array:
+    """Turn readings (n, m) into features (n, m).
+
+    The exponent brings large readings closer to small ones, whose relative errors are alike; the damping takes out a
+    part of a frame's size, which varies with force and drifts; the ceiling takes the weight off spikes.
+    """
+    roots = np.sign(readings) * np.minimum(np.abs(readings), scaling.ceiling) ** scaling.exponent
+    size = np.linalg.norm(roots, axis=1, keepdims=True)
+    features: Array = roots / np.where(size > 0, size, 1.0) ** scaling.damping
+    return features
+
+
+def pattern_turns(pairs: Indices, electrodes: int) -> PatternTurns:
+    """Find the turns and mirrors of a ring of electrodes under which a pattern stays itself.
+
+    Parameters
+    ----------
+    pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
+    electrodes : N, evenly spaced around the sheet.
+
+    Returns
+    -------
+    Its symmetries, the identity first.
+    """
+    where = {tuple(pair): number for number, pair in enumerate(pairs.tolist())}
+    found = [
+        (*became, turn_by(2 * np.pi * step / electrodes, mirrored=mirror < 0))
+        for mirror in (1, -1)
+        for step in range(electrodes)
+        if (became := _became((mirror * pairs + step) % electrodes, where)) is not None
+    ]
+    permuted, signs, turns = (np.array(part) for part in zip(*found, strict=True))
+    return PatternTurns(permuted.astype(np.int64), signs.astype(np.float64), turns)
+
+
+def _became(pairs: Indices, where: dict[tuple[int, ...], int]) -> tuple[list[int], list[int]] | None:
+    """Numbers and signs of readings in a pattern, or None where one is not in it. Either polarity is the reading."""
+    numbers, signs = [], []
+    for a, b, c, d in pairs.tolist():
+        same = [where[key] for key in ((a, b, c, d), (b, a, d, c)) if key in where]
+        opposite = [where[key] for key in ((b, a, c, d), (a, b, d, c)) if key in where]
+        if not same + opposite:
+            return None
+        numbers.append((same + opposite)[0])
+        signs.append(1 if same else -1)
+    return (numbers, signs) if len(set(numbers)) == len(numbers) else None
+
+
+def turn_by(angle: float, *, mirrored: bool) -> Array:
+    """Matrix (2, 2) of a turn by an angle [rad], of the mirrored plane where ``mirrored``."""
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return turn * [1, -1] if mirrored else turn
+
+
+def squared_distances(a: Array, b: Array) -> Array:
+    """Squared Euclidean distances (n, k) of rows (n, m) and (k, m); rounding errors below zero are cut."""
+    squares: Array = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
+    return np.maximum(squares, 0.0)
+
+
+def matern(squared: Array) -> Array:
+    """Matérn correlation of smoothness 5/2 at squared distances in lengths (Rasmussen & Williams 2006, Eq. 4.17)."""
+    return matern_and_slope(squared)[0]
+
+
+def matern_and_slope(squared: Array) -> tuple[Array, Array]:
+    """Return :func:`matern` and its derivative by the squared distance."""
+    root = np.sqrt(5 * squared)
+    fall = np.exp(-root)
+    slope = (1 + root) * fall
+    correlation: Array = slope + root**2 / 3 * fall
+    slope *= -5 / 6
+    return correlation, slope

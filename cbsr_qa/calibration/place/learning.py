@@ -1,0 +1,154 @@
+"""Learning where a sheet is pressed from presses at known places, and how well: held against presses left out."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cbsr_qa.calibration.place.features import features_of, pattern_turns, turn_by
+from cbsr_qa.calibration.place.held_out import HeldOut, LeftOut, PressedSheet, coverage_of, evenly
+from cbsr_qa.calibration.place.mixture import learn_mixture
+from cbsr_qa.calibration.place.process import given_presses, start_likelihoods
+from cbsr_qa.calibration.place.templates import learn_templates
+from cbsr_qa.domain import Array, CalibrationError, Indices
+from cbsr_qa.domain.results import FeatureScaling, LearnedPlace, PatternTurns, PlaceScales
+
+FEWEST_PRESSES: Final = 6
+#: Powers of readings and of a frame's size; see :class:`~cbsr_qa.domain.results.FeatureScaling`. On presses left out
+#: of two unlike sheets, errors are within 2 % of one another for exponents of 0.65 to 0.85; the damping that the
+#: presses make more likely is taken: half where all press alike, all of it where forces differ.
+_EXPONENT: Final = 0.7
+_DAMPINGS: Final = (0.5, 1.0)
+#: Logarithm of the likelihood, per press, that damping a frame's whole size must gain.
+_CLEARLY: Final = 0.2
+#: A reading's ceiling, in 90 % quantiles of its size.
+_CEILING: Final = 3.0
+#: Presses that hyperparameters are found with.
+_FOR_SCALES: Final = 400
+#: Presses that damping and mirror axes are tried with, and steps of a half turn.
+_FOR_AXES: Final = 80
+_AXES: Final = 24
+#: A touch misfits no more than this share of the presses left out, times the room for presses not seen.
+_MISFIT_LEVEL: Final = 0.98
+_MISFIT_ROOM: Final = 1.2
+#: A touch is at least this share of the 2 % quantile of the sizes learned from.
+_SIZE_ROOM: Final = 0.5
+#: Places further from the nearest press than this many median distances of neighbours lie outside.
+_REACH: Final = 4.0
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceLearned:
+    """What was learned, how well it does on presses left out, and what to be told about it."""
+
+    model: LearnedPlace
+    held_out: HeldOut
+    warnings: tuple[str, ...] = ()
+
+
+def learn_place(
+    changes: Array,
+    places_mm: Array,
+    pairs: Indices,
+    electrodes: int,
+    *,
+    centre_mm: Array | None = None,
+    axes: Array | None = None,
+    tell: Tell = lambda stage: None,
+) -> PlaceLearned:
+    """Learn places from changes of readings by presses.
+
+    Parameters
+    ----------
+    changes : (n, m) of the readings, by each press, in one unit; finite.
+    places_mm : (n, 2) of the presses, in any frame, in the order in which they were made.
+    pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
+    electrodes : how many there are around the sheet, evenly spaced.
+    centre_mm : (2,) the sheet's centre in the frame of the presses; the middle of the presses where it is not known.
+    axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`; the likeliest where they are
+        not known.
+    tell : is told of each step, in words.
+
+    Raises
+    ------
+    CalibrationError
+        If there are fewer than six presses, all are at one place, or no reading changes.
+    """
+    _check(changes, places_mm)
+    centre = (places_mm.min(axis=0) + places_mm.max(axis=0)) / 2 if centre_mm is None else np.asarray(centre_mm)
+    about, turns = places_mm - centre, pattern_turns(pairs, electrodes)
+    tell("finding the axes of the electrodes")
+    scaling, axes = _frame(changes, about, turns, axes)
+    sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T)
+    tell("locating presses that were left out")
+    out = sheet.left_out()
+    tell("learning from all presses")
+    scales = sheet.likely(evenly(len(about), _FOR_SCALES))
+    process, _ = given_presses(scales, turns, sheet.features, sheet.places_mm)
+    size = np.sqrt((changes**2).mean(axis=1))
+    model = LearnedPlace(
+        scaling,
+        turns,
+        process,
+        learn_templates(turns, sheet.features, sheet.places_mm, sheet.radius_mm),
+        learn_mixture(out.process, out.templates, out.templates_covariance, sheet.places_mm),
+        centre,
+        axes,
+        misfit=float(_MISFIT_ROOM * np.quantile(out.misfit, _MISFIT_LEVEL)),
+        least_size=float(_SIZE_ROOM * np.quantile(size, 1 - _MISFIT_LEVEL)),
+        reach_mm=_reach(about),
+    )
+    return PlaceLearned(model, coverage_of(out, sheet.places_mm), tuple(_warnings(scales, out)))
+
+
+def _check(changes: Array, places_mm: Array) -> None:
+    if len(changes) < FEWEST_PRESSES:
+        raise CalibrationError(
+            f"{len(changes)} presses; a place is learned from {FEWEST_PRESSES} at least",
+            remedy="press at more places, all over the sheet",
+        )
+    if not np.ptp(places_mm, axis=0).any():
+        raise CalibrationError("all presses are at one place", remedy="press all over the sheet")
+    if not changes.any():
+        raise CalibrationError(
+            "no reading changes in any press", remedy="check that these are readings of the presses"
+        )
+
+
+def _frame(changes: Array, about: Array, turns: PatternTurns, axes: Array | None) -> tuple[FeatureScaling, Array]:
+    """Find the damping and, where they are not known, the electrodes' axes that make the presses most likely.
+
+    A sheet that turns with its electrodes looks the same half a turn on, so that half a turn of axes is tried.
+    """
+    some = evenly(len(changes), _FOR_AXES)
+    sizes = np.quantile(np.abs(changes), 0.9, axis=0)
+    sizes = np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
+    ceiling = _CEILING * np.where(sizes > 0, sizes, 1.0)
+    angles = np.linspace(0, np.pi, _AXES, endpoint=False)
+    tried = [turn_by(angle, mirrored=mirrored) for mirrored in (False, True) for angle in angles]
+    if axes is not None:
+        tried = [axes]
+    places = np.stack([about[some] @ each.T for each in tried])
+    best = (-np.inf, FeatureScaling(_EXPONENT, _DAMPINGS[0], ceiling), tried[0])
+    for damping in _DAMPINGS:
+        scaling = FeatureScaling(_EXPONENT, damping, ceiling)
+        likely = start_likelihoods(turns, features_of(changes[some], scaling), places)
+        likely -= _CLEARLY * len(some) * (damping - _DAMPINGS[0])
+        best = max(best, (float(likely.max()), scaling, tried[int(likely.argmax())]), key=lambda found: found[0])
+    return best[1:]
+
+
+def _reach(about: Array) -> float:
+    """Distance from the nearest press beyond which a place was not learned [mm]."""
+    nearest = np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]
+    apart = nearest[nearest > 0]
+    return float(_REACH * np.median(apart)) if len(apart) else 0.0
+
+
+def _warnings(scales: PlaceScales, out: LeftOut) -> Iterator[str]:
+    """What a person should know of what was learned."""
+    yield from ()

@@ -1,0 +1,85 @@
+"""Both estimates of a place mixed, with a covariance whose regions hold what they state on presses left out."""
+
+from typing import Final
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import f as fisher
+
+from cbsr_qa.domain import Array
+from cbsr_qa.domain.results import PlaceMixture
+
+#: What the regions are asked to hold.
+LEVELS: Final = (0.68, 0.95)
+#: The share before any press was seen, and how many presses that counts as.
+_PRIOR_SHARE: Final = 0.4
+_PRIOR_PRESSES: Final = 10.0
+#: Errors beyond so many times their median, of spiky frames, count no more than that in the share.
+_LARGE: Final = 3.0
+
+
+def mixed(mixture: PlaceMixture, first: Array, second: Array, second_covariance: Array) -> tuple[Array, Array]:
+    """Mix places (n, 2) and (n, 2); returns places (n, 2) and covariances Σ (n, 2, 2)."""
+    apart = second - first
+    return first + mixture.share * apart, _covariance(mixture.spread, apart, second_covariance)
+
+
+def learn_mixture(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> PlaceMixture:
+    """Learn a mixture from both estimates (n, 2) of presses that were left out, and their places (n, 2)."""
+    share = _share(first, second, places_mm)
+    apart, error = second - first, places_mm - first - share * (second - first)
+    spread = _spread(error, apart, second_covariance)
+    ratio = mahalanobis(error, _covariance(spread, apart, second_covariance))
+    return PlaceMixture(share, spread, np.array([quantile(ratio, level) for level in LEVELS]))
+
+
+def mahalanobis(error: Array, covariance: Array) -> Array:
+    """Return dᵀΣ⁻¹d (n,) of errors (n, 2) with covariances (n, 2, 2)."""
+    squares: Array = np.einsum("na,na->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    return squares
+
+
+def quantile(ratio: Array, level: float) -> float:
+    """Quantile of dᵀΣ⁻¹d that holds the next press with a probability of ``level``.
+
+    Split conformal (Lei et al. 2018, Eq. 3), between order statistics. Where too few presses were left out for that
+    level, from their mean by Fisher's F with 2 and 2n degrees of freedom, as for normal errors of a variance that n
+    presses tell.
+    """
+    rank = level * (len(ratio) + 1) - 1
+    if rank <= len(ratio) - 1.5:
+        return float(np.interp(max(rank, 0.0), np.arange(len(ratio)), np.sort(ratio)))
+    return max(float(ratio.mean() * fisher.ppf(level, 2, 2 * len(ratio))), float(ratio.max()))
+
+
+def _share(first: Array, second: Array, places_mm: Array) -> float:
+    apart, error = second - first, places_mm - first
+    size = np.linalg.norm(error - 0.5 * apart, axis=1)
+    limit = _LARGE * float(np.median(size))
+    weight = 1 / np.maximum(1.0, size / max(limit, np.finfo(float).tiny)) ** 2
+    power = weight * (apart**2).sum(axis=1)
+    prior = _PRIOR_PRESSES * float(np.median(power))
+    share = ((weight[:, None] * apart * error).sum() + prior * _PRIOR_SHARE) / max(
+        power.sum() + prior, np.finfo(float).tiny
+    )
+    return float(np.clip(share, 0.0, 1.0))
+
+
+def _spread(error: Array, apart: Array, second_covariance: Array) -> Array:
+    """Weights (3,) of largest normal likelihood."""
+    start = np.full(3, np.log(0.3))
+    start[1] = np.log(max(float(np.median((error**2).sum(axis=1))), 1e-6) / 4)
+
+    def surprise(logs: Array) -> float:
+        covariance = _covariance(np.exp(np.clip(logs, -20, 20)), apart, second_covariance)
+        value = mahalanobis(error, covariance).sum() + np.linalg.slogdet(covariance)[1].sum()
+        return float(value + 0.1 * ((logs - start) ** 2).sum())
+
+    spread: Array = np.exp(np.clip(minimize(surprise, start, method="Nelder-Mead").x, -20, 20))
+    return spread
+
+
+def _covariance(spread: Array, apart: Array, second_covariance: Array) -> Array:
+    between = apart[:, :, None] * apart[:, None, :]
+    covariance: Array = spread[0] * second_covariance + spread[1] * np.eye(2) + spread[2] * between
+    return covariance

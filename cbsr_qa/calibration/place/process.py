@@ -1,0 +1,211 @@
+"""Gaussian process from features to places: a covariance of its own and one that turns with the sheet.
+
+K(x, x') = v₁ k(|x − x'|₁) I + v₂ Σ_g k(|x − g x'|₂) R_g: the second part is that of all processes whose place turns
+by R_g where the features are those of a sheet turned by g (Reisert & Burkhardt 2007, "Learning equivariant functions
+with matrix valued kernels"). On a uniform sheet every press then teaches about all others of its kind; on a sheet
+without that symmetry the marginal likelihood turns the part off.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.optimize import Bounds, minimize
+
+from cbsr_qa.calibration.place.features import matern, matern_and_slope, squared_distances
+from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain.results import PatternTurns, PlaceProcess, PlaceScales
+
+_ITERATIONS: Final = 25  # L-BFGS; further ones gain less than 0.01 mm on presses left out
+_FURTHEST: Final = 12.0  # of a logarithm from where the search begins
+#: Weak log-normal priors: standard deviations of logarithms.
+_SPREAD_OF_SCALES: Final = 1.0  # of single readings about their mean: keeps 192 scales from fitting 100 presses
+_SPREAD_OF_LENGTH: Final = 1.4
+_SPREAD_OF_TURNING: Final = 2.0
+_SPREAD_OF_VARIANCE: Final = 3.0
+_SPREAD_OF_NOISE: Final = 1.4
+#: Centre of the prior of the noise, relative to the variance of places.
+_NOISE_SHARE: Final = 0.005
+
+
+def located(process: PlaceProcess, turns: PatternTurns, features: Array) -> Array:
+    """Expected places (k, 2) of features (k, m), about the centre in the electrodes' axes."""
+    scales = process.scales
+    own = np.sqrt(scales.own)
+    near = matern(squared_distances(features * own, process.features * own))
+    places: Array = scales.own_variance * near @ process.weights
+    scale = np.sqrt(scales.turning)
+    learned = process.features * scale
+    for number, turn in enumerate(turns.turns):
+        near = matern(squared_distances(turns.back(features, number) * scale, learned))
+        places += scales.turning_variance * (near @ process.weights) @ turn.T
+    return places
+
+
+def given_presses(
+    scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array
+) -> tuple[PlaceProcess, Array]:
+    """Return the process given presses (n, m) at places (n, 2), and the inverse of its covariance (2n, 2n)."""
+    covariance = _covariance(scales, turns, features)
+    factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+    inverse: Array = cho_solve((factor, True), np.eye(len(factor)), overwrite_b=True, check_finite=False)
+    weights = (inverse @ places_mm.ravel()).reshape(-1, 2)
+    return PlaceProcess(scales, features, places_mm, weights), inverse
+
+
+def left_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) -> Array:
+    """Places (n, 2) of blocks of presses, each from all others in closed form (Rasmussen & Williams 2006, Eq. 5.12).
+
+    Parameters
+    ----------
+    inverse : of the covariance, as :func:`given_presses` returns it.
+
+    Returns
+    -------
+    NaN for presses of no block.
+    """
+    predicted = np.full(process.places_mm.shape, np.nan)
+    for block in blocks:
+        rows = (2 * block[:, None] + np.arange(2)).ravel()
+        error = np.linalg.solve(inverse[np.ix_(rows, rows)], process.weights[block].ravel())
+        predicted[block] = process.places_mm[block] - error.reshape(-1, 2)
+    return predicted
+
+
+def _covariance(scales: PlaceScales, turns: PatternTurns, features: Array) -> Array:
+    count = len(features)
+    own = features * np.sqrt(scales.own)
+    covariance = np.zeros((count, 2, count, 2))
+    near = scales.own_variance * matern(squared_distances(own, own))
+    covariance[:, 0, :, 0] = covariance[:, 1, :, 1] = near
+    scaled = features * np.sqrt(scales.turning)
+    for number, turn in enumerate(turns.turns):
+        near = scales.turning_variance * matern(squared_distances(turns.back(scaled, number), scaled))
+        covariance += near[:, None, :, None] * turn[None, :, None, :]
+    full: Array = covariance.reshape(2 * count, 2 * count)
+    full[np.diag_indices(2 * count)] += scales.noise_variance
+    return full
+
+
+def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> PlaceScales:
+    """Hyperparameters of largest marginal likelihood times weak priors.
+
+    Parameters
+    ----------
+    features, places_mm : (n, m) and (n, 2), about the centre, in the electrodes' frame.
+    """
+    likelihood = _Likelihood(turns, features, places_mm)
+    start = likelihood.start()
+    bounds = Bounds(start - _FURTHEST, start + _FURTHEST)
+    best = minimize(likelihood, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS})
+    return likelihood.scales(best.x)
+
+
+def start_likelihoods(turns: PatternTurns, features: Array, places_mm: Array) -> Array:
+    """Logarithms (a,) of the marginal likelihood at the scales a search begins with.
+
+    Parameters
+    ----------
+    features : (n, m).
+    places_mm : (a, n, 2), the same places in each of a pairs of axes.
+    """
+    likelihood = _Likelihood(turns, features, places_mm[0])
+    scales = likelihood.scales(likelihood.start())
+    factor = cholesky(_covariance(scales, turns, features), lower=True)
+    white = solve_triangular(factor, places_mm.reshape(len(places_mm), -1).T, lower=True)
+    likelihoods: Array = -0.5 * (white**2).sum(axis=0) - np.log(np.diag(factor)).sum()
+    return likelihoods
+
+
+class _Likelihood:
+    """Minus the logarithm of marginal likelihood times priors, and its gradient, by logarithms of the scales."""
+
+    def __init__(self, turns: PatternTurns, features: Array, places_mm: Array) -> None:
+        self._features, self._y = features, places_mm.ravel()
+        self._turned = np.concatenate([turns.forth(features, number) for number in range(len(turns))])
+        self._turns = turns.turns.reshape(-1, 4)
+        self._orbit = turns.orbits()
+        self._readings, self._orbits = features.shape[1], int(self._orbit.max()) + 1
+        apart = squared_distances(features, features)[np.triu_indices(len(features), 1)]
+        self._log_scale = -float(np.log(max(float(np.median(apart)), np.finfo(float).tiny)))
+        self._log_variance = float(np.log(np.mean(self._y**2)))
+
+    def start(self) -> Array:
+        """Logarithms that a search begins with: one length, that of the median distance."""
+        begin = np.full(3 + self._readings + self._orbits, self._log_scale)
+        begin[:2] = self._log_variance
+        begin[2] = self._log_variance + np.log(_NOISE_SHARE)
+        return begin
+
+    def scales(self, logs: Array) -> PlaceScales:
+        """Scales of their logarithms: three variances, the readings', and the orbits'."""
+        own, turning, noise = np.exp(logs[:3]).tolist()
+        each = np.exp(logs[3 : 3 + self._readings])
+        return PlaceScales(own, turning, noise, each, np.exp(logs[3 + self._readings :])[self._orbit])
+
+    def __call__(self, logs: Array) -> tuple[float, Array]:
+        scales = self.scales(logs)
+        gradient = np.zeros_like(logs)
+        (near, near_slope), (turned, turned_slope) = (matern_and_slope(part) for part in self._squared(scales))
+        try:
+            factor = cholesky(self._covariance(scales, near, turned), lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            return 1e10, gradient
+        inverse = cho_solve((factor, True), np.eye(len(factor)), check_finite=False)
+        weights = inverse @ self._y
+        value = -0.5 * float(weights @ self._y) - float(np.log(np.diag(factor)).sum())
+        slope = 0.5 * (np.outer(weights, weights) - inverse)
+        count = len(self._features)
+        blocks = slope.reshape(count, 2, count, 2)
+        both = scales.own_variance * (blocks[:, 0, :, 0] + blocks[:, 1, :, 1])
+        along = blocks.transpose(0, 2, 1, 3).reshape(-1, 4) @ (scales.turning_variance * self._turns.T)
+        along = along.reshape(count, count, -1).transpose(0, 2, 1).reshape(count, -1)
+        gradient[:3] = (both * near).sum(), (along * turned).sum(), scales.noise_variance * np.trace(slope)
+        own_slope = self._by_scale(both * near_slope, self._features)
+        gradient[3 : 3 + self._readings] = scales.own * own_slope
+        turning_slope = self._by_scale(along * turned_slope, self._turned)
+        gradient[3 + self._readings :] = np.bincount(self._orbit, scales.turning * turning_slope, self._orbits)
+        prior, prior_slope = self._prior(logs)
+        return -(value + prior), -(gradient + prior_slope)
+
+    def _squared(self, scales: PlaceScales) -> tuple[Array, Array]:
+        """Squared distances (n, n) of the presses, and (n, g n) from the presses on the sheet turned."""
+        own, turning = np.sqrt(scales.own), np.sqrt(scales.turning)
+        features = self._features * own
+        return squared_distances(features, features), squared_distances(
+            self._features * turning, self._turned * turning
+        )
+
+    def _covariance(self, scales: PlaceScales, near: Array, turned: Array) -> Array:
+        count = len(near)
+        by_turn = turned.reshape(count, -1, count).transpose(0, 2, 1).reshape(count * count, -1)
+        covariance = (by_turn @ (scales.turning_variance * self._turns)).reshape(count, count, 2, 2)
+        covariance = np.ascontiguousarray(covariance.transpose(0, 2, 1, 3))
+        covariance[:, 0, :, 0] += scales.own_variance * near
+        covariance[:, 1, :, 1] += scales.own_variance * near
+        full: Array = covariance.reshape(2 * count, 2 * count)
+        full[np.diag_indices(2 * count)] += scales.noise_variance
+        return full
+
+    def _by_scale(self, slope: Array, other: Array) -> Array:
+        """Σᵢⱼ slopeᵢⱼ (xᵢ − x'ⱼ)² for every reading."""
+        squares = slope.sum(axis=1) @ self._features**2 + slope.sum(axis=0) @ other**2
+        by: Array = squares - 2 * np.einsum("nm,nm->m", self._features, slope @ other)
+        return by
+
+    def _prior(self, logs: Array) -> tuple[float, Array]:
+        own, turning = logs[3 : 3 + self._readings], logs[3 + self._readings :]
+        gradient = np.zeros_like(logs)
+        about = own - own.mean()
+        length, scales = own.mean() - self._log_scale, turning - self._log_scale
+        variances = logs[:3] - [self._log_variance, self._log_variance, self._log_variance + np.log(_NOISE_SHARE)]
+        spread = np.array([_SPREAD_OF_VARIANCE, _SPREAD_OF_VARIANCE, _SPREAD_OF_NOISE])
+        gradient[:3] = -variances / spread**2
+        gradient[3 : 3 + self._readings] = (
+            -about / _SPREAD_OF_SCALES**2 - length / _SPREAD_OF_LENGTH**2 / self._readings
+        )
+        gradient[3 + self._readings :] = -scales / _SPREAD_OF_TURNING**2
+        value = (about @ about) / _SPREAD_OF_SCALES**2 + length**2 / _SPREAD_OF_LENGTH**2
+        value += scales @ scales / _SPREAD_OF_TURNING**2 + ((variances / spread) ** 2).sum()
+        return -0.5 * float(value), gradient

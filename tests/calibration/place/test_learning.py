@@ -1,0 +1,120 @@
+"""Places learned from presses of a simulated sheet, and of two real skins where they are there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pressed_sheets import pressed_sheet
+
+from cbsr_qa.calibration import Flag
+from cbsr_qa.calibration.place import PlaceEstimator, learn_place
+from cbsr_qa.calibration.place.mixture import mahalanobis
+from cbsr_qa.domain import CalibrationError
+
+LEARNED, TESTED = slice(0, 60), slice(60, 260)
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    return pressed_sheet(260, seed=7, noise=0.05, rectified=True)
+
+
+@pytest.fixture(scope="module")
+def learned(sheet):
+    return learn_place(sheet.changes[LEARNED], sheet.labels_mm[LEARNED], sheet.pairs, 16)
+
+
+def distances(places, truth):
+    return np.linalg.norm(places.place_mm - truth, axis=1)
+
+
+def test_places_and_regions_of_presses_not_seen(sheet, learned):
+    locate = PlaceEstimator(learned.model)
+    places, truth = locate(sheet.changes[TESTED]), sheet.labels_mm[TESTED]
+    error, ratio = distances(places, truth), mahalanobis(truth - places.place_mm, places.covariance_mm2)
+    held = learned.held_out
+    assert error.mean() < 2.0  # 60 presses within 45 mm: neighbours are 6 mm apart
+    assert held.mean_mm == pytest.approx(error.mean(), abs=3 * held.stderr_mm + 3 * error.std() / np.sqrt(len(error)))
+    # 60 presses tell quantiles to 6 and 3 %.
+    assert (ratio <= locate.q68).mean() == pytest.approx(0.68, abs=0.15)
+    assert (ratio <= locate.q95).mean() == pytest.approx(0.95, abs=0.06)
+    assert places.in_model.mean() > 0.95
+
+
+def test_error_falls_with_the_number_of_presses(sheet, learned):
+    few = learn_place(sheet.changes[:12], sheet.labels_mm[:12], sheet.pairs, 16)
+    errors = [
+        distances(PlaceEstimator(model)(sheet.changes[TESTED]), sheet.labels_mm[TESTED]).mean()
+        for model in (few.model, learned.model)
+    ]
+    assert errors[1] < 0.7 * errors[0]
+
+
+@pytest.mark.parametrize(("what", "limit_mm"), [("units and order", 0.02), ("polarity", 0.15)])
+def test_units_order_and_polarity_of_readings_change_little(what, limit_mm):
+    """Searches of hyperparameters stop at other digits; other polarities pair other readings as the same turned."""
+    sheet = pressed_sheet(80, seed=8)
+    changes, pairs = sheet.changes, sheet.pairs.copy()
+    if what == "polarity":
+        pairs[::2] = pairs[::2][:, [0, 1, 3, 2]]
+        changes = changes * np.where(np.arange(len(pairs)) % 2, 1, -1)
+    else:
+        order = np.random.default_rng(1).permutation(len(pairs))
+        changes, pairs = 1e-5 * changes[:, order], pairs[order]
+    there, here = (
+        PlaceEstimator(learn_place(frames[:40], sheet.labels_mm[:40], which, 16).model)(frames[40:]).place_mm
+        for frames, which in ((changes, pairs), (sheet.changes, sheet.pairs))
+    )
+    assert np.median(np.linalg.norm(there - here, axis=1)) < limit_mm
+
+
+def test_places_turn_with_the_frame_they_are_labelled_in(sheet, learned):
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    other = learn_place(sheet.changes[LEARNED], sheet.labels_mm[LEARNED] @ turn.T + [5, 9], sheet.pairs, 16)
+    here = PlaceEstimator(learned.model)(sheet.changes[TESTED]).place_mm @ turn.T + [5, 9]
+    there = PlaceEstimator(other.model)(sheet.changes[TESTED]).place_mm
+    assert np.median(np.linalg.norm(there - here, axis=1)) < 0.05
+
+
+def test_frames_that_are_no_such_touch_are_flagged(sheet, learned):
+    locate, frames = PlaceEstimator(learned.model), sheet.changes[TESTED]
+    assert (locate(1e-3 * frames).flags & Flag.NOT_DETECTED).all()
+    far = np.linalg.norm(sheet.labels_mm[TESTED][:100] - sheet.labels_mm[TESTED][100:], axis=1) > 30
+    two = locate((frames[:100] + frames[100:])[far])
+    assert (~two.in_model).mean() > 0.9
+    foreign = np.random.default_rng(2).permutation(frames.T).T
+    assert (~locate(foreign).in_model).mean() > 0.95
+    missing = frames[:3].copy()
+    missing[1, 7] = np.nan
+    places = locate(missing)
+    assert (places.flags & Flag.UNREADABLE).astype(bool).tolist() == [False, True, False]
+    assert np.isnan(places.place_mm).any(axis=1).tolist() == [False, True, False]
+
+
+def test_a_place_beyond_the_presses_lies_outside(sheet):
+    near = np.flatnonzero(np.linalg.norm(sheet.places_mm, axis=1) < 20)
+    model = learn_place(sheet.changes[near], sheet.labels_mm[near], sheet.pairs, 16).model
+    beyond = np.linalg.norm(sheet.places_mm, axis=1) > 42
+    places = PlaceEstimator(replace(model, reach_mm=3.0))(sheet.changes[beyond])
+    assert ((places.flags & (Flag.OUTSIDE | Flag.MORE_THAN_ONE)) > 0).mean() > 0.9
+
+
+def test_nothing_is_learned_from_nothing(sheet):
+    with pytest.raises(CalibrationError, match="6 at least"):
+        learn_place(sheet.changes[:5], sheet.labels_mm[:5], sheet.pairs, 16)
+    with pytest.raises(CalibrationError, match="one place"):
+        learn_place(sheet.changes[:9], sheet.labels_mm[[0] * 9], sheet.pairs, 16)
+    with pytest.raises(CalibrationError, match="no reading changes"):
+        learn_place(0 * sheet.changes[:9], sheet.labels_mm[:9], sheet.pairs, 16)
+
+
+@pytest.mark.parametrize(("name", "limit_mm"), [("no_pattern", 3.9), ("parallel_lines", 6.3)])
+def test_a_real_skin_from_39_presses(skins, name, limit_mm):
+    """One split; the mean over fifty is held in the soak. Limits: the requirement and three standard errors."""
+    skin = skins(name)
+    order = np.random.default_rng(11).permutation(len(skin.labels_mm))
+    some, rest = order[:39], order[39:439]
+    model = learn_place(skin.changes[some], skin.labels_mm[some], skin.pairs, 16).model
+    places = PlaceEstimator(model)(skin.changes[rest])
+    assert distances(places, skin.labels_mm[rest]).mean() < limit_mm
+    assert places.in_model.mean() > 0.9

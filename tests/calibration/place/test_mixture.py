@@ -1,0 +1,41 @@
+"""Regions hold what they state."""
+
+import numpy as np
+import pytest
+
+from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mixed, quantile
+
+
+@pytest.mark.parametrize("count", [6, 9, 39, 400])
+def test_quantiles_hold_the_next_press(count):
+    random = np.random.default_rng(count)
+    inside = np.zeros(2)
+    for _ in range(2000):
+        ratio = random.chisquare(2, count)
+        inside += [random.chisquare(2) <= quantile(ratio, level) for level in LEVELS]
+    # Three standard errors of 2000 tries; where too few were left out for 95 %, the largest ratio seen may hold more.
+    assert inside[0] / 2000 == pytest.approx(0.68, abs=0.032)
+    assert 0.95 - 0.015 <= inside[1] / 2000 <= 0.98
+
+
+def test_the_better_estimate_gets_the_larger_share():
+    random = np.random.default_rng(1)
+    places, noise = random.uniform(-40, 40, (300, 2)), random.standard_normal((2, 300, 2))
+    covariance = np.broadcast_to(np.eye(2), (300, 2, 2))
+    good, poor = places + noise[0], places + 3 * noise[1]
+    # Independent errors of variances 1 and 9: the best share of the second is 1/10, or 9/10.
+    assert learn_mixture(good, poor, covariance, places).share == pytest.approx(0.1, abs=0.05)
+    assert learn_mixture(poor, good, covariance, places).share == pytest.approx(0.9, abs=0.05)
+
+
+def test_regions_follow_frames_that_are_worse():
+    """Where the second estimate says that it is unsure, and is, regions grow there and shrink elsewhere."""
+    random = np.random.default_rng(2)
+    places, size = random.uniform(-40, 40, (2000, 2)), np.where(np.arange(2000) % 4, 0.5, 5.0)
+    second = places + size[:, None] * random.standard_normal((2000, 2))
+    covariance = size[:, None, None] ** 2 * np.eye(2)
+    mixture = learn_mixture(second + 0.01, second, covariance, places)
+    found, covariances = mixed(mixture, second + 0.01, second, covariance)
+    inside = mahalanobis(places - found, covariances)[:, None] <= mixture.quantiles
+    for large in (False, True):
+        assert inside[(size > 1) == large].mean(axis=0) == pytest.approx(LEVELS, abs=0.04)

@@ -1,0 +1,62 @@
+"""The Gaussian process from features to places."""
+
+import numpy as np
+import pytest
+from pressed_sheets import adjacent_pairs
+from scipy.optimize import check_grad
+
+from cbsr_qa.calibration.place.features import pattern_turns
+from cbsr_qa.calibration.place.process import _Likelihood, given_presses, left_out, likely_scales, located
+
+TURNS = pattern_turns(adjacent_pairs(8), 8)
+
+
+@pytest.fixture(scope="module")
+def presses():
+    random = np.random.default_rng(3)
+    features = random.standard_normal((14, TURNS.permuted.shape[1]))
+    return features, 10 * features[:, :2] + random.standard_normal((14, 2))
+
+
+@pytest.fixture(scope="module")
+def scales(presses):
+    return likely_scales(TURNS, *presses)
+
+
+def test_gradient_of_the_likelihood(presses):
+    likelihood = _Likelihood(TURNS, *presses)
+    logs = likelihood.start() + np.random.default_rng(4).uniform(-1, 1, len(likelihood.start()))
+    slope = np.linalg.norm(likelihood(logs)[1])
+    assert check_grad(lambda x: likelihood(x)[0], lambda x: likelihood(x)[1], logs, epsilon=1e-6) < 1e-5 * slope
+
+
+def test_the_search_makes_presses_more_likely(presses):
+    likelihood = _Likelihood(TURNS, *presses)
+    found = likely_scales(TURNS, *presses)
+    logs = np.log([found.own_variance, found.turning_variance, found.noise_variance])
+    orbits = [found.turning[TURNS.orbits() == number][0] for number in range(TURNS.orbits().max() + 1)]
+    assert (
+        likelihood(np.concatenate([logs, np.log(found.own), np.log(orbits)]))[0] < likelihood(likelihood.start())[0]
+    )
+
+
+def test_presses_left_out_are_located_as_by_the_others_alone(presses, scales):
+    features, places = presses
+    blocks = np.array_split(np.arange(14), 4)
+    predicted = left_out(*given_presses(scales, TURNS, features, places), blocks)
+    for block in blocks:
+        others = np.setdiff1d(np.arange(14), block)
+        process, _ = given_presses(scales, TURNS, features[others], places[others])
+        assert located(process, TURNS, features[block]) == pytest.approx(predicted[block], abs=1e-8)
+
+
+def test_the_turning_part_turns_places_with_readings(presses, scales):
+    from dataclasses import replace
+
+    features, places = presses
+    turning = replace(scales, own_variance=0.0)
+    process, _ = given_presses(turning, TURNS, features, places)
+    frame = np.random.default_rng(5).standard_normal((2, features.shape[1]))
+    for number, turn in enumerate(TURNS.turns):
+        there = located(process, TURNS, TURNS.forth(frame, number))
+        assert there == pytest.approx(located(process, TURNS, frame) @ turn.T, abs=1e-9)
