@@ -14,7 +14,7 @@ from math import ceil, fsum, isfinite, log, sqrt
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from cbsr_qa.domain import Array, NumericsError
 
@@ -215,10 +215,14 @@ def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95,
 @lru_cache(maxsize=1024)  # many metrics have as many values each
 def largest_rank(count: int, below: float, tail: float) -> int:
     """Return the largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 if none."""
-    rank = int(stats.binom.ppf(tail, count, below))
-    while rank and stats.binom.cdf(rank - 1, count, below) > tail:
+
+    def most(rank: int) -> float:  # P(B ≤ rank), of 10¹² values too
+        return 1.0 if rank >= count else float(special.betaincc(rank + 1, count - rank, below))
+
+    rank = int(max(np.nan_to_num(special.bdtrik(tail, count, below)), 0.0))  # near it; the sum decides
+    while rank and most(rank - 1) > tail:
         rank -= 1
-    while stats.binom.cdf(rank, count, below) <= tail:
+    while most(rank) <= tail:
         rank += 1
     return rank
 

@@ -5,7 +5,7 @@ from enum import StrEnum
 from typing import Final, Protocol
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, common_settling_time
 from cbsr_qa.domain import Array
@@ -191,8 +191,8 @@ def compare_relaxations(
         return not_compared(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
     curves = _curves(first, second, np.linspace(start_s, end_s, _TIMES))
     difference, stderr = curves.difference, curves.stderr
-    reach = np.abs(difference) + norm.ppf(1 - LEVEL) * stderr
-    surely = np.abs(difference) - norm.ppf(1 - LEVEL / 2 / _TIMES) * stderr
+    reach = np.abs(difference) + ndtri(1 - LEVEL) * stderr
+    surely = np.abs(difference) - ndtri(1 - LEVEL / 2 / _TIMES) * stderr
     worst = int(np.argmax(reach))
     ratio, ratio_stderr, ratio_reach, time = _times(first, second, tolerance)
     return RelaxationAgreement(
@@ -225,8 +225,8 @@ def _times(
     log_ratio = float(np.log(other_s / one_s))
     log_stderr = float(np.hypot(one_stderr / one_s, other_stderr / other_s))
     limit = float(np.log1p(TIME_MARGIN))
-    reach = abs(log_ratio) + float(norm.ppf(1 - LEVEL)) * log_stderr
-    agreement = _decided(reach <= limit, abs(log_ratio) - float(norm.ppf(1 - LEVEL / 2)) * log_stderr > limit)
+    reach = abs(log_ratio) + float(ndtri(1 - LEVEL)) * log_stderr
+    agreement = _decided(reach <= limit, abs(log_ratio) - float(ndtri(1 - LEVEL / 2)) * log_stderr > limit)
     return other_s / one_s, other_s / one_s * log_stderr, float(np.exp(min(reach, 50.0))), agreement
 
 

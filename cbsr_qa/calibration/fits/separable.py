@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from cbsr_qa.domain import Array
 
@@ -140,7 +140,7 @@ def chance_of_gain(before: Array, after: Array, parameters: int, added: int) -> 
     spare = max(len(left) * (1 - memory) / (1 + memory) - parameters, 1.0)
     square = float(after @ after)
     gain = (float(before @ before) - square) / added
-    return float(f_distribution.sf(gain * spare / max(square, tiny), added, spare))
+    return float(fdtrc(added, spare, max(gain, 0.0) * spare / max(square, tiny)))
 
 
 def _basis(time_s: Array, log_tau: Array) -> Array:

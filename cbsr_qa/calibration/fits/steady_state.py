@@ -3,7 +3,7 @@
 from typing import Final, Self
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from cbsr_qa.calibration.fits.relaxation import seen_share
 from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
@@ -65,7 +65,7 @@ def interval(prediction: SteadyPrediction, level: float) -> tuple[Array, Array]:
     """Return the lower and upper ends (m,) of the central intervals of a level such as 0.95."""
     if not 0 < level < 1:
         raise NumericsError(f"an interval of level {level} is none", remedy="levels lie between 0 and 1")
-    reach = student.ppf((1 + level) / 2, np.minimum(prediction.freedom, 1e9)) * prediction.stderr
+    reach = stdtrit(np.minimum(prediction.freedom, 1e9), (1 + level) / 2) * prediction.stderr
     return prediction.values - reach, prediction.values + reach
 
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from cbsr_qa.calibration.fits import SeparatedSteps, StepTrace, constants_of, separate_steps, separated_with
 from cbsr_qa.domain import Array
@@ -111,7 +111,7 @@ def _kept(log_s: float, model: Callable[[float], Array], target: Array, rest: fl
     gain = (float(target @ target) - rest) / 2 / (rest / spare)
     jacobian = np.column_stack([unit, slope])
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(rest / spare, 1.0)
-    clear = share > _CLEAR * float(np.sqrt(covariance[0, 0])) and fisher.sf(gain, 2, spare) <= _SIGNIFICANCE
+    clear = share > _CLEAR * float(np.sqrt(covariance[0, 0])) and fdtrc(2, spare, max(gain, 0.0)) <= _SIGNIFICANCE
     return SlowResidue(share, float(np.exp(log_s)), np.asarray(covariance, dtype=np.float64)) if clear else None
 
 

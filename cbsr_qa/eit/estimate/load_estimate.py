@@ -13,8 +13,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
-from scipy.stats import chi2
+from scipy.special import chdtrc, ndtr, ndtri
 
 from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import Estimated, LoadEstimate, LoadFinding
@@ -153,7 +152,7 @@ class LoadEstimator:
     def _judged(self, fits: Fits) -> LoadFits:
         unknowns = 3 if self.known else 4
         freedom = len(self.readings.weight) - unknowns
-        probability = chi2.sf(fits.misfit, freedom)
+        probability = chdtrc(freedom, fits.misfit)
         inflation = np.where(probability < _IMPROBABLE, fits.misfit / freedom, 1.0)
         gain = (fits.empty_misfit - fits.misfit) / inflation
         detectability = np.sqrt(np.maximum(gain - unknowns, 0))
