@@ -44,8 +44,8 @@ def _imports(source: str, who: str, home: str) -> Iterator[Import]:
         elif isinstance(node, ast.Import):
             yield from (Import(who, home, alias.name, "") for alias in node.names)
         elif isinstance(node, ast.keyword) and node.arg == "prints" and isinstance(node.value, ast.Constant):
-            module, _, name = str(node.value.value).partition(":")  # of a command, imported only for its schema
-            yield Import(who, home, module, name)
+            module, _, names = str(node.value.value).partition(":")  # of a command, imported only for its schema
+            yield from (Import(who, home, module, name) for name in names.split("|"))
 
 
 def _home_of_test(path: Path) -> str:

@@ -6,6 +6,17 @@ from .apply import (
     as_csv as as_csv,
     write_table as write_table,
 )
+from .apply_places import (
+    AppliedPlaces as AppliedPlaces,
+    apply_to_table as apply_to_table,
+    places_csv as places_csv,
+    places_outcome as places_outcome,
+)
+from .calibrate import (
+    CalibrateRequest as CalibrateRequest,
+    PressesCalibrated as PressesCalibrated,
+    calibrate_from_presses as calibrate_from_presses,
+)
 from .calibration_file import (
     Converted as Converted,
     SoundFile as SoundFile,
@@ -28,3 +39,4 @@ from .database import (
     upgrade_database as upgrade_database,
 )
 from .export import Exported as Exported, export_run as export_run
+from .press_calibration_shown import ShownPressCalibration as ShownPressCalibration

@@ -6,15 +6,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.calibration.file import (
+    Issued,
     firmware_document,
     json_document,
-    read_calibration,
+    of_run,
+    read_issued,
     read_json_calibration,
     verify_calibration_file,
     write_calibration,
 )
 from cbsr_qa.domain import CalibrationError, RefusedError, filled
-from cbsr_qa.domain.results import Calibration, CommandOutcome
+from cbsr_qa.domain.results import CommandOutcome
 from cbsr_qa.report import answer
 from cbsr_qa.system import read_untrusted, writing, written_whole
 
@@ -68,7 +70,7 @@ def export_calibration(
     if kind in _HDF5:
         write_calibration(output, calibration)
     elif firmware:
-        document = firmware_document(calibration, stride=stride)
+        document = firmware_document(of_run(calibration), stride=stride)
         loss = {"lattice_stride": document["lattice_stride"], **document["loss"]}
         write_text(output, _json(document))
     else:
@@ -84,7 +86,7 @@ def export_calibration(
     return answer(converted, "written", f"{converted.size_bytes / 1e3:.0f} kB", facts, [("File", str(output))])
 
 
-def read_any(path: Path) -> Calibration:
+def read_any(path: Path) -> Issued:
     """Read a calibration of unknown origin, HDF5 or JSON by its suffix, in a limited child process.
 
     Raises
@@ -92,7 +94,7 @@ def read_any(path: Path) -> Calibration:
     CalibrationError
         If the file is not sound, or cannot be read within the limits.
     """
-    read = read_json_calibration if path.suffix.lower() == _JSON else read_calibration
+    read = read_json_calibration if path.suffix.lower() == _JSON else read_issued
     return read_untrusted(path, lambda: read(path), refusal=CalibrationError)
 
 

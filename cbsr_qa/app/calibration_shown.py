@@ -7,7 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from cbsr_qa.calibration.file import read_calibration, verify_calibration_file
+from cbsr_qa.app.press_calibration_shown import ShownPressCalibration, shown_presses
+from cbsr_qa.calibration.file import read_issued, verify_calibration_file
 from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolated, least_force_N, map_tables
 from cbsr_qa.domain import CalibrationError, filled, kept_fields
 from cbsr_qa.domain.results import (
@@ -18,6 +19,7 @@ from cbsr_qa.domain.results import (
     ForceModel,
     Page,
     Paragraph,
+    PressCalibration,
     Section,
     SettlingSummary,
     Table,
@@ -257,11 +259,13 @@ class ShownCalibration:
     no_force_model: str | None
 
 
-def show_calibration(path: Path) -> CommandOutcome[ShownCalibration]:
+def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOutcome[ShownPressCalibration]:
     """Return the contents of a calibration file. CalibrationError if it is damaged or altered."""
     verified, held = read_untrusted(
-        path, lambda: (verify_calibration_file(path), read_calibration(path)), refusal=CalibrationError
+        path, lambda: (verify_calibration_file(path), read_issued(path)), refusal=CalibrationError
     )
+    if isinstance(held, PressCalibration):
+        return shown_presses(path, held)
     numbers = (field for field in kept_fields(Calibration) if field.hint in (float, float | None))
     bands = tuple(Band(band.name, band.lower, band.upper) for band in held.overlap_bands)
     head = held.indenter

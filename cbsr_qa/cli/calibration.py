@@ -15,7 +15,7 @@ _STDOUT = Path("-")
 _File = Annotated[Path, typer.Argument(help="Calibration file (HDF5).")]
 
 
-@command("calibration show", prints="cbsr_qa.app:ShownCalibration")
+@command("calibration show", prints="cbsr_qa.app:ShownCalibration|ShownPressCalibration")
 def show(file: _File, as_json: AsJson = False) -> None:
     """Print the contents of a calibration: identity, range of use, baseline conductance, assumptions."""
     from cbsr_qa.app import show_calibration
@@ -52,7 +52,7 @@ def export(
     show_outcome(export_calibration(file, output, firmware=firmware, stride=stride), as_json=as_json)
 
 
-@command("calibration apply", prints="cbsr_qa.app:AppliedCalibration")
+@command("calibration apply", prints="cbsr_qa.app:AppliedCalibration|AppliedPlaces")
 def apply(
     file: _File,
     recordings: Annotated[list[Path], typer.Argument(help="Recordings, in any supported format.")],
@@ -78,6 +78,17 @@ def apply(
         str | None,
         typer.Option(help="Serial number of the recorded sensor; must match the calibration."),
     ] = None,
+    pattern: Annotated[
+        Path | None,
+        typer.Option(
+            help="For a calibration from labelled presses: table source,sink,plus,minus with one row per column of"
+            " RECORDINGS, which is one table then. Order and polarity may differ from those that were calibrated."
+        ),
+    ] = None,
+    differences: Annotated[
+        bool, typer.Option("--differences", help="With --pattern: the readings are changes by the presses.")
+    ] = False,
+    rest: Annotated[Path | None, typer.Option(help="With --pattern: table of frames of the unloaded sheet.")] = None,
     output: Annotated[
         Path | None, typer.Option(help="CSV file to write; must not exist yet. - writes to the terminal.")
     ] = None,
@@ -85,8 +96,13 @@ def apply(
 ) -> int:
     """Turn the frames of recordings into force with its standard error, place and flags.
 
+    A calibration from labelled presses turns a table of readings (--pattern) into places.
     Shows a short table for each recording; --output writes one row per frame.
     """
+    if pattern is not None:
+        return _apply_to_table(file, recordings, pattern, output, differences=differences, rest=rest, as_json=as_json)
+    if differences or rest is not None:
+        raise typer.BadParameter("it needs --pattern", param_hint="--differences" if differences else "--rest")
     from cbsr_qa.app import ApplyRequest, apply_calibration, apply_outcome, as_csv, write_table
 
     request = ApplyRequest(place, format_, dataset, reference, serial)
@@ -102,3 +118,28 @@ def apply(
     if output is not None and any(recording.error is None for recording in applied.recordings):
         write_table(output, as_csv(applied))
     return show_outcome(apply_outcome(applied, output), as_json=as_json)
+
+
+def _apply_to_table(
+    file: Path,
+    tables: list[Path],
+    pattern: Path,
+    output: Path | None,
+    *,
+    differences: bool,
+    rest: Path | None,
+    as_json: bool,
+) -> int:
+    from cbsr_qa.app import apply_to_table, places_csv, places_outcome, write_table
+
+    if len(tables) != 1:
+        raise typer.BadParameter("one table of readings is applied at a time", param_hint="RECORDINGS")
+    if differences and rest is not None:
+        raise typer.BadParameter("changes have no unloaded frames", param_hint="--rest")
+    applied = apply_to_table(file, tables[0], pattern, differences=differences, rest=rest)
+    if output == _STDOUT and not as_json:
+        say(places_csv(applied).rstrip())
+        return 0
+    if output is not None and output != _STDOUT:
+        write_table(output, places_csv(applied))
+    return show_outcome(places_outcome(applied, output), as_json=as_json)

@@ -6,8 +6,10 @@ Its help shows what is meant (``SERIAL``, ``YYYY-MM-DD``), not types of Python.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from functools import reduce
 from importlib import import_module
 from inspect import getdoc
+from operator import or_
 from pathlib import Path
 from pkgutil import walk_packages
 from typing import Any, Final, TypeVar, get_args, get_origin, get_type_hints
@@ -56,7 +58,8 @@ def command(words: str, *, prints: str = "") -> Callable[[_Run], _Run]:
     Parameters
     ----------
     words : of the command line, e.g. ``"db status"``.
-    prints : dataclass of its document, ``"cbsr_qa.app:DatabaseStatus"``, imported only to print its schema.
+    prints : dataclass of its document, ``"cbsr_qa.app:DatabaseStatus"``, imported only to print its schema; several
+        are separated by ``|``.
     """
     if prints:
         document(words, prints=prints)
@@ -90,13 +93,14 @@ def purpose(of_group: str) -> str:
     return _GROUPS[of_group]
 
 
-def documents() -> dict[str, type]:
-    """Return the dataclass of each document that a command prints, by the command's words."""
+def documents() -> dict[str, Any]:
+    """Return the dataclass of each document that a command prints, or their union, by the command's words."""
     _import_all()
     found = {}
     for words in sorted(_PRINTED):
-        module, _, name = _PRINTED[words].partition(":")
-        found[words] = getattr(import_module(module), name)
+        module, _, names = _PRINTED[words].partition(":")
+        kinds = [getattr(import_module(module), name) for name in names.split("|")]
+        found[words] = reduce(or_, kinds)
     return found
 
 

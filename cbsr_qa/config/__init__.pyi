@@ -9,6 +9,7 @@ from .limits import limits_digest as limits_digest
 from .loader import (
     Loaded as Loaded,
     load_material as load_material,
+    load_pressed_type as load_pressed_type,
     load_recipe as load_recipe,
     load_scene as load_scene,
     load_scene_plan as load_scene_plan,

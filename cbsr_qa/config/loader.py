@@ -6,7 +6,7 @@ Mesh files that a sensor type refers to are taken in by content, so that a store
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
 from cbsr_qa.config.limits import with_limits
@@ -19,7 +19,7 @@ from cbsr_qa.config.tables import FileModel, validated
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.plan import Recipe, Scene, ScenePlan, Station
-from cbsr_qa.domain.sensor import Material, SensorType, mesh_arrays
+from cbsr_qa.domain.sensor import Material, SensorType, mesh_arrays, widest_ring_mm
 from cbsr_qa.plugin import Plugins
 
 
@@ -50,6 +50,9 @@ def with_mesh(document: Document) -> Document:
 
 
 T = TypeVar("T")
+
+#: Radius of a sheet whose size is to be found [mm].
+UNIT_MM: Final = 100.0
 
 #: A path, the name of a shipped file, or the parsed content itself (restored from a stored run).
 Source = str | Path | Mapping[str, Any]
@@ -99,6 +102,38 @@ def load_recipe(source: Source, plugins: Plugins | None = None) -> Loaded[Recipe
 def load_sensor_type(source: Source, *, near: Path | None = None) -> Loaded[SensorType]:
     """Load a sensor type, looked for in the folder ``near`` first. See :func:`load_station` for what is raised."""
     return _load(DocumentKind.SENSOR_TYPE, SensorTypeFile, source, near)
+
+
+def load_pressed_type(source: Source) -> tuple[Loaded[SensorType], bool]:
+    """Load the sensor type of a sheet that is calibrated by presses, which may leave its size out.
+
+    A disc without ``radius_mm`` gets a radius of :data:`UNIT_MM` and electrodes at its rim; ``thickness_mm``,
+    ``ring_radius_mm`` and the electrodes' size do not matter then.
+
+    Returns
+    -------
+    The sensor type, and whether its size is stated. See :func:`load_station` for what is raised.
+    """
+    document = open_document(DocumentKind.SENSOR_TYPE, source) if not isinstance(source, Mapping) else None
+    sheet = None if document is None else document.data.get("sensor_type")
+    if document is None or not isinstance(sheet, Mapping) or sheet.keys() & {"radius_mm", "outline_mm", "mesh"}:
+        return load_sensor_type(source), True
+    data = {**document.data, "sensor_type": {"thickness_mm": 1.0, **sheet, "radius_mm": UNIT_MM}}
+    electrodes = data.get("electrodes")
+    if isinstance(electrodes, Mapping):
+        data["electrodes"] = _at_the_rim(electrodes)
+    unsized = replace(document, data=data)
+    return Loaded(validated(SensorTypeFile, unsized, None), unsized), False
+
+
+def _at_the_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Electrodes of a sheet of unknown size: small ones at its rim."""
+    count = electrodes.get("count")
+    width_mm = UNIT_MM * min(0.03, 1 / count) if isinstance(count, int) and count > 0 else 0.03 * UNIT_MM
+    arc = electrodes.get("kind") == "arc"
+    kept = {key: value for key, value in electrodes.items() if key not in ("diameter_mm", "length_mm")}
+    ring_mm = UNIT_MM if arc else widest_ring_mm(width_mm, UNIT_MM)
+    return {**kept, "ring_radius_mm": ring_mm, "length_mm" if arc else "diameter_mm": width_mm}
 
 
 def load_material(source: Source, *, near: Path | None = None) -> Loaded[Material]:

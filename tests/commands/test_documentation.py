@@ -255,3 +255,18 @@ def test_the_page_on_the_paper_shows_loads_that_can_be_pressed():
     options = tomllib.loads(block)
     assert options.pop("sequence") == "given-loads"
     assert GivenLoadsSequence(**options)
+
+
+def test_the_page_on_presses_runs_as_printed(tmp_path, monkeypatch):
+    page = HOW_TO / "calibrate-from-presses.md"
+    assert write_files(page, tmp_path) == ["skin.toml"]
+    monkeypatch.chdir(tmp_path)
+    exec("\n".join(blocks(page, "python")), {})
+    calibrated, shown, _, applied = (typed(tmp_path, command).stdout for command in commands(page))
+    assert "mirrored" in calibrated
+    assert "no station made this" in shown
+    frames = json.loads(applied)["frames"]
+    labels = np.loadtxt(tmp_path / "later-presses.csv", delimiter=",", skiprows=1)
+    found = np.array([(frame["x_mm"], frame["y_mm"]) for frame in frames])
+    assert np.linalg.norm(found - labels, axis=1).mean() < 1
+    assert len((tmp_path / "places.csv").read_text().splitlines()) == 1 + len(labels)

@@ -66,7 +66,7 @@ def test_runtime_dependencies_are_the_imported_ones():
 
     foreign = imported - set(sys.stdlib_module_names) - {"cbsr_qa", "cbsr_qa_plugins"}
     extras = {name for lines in _PROJECT["project"]["optional-dependencies"].values() for name in map(_name, lines)}
-    optional = {"pyeit"}  # imported by name, and refused with a remedy where it is absent
+    optional = {"pyeit", "pyarrow"}  # imported by name, and refused with a remedy where it is absent
     assert optional <= extras
     assert not foreign & optional, "an extra is imported as if it were always there"
     assert set(modules) <= imported, "declared but never imported"

@@ -1,10 +1,12 @@
-from .entries import as_filed as as_filed, decode as decode, encode as encode
+from .entries import Issued as Issued, as_filed as as_filed, decode as decode, encode as encode
 from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
 from .hdf5 import (
     BLOCK_BEGINS as BLOCK_BEGINS,
     calibration_of as calibration_of,
+    of_run as of_run,
     read_calibration as read_calibration,
     read_contained as read_contained,
+    read_issued as read_issued,
     stamped as stamped,
     verify_calibration_file as verify_calibration_file,
     write_calibration as write_calibration,

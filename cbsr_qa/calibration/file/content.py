@@ -1,7 +1,8 @@
 """A calibration as named, typed values with units: what its file holds in any format, and digests.
 
 ``digest`` covers everything. It can be recomputed from the file with h5py and hashlib alone: feed a SHA-256 with the
-line ``cbsr-qa calibration TAB schema_version NEWLINE`` and then, for every dataset in the order of its path (without
+line ``format TAB schema_version NEWLINE``, format being ``cbsr-qa calibration`` or, of one that was learned from
+labelled presses, ``cbsr-qa press calibration``, and then, for every dataset in the order of its path (without
 leading ``/``, sorted by Unicode code point), with the UTF-8 bytes of the line
 ``path TAB units TAB kind TAB shape NEWLINE``, where ``kind`` is ``f8``, ``f4``, ``i8``, ``u1`` or ``text`` and
 ``shape`` the lengths joined by ``x`` (empty for one value), and with the data in C order: little-endian numbers, or
@@ -156,7 +157,12 @@ class Reading:
         return value
 
 
-FORMAT: Final = "cbsr-qa calibration"
+#: Of what a run issued, and of what was learned from labelled presses.
+FORMAT, PRESS_FORMAT = "cbsr-qa calibration", "cbsr-qa press calibration"
+#: Latest version of the latter.
+_PRESS_VERSION: Final = 1
+#: What only the latter has.
+_OF_PRESSES: Final = "readings/pairs"
 #: Version of what holds matrix and Jacobian in single precision; in double precision they are written as before.
 _SINGLE_MATRIX: Final = 3
 
@@ -168,8 +174,20 @@ _SINCE: Final = tuple((path, field.kept.since) for path, field in _TABLE if fiel
 SCHEMA_VERSION: Final = max([_SINGLE_MATRIX, *(since for _, since in _SINCE)])
 
 
+def format_of(entries: Mapping[str, Entry]) -> str:
+    """Return the format that some entries are of."""
+    return PRESS_FORMAT if _OF_PRESSES in entries else FORMAT
+
+
+def latest_version(format_: str) -> int:
+    """Return the latest schema version of a format."""
+    return _PRESS_VERSION if format_ == PRESS_FORMAT else SCHEMA_VERSION
+
+
 def schema_version(entries: Mapping[str, Entry]) -> int:
     """Return the lowest schema version that has all of some entries: what was issued before keeps its digests."""
+    if format_of(entries) == PRESS_FORMAT:
+        return _PRESS_VERSION
     for path in ("reconstruction/matrix", "reconstruction/jacobian"):
         value = entries[path].value if path in entries else None
         if isinstance(value, np.ndarray) and value.dtype == np.float32:
@@ -184,7 +202,7 @@ def _record_version(entries: Mapping[str, Entry]) -> int:
 
 def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> str:
     """Return the SHA-256 of entries as described at the top of this module, in hexadecimal digits."""
-    digest = hashlib.sha256(f"{FORMAT}\t{version or schema_version(entries)}\n".encode())
+    digest = hashlib.sha256(f"{format_of(entries)}\t{version or schema_version(entries)}\n".encode())
     for path in sorted(entries):
         kind, shape, data = _canonical(entries[path].value)
         digest.update(f"{path}\t{entries[path].units}\t{kind}\t{'x'.join(map(str, shape))}\n".encode())
@@ -194,6 +212,8 @@ def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> 
 
 def record_digest(entries: Mapping[str, Entry]) -> str:
     """Return the same over what is not prepared again from the rest."""
+    if format_of(entries) == PRESS_FORMAT:
+        return content_digest(entries)
     kept = {path: entry for path, entry in entries.items() if not path.startswith(PREPARED)}
     return content_digest(kept, _record_version(entries))
 

@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibration.file.content import INDEX, PURE, TEXT, Entry, Reading
+from cbsr_qa.calibration.file.content import INDEX, PRESS_FORMAT, PURE, TEXT, Entry, Reading, format_of
 from cbsr_qa.calibration.file.fields import Codec, Entries, Irregular, problems
 from cbsr_qa.domain import CalibrationError, RefusedError, kept_fields
-from cbsr_qa.domain.results import Calibration, ForceModel, LoadRelaxation, RelaxationKernel
+from cbsr_qa.domain.results import Calibration, ForceModel, LoadRelaxation, PressCalibration, RelaxationKernel
 from cbsr_qa.domain.sensor import (
     INTEGERS as MESH_INTEGERS,
     NAMES as MESH_ARRAYS,
@@ -45,11 +45,19 @@ _CALLED: Final = {
 }
 
 
-def encode(calibration: Calibration) -> Mapping[str, Entry]:
+#: What a file may hold.
+Issued = Calibration | PressCalibration
+
+
+def encode(calibration: Issued) -> Mapping[str, Entry]:
     """Return everything a calibration holds as entries by path.
 
     CalibrationError if its matrix was prepared for another sensor type than it names.
     """
+    if isinstance(calibration, PressCalibration):
+        of_presses: Entries = {}
+        _CODEC.write(of_presses, calibration, "")
+        return of_presses
     prepared_for = calibration.reconstruction.problem.sensor_type
     if prepared_for != calibration.sensor_type:
         raise CalibrationError(
@@ -66,7 +74,7 @@ def encode(calibration: Calibration) -> Mapping[str, Entry]:
     return entries
 
 
-def decode(entries: Mapping[str, Entry]) -> Calibration:
+def decode(entries: Mapping[str, Entry]) -> Issued:
     """Return the calibration that some entries describe.
 
     Raises
@@ -75,11 +83,27 @@ def decode(entries: Mapping[str, Entry]) -> Calibration:
         If an entry is missing, of another type, of another length than its neighbours, or not allowed.
     """
     try:
-        return _calibration(entries)
+        return (_press_calibration if format_of(entries) == PRESS_FORMAT else _calibration)(entries)
     except CalibrationError:
         raise
     except (RefusedError, ValueError, IndexError, TypeError, ArithmeticError) as error:
         raise CalibrationError(f"the content contradicts itself: {error}") from error
+
+
+def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
+    calibration: PressCalibration = _CODEC.read(Reading(entries), PressCalibration, "")
+    for problem in problems(calibration, ""):
+        raise CalibrationError(problem)
+    count, pairs, readings = calibration.electrodes, calibration.pairs, len(calibration.pairs)
+    if not readings or pairs.min() < 0 or pairs.max() >= count:
+        raise CalibrationError(f"readings/pairs is empty, or names an electrode other than 0 to {count - 1}")
+    for name in ("rest", "noise"):
+        values = getattr(calibration, name)
+        if values is not None and values.shape != (readings,):
+            raise CalibrationError(f"readings/{name} of {values.shape} does not fit {readings} readings")
+    if not (calibration.registration.scale > 0 and calibration.registration.radius_mm > 0):
+        raise CalibrationError("registration/scale or registration/radius is not positive")
+    return calibration
 
 
 def _calibration(entries: Mapping[str, Entry]) -> Calibration:

@@ -119,8 +119,9 @@ def _beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
     least, most = kept.least, kept.most
     if not np.isfinite(values).all():
         yield f"{path} holds what is not a finite number"
-    elif least and most and not least <= values.item() <= most:
-        yield f"{path} is {values.item()}; {least:g} to {most:g} are allowed"
+    elif least and most and not (least <= values.min(initial=most) and values.max(initial=least) <= most):
+        found = f"{values.item()}" if values.size == 1 else f"{values.min():.3g} to {values.max():.3g}"
+        yield f"{path} is {found}; {least:g} to {most:g} are allowed"
     elif most is not None and (np.abs(values) > most).any():
         yield f"{path} holds {np.abs(values).max():.3g}; {most:g} is allowed"
     elif least is not None and (values < least).any():

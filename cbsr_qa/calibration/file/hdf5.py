@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import h5py
 import numpy as np
@@ -23,17 +23,21 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import (
     FORMAT,
-    SCHEMA_VERSION,
+    PRESS_FORMAT,
     Entry,
     content_digest,
+    format_of,
+    latest_version,
     record_digest,
     schema_version,
 )
-from cbsr_qa.calibration.file.entries import decode, encode
+from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
 from cbsr_qa.domain import CalibrationError, RefusedError
-from cbsr_qa.domain.results import Calibration, VerifiedFile
+from cbsr_qa.domain.results import Calibration, PressCalibration, VerifiedFile
 from cbsr_qa.system import read_untrusted, writing, written_whole
+
+_Kind = TypeVar("_Kind", Calibration, PressCalibration)
 
 #: More than any calibration file has.
 _LARGEST_BYTES: Final = 2**28
@@ -51,7 +55,7 @@ _NOT_WHOLE: Final = "not a whole HDF5 file (truncated, damaged or something else
 _COPY_AGAIN: Final = "copy it again from where it was issued"
 
 
-def stamped(calibration: Calibration) -> Calibration:
+def stamped(calibration: _Kind) -> _Kind:
     """Return a calibration with its digests and the bytes of its file filled in.
 
     CalibrationError if it contradicts itself, or holds a text that HDF5 cannot.
@@ -62,7 +66,7 @@ def stamped(calibration: Calibration) -> Calibration:
     return replace(calibration, digest=digest, record_digest=record_digest(entries), file=file)
 
 
-def write_calibration(path: Path, calibration: Calibration) -> str:
+def write_calibration(path: Path, calibration: Issued) -> str:
     """Write a calibration file; either the whole file appears under its name or nothing does.
 
     Raises
@@ -99,15 +103,32 @@ def _in_memory(entries: Mapping[str, Entry], digest: str) -> bytes:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration file whose digest and schema are sound.
+    """Read a calibration file of a run, whose digest and schema are sound.
 
     Raises
     ------
     CalibrationError
-        If it is not there, truncated, edited since it was issued, of a later version, or not a calibration.
+        If it is not there, truncated, edited since it was issued, of a later version, or not a run's calibration.
     """
+    issued = read_issued(path)
     with _naming(path):
-        return replace(calibration_of(file_bytes(path)), file=b"")  # a robot has no use for megabytes of it
+        return of_run(issued)
+
+
+def read_issued(path: Path) -> Issued:
+    """Read a calibration file, of a run or of labelled presses. CalibrationError if it is not sound."""
+    with _naming(path):
+        return replace(_issued_in(file_bytes(path)), file=b"")  # a robot has no use for megabytes of it
+
+
+def of_run(issued: Issued) -> Calibration:
+    """Return what a run issued. CalibrationError if it was learned from labelled presses instead."""
+    if isinstance(issued, PressCalibration):
+        raise CalibrationError(
+            "learned from labelled presses, not issued by a run",
+            remedy="`cbsr-qa calibration apply FILE READINGS.csv --pattern PAIRS.csv` applies it",
+        )
+    return issued
 
 
 def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
@@ -115,9 +136,16 @@ def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
 
     CalibrationError as of :func:`read_calibration`, and if its digest is not that which was issued.
     """
+    held = _issued_in(data)
+    if issued and held.digest != issued:
+        raise CalibrationError(
+            f"its file holds another calibration: its SHA-256 is {held.digest}, {issued} was issued"
+        )
+    return of_run(held)
+
+
+def _issued_in(data: bytes) -> Issued:
     entries, digest, _ = _read(data)
-    if issued and digest != issued:
-        raise CalibrationError(f"its file holds another calibration: its SHA-256 is {digest}, {issued} was issued")
     return replace(decode(entries), digest=digest, record_digest=record_digest(entries), file=data)
 
 
@@ -137,19 +165,18 @@ def verify_calibration_file(path: Path) -> VerifiedFile:
         return VerifiedFile(path, schema_version(entries), digest, record_digest(entries), len(entries), checked)
 
 
-def _as_issued(calibration: Calibration) -> Mapping[str, Entry]:
+def _as_issued(calibration: Issued) -> Mapping[str, Entry]:
     entries = encode(calibration)
     if calibration.record_digest and record_digest(entries) != calibration.record_digest:
         raise CalibrationError(
-            f"calibration {calibration.calibration} of sensor {calibration.sensor.serial} is not what was issued:"
-            " its content was changed since",
+            f"{calibration!r} is not what was issued: its content was changed since",
             remedy="issue a new one; a sensor's values are changed by calibrating it again",
         )
     return entries
 
 
 def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
-    file.attrs["format"] = FORMAT
+    file.attrs["format"] = format_of(entries)
     file.attrs["schema_version"] = np.int64(schema_version(entries))
     file.attrs["digest"] = digest
     for path, entry in entries.items():
@@ -177,14 +204,14 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool]:
     checked = _check_bytes(data)
     try:
         with h5py.File(h5py.h5f.open_file_image(data), "r") as file:
-            version = _version(file)
+            format_, version = _version(file)
             held = members(file, len(data))
             entries = {path: _entry(path, item) for path, item in held if isinstance(item, h5py.Dataset)}
             stated = _stated(file)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise CalibrationError(f"{_NOT_WHOLE}: {error}", remedy=_COPY_AGAIN) from error
     digest = content_digest(entries, version)
-    if digest != stated:
+    if digest != stated or format_ != format_of(entries):
         raise CalibrationError(
             f"the content was changed after it was issued: its SHA-256 is {digest},"
             f" the file states {stated or 'no SHA-256'}",
@@ -258,21 +285,21 @@ def _stated(file: h5py.File) -> str:
     return stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""
 
 
-def _version(file: h5py.File) -> int:
+def _version(file: h5py.File) -> tuple[str, int]:
     stated = attribute(file, "format")
-    if not (isinstance(stated, str) and stated == FORMAT):
+    if not (isinstance(stated, str) and stated in (FORMAT, PRESS_FORMAT)):
         raise CalibrationError("an HDF5 file, but not a calibration", remedy="give a file that `cbsr-qa run` issued")
     version = attribute(file, "schema_version")
     if not isinstance(version, np.integer):
         raise CalibrationError("the schema version is missing or no whole number")
-    if version > SCHEMA_VERSION:
+    if version > latest_version(stated):
         raise CalibrationError(
-            f"written to schema version {version}; this program knows versions up to {SCHEMA_VERSION}",
+            f"written to schema version {version}; this program knows versions up to {latest_version(stated)}",
             remedy="update cbsr-qa",
         )
     if version < 1:
         raise CalibrationError(f"schema version {version} never existed")
-    return int(version)
+    return stated, int(version)
 
 
 def _entry(path: str, dataset: h5py.Dataset) -> Entry:

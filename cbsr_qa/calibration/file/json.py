@@ -19,17 +19,18 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import (
     FORMAT,
-    SCHEMA_VERSION,
+    PRESS_FORMAT,
     Entry,
     Value,
     content_digest,
+    format_of,
+    latest_version,
     record_digest,
     schema_version,
 )
-from cbsr_qa.calibration.file.entries import decode, encode
+from cbsr_qa.calibration.file.entries import Issued, decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
 from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import Calibration
 
 #: Arrays of more values are written as bytes.
 _SPELT_OUT: Final = 256
@@ -38,11 +39,11 @@ _MOST_VALUES: Final = 4_000_000
 _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np.int64, "u1": np.bool_}
 
 
-def json_document(calibration: Calibration) -> dict[str, Any]:
+def json_document(calibration: Issued) -> dict[str, Any]:
     """Return everything a calibration holds, as one JSON document. CalibrationError if it contradicts itself."""
     entries = encode(calibration)
     return {
-        "format": FORMAT,
+        "format": format_of(entries),
         "schema_version": schema_version(entries),
         "digest": content_digest(entries),
         "datasets": {path: dataset(entries[path]) for path in sorted(entries)},
@@ -62,7 +63,7 @@ def dataset(entry: Entry, *, spelt_out: int = _SPELT_OUT) -> dict[str, Any]:
     return {**stated, "values": [_number(value) for value in values.ravel().tolist()]}
 
 
-def read_json_calibration(path: Path) -> Calibration:
+def read_json_calibration(path: Path) -> Issued:
     """Read a calibration from JSON whose digest and schema are sound.
 
     Raises
@@ -79,20 +80,21 @@ def read_json_calibration(path: Path) -> Calibration:
 
 def _read(path: Path) -> tuple[dict[str, Entry], str]:
     document = _document(path)
-    if document.get("format") != FORMAT or not isinstance(document.get("datasets"), dict):
+    format_ = document.get("format")
+    if format_ not in (FORMAT, PRESS_FORMAT) or not isinstance(document.get("datasets"), dict):
         raise CalibrationError(
             "JSON, but not a whole calibration",
             remedy="give what `cbsr-qa calibration export` wrote, without --firmware",
         )
     version = document.get("schema_version")
-    if not isinstance(version, int) or not 1 <= version <= SCHEMA_VERSION:
+    if not isinstance(version, int) or not 1 <= version <= latest_version(format_):
         raise CalibrationError(
-            f"written to schema version {version!r}; this program knows versions up to {SCHEMA_VERSION}",
+            f"written to schema version {version!r}; this program knows versions up to {latest_version(format_)}",
             remedy="update cbsr-qa",
         )
     entries = {name: _entry(name, stated) for name, stated in document["datasets"].items()}
     digest = content_digest(entries, version)
-    if digest != document.get("digest") or version != schema_version(entries):
+    if digest != document.get("digest") or format_ != format_of(entries) or version != schema_version(entries):
         raise CalibrationError(
             f"the content was changed after it was written: its SHA-256 is {digest}",
             remedy="use the file as it was written; a sensor's values are changed by calibrating it again",

@@ -1,2 +1,2 @@
-from .estimator import PlaceEstimator as PlaceEstimator
-from .learning import learn_place as learn_place
+from .estimator import PlaceEstimator as PlaceEstimator, Places as Places
+from .learning import PlaceLearned as PlaceLearned, learn_place as learn_place

@@ -1,0 +1,4 @@
+from .inputs import PressReadings as PressReadings, read_press_readings as read_press_readings
+from .issue import Identity as Identity, issue_from_presses as issue_from_presses
+from .pairs import DistinctPairs as DistinctPairs, matched_readings as matched_readings
+from .tables import read_pairs as read_pairs, read_presses as read_presses, source_file as source_file

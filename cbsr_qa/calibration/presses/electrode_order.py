@@ -28,7 +28,13 @@ _FEW: Final = 30
 #: Electrodes up to which exchanges are tried: their number grows as the square.
 _MOST_ELECTRODES: Final = 64
 #: Standard errors, and share of the signal left unexplained, by which another order must be better.
-_CLEAR, _LESS_LEFT = 4.0, 0.92
+_CLEAR, _LESS_LEFT = 4.0, 0.85
+
+
+#: Share of the signal that another numbering must explain: of so many, one explains a little of any sheet.
+_LEAST_SIGNAL: Final = 0.3
+#: Log likelihoods that differ by less are alike.
+_ALIKE: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +90,8 @@ def _exchanged(
         pairs = _swapped(order.pairs, pair)
         registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
         if _clearly_better(sheet, order, registered, pairs, changes):
-            words = f"electrodes {pair[0]} and {pair[1]} are exchanged: {_share_words(order.registered, registered)}"
+            found = f"electrodes {pair[0]} and {pair[1]} seem to be exchanged"
+            words = f"{found}: {_share_words(order.registered, registered)}"
             return ElectrodeOrder(registered, pairs, (*order.findings, words))
     return None
 
@@ -92,28 +99,34 @@ def _exchanged(
 def _other_numbering(
     sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, place_mm: Array, *, radius_stated: bool
 ) -> ElectrodeOrder | None:
-    """Measuring electrodes numbered from elsewhere or the other way round, where that is clearly better."""
+    """Measuring electrodes numbered from elsewhere or the other way round, where presses are likelier then.
+
+    No other numbering comes near the right one on a sheet that is as modelled, so that no more is asked for: of nine
+    presses already the likelihood decides.
+    """
     few, near = evenly_spread(len(changes), _FEW), order.registered.registration
     before = turned_likelihood(sheet, order.pairs, changes[few], place_mm[few], near)
     numberings = list(_numberings(order.pairs, sheet.electrode_count))
     values = [turned_likelihood(sheet, pairs, changes[few], place_mm[few], near) for pairs, _ in numberings]
-    pairs, words = numberings[int(np.argmax(values))]
     if max(values) <= before:
         return None
+    # With opposite drive, half a turn of the measuring electrodes is the same as the other polarity.
+    pairs, words = next(each for each, value in zip(numberings, values, strict=True) if value > max(values) - _ALIKE)
     registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
-    if not _clearly_better(sheet, order, registered, pairs, changes):
+    found, likelier = registered.registration, registered.likelihood > order.registered.likelihood + _ALIKE
+    if not (found.trusted and found.signal_share > _LEAST_SIGNAL and likelier):
         return None
     return ElectrodeOrder(registered, pairs, (f"{words}: {_share_words(order.registered, registered)}",))
 
 
 def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:
     for reverse in (False, True):
-        for shift in range(count):
+        for shift in sorted(range(count), key=lambda k: min(k, count - k)):
             if not shift and not reverse:
                 continue
             measured = ((-pairs[:, 2:] if reverse else pairs[:, 2:]) + shift) % count
             way = "the other way round, " if reverse else ""
-            words = f"measuring electrodes are numbered {way}from electrode {shift} of the driving ones"
+            words = f"measuring electrodes seem to be numbered {way}from electrode {shift} of the driving ones"
             yield np.column_stack([pairs[:, :2], measured]), words
 
 

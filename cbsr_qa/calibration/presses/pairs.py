@@ -6,6 +6,8 @@ import numpy as np
 
 from cbsr_qa.domain import Array, CalibrationError, Indices
 
+#: The same reading by pairs reversed: order of source, sink, plus and minus, and its sign.
+_POLARITIES = (((0, 1, 2, 3), 1), ((0, 1, 3, 2), -1), ((1, 0, 2, 3), -1), ((1, 0, 3, 2), 1))
 #: Missing pairs that a refusal names.
 _MOST_NAMED = 5
 
@@ -41,7 +43,8 @@ def matched_readings(wanted: Indices, given: DistinctPairs) -> Array:
     """Return what turns rows of distinct readings (…, k) into those of a calibration, (k, m).
 
     A reading is taken from the same pair, or from one with the measured, the driven or both pairs reversed, with the
-    sign that has. Order and repeats of the columns do not matter.
+    sign that has; no two are taken from one pair, since a front end may answer to one polarity alone. Order and
+    repeats of the columns do not matter.
 
     Parameters
     ----------
@@ -53,21 +56,16 @@ def matched_readings(wanted: Indices, given: DistinctPairs) -> Array:
     CalibrationError
         If a pair is missing, naming it.
     """
-    index = {tuple(pair): column for column, pair in enumerate(given.pairs.tolist())}
+    free = {tuple(pair): column for column, pair in enumerate(given.pairs.tolist())}
     selection = np.zeros((len(given.pairs), len(wanted)))
-    missing = []
-    for reading, (source, sink, plus, minus) in enumerate(wanted.tolist()):
-        candidates = (
-            (1, (source, sink, plus, minus)),
-            (-1, (source, sink, minus, plus)),
-            (-1, (sink, source, plus, minus)),
-            (1, (sink, source, minus, plus)),
-        )
-        found = next(((sign, index[pair]) for sign, pair in candidates if pair in index), None)
-        if found is None:
-            missing.append(f"{source},{sink},{plus},{minus}")
-        else:
-            selection[found[1], reading] = found[0]
+    left = dict(enumerate(map(tuple, wanted.tolist())))
+    for order, sign in _POLARITIES:
+        for reading, pair in list(left.items()):
+            column = free.pop(tuple(pair[k] for k in order), None)
+            if column is not None:
+                selection[column, reading] = sign
+                del left[reading]
+    missing = [",".join(map(str, pair)) for pair in left.values()]
     if missing:
         named = ", ".join(missing[:_MOST_NAMED]) + (", …" if len(missing) > _MOST_NAMED else "")
         raise CalibrationError(

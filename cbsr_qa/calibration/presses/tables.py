@@ -8,6 +8,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Final
 
@@ -241,14 +242,14 @@ def _is_row(header: Sequence[str]) -> bool:
 
 def _parquet(path: Path) -> _Cells:
     try:
-        from pyarrow import ArrowException, parquet
+        parquet = import_module("pyarrow.parquet")
     except ImportError as error:
         raise RecordingError(
             f"{path} is Parquet, which needs pyarrow", remedy="pip install 'cbsr-qa[parquet]', or write CSV"
         ) from error
     try:
         table = parquet.read_table(path)
-    except (OSError, ArrowException) as error:
+    except (OSError, ValueError) as error:  # ArrowInvalid is a ValueError
         raise RecordingError(f"{path} cannot be read as Parquet: {error}") from error
     columns: Iterable[Sequence[object]] = (column.to_pylist() for column in table.columns)
     return tuple(table.column_names), [list(row) for row in zip(*columns, strict=True)]

@@ -81,6 +81,8 @@ from .observation import (
     Trace as Trace,
 )
 from .press_calibration import (
+    LeftOutPress as LeftOutPress,
+    PressCalibration as PressCalibration,
     SheetRegistration as SheetRegistration,
     SourceFile as SourceFile,
 )

@@ -6,7 +6,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.kept import Kept
+from cbsr_qa.domain.kept import NOT_KEPT, Kept
+from cbsr_qa.domain.results.learned_place import LearnedPlace
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -46,18 +47,22 @@ class SheetRegistration:
     trusted: bool
     why: str = ""
 
+    @property
+    def axes(self) -> Array:
+        """Orthogonal matrix (2, 2): turns the frame of the presses into the sheet's axes."""
+        angle = np.radians(self.rotation_deg)
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        axes: Array = np.array([[1.0], [-1.0 if self.mirrored else 1.0]]) * turn
+        return axes
+
     def on_sheet_mm(self, places_mm: Array) -> Array:
         """Places (n, 2) on the sheet, from its centre, of places in the frame of the presses."""
-        z = (places_mm - np.array(self.shift_mm)) @ np.array([1, 1j])
-        z = z * np.exp(-1j * np.radians(self.rotation_deg)) / self.scale
-        places: Array = np.column_stack([z.real, -z.imag if self.mirrored else z.imag])
+        places: Array = (places_mm - np.array(self.shift_mm)) @ self.axes.T / self.scale
         return places
 
     def labelled_mm(self, places_mm: Array) -> Array:
         """Places (n, 2) in the frame of the presses of places on the sheet, from its centre."""
-        z = places_mm @ np.array([1, -1j if self.mirrored else 1j])
-        z = z * np.exp(1j * np.radians(self.rotation_deg)) * self.scale
-        labelled: Array = np.column_stack([z.real, z.imag]) + np.array(self.shift_mm)
+        labelled: Array = self.scale * places_mm @ self.axes + np.array(self.shift_mm)
         return labelled
 
 
@@ -89,3 +94,58 @@ class LeftOutPress:
 
     row: Annotated[int, Kept(units="index")]
     why: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class PressCalibration:
+    """What was learned of one sensor from labelled presses.
+
+    Parameters
+    ----------
+    calibration : time-ordered UUID as text.
+    issued_at : ISO time with zone.
+    made_by : that no station made it.
+    sensor_type : name of the sensor type; ``electrodes`` how many it has.
+    sources : the files it was made from.
+    differences : whether the readings were changes already; else changes are against ``rest``.
+    pairs : (m, 4) source, sink, plus and minus of each reading, as the pattern names them.
+    repeats : (m,) columns of the table that each reading is the mean of.
+    rest : (m,) mean of the unloaded frames; None where the readings were changes.
+    noise : (m,) standard deviation of one frame about it; None where fewer than two frames were given.
+    registration : how the sheet lies in the frame of the presses.
+    findings : about readings, electrodes and sheet, in words.
+    used, left_out : presses that it was learned from and those it was not.
+    held_out_mm, held_out_stderr_mm, held_out : mean error of place of presses left out, its standard error and their
+        number.
+    covered_68, covered_95 : share of these whose region of that probability holds the label.
+    place : what turns changes into places.
+    digest, record_digest, file : as of :class:`~cbsr_qa.domain.results.Calibration`.
+    """
+
+    calibration: Annotated[str, Kept("identity/calibration")]
+    issued_at: Annotated[str, Kept("identity/issued_at")]
+    made_by: Annotated[str, Kept("identity/made_by")]
+    sensor_type: Annotated[str, Kept("identity/sensor_type")]
+    electrodes: Annotated[int, Kept("identity/electrodes")]
+    sources: Annotated[tuple[SourceFile, ...], Kept("identity/sources/")]
+    differences: Annotated[bool, Kept("readings/differences")]
+    pairs: Annotated[Indices, Kept("readings/pairs", dims="readings 4")]
+    repeats: Annotated[Indices, Kept("readings/repeats", "1", dims="readings")]
+    rest: Annotated[Array | None, Kept("readings/rest")]
+    noise: Annotated[Array | None, Kept("readings/noise")]
+    registration: SheetRegistration
+    findings: tuple[str, ...]
+    used: Annotated[int, Kept("presses/used", "1")]
+    left_out: Annotated[tuple[LeftOutPress, ...], Kept("presses/left_out/")]
+    held_out_mm: Annotated[float | None, Kept("held_out/error")]
+    held_out_stderr_mm: Annotated[float | None, Kept("held_out/error_stderr")]
+    held_out: Annotated[int, Kept("held_out/presses", "1")]
+    covered_68: Annotated[float | None, Kept("held_out/covered_68")]
+    covered_95: Annotated[float | None, Kept("held_out/covered_95")]
+    place: LearnedPlace
+    digest: Annotated[str, NOT_KEPT] = ""
+    record_digest: Annotated[str, NOT_KEPT] = ""
+    file: Annotated[bytes, NOT_KEPT] = b""
+
+    def __repr__(self) -> str:
+        return f"<PressCalibration of a {self.sensor_type} from {self.used} presses, issued at {self.issued_at}>"

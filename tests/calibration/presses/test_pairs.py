@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pressed_sheets import opposite_pairs
+from pressed_sheets import adjacent_pairs, opposite_pairs
 
 from cbsr_qa.calibration.presses.pairs import DistinctPairs, matched_readings
 from cbsr_qa.domain import CalibrationError
@@ -17,7 +17,7 @@ def test_repeats_are_averaged_in_the_order_in_which_they_come():
 
 
 def test_readings_are_found_in_another_order_and_polarity():
-    pairs, random = opposite_pairs(), np.random.default_rng(0)
+    pairs, random = adjacent_pairs(), np.random.default_rng(0)
     potentials = random.standard_normal((16, 16))
     potentials = potentials + potentials.T
 
@@ -31,6 +31,12 @@ def test_readings_are_found_in_another_order_and_polarity():
     distinct = DistinctPairs.of(np.vstack([given, given[:7]]))
     values = read(np.vstack([given, given[:7]])) @ distinct.merging @ matched_readings(pairs, distinct)
     np.testing.assert_allclose(values, read(pairs))
+
+
+def test_the_other_polarity_of_a_drive_is_no_substitute_where_both_were_calibrated():
+    pairs = opposite_pairs()
+    with pytest.raises(CalibrationError, match=r"1 of the 192 readings .* 0,8,2,1"):
+        matched_readings(pairs, DistinctPairs.of(pairs[1:]))
 
 
 def test_a_pair_that_was_not_read_is_named():

@@ -134,7 +134,7 @@ def test_two_exchanged_electrodes_are_named_and_others_are_not():
     wired[[3, 10]] = 10, 3
     order = ordered(pressed_sheet(40, wired=wired, noise=0.1))
     assert len(order.findings) == 1
-    assert order.findings[0].startswith("electrodes 3 and 10 are exchanged")
+    assert order.findings[0].startswith("electrodes 3 and 10 seem to be exchanged")
     assert order.registered.registration.signal_share > 0.9
     assert not ordered(pressed_sheet(40, noise=0.1)).findings
 

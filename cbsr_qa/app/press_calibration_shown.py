@@ -1,0 +1,61 @@
+"""The outcome of ``cbsr-qa calibration show`` for a calibration from labelled presses."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cbsr_qa.app.calibrate import FoundPose, HeldOut, HeldOutPlaces, press_facts
+from cbsr_qa.domain import filled
+from cbsr_qa.domain.results import Banner, CommandOutcome, LeftOutPress, PressCalibration, SourceFile
+from cbsr_qa.report import answer
+
+
+@dataclass(frozen=True, slots=True)
+class ShownPressCalibration:
+    """Contents of a calibration from labelled presses, without its arrays.
+
+    Parameters
+    ----------
+    made_by : that no station made it.
+    sources : files it was made from, with their SHA-256.
+    readings : distinct ones; ``rest`` whether changes are against its own unloaded frames.
+    """
+
+    file: Path
+    digest: str
+    calibration: str
+    issued_at: str
+    made_by: str
+    sensor_type: str
+    electrodes: int
+    sources: tuple[SourceFile, ...]
+    readings: int
+    differences: bool
+    used: int
+    left_out: tuple[LeftOutPress, ...]
+    registration: FoundPose
+    held_out: HeldOut
+    findings: tuple[str, ...]
+
+
+def shown_presses(path: Path, held: PressCalibration) -> CommandOutcome[ShownPressCalibration]:
+    """Return the contents of a calibration from labelled presses."""
+    places = HeldOutPlaces(held.held_out_mm, held.held_out_stderr_mm, held.held_out)
+    shown = filled(
+        ShownPressCalibration,
+        held,
+        file=path,
+        readings=len(held.pairs),
+        registration=filled(FoundPose, held.registration),
+        held_out=HeldOut(places, {"68": held.covered_68, "95": held.covered_95}),
+    )
+    facts = [
+        ("Issued at", held.issued_at),
+        ("Made by", held.made_by),
+        ("Calibration", held.calibration),
+        ("Readings", f"{shown.readings}, {'changes' if held.differences else 'against its own unloaded frames'}"),
+        *((f"From {source.role}", f"{source.name}, SHA-256 {source.digest}") for source in held.sources),
+        *press_facts(held),
+    ]
+    outcome = answer(shown, "", "", facts, [("SHA-256", held.digest)], held.findings)
+    banner = Banner("plain", "●", f"Calibration of a {held.sensor_type} from labelled presses", "")
+    return replace(outcome, page=replace(outcome.page, kind="Calibration", banner=banner))

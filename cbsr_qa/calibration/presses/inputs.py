@@ -1,0 +1,131 @@
+"""Labelled presses from tables of readings, places and pairs: put together and checked against each other."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cbsr_qa.calibration.presses.pairs import DistinctPairs
+from cbsr_qa.calibration.presses.tables import PressTable, read_table
+from cbsr_qa.domain import Array, Indices, Mask, RecordingError
+from cbsr_qa.domain.results import SheetRegistration
+
+#: A press may lie so far beyond the edge of the sheet, of its radius: labels, scale and radius are not exact.
+_BEYOND = 1.15
+_MOST_NAMED = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressReadings:
+    """Readings of presses, repeats averaged.
+
+    Parameters
+    ----------
+    path : of their table.
+    distinct : the pairs.
+    changes : (n, m) by each press.
+    rest : (m,) what frames were taken against; None where the table held changes.
+    noise : (m,) standard deviation of one frame; None where fewer than two frames of rest were given.
+    """
+
+    path: Path
+    distinct: DistinctPairs
+    changes: Array
+    rest: Array | None = None
+    noise: Array | None = None
+
+
+def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressReadings:
+    """Read changes, or whole frames where a table of frames at rest is given.
+
+    Parameters
+    ----------
+    pairs : (columns, 4) of the tables' columns, in their order.
+
+    Raises
+    ------
+    RecordingError
+        If a table cannot be read, a cell is not a finite number, or the columns are not those of the pairs.
+    """
+    distinct = DistinctPairs.of(pairs)
+    readings = _columns(path, len(pairs)) @ distinct.merging
+    if rest is None:
+        return PressReadings(path, distinct, readings)
+    frames = _columns(rest, len(pairs)) @ distinct.merging
+    mean = frames.mean(axis=0)
+    noise = frames.std(axis=0, ddof=1) if len(frames) > 1 else None
+    return PressReadings(path, distinct, readings - mean, mean, noise)
+
+
+def check_rows(readings: PressReadings, presses: PressTable) -> None:
+    """Make sure that readings and labels are of the same presses. RecordingError naming file and rows if not."""
+    table, changes = presses.table, readings.changes
+    if len(changes) != len(presses.place_mm):
+        raise RecordingError(
+            f"{readings.path} has {len(changes)} rows, {table.path} has {len(presses.place_mm)}; both have one row a"
+            " press",
+            remedy="leave out rows of presses that are not in both tables",
+        )
+    some = np.any(changes != 0, axis=1)
+    for first, second in _repeated(changes):
+        if some[second]:
+            at = "" if np.array_equal(*presses.place_mm[[first, second]]) else ", though the places differ"
+            raise RecordingError(
+                f"{readings.path} row {second + 1} repeats row {first + 1} in every column{at}: the press is doubled",
+                remedy="leave out one of the two, in both tables",
+            )
+    if presses.time_s is not None:
+        labels = np.column_stack([presses.place_mm, presses.time_s])
+        for first, second in _repeated(labels):
+            raise RecordingError(
+                f"{table.path} row {second + 1}, columns x_mm, y_mm and time_s: the same as row {first + 1}, the"
+                " press is doubled",
+                remedy="leave out one of the two, in both tables",
+            )
+
+
+def check_near(presses: PressTable, radius_mm: float) -> None:
+    """Make sure that presses lie within a sheet, wherever that is. RecordingError naming file, rows and places."""
+    away = np.linalg.norm(presses.place_mm - np.median(presses.place_mm, axis=0), axis=1)
+    _refuse_outside(presses, away > 2 * _BEYOND * radius_mm, radius_mm)
+
+
+def check_inside(presses: PressTable, registration: SheetRegistration) -> None:
+    """Make sure that presses lie on the registered sheet. RecordingError naming file, rows and places."""
+    away = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
+    _refuse_outside(presses, away > _BEYOND * registration.radius_mm, registration.radius_mm)
+
+
+def _refuse_outside(presses: PressTable, outside: Mask, radius_mm: float) -> None:
+    rows = np.flatnonzero(outside)
+    if not rows.size:
+        return
+    named = "; ".join(
+        f"row {row + 1}, columns x_mm and y_mm: ({x:g}, {y:g}) mm"
+        for row, (x, y) in zip(rows[:_MOST_NAMED], presses.place_mm[rows[:_MOST_NAMED]], strict=True)
+    )
+    raise RecordingError(
+        f"{presses.table.path}: {rows.size} of {len(outside)} presses are outside the sheet of {radius_mm:.3g} mm"
+        f" radius: {named}",
+        remedy="correct the places, or the radius in the sensor type",
+    )
+
+
+def _columns(path: Path, count: int) -> Array:
+    table = read_table(path)
+    if len(table.columns) != count:
+        raise RecordingError(
+            f"{path} has {len(table.columns)} columns, the pattern has {count} rows",
+            remedy="give one row of the pattern for each column of the readings, in the same order",
+        )
+    return table.numbers()
+
+
+def _repeated(rows: Array) -> Iterator[tuple[int, int]]:
+    """Yield rows that are equal to an earlier one, as (earlier, later)."""
+    seen: dict[bytes, int] = {}
+    for number, row in enumerate(np.ascontiguousarray(rows + 0.0)):
+        first = seen.setdefault(row.tobytes(), number)
+        if first != number:
+            yield first, number

@@ -1,0 +1,146 @@
+"""A calibration issued from labelled presses."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.file import stamped
+from cbsr_qa.calibration.place import PlaceLearned, learn_place
+from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
+from cbsr_qa.calibration.presses.inputs import PressReadings, check_inside, check_near, check_rows
+from cbsr_qa.calibration.presses.tables import PressTable
+from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
+from cbsr_qa.domain import Array, NumericsError, RecordingError
+from cbsr_qa.domain.results import LeftOutPress, PressCalibration, SourceFile
+from cbsr_qa.domain.sensor import SensorType
+
+#: A scale that differs from one by less is within what mounting and modelling do.
+_SCALE_OFF: Final = 0.1
+_MADE_BY: Final = "labelled presses; no station made this calibration"
+_MIRRORED: Final = (
+    "the sheet is mirrored against its sensor type: it is seen from below, or its electrodes are numbered the other"
+    " way round"
+)
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who, when and what from.
+
+    Parameters
+    ----------
+    calibration : time-ordered UUID as text.
+    issued_at : ISO time with zone.
+    sources : files that were read.
+    """
+
+    calibration: str
+    issued_at: str
+    sources: tuple[SourceFile, ...]
+
+
+def issue_from_presses(
+    identity: Identity,
+    sensor_type: SensorType,
+    readings: PressReadings,
+    presses: PressTable,
+    *,
+    radius_stated: bool,
+    tell: Tell = lambda stage: None,
+) -> PressCalibration:
+    """Register a sheet to its labelled presses, learn the place from them, and issue what was learned.
+
+    Parameters
+    ----------
+    radius_stated : whether the sensor type states the sheet's size, or it is to be estimated.
+    tell : is told of each step, in words.
+
+    Raises
+    ------
+    RecordingError
+        If readings and labels do not match, the places do not tell how the sheet lies, or presses are outside of it.
+    CalibrationError
+        If they are too few to learn from.
+    """
+    check_rows(readings, presses)
+    if radius_stated:
+        check_near(presses, sensor_type.radius_mm)
+    tell("finding how the sheet lies")
+    order = _ordered(sensor_type, readings, presses, radius_stated=radius_stated)
+    registration = order.registered.registration
+    if registration.trusted:
+        check_inside(presses, registration)
+    changed = np.any(readings.changes != 0, axis=1)
+    learned = _learned(sensor_type, order, readings.changes[changed], presses.place_mm[changed], tell)
+    held_out, distinct = learned.held_out, readings.distinct
+    return stamped(
+        PressCalibration(
+            calibration=identity.calibration,
+            issued_at=identity.issued_at,
+            made_by=_MADE_BY,
+            sensor_type=sensor_type.name,
+            electrodes=sensor_type.electrodes.count,
+            sources=identity.sources,
+            differences=readings.rest is None,
+            pairs=distinct.pairs,
+            repeats=distinct.repeats,
+            rest=readings.rest,
+            noise=readings.noise,
+            registration=registration,
+            findings=(*_findings(order, radius_stated=radius_stated), *learned.warnings),
+            used=int(changed.sum()),
+            left_out=tuple(LeftOutPress(int(row) + 1, "no reading changes") for row in np.flatnonzero(~changed)),
+            held_out_mm=held_out.mean_mm,
+            held_out_stderr_mm=held_out.stderr_mm,
+            held_out=held_out.count,
+            covered_68=held_out.coverage[0],
+            covered_95=held_out.coverage[1],
+            place=learned.model,
+        )
+    )
+
+
+def _learned(
+    sensor_type: SensorType, order: ElectrodeOrder, changes: Array, place_mm: Array, tell: Tell
+) -> PlaceLearned:
+    """Learn the place, from where the sheet was found to lie if that is to be trusted."""
+    registration = order.registered.registration
+    centre = np.array(registration.shift_mm) if registration.trusted else None
+    return learn_place(changes, place_mm, order.pairs, sensor_type.electrodes.count, centre_mm=centre, tell=tell)
+
+
+def _ordered(
+    sensor_type: SensorType, readings: PressReadings, presses: PressTable, *, radius_stated: bool
+) -> ElectrodeOrder:
+    try:
+        return find_electrode_order(
+            ModelledSheet(sensor_type),
+            readings.distinct.pairs,
+            readings.changes,
+            presses.place_mm,
+            radius_stated=radius_stated,
+        )
+    except NumericsError as error:
+        raise RecordingError(
+            f"{presses.table.path}, columns x_mm and y_mm: {error.reason}", remedy=error.remedy
+        ) from error
+
+
+def _findings(order: ElectrodeOrder, *, radius_stated: bool) -> Sequence[str]:
+    """What a person should know of readings, electrodes and sheet, in words."""
+    registration = order.registered.registration
+    if not registration.trusted:
+        return (*order.registered.findings, f"{registration.why}; the place is learned from the presses alone")
+    findings = [*order.registered.findings, *(f"check the wiring: {words}" for words in order.findings)]
+    if registration.mirrored:
+        findings.append(_MIRRORED)
+    if radius_stated and abs(registration.scale - 1) > max(3 * registration.scale_stderr, _SCALE_OFF):
+        findings.append(
+            f"places on the sheet are {registration.scale:.3g} times as far apart among the presses: the radius of"
+            f" {registration.radius_mm:.4g} mm or the unit of the places may be wrong"
+        )
+    return findings

@@ -1,0 +1,53 @@
+"""``cbsr-qa calibrate``: a calibration from labelled presses."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cbsr_qa.cli.command import command
+from cbsr_qa.cli.options import AsJson
+from cbsr_qa.cli.output import announce, show
+
+
+@command("calibrate", prints="cbsr_qa.app:PressesCalibrated")
+def calibrate(
+    readings: Annotated[
+        Path,
+        typer.Argument(
+            metavar="READINGS",
+            help="Table (CSV, Parquet) with one row per press below a header; or recording, one frame per press.",
+        ),
+    ],
+    presses: Annotated[
+        Path,
+        typer.Option(
+            help="Table of the same presses in the same order: x_mm, y_mm and, if known, depth_mm, force_N, time_s."
+        ),
+    ],
+    sensor_type: Annotated[
+        str, typer.Option(help="Sensor type; without radius_mm the radius is estimated at a scale of 1.")
+    ],
+    to: Annotated[Path, typer.Option(help="Calibration file to write; must not exist yet.")],
+    pattern: Annotated[
+        Path | None,
+        typer.Option(
+            help="Table source,sink,plus,minus (electrodes from 0) with one row per column of READINGS."
+            " Not for a recording, which has the pattern of the sensor type."
+        ),
+    ] = None,
+    differences: Annotated[bool, typer.Option("--differences", help="READINGS are changes by the presses.")] = False,
+    rest: Annotated[
+        Path | None,
+        typer.Option(help="Frames of the unloaded sheet, in the form of READINGS, which are whole frames then."),
+    ] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Learn a sensor's places from presses at known places, made by a robot, another rig or by hand.
+
+    Finds how the sheet lies in the frame of the places, and says how far presses that were left out are missed.
+    """
+    from cbsr_qa.app import CalibrateRequest, calibrate_from_presses
+
+    request = CalibrateRequest(readings, presses, sensor_type, to, pattern, differences, rest)
+    return show(calibrate_from_presses(request, tell=announce), as_json=as_json)

@@ -1,0 +1,249 @@
+"""``cbsr-qa calibrate`` and ``calibration apply --pattern``: the contract of scripts, and what is refused."""
+
+import json
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from pressed_sheets import adjacent_pairs, pressed_sheet, some, table
+from typer.testing import CliRunner
+
+from cbsr_qa.cli import app
+
+TYPE = """
+[sensor_type]
+name = "skin"
+radius_mm = 73
+thickness_mm = 3
+[electrodes]
+kind = "pin"
+count = 16
+ring_radius_mm = 70.08
+diameter_mm = 2.19
+"""
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def refused(*arguments):
+    """Reason of a command that must be refused."""
+    done = run(*arguments, "--json")
+    assert done.exit_code or done.exception
+    return str(done.exception)
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    return pressed_sheet(60, mirrored=True, noise=0.05)
+
+
+@pytest.fixture(scope="module")
+def folder(pressed, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("presses")
+    pressed.write(folder, labels={"force_N": pressed.force_N})
+    (folder / "T.toml").write_text(TYPE)
+    done = calibrated(folder, "--differences")
+    assert not done.exception, done.output
+    (folder / "printed.json").write_text(done.stdout)
+    return folder
+
+
+def calibrated(folder, *options, to="OUT.h5", **files):
+    """Run ``calibrate`` on the tables of a folder, some of them in place of its own."""
+    names = {"readings": "readings.csv", "presses": "presses.csv", "pattern": "pairs.csv", "sensor": "T.toml"}
+    paths = {name: folder / file for name, file in names.items()} | files
+    return run(
+        "calibrate", paths["readings"], "--presses", paths["presses"], "--pattern", paths["pattern"], "--sensor-type",
+        paths["sensor"], "--to", folder / to, "--json", *options,
+    )  # fmt: skip
+
+
+def test_what_scripts_read_is_printed(folder, pressed):
+    printed = json.loads((folder / "printed.json").read_text())
+    assert printed["calibration"] == str(folder / "OUT.h5")
+    assert printed["used"] + len(printed["left_out"]) == 60
+    assert printed["registration"]["mirrored"] is True
+    assert printed["registration"]["rotation_deg"] == pytest.approx(25, abs=2)
+    assert printed["registration"]["scale"] == pytest.approx(1, abs=0.03)
+    assert printed["registration"]["shift_mm"] == pytest.approx([46, -408], abs=2)
+    assert printed["held_out"]["place_mm"].keys() == {"mean", "stderr", "n"}
+    assert printed["held_out"]["coverage"].keys() == {"68", "95"}
+    assert 0 < printed["explained"] <= 1
+    assert any("mirrored" in words for words in printed["warnings"])
+
+
+def test_places_are_in_the_frame_of_the_presses_whatever_the_order_and_polarity(folder, pressed, tmp_path):
+    rows, random = np.arange(0, 60, 3), np.random.default_rng(2)
+    order = random.permutation(len(pressed.pairs))
+    turned = replace(some(pressed, rows), pairs=pressed.pairs[order].copy(), changes=pressed.changes[rows][:, order])
+    turned.pairs[::2] = turned.pairs[::2][:, [0, 1, 3, 2]]
+    turned.changes[:, ::2] *= -1
+    places = []
+    for each, name in ((some(pressed, rows), "same"), (turned, "turned")):
+        readings_file, _, pattern = each.write(tmp_path / name)
+        done = run(
+            "calibration", "apply", folder / "OUT.h5", readings_file, "--pattern", pattern, "--differences", "--json"
+        )
+        document = json.loads(done.stdout)
+        frames = document["frames"]
+        assert 0 < document["q68"] < document["q95"]
+        assert all(frame["in_model"] for frame in frames)
+        places.append([(frame["x_mm"], frame["y_mm"]) for frame in frames])
+        assert np.linalg.eigvalsh([frame["covariance_mm2"] for frame in frames]).min() > 0
+    np.testing.assert_allclose(places[0], places[1], atol=1e-6)
+    error = np.linalg.norm(np.array(places[0]) - pressed.labels_mm[rows], axis=1)
+    assert error.mean() < 4
+
+
+def test_places_are_written_as_a_table(folder, tmp_path):
+    out = tmp_path / "places.csv"
+    arguments = [
+        "calibration",
+        "apply",
+        folder / "OUT.h5",
+        folder / "readings.csv",
+        "--pattern",
+        folder / "pairs.csv",
+    ]
+    shown = run(*arguments, "--differences").output
+    assert "60 of 60 frames" in " ".join(shown.split())
+    assert not run(*arguments, "--differences", "--output", out).exception
+    header, *rows = out.read_text().splitlines()
+    assert header.startswith("x_mm,y_mm,covariance_xx_mm2")
+    assert len(rows) == 60
+
+
+def test_whole_frames_are_taken_against_frames_at_rest(pressed, folder, tmp_path):
+    frames = replace(pressed, changes=pressed.changes + pressed.unloaded)
+    files = dict(zip(("readings", "presses", "pattern"), frames.write(tmp_path), strict=True))
+    rest = tmp_path / "rest.csv"
+    noise = 0.01 * np.random.default_rng(0).standard_normal((5, len(pressed.pairs)))
+    table(rest, [f"r{k}" for k in range(len(pressed.pairs))], pressed.unloaded + noise)
+    done = calibrated(tmp_path, "--rest", rest, sensor=folder / "T.toml", **files)
+    printed = json.loads(done.stdout)
+    assert printed["registration"]["rotation_deg"] == pytest.approx(25, abs=2)
+    with h5py.File(tmp_path / "OUT.h5") as file:
+        assert file.attrs["format"] == "cbsr-qa press calibration"
+        np.testing.assert_allclose(file["readings/rest"], pressed.unloaded, atol=0.03)
+        assert 0.005 < np.median(file["readings/noise"]) < 0.015
+    arguments = ["calibration", "apply", tmp_path / "OUT.h5", files["readings"], "--pattern", files["pattern"]]
+    own, given = (json.loads(run(*arguments, *rested, "--json").stdout) for rested in ([], ["--rest", rest]))
+    assert own["frames"] == given["frames"]
+
+
+def test_a_sensor_type_without_radius_has_it_estimated(pressed, folder, tmp_path):
+    sensor = tmp_path / "unsized.toml"
+    sensor.write_text('[sensor_type]\nname = "skin"\n[electrodes]\nkind = "pin"\ncount = 16\n')
+    done = calibrated(folder, "--differences", to=tmp_path / "unsized.h5", sensor=sensor)
+    registration = json.loads(done.stdout)["registration"]
+    assert registration["scale"] == 1
+    assert registration["radius_mm"] == pytest.approx(73, abs=3)
+    assert registration["radius_stderr_mm"] > 0
+
+
+def test_the_file_is_shown_checked_and_converted(folder, tmp_path):
+    file = folder / "OUT.h5"
+    assert file.stat().st_size < 1e7
+    printed = json.loads((folder / "printed.json").read_text())
+    shown = json.loads(run("calibration", "show", file, "--json").stdout)
+    assert shown["digest"] == printed["digest"]
+    assert "no station" in shown["made_by"]
+    assert {source["role"] for source in shown["sources"]} == {"readings", "presses", "pattern", "sensor type"}
+    assert "no station" in run("calibration", "show", file).output
+    assert "is sound" in run("calibration", "verify", file).output
+    for source, output in ((file, "as.json"), (tmp_path / "as.json", "again.h5")):
+        assert not run("calibration", "export", source, "--output", tmp_path / output).exception
+    assert (tmp_path / "again.h5").read_bytes() == file.read_bytes()
+    assert "labelled presses" in refused("calibration", "export", file, "--firmware", "--output", tmp_path / "f.json")
+    assert "labelled presses" in refused("calibration", "apply", file, folder / "readings.csv")
+
+
+def test_a_changed_file_is_refused(folder, tmp_path):
+    changed = tmp_path / "changed.h5"
+    changed.write_bytes((folder / "OUT.h5").read_bytes()[512:])
+    with h5py.File(changed, "r+") as file:
+        file["registration/rotation"][()] += 1
+    assert "changed after it was issued" in refused("calibration", "verify", changed)
+
+
+def _doubled(pressed):
+    return some(pressed, [*range(60), 7])
+
+
+def _place(pressed, row, place):
+    labels = pressed.labels_mm.copy()
+    labels[row] = place
+    return replace(pressed, labels_mm=labels)
+
+
+def _nan(pressed):
+    changes = pressed.changes.copy()
+    changes[4, 9] = np.nan
+    return replace(pressed, changes=changes)
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "labels", "why"),
+    [
+        (_doubled, {}, "row 61 repeats row 8"),
+        (_nan, {}, "readings.csv: row 5, column r9: 'nan'"),
+        (lambda p: _place(p, 3, np.nan), {}, "presses.csv: row 4, column x_mm: 'nan'"),
+        (lambda p: _place(p, 3, (46.0, 0.0)), {}, "row 4, columns x_mm and y_mm: (46, 0) mm"),
+        (lambda p: _place(p, slice(None), (46.0, 0.0)), {}, "columns x_mm and y_mm: all 60 presses are at one place"),
+        (lambda p: p, {"depth_mm": np.full(60, 2.0)}, "column depth_mm: all 60 rows hold 2"),
+        (lambda p: p, {"depth": np.arange(60.0)}, "column 'depth' has no unit"),
+    ],
+)  # fmt: skip
+def test_tables_that_cannot_be_used_issue_nothing(pressed, folder, tmp_path, spoilt, labels, why):
+    files = dict(zip(("readings", "presses", "pattern"), spoilt(pressed).write(tmp_path, labels=labels), strict=True))
+    done = calibrated(tmp_path, "--differences", sensor=folder / "T.toml", **files)
+    assert why in str(done.exception)
+    assert not (tmp_path / "OUT.h5").exists()
+
+
+def test_rows_and_columns_that_do_not_match_are_refused(pressed, folder, tmp_path):
+    fewer = replace(pressed, labels_mm=pressed.labels_mm[:-1])
+    presses = fewer.write(tmp_path / "fewer")[1]
+    done = calibrated(folder, "--differences", to="other.h5", presses=presses)
+    assert "has 60 rows" in str(done.exception)
+    assert "has 59" in str(done.exception)
+    pattern = tmp_path / "pairs.csv"
+    table(pattern, ["source", "sink", "plus", "minus"], pressed.pairs[1:])
+    done = calibrated(folder, "--differences", to="other.h5", pattern=pattern)
+    assert "has 192 columns, the pattern has 191 rows" in str(done.exception)
+
+
+def test_what_the_readings_are_must_be_stated_and_nothing_is_overwritten(folder):
+    assert "neither --differences nor --rest" in str(calibrated(folder, to="other.h5").exception)
+    both = calibrated(folder, "--differences", "--rest", folder / "readings.csv", to="other.h5")
+    assert "both --differences and --rest" in str(both.exception)
+    assert "exists already" in str(calibrated(folder, "--differences").exception)
+
+
+def test_a_pair_that_is_missing_when_it_is_applied_is_named(pressed, folder, tmp_path):
+    fewer = replace(pressed, pairs=pressed.pairs[1:], changes=pressed.changes[:, 1:])
+    readings_file, _, pattern = fewer.write(tmp_path)
+    why = refused("calibration", "apply", folder / "OUT.h5", readings_file, "--pattern", pattern, "--differences")
+    assert "1 of the 192 readings" in why
+
+
+def test_a_sheet_that_is_not_modelled_is_learned_from_its_presses_alone(folder, tmp_path):
+    pressed = pressed_sheet(60, pairs=adjacent_pairs())
+    random = np.random.default_rng(0)
+    places = np.column_stack([pressed.places_mm, pressed.places_mm**2 / 40, np.ones(60)])
+    strange = replace(pressed, changes=places @ random.standard_normal((5, len(pressed.pairs))))
+    files = dict(zip(("readings", "presses", "pattern"), strange.write(tmp_path), strict=True))
+    printed = json.loads(calibrated(tmp_path, "--differences", sensor=folder / "T.toml", **files).stdout)
+    assert not printed["registration"]["trusted"]
+    assert any("not what the sensor type describes" in words for words in printed["warnings"])
+
+
+def test_exchanged_electrodes_are_a_warning(folder, tmp_path):
+    wired = np.arange(16)
+    wired[[2, 9]] = 9, 2
+    files = dict(zip(("readings", "presses", "pattern"), pressed_sheet(60, wired=wired).write(tmp_path), strict=True))
+    printed = json.loads(calibrated(tmp_path, "--differences", sensor=folder / "T.toml", **files).stdout)
+    assert any("electrodes 2 and 9 seem to be exchanged" in words for words in printed["warnings"])
