@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA, channel_noise
 from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
 
 Array = NDArray[np.float64]
@@ -22,11 +22,14 @@ _LEAST_REPEATS = 0.05
 #: More repeats than this, and nothing can be said.
 _SELDOM = 0.25
 _FEWEST_FRAMES = 8
+#: A channel of counts hardly varies if its noise is below this share of what is usual in its row and in its column.
+_HARDLY = 0.05
 #: Largest share of the previous reading that a clipped reading may show, and how well the channels must agree on it.
 _LARGEST_MEMORY = 0.25
 _MEMORY_SPREAD = 0.03
 #: Readings within one count of each other, everywhere and always: nothing is connected.
 _SILENT_COUNTS = 2.0
+_CONVERTER_ENDS = (2**16 - 1, -(2**15))
 #: A ceiling: at least this share of the pairs are at it, and no reading goes above it by so many times the noise.
 _CEILING_SHARE = 0.25
 _CEILING_SIGMA = 6.0
@@ -39,7 +42,7 @@ class ChannelFaults:
     Parameters
     ----------
     saturated : at the end of the converter's range, or with the source at its limit.
-    stuck : never changes, or no more from some frame on, or for a stretch no noise explains.
+    stuck : never or hardly changes, or no more from some frame on, or for a stretch no noise explains.
     missing : not recorded.
     not_connected : whether no reading differs from any other.
     frozen : whether every frame is the same although there are several: the board repeats itself.
@@ -59,6 +62,11 @@ class ChannelFaults:
         bad: Mask = self.saturated | self.stuck | self.missing
         return bad
 
+    @property
+    def all_saturated(self) -> bool:
+        """Whether no recorded reading is free of saturation."""
+        return bool(self.saturated.any() and (self.saturated | self.missing).all())
+
 
 def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     """Detect faults in a block of frames.
@@ -71,15 +79,26 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     present = block.voltages[:, ~missing]
     silent = _SILENT_COUNTS if block.unit is VoltageUnit.COUNT else 0.0
     not_connected = present.size == 0 or float(np.ptp(present)) <= silent
+    at_end = not_connected and present.size > 0 and _at_converter_end(present, block.unit)
+    not_connected = not_connected and not at_end
     flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
-    saturated = flagged.mean(axis=0) > _FLAGGED
+    saturated = (flagged.mean(axis=0) > _FLAGGED) | at_end
     frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
-    if not not_connected and not frozen:
+    if not (not_connected or at_end or frozen):
         saturated |= _at_rails(block, missing)
         if scan is ScanKind.DRIVEN_PAIRS:
             saturated |= _at_ceiling(block.voltages)
     stuck_from = np.where(missing, -1, _stuck_from(block))
     return ChannelFaults(saturated & ~missing, stuck_from >= 0, missing, not_connected, frozen, stuck_from)
+
+
+def _at_converter_end(present: Array, unit: VoltageUnit) -> bool:
+    """Whether silent counts stand at the end of 16 bits, unsigned or signed.
+
+    The middle, 0 and 32 767, is what a board reads of nothing.
+    """
+    level = float(np.median(present))
+    return unit is VoltageUnit.COUNT and min(abs(level - end) for end in _CONVERTER_ENDS) <= _SILENT_COUNTS
 
 
 def _at_rails(block: FrameBlock, missing: Mask) -> Mask:
@@ -150,7 +169,21 @@ def _stuck_from(block: FrameBlock) -> NDArray[np.int64]:
     longest, at = _longest_run(repeats)
     begin = np.where(longest >= _unlikely_run(repeats, longest), at, begin)
     begin[same >= _CONSTANT] = 0
+    if block.unit is VoltageUnit.COUNT:
+        begin[_hardly_varying(block.voltages)] = 0
     return begin
+
+
+def _hardly_varying(voltages: Array) -> Mask:
+    """Channels of counts that are next to silent where others of the same drive and of the same measure pair are not.
+
+    Their noise includes rounding, so only counts that are noisy elsewhere can tell. Quiet drives or pairs are no
+    fault.
+    """
+    noise = channel_noise(voltages, counts=True)
+    usual = np.minimum(np.median(noise, axis=0)[None], np.median(noise, axis=1)[:, None])
+    hardly: Mask = noise < _HARDLY * np.minimum(usual, np.median(noise))
+    return hardly
 
 
 def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:

@@ -116,7 +116,7 @@ def frame_rate_hz(recording: Recording) -> float | None:
 def _searched(
     recording: Recording, ready: ReadyReadings, choices: AnalysisChoices, rate_hz: float | None
 ) -> Searched:
-    if why := _no_image(recording, ready):
+    if why := _no_signal(recording, ready) or _no_image(recording, ready):
         return Searched((), why)
     sensor_type = choices.sensor_type or nominal_disc(recording.layout, ready.block.voltages.shape[1])
     if sensor_type.pattern.shape != ready.block.voltages.shape[1:]:
@@ -140,12 +140,19 @@ def _imaged(searched: Searched, reconstruction: Reconstruction, chosen: PluginCh
     return image_events(searched.scene, searched.sightings, reconstruction, chosen, tell)
 
 
-def _no_image(recording: Recording, ready: ReadyReadings) -> str:
-    """Why a recording cannot be imaged at all; empty if it can."""
+def _no_signal(recording: Recording, ready: ReadyReadings) -> str:
+    """Why the readings say nothing of the sensor; empty if they do."""
     if ready.faults.not_connected:
         return "no signal: all readings are equal; nothing is connected"
+    if ready.faults.all_saturated:
+        return _saturation(recording)
     if ready.faults.frozen and recording.reference is None and not recording.still:
         return f"all {len(ready.block)} frames are identical: the board (or the file) repeats one frame"
+    return ""
+
+
+def _no_image(recording: Recording, ready: ReadyReadings) -> str:
+    """Why readings that do say something cannot be imaged; empty if they can."""
     if recording.scan is ScanKind.DRIVEN_PAIRS:
         return "one-row scans measure each pair only while it drives, which is not enough for an image"
     if ready.error is not None and ready.error > RECIPROCITY_LIMIT and not recording.still:
@@ -163,6 +170,14 @@ def _no_image(recording: Recording, ready: ReadyReadings) -> str:
             f"{len(ready.block)} frames are too few to tell a press from noise; at least {FEWEST_FRAMES} are needed"
         )
     return ""
+
+
+def _saturation(recording: Recording) -> str:
+    """Say at which level a recording stands whose every reading is saturated."""
+    level, unit = np.median(recording.frames.voltages, axis=0), recording.frames.unit.value
+    low, high = float(level.min()), float(level.max())
+    at = f"{high:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"
+    return f"saturated: all {level.size} readings are at their ceiling ({at})"
 
 
 def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, ...]) -> NoiseReport:

@@ -63,21 +63,26 @@ class ReadyReadings:
                 f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for about a"
                 " frame, and their reciprocals did not; they were replaced by their neighbours in time"
             )
-        partly = (self.faults.stuck_from > 0) & ~self.faults.saturated
-        if partly.any():
-            first = float(self.block.time_s[int(self.faults.stuck_from[partly].min())])
-            listed = ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(partly)[:_MOST_LISTED])
-            more = int(partly.sum()) - _MOST_LISTED
-            remarks.append(
-                f"stuck after {first:.1f} s: channels {listed}{f' and {more} more' if more > 0 else ''};"
-                " they were left out"
-            )
+        stuck = np.where(self.faults.saturated, -1, self.faults.stuck_from)
+        if (stuck == 0).any():
+            remarks.append(f"stuck: channels {_listed(stuck == 0)} never change, or hardly; they were left out")
+        if (stuck > 0).any():
+            first = float(self.block.time_s[int(stuck[stuck > 0].min())])
+            remarks.append(f"stuck after {first:.1f} s: channels {_listed(stuck > 0)}; they were left out")
         return remarks
 
     def noise_use(self) -> Mask:
         """Readings for the noise estimate: the used ones, or all that are not bad if none is used."""
         use = self.used if self.used.any() else ~self.faults.bad
         return use if use.any() else np.ones_like(use)
+
+
+def _listed(channels: Mask) -> str:
+    """List the first few channels as [drive, measure]."""
+    more = int(channels.sum()) - _MOST_LISTED
+    return ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(channels)[:_MOST_LISTED]) + (
+        f" and {more} more" if more > 0 else ""
+    )
 
 
 def _usable(recording: Recording, pattern: DrivePattern | None) -> Mask:
@@ -109,6 +114,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
     scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
+    scanned &= bool(used.any())
     mending = scanned and recording.reference is None
     offset = has_offset(recording)
     if scanned:

@@ -225,6 +225,9 @@ def _analysed(
             remedy="connect the sensor and record again",
         )
         return analysed.with_refusal(error)
+    if len(result.channels.saturated) == recording.frames.voltages[0].size:
+        remedy = "lower the drive current or the amplifier's gain, and record again"
+        return analysed.with_refusal(RecordingError(f"{path.name} is {result.events_why}", remedy=remedy))
     report, missing = _report(path, result, request, plugins)
     return replace(analysed, report=report, warnings=(*result.warnings, *unknown, *missing))
 

@@ -18,9 +18,11 @@ from cbsr_qa_plugins.recordings.ert_board_rows import (
     PAIRS,
     Assembly,
     BoardLine,
+    CountScale,
     LineKind,
     assemble,
     complaint,
+    count_scale,
     parse_line,
 )
 from cbsr_qa_plugins.recordings.ert_board_writer import write_ert_board
@@ -53,7 +55,9 @@ class ErtBoardCsv(OneDataSet):
         lines, given_up = _lines(path)
         _refuse_without_rows(path, lines)
         width = _row_width(lines)
-        lines, problems = _judged(lines, width)
+        rows = [line.numbers for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
+        scale = count_scale([numbers[-PAIRS:] for numbers in rows])
+        lines, problems = _judged(lines, width, scale)
         problems += given_up
         scan = _scan_kind(lines)
         assembly = assemble(lines, scan)
@@ -63,7 +67,8 @@ class ErtBoardCsv(OneDataSet):
                 remedy="record for longer, or analyse another file",
                 problems=sorted(_with_frames(problems, assembly), key=lambda p: p.line),
             )
-        return _recording(path, lines, width, scan, assembly, problems)
+        recording = _recording(path, lines, width, scan, assembly, problems)
+        return replace(recording, notes=(*recording.notes, scale.note)) if scale.note else recording
 
     def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
         """Write a simulated recording."""
@@ -119,14 +124,14 @@ def _row_width(lines: list[BoardLine]) -> int:
     return PAIRS + 1 if widths[PAIRS + 1] >= widths[PAIRS] and widths[PAIRS + 1] else PAIRS
 
 
-def _judged(lines: list[BoardLine], width: int) -> tuple[list[BoardLine], list[RowProblem]]:
+def _judged(lines: list[BoardLine], width: int, scale: CountScale) -> tuple[list[BoardLine], list[RowProblem]]:
     """Turn bad rows into garbled ones and say what is wrong with each."""
     judged: list[BoardLine] = []
     # The board prints a comma behind each number; a spreadsheet that saved the file again took the last one away.
     closed = [line.closed for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
     commas = sum(closed) > len(closed) / 2
-    for line in lines:
-        what = complaint(line.numbers, width) if line.kind is LineKind.ROW else ""
+    for line in (_scaled(line, width, scale) for line in lines):
+        what = complaint(line.numbers, width, scale) if line.kind is LineKind.ROW else ""
         if line.kind is LineKind.ROW and commas and not line.closed:
             what = what or "cut row: no comma behind the last number, which may be cut too"
         judged.append(replace(line, kind=LineKind.GARBLED, said=what) if what else line)
@@ -138,6 +143,16 @@ def _judged(lines: list[BoardLine], width: int) -> tuple[list[BoardLine], list[R
         if line.kind in (LineKind.GARBLED, LineKind.TORN)
     ]
     return judged, problems
+
+
+def _scaled(line: BoardLine, width: int, scale: CountScale) -> BoardLine:
+    if scale.factor == 1 or line.kind is not LineKind.ROW or len(line.numbers) != width:
+        return line
+    clock, readings = line.numbers[:-PAIRS], line.numbers[-PAIRS:]
+    if any(value % scale.factor for value in readings):
+        said = f"absurd: a reading is no multiple of {scale.factor}, as all others are"
+        return replace(line, kind=LineKind.GARBLED, said=said)
+    return replace(line, numbers=(*clock, *(value // scale.factor for value in readings)))
 
 
 def _clock_outliers(lines: list[BoardLine]) -> list[BoardLine]:

@@ -11,9 +11,12 @@ rows of readings, ``A`` at the start of each frame, and, now and then, a log. Va
 
 import csv
 import re
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
 from itertools import takewhile, zip_longest
+from math import gcd
 from typing import Final
 
 import numpy as np
@@ -26,6 +29,8 @@ from cbsr_qa_plugins.recordings.lab_files import number as as_number
 PAIRS: Final = 16
 #: A 16-bit converter, printed as signed or unsigned.
 LOWEST_COUNT, HIGHEST_COUNT = -(2**15), 2**16 - 1
+#: No converter, whatever its counts were multiplied by, fills more.
+_LARGEST_RANGE: Final = 2**40
 
 _BYTES_LITERAL = re.compile(r"""^b(['"])(.*)\1$""", re.DOTALL)
 _INTEGER = re.compile(r"^[+-]?\d{1,18}(\.0*)?$")
@@ -151,19 +156,69 @@ def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
     return LineKind.GARBLED, (), f"{len(fields)} fields with {odd[:40]!r} among the numbers"
 
 
-def complaint(numbers: tuple[int, ...], width: int) -> str:
+@dataclass(frozen=True, slots=True)
+class CountScale:
+    """How a file writes its counts.
+
+    Parameters
+    ----------
+    factor : constant that the file's numbers are multiplied by; they are divided by it.
+    lowest, highest : what a count may be, after division.
+    """
+
+    factor: int = 1
+    lowest: int = LOWEST_COUNT
+    highest: int = HIGHEST_COUNT
+
+    @property
+    def note(self) -> str:
+        """Say what was done; empty where the file holds counts of 16 bits."""
+        if self.factor > 1:
+            return f"all readings are multiples of {self.factor}, most rows exceed 16 bits: divided by {self.factor}"
+        if self.highest > HIGHEST_COUNT:
+            return (
+                f"readings exceed 16 bits in most rows and have no common factor: read as they are, to {self.highest}"
+            )
+        return ""
+
+
+def count_scale(rows: Sequence[tuple[int, ...]]) -> CountScale:
+    """Recognise counts that were multiplied by a constant.
+
+    Parameters
+    ----------
+    rows : (16,) readings of each row. Single damaged ones do not matter: only if most rows leave 16 bits is the scale
+        in doubt; the factor is that of most rows.
+    """
+    if not rows or 2 * sum(_sixteen_bits(row) for row in rows) >= len(rows):
+        return CountScale()
+    # Sixteen unrelated numbers have a common divisor by chance once in 65 000 rows.
+    factor = max(Counter(gcd(*row) for row in rows).most_common(1)[0][0], 1)
+    divided = [tuple(value // factor for value in row) for row in rows]
+    if factor > 1 and 2 * sum(_sixteen_bits(row) for row in divided) >= len(rows):
+        return CountScale(factor)
+    typical = sorted(max(map(abs, row)) for row in rows)[len(rows) // 2]
+    reach: int = 2 ** (typical.bit_length() + 1)
+    return CountScale(1, -reach, reach - 1) if reach <= _LARGEST_RANGE else CountScale()
+
+
+def _sixteen_bits(row: tuple[int, ...]) -> bool:
+    return all(LOWEST_COUNT <= value <= HIGHEST_COUNT for value in row)
+
+
+def complaint(numbers: tuple[int, ...], width: int, scale: CountScale) -> str:
     """Say what is wrong with a row of numbers; empty if nothing is.
 
     Parameters
     ----------
-    numbers : of the row.
+    numbers : of the row, divided by the scale's factor.
     width : numbers a good row of this file has (16, or 17 with the board's clock).
     """
     if len(numbers) != width:
         return f"{_shape(len(numbers), width)}: {len(numbers)} numbers where a row has {width}"
     for value in numbers[width - PAIRS :]:
-        if not LOWEST_COUNT <= value <= HIGHEST_COUNT:
-            return f"absurd: {value} is not a count of a 16-bit converter"
+        if not scale.lowest <= value <= scale.highest:
+            return f"absurd: {value} is not a count of a {scale.highest.bit_length()}-bit converter"
     if width > PAIRS and not 0 <= numbers[0] <= LAST_BOARD_MS:
         return f"absurd: the board's clock says {numbers[0]} ms; it counts in 32 bits"
     return ""

@@ -86,6 +86,29 @@ def test_a_source_at_its_limit_is_seen_by_the_common_ceiling():
         assert not find_faults(block(ring(seed)), ScanKind.DRIVEN_PAIRS).saturated.any()
 
 
+@pytest.mark.parametrize("ceiling", [3_000, 40_395])
+def test_a_recording_is_saturated_only_if_every_pair_is_at_its_ceiling(ceiling):
+    faults = find_faults(block(ring(1, ceiling=ceiling)), ScanKind.DRIVEN_PAIRS)
+    assert faults.all_saturated == (ceiling == 3_000)
+
+
+@pytest.mark.parametrize(("level", "saturated"), [(65_535, True), (-32_768, True), (32_534, False), (0, False)])
+@pytest.mark.parametrize("scan_kind", [ScanKind.FULL, ScanKind.DRIVEN_PAIRS])
+def test_silence_at_the_converters_end_is_saturation_and_elsewhere_no_connection(level, saturated, scan_kind):
+    voltages = np.full((50, 16 if scan_kind is ScanKind.FULL else 1, 16), float(level))
+    faults = find_faults(block(voltages), scan_kind)
+    assert (faults.all_saturated, faults.not_connected) == (saturated, not saturated)
+
+
+def test_channels_that_hardly_vary_are_stuck_and_quiet_drives_are_not():
+    for seed in range(5):
+        voltages = scan(seed=seed)
+        jitter = np.random.default_rng(seed).integers(0, 2, (2, len(voltages)))
+        voltages[:, 5, 9], voltages[:, 12, 2] = 8000 + jitter
+        voltages[:, 7] = np.round(voltages[:, 7].mean(axis=0) + np.random.default_rng(seed).normal(0, 1, (60, 16)))
+        assert pairs(find_faults(block(voltages), ScanKind.FULL).stuck) == {(5, 9), (12, 2)}
+
+
 def test_noise_is_estimated_through_steps_outliers_and_drift():
     rng = np.random.default_rng(2)
     readings = 1e4 + rng.normal(0, 6, (400, 50)) + np.linspace(0, 3000, 400)[:, None]

@@ -50,6 +50,12 @@ def test_a_press_in_an_export_is_found_with_force_and_reported(tmp_path, capsys)
     assert "1 event" in Path(found["report"]).read_text(encoding="utf-8")
 
 
+def test_a_recording_with_every_pair_at_its_ceiling_is_refused_as_saturated(tmp_path, capsys):
+    rows = 3000 + np.random.default_rng(5).integers(-4, 5, (60, 1, 16))
+    path = BoardFile(mass=False).header().frames(rows).save(tmp_path)
+    assert "saturated: all 16 readings" in refused(capsys, path)["refused"]["reason"]
+
+
 @pytest.mark.rest
 def test_a_named_sensor_type_gives_millimetres(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(0.4, 0.3, contrast=0.1), sensor_type="disc-100mm")

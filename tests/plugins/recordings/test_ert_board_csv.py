@@ -215,3 +215,33 @@ def test_a_data_set_of_a_file_that_is_one_is_refused_with_a_remedy(tmp_path):
     with pytest.raises(RecordingError, match="none named 'x'") as said:
         ErtBoardCsv().read(whole().save(tmp_path), ReadOptions("x"))
     assert said.value.remedy
+
+
+@pytest.mark.parametrize("factor", [40, 1000, 123_457])
+def test_counts_times_a_constant_are_divided_by_it(tmp_path, factor):
+    recording = read(BoardFile().header().frames(BLOCK * factor).save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK)
+    assert recording.rows_rejected == 0
+    assert any(f"divided by {factor}" in note for note in recording.notes)
+
+
+def test_a_damaged_row_among_scaled_ones_is_rejected_alone(tmp_path):
+    file = BoardFile().header().frames(BLOCK * 1000)
+    file.lines[5] = file.lines[5].replace("000,", "007,", 3)
+    recording = read(file.save(tmp_path))
+    assert [problem.line for problem in recording.problems if problem.rejected] == [6]
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[1:])
+
+
+def test_wide_counts_without_a_common_factor_are_read_as_they_are(tmp_path):
+    wide = np.rint(BLOCK * 77.7)
+    recording = read(BoardFile().header().frames(wide).save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, wide)
+    assert any("no common factor" in note for note in recording.notes)
+    assert recording.rows_rejected == 0
+
+
+def test_counts_of_16_bits_are_not_scaled(tmp_path):
+    recording = read(BoardFile().header().frames(BLOCK // 40 * 40).save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK // 40 * 40)
+    assert recording.notes == read(BoardFile().header().frames(BLOCK).save(tmp_path)).notes
