@@ -40,8 +40,8 @@ _APART: Final = f"not compared with groups {_ELSEWHERE}"
 _SHARES_PLACES: Final = {"centre_of_mass_error": "registered_centre_of_mass_error"}
 
 # What is to be kept in mind of one metric.
-_STATIONS_ALONE: Final = "what all places share is the station's: stations are compared in it, groups are not"
-_HOLDS_SHARED: Final = "it holds what all places share, which is the station's"
+_STATIONS_ALONE: Final = "it describes how a station seats sensors, so stations are compared in it and groups are not"
+_HOLDS_SHARED: Final = "it includes the shift of all places, which comes from how the station seats sensors"
 _IS_WITHOUT: Final = "; {other} does not"
 
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.domain import Array, of_kind
-from cbsr_qa.domain.results import Banner, CommandOutcome, Page
+from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Paragraph, Section
 from cbsr_qa.report import capital, named, number, plural
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.differences import Estimated
@@ -20,6 +20,8 @@ _NOTHING: Final = 3
 _MOST_IN_HEADLINE: Final = 2
 _MOST_DIGITS: Final = 9
 _NONE: Final = "–"
+_COMPARED: Final = "by {by}, with {reference} as reference"
+_RUNS: Final = "{runs} of {sensors} at {stations}, recipe {recipes}"
 _NO_COMPARISON: Final = "{groups}: nothing could be compared"
 _READS: Final = "{who} reads {size} ({low} to {high}) {side} {reference}{metric}"
 _MORE: Final = "{count} in the tables"
@@ -55,25 +57,35 @@ _RULE_OF_NUMBERS: Final = (
 
 def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
     """Lay a comparison out; its headline, sentences and rules are filled in."""
-    warnings, remarks = tuple(_important(comparison)), tuple(_remarks(comparison))
+    warnings, advice, notes = tuple(_important(comparison)), tuple(_advice(comparison)), tuple(_notes(comparison))
     worded = replace(
         comparison,
         headline=_headline(comparison),
-        sentences=(*warnings, *remarks, *comparison.warnings),
+        sentences=(*warnings, *advice, *notes, *comparison.warnings),
         rules=tuple(_rules(comparison)),
     )
     identity = (
-        ("Compared by", str(comparison.by)),
-        ("Reference", comparison.reference),
-        ("Sensors", str(sum(group.n for group in comparison.groups))),
-        ("Runs", str(sum(group.runs for group in comparison.groups))),
-        ("Stations", ", ".join(comparison.all_stations)),
-        ("Recipes", ", ".join(comparison.recipes)),
+        ("Compared", _COMPARED.format(by=comparison.by, reference=comparison.reference)),
+        (
+            "Runs",
+            _RUNS.format(
+                runs=sum(group.runs for group in comparison.groups),
+                sensors=plural(sum(group.n for group in comparison.groups), "sensor"),
+                stations=", ".join(comparison.all_stations),
+                recipes=", ".join(comparison.recipes),
+            ),
+        ),
     )
     banner = Banner("plain", "●" if comparison.compared else _NONE, worded.headline, "")
     subject, every = f"by {comparison.by}", (*warnings, *comparison.warnings)
-    page = Page("Comparison", subject, banner, identity, comparison.simulated, every, remarks)
-    return CommandOutcome(worded, page, tuple(sections(worded)), 0 if comparison.compared else _NOTHING)
+    page = Page("Comparison", subject, banner, identity, comparison.simulated, every, advice)
+    laid_out = [*sections(worded), *([_noted(notes)] if notes else [])]
+    return CommandOutcome(worded, page, tuple(laid_out), 0 if comparison.compared else _NOTHING)
+
+
+def _noted(notes: Sequence[str]) -> Section:
+    """Return what changes no decision, on the page alone."""
+    return Section("Notes", tuple(map(Paragraph, notes)), page_only=True)
 
 
 def _headline(comparison: Comparison) -> str:
@@ -153,7 +165,7 @@ def _not_compared(comparison: Comparison) -> Iterator[str]:
 
 
 def _important(comparison: Comparison) -> Iterator[str]:
-    """Return what may change a decision: what was not compared and why, and what a plain test would claim."""
+    """Return what may change a decision: what was not compared and why."""
     if not comparison.of_metrics:
         yield _NO_VALUES
     yield from _refusals(comparison, of_idle=False)
@@ -161,6 +173,20 @@ def _important(comparison: Comparison) -> Iterator[str]:
         read = _constant(metric)
         if read:
             yield _CONSTANT.format(metric=capital(metric.values.title), values=named(read, 8))
+
+
+def _advice(comparison: Comparison) -> Iterator[str]:
+    """Return what to do where nothing was shown."""
+    if (
+        comparison.compared
+        and not comparison.terms.margins
+        and not all(comparison.significant(difference) for _, difference in comparison.pairs)
+    ):
+        yield _NOT_ALIKE
+
+
+def _notes(comparison: Comparison) -> Iterator[str]:
+    """Return what is worth knowing: what a plain test would claim, and each note once with its metrics."""
     claims = [
         f"{pair.group} − {pair.reference} in {metric.values.title} "
         f"({amount(pair.naive.difference, metric.values.unit)})"
@@ -169,16 +195,6 @@ def _important(comparison: Comparison) -> Iterator[str]:
     ]
     if claims:
         yield _T_TEST.format(others=comparison.others, claims=named(claims, 5))
-
-
-def _remarks(comparison: Comparison) -> Iterator[str]:
-    """Return what is worth knowing, each note once with its metrics."""
-    if (
-        comparison.compared
-        and not comparison.terms.margins
-        and not all(comparison.significant(difference) for _, difference in comparison.pairs)
-    ):
-        yield _NOT_ALIKE
     yield from _refusals(comparison, of_idle=True)
     yield from _by_text(_NOTE, ((note, m) for m in comparison.of_metrics for note in m.notes), comparison)
 

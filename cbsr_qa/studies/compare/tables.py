@@ -21,8 +21,7 @@ _ALIKE: Final = (
     "{pair}: alike within a margin? The {decides:g} % interval decides one such test; p is adjusted for all."
 )
 _OTHER: Final = (
-    "{pair} by other methods, p not adjusted: Welch's t test of one value a sensor, which ignores {others}, and "
-    "Hodges and Lehmann's shift with differences of {others} taken out."
+    "{pair} by other methods, p not adjusted: Welch's t test ignores {others}; Hodges and Lehmann's shift does not."
 )
 _TO_FIND: Final = "Sensors of each group that would find a difference with {power}."
 _STATIONS: Final = "What stations read above the one with most runs, differences of {others} taken out."

@@ -10,6 +10,7 @@ from stored_lots import judged, store_run
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Measurement, Outcome, Verdict
+from cbsr_qa.report import terminal_lines
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import By, Terms, compare, compare_outcome
 from cbsr_qa.studies.compare.figures import strips
@@ -56,6 +57,18 @@ def test_a_group_that_cannot_be_compared_is_in_the_headline_and_why_is_said_firs
     assert next(n for n, words in enumerate(said) if "A t test" in words) > 0
     html = page_of(made)
     assert html.index("43 ran on C only") < html.index("Differences")
+
+
+def test_the_terminal_has_two_facts_and_leaves_notes_to_the_page():
+    """Batch 42 ran mostly at B, which reads higher: a t test blames the batch, which changes no decision."""
+    plan = [("41", "A")] * 12 + [("41", "B")] * 4 + [("42", "A")] * 4 + [("42", "B")] * 12
+    values = np.random.default_rng(4).standard_normal((32, 2)) + [[2.0 * (at == "B")] * 2 for _, at in plan]
+    made = made_of(plan, values)
+    lines = list(terminal_lines(made.page, made.sections))
+    assert [name for name, _ in made.page.identity] == ["Compared", "Runs"]
+    assert "A t test" in " ".join(made.result.sentences)
+    assert "A t test" in page_of(made)
+    assert not any("A t test" in line for line in lines)
 
 
 def test_a_group_that_lacks_a_metric_is_said_to_be_compared_in_part():
