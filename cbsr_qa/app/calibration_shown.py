@@ -2,15 +2,25 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
 from cbsr_qa.app.press_calibration_shown import ShownPressCalibration, shown_presses
-from cbsr_qa.calibration.file import read_issued, verify_calibration_file
+from cbsr_qa.calibration.file import (
+    FLAG,
+    INDEX,
+    PURE,
+    TEXT,
+    Entry,
+    encode,
+    read_issued,
+    verify_calibration_file,
+)
 from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolated, least_force_N, map_tables
-from cbsr_qa.domain import CalibrationError, filled, kept_fields
+from cbsr_qa.domain import CalibrationError, filled
 from cbsr_qa.domain.results import (
     Banner,
     BaselineConductance,
@@ -26,9 +36,12 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.run import run_named
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.report import fixed, text_table
+from cbsr_qa.report import fixed, plural, text_table
 from cbsr_qa.store import made_at
 from cbsr_qa.system import read_untrusted
+
+#: Values of an array that is shown.
+_MOST_SHOWN: Final = 8
 
 _Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -112,67 +125,45 @@ class Settling:
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
-    """One band of the area-overlap scale."""
+class Value:
+    """A field of the file: one value, or the shape of an array that is not shown.
 
-    name: str
-    lower_percent: float
-    upper_percent: float
+    Parameters
+    ----------
+    value : number, flag or text, or a tuple of :data:`_MOST_SHOWN` of them at most; None where it was not measured,
+        and for longer arrays.
+    shape : lengths of an array's axes; empty for one value.
+    """
 
-
-@dataclass(frozen=True, slots=True)
-class AreaOverlap:
-    """Scale of area overlap."""
-
-    threshold_percent: float
-    size_ratio: tuple[float, float] | None
-    bands: tuple[Band, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Imaging:
-    """How the sensor is imaged."""
-
-    method: str
-    regularisation: float
-    regularisation_name: str
-    regularisation_criterion: str | None
-    regularisation_how: str
-    noise_figure_nominal: float
-    noise_figure_measured: float | None
-    elements: int
-    readings: int
-    response: str
-    noise_floor: float
-    mask: float
-    current_A: float
+    value: float | str | tuple[float | str, ...] | None
+    units: str
+    shape: tuple[int, ...]
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Self:
-        """Return the JSON fields of how a sensor is imaged."""
-        choice, problem = calibration.reconstruction.choice, calibration.reconstruction.problem
-        return filled(
-            cls,
-            calibration,
-            method=calibration.reconstruction.method,
-            regularisation=choice.value,
-            regularisation_name=choice.name,
-            regularisation_criterion=choice.criterion or None,
-            regularisation_how=choice.how,
-            noise_figure_nominal=choice.noise_figure,
-            noise_figure_measured=calibration.noise_figure,
-            elements=len(problem.mesh.elements),
-            readings=int(problem.used.sum()),
-            response=calibration.response.value,
-        )
+    def of(cls, entry: Entry) -> Self:
+        """Return what is shown of an entry."""
+        units = "" if entry.units in (PURE, TEXT, INDEX, FLAG) else entry.units
+        if isinstance(entry.value, str):
+            return cls(entry.value, units, ())
+        flat = np.ravel(np.array(entry.value, dtype=object)).tolist()
+        known = all(isfinite(one) for one in flat if isinstance(one, float))
+        shape = np.shape(entry.value)
+        if not shape:
+            return cls(flat[0] if known else None, units, ())
+        return cls(tuple(flat) if known and len(flat) <= _MOST_SHOWN else None, units, shape)
 
+    @property
+    def listed(self) -> bool:
+        """Whether a person sees it: no long array."""
+        return not self.shape or self.value is not None
 
-@dataclass(frozen=True, slots=True)
-class Value:
-    """A single number of the file."""
-
-    value: float | None
-    units: str
+    @property
+    def text(self) -> str:
+        """The value for people."""
+        if self.value is None:
+            return "not measured"
+        each = self.value if isinstance(self.value, tuple) else (self.value,)
+        return ", ".join(f"{one:.6g}" if isinstance(one, float) else str(one) for one in each) or "none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +227,7 @@ class ShownCalibration:
     Parameters
     ----------
     digest, record_digest : SHA-256 of the file's content, and of what the database keeps of it.
-    values : every single number of the calibration itself, by its path in the file.
+    values : every field of the file by its path, as its field table (``Calibration``) names it.
     no_force_model : why there is no force model.
     """
 
@@ -252,8 +243,6 @@ class ShownCalibration:
     against_strain: ShownLine
     assumed: tuple[str, ...]
     settling: tuple[Settling, ...]
-    area_overlap: AreaOverlap
-    image: Imaging
     values: dict[str, Value]
     force_model: ShownForceModel | None
     no_force_model: str | None
@@ -266,8 +255,6 @@ def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOu
     )
     if isinstance(held, PressCalibration):
         return shown_presses(path, held)
-    numbers = (field for field in kept_fields(Calibration) if field.hint in (float, float | None))
-    bands = tuple(Band(band.name, band.lower, band.upper) for band in held.overlap_bands)
     head = held.indenter
     shown = ShownCalibration(
         file=path,
@@ -284,9 +271,7 @@ def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOu
         against_strain=ShownLine.of(held.against_strain, "1"),
         assumed=held.assumed,
         settling=tuple(map(Settling.of, held.settling)),
-        area_overlap=AreaOverlap(held.overlap_threshold, held.size_ratio, bands),
-        image=Imaging.of(held),
-        values={field.path(""): Value(getattr(held, field.name), field.units("1", "1")) for field in numbers},
+        values={path: Value.of(entry) for path, entry in sorted(encode(held).items())},
         force_model=None if held.force is None else ShownForceModel.of(held, held.force),
         no_force_model=None if held.force else held.no_force or "issued before calibrations held force models",
     )
@@ -327,12 +312,10 @@ def _sections(shown: ShownCalibration) -> Iterator[Section]:
     yield _texts("Relative conductance change = slope · x + intercept", _lines(shown))
     yield _texts("Force", _force(shown))
     yield Section("Settling", (_settling(shown.settling),))
-    yield _texts("Image", _image(shown))
-    rows = [
-        (path, "not measured" if held.value is None else f"{held.value:.6g}", held.units.removeprefix("1"))
-        for path, held in shown.values.items()
-    ]
-    yield Section("Values", (text_table("Single numbers of the file.", ("path", "value", "unit"), rows, (1,)),))
+    rows = [(path, field.units, field.text) for path, field in shown.values.items() if field.listed]
+    table = text_table("Every field of the file but long arrays.", ("path", "unit", "value"), rows)
+    arrays = plural(len(shown.values) - len(rows), "long array")
+    yield Section("Fields", (table, Paragraph(f"Not shown: {arrays}. --json gives their shapes.")))
 
 
 def _texts(title: str, lines: Iterator[str]) -> Section:
@@ -408,12 +391,3 @@ def _settling(summaries: tuple[Settling, ...]) -> Table:
     ]
     columns = ("signal", "mean [s]", "deviation [s]", "settled", "not within the window", "rejected")
     return text_table("Time to settle, of all loads.", columns, rows, (1, 2, 3, 4, 5))
-
-
-def _image(shown: ShownCalibration) -> Iterator[str]:
-    image = shown.image
-    yield f"by {image.method} on {image.elements} elements from {image.readings} readings"
-    by = image.regularisation_criterion or "not stated"
-    yield f"{image.regularisation_name} = {image.regularisation:.4g}, chosen by {by}: {image.regularisation_how}"
-    yield f"noise floor {image.noise_floor:.3g}; response: {image.response}"
-    yield f"required area overlap: at least {shown.area_overlap.threshold_percent:g} %"

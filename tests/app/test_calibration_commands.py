@@ -9,9 +9,10 @@ import pytest
 from calibration_samples import sample_calibration
 from typer.testing import CliRunner
 
-from cbsr_qa.calibration.file import stamped, verify_calibration_file, write_calibration
+from cbsr_qa.calibration.file import encode, stamped, verify_calibration_file, write_calibration
 from cbsr_qa.cli import app
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import CalibrationError, tabulated
+from cbsr_qa.domain.results import Calibration
 
 
 @pytest.fixture
@@ -33,7 +34,10 @@ def test_show_prints_what_a_reader_needs(issued):
     assert "force: 0.9 to 3.5 N" in shown
     assert "assumed, not measured on this sensor: α against stress, β against stress" in shown
     assert "at least 29.5" in shown
-    assert "μ = 0.03, chosen by l-curve" in shown
+    (line,) = [
+        line for line in shown.splitlines() if line.strip().startswith("reconstruction/regularisation_criterion")
+    ]
+    assert line.split()[-1] == "l-curve"
     (line,) = [line for line in shown.splitlines() if line.strip().startswith("L0")]
     assert line.split() == ["L0", "0.0", "0.0", "0.31", "0.004", "3"]
     (line,) = [line for line in shown.splitlines() if line.strip().startswith("L1 ")]
@@ -47,11 +51,25 @@ def test_show_as_json_is_one_document(issued):
     assert document["digest"] == verify_calibration_file(issued).digest
     assert document["record_digest"] == stamped(sample_calibration()).record_digest
     assert document["against_stress"]["covariance"] == -1.5e-8
-    assert (document["image"]["noise_figure_nominal"], document["image"]["noise_figure_measured"]) == (1.02, 1.17)
-    assert document["area_overlap"]["size_ratio"] == [1 / 3, 3.0]
-    image = document["image"]
-    assert (image["regularisation_name"], image["regularisation_criterion"]) == ("μ", "l-curve")
-    assert (image["regularisation"], image["regularisation_how"]) == (0.03, "chosen for a test")
+    values = {path: field["value"] for path, field in document["values"].items()}
+    assert (values["reconstruction/noise_figure"], values["image/measured_noise_figure"]) == (1.02, 1.17)
+    assert values["area_overlap/size_ratio"] == [1 / 3, 3.0]
+    assert values["reconstruction/regularisation_how"] == "chosen for a test"
+    assert document["values"]["reference/current"]["units"] == "A"
+    assert document["values"]["reference/voltages"]["shape"] == list(sample_calibration().reference.shape)
+
+
+def test_every_field_of_the_field_table_is_shown(issued):
+    """All that the table names and the file holds is in the document; a person sees all but long arrays."""
+    calibration = sample_calibration()
+    kept = {path for path, _ in tabulated(Calibration) if not path.endswith("/")}
+    held = kept & set(encode(calibration))
+    assert {"identity/issued_at", "validity/strain", "reconstruction/method", "image/mask"} <= held
+    values = json.loads(_run("show", str(issued), "--json").stdout)["values"]
+    assert held <= set(values)
+    listed = {line.split()[0] for line in _run("show", str(issued)).output.splitlines() if line.startswith("    ")}
+    not_shown = {path for path in values if path not in listed}
+    assert all(values[path]["value"] is None and len(values[path]["shape"]) > 0 for path in not_shown)
 
 
 def test_verify_says_sound(issued):

@@ -1,3 +1,4 @@
+from .content import FLAG as FLAG, INDEX as INDEX, PURE as PURE, TEXT as TEXT, Entry as Entry
 from .entries import Issued as Issued, as_filed as as_filed, decode as decode, encode as encode
 from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
 from .hdf5 import (
