@@ -2,26 +2,32 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from cbsr_qa.config import load_material, load_sensor_type
 from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainRamp
 from cbsr_qa.domain.run import Indenter
-from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
+from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation, SensorType
 
 STEP_S = 1e-9  #: a ramp this short is a step
 READING_SCALE_V = 2.0
 
 
+@cache
+def _shipped() -> tuple[SensorType, Material]:
+    return load_sensor_type("disc-100mm").value, load_material("cbsr-8wt").value
+
+
 def setting(material: Material | None = None, *, seed: int = 1) -> SceneSetting:
-    chosen = material or load_material("cbsr-8wt").value
-    return SceneSetting(load_sensor_type("disc-100mm").value, chosen, Indenter(13.0), seed, 1e-3)
+    sensor_type, shipped = _shipped()
+    return SceneSetting(sensor_type, material or shipped, Indenter(13.0), seed, 1e-3)
 
 
 def with_line(slope: float, intercept: float) -> Material:
     line = QuasiStatic(Parameter(slope, None, "test"), Parameter(intercept, None, "test"))
-    return replace(load_material("cbsr-8wt").value, against_strain=line)
+    return replace(_shipped()[1], against_strain=line)
 
 
 def moment(of: SceneSetting, time_s: float, *presses: SimulatedPress, index: int = 0) -> Moment:
