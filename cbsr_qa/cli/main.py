@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable
@@ -187,10 +188,28 @@ def _unexpected(error: BaseException, arguments: list[str]) -> int:
     return code
 
 
+#: What pydantic and click say of a value → what an engineer reads.
+_WORDS = {
+    r"Input should be a valid integer.*": "it must be a whole number",
+    r"Input should be a valid number.*": "it must be a number",
+    r"Input should be greater than or equal to (.*)": r"it must be at least \1",
+    r"Input should be less than or equal to (.*)": r"it must be at most \1",
+    r"(?:Value error, )?('.*') does not match the formats? '%Y-%m-%d'\.?": r"\1 is not a date like 2027-03-31",
+}
+
+
+def _in_words(message: str) -> str:
+    for jargon, words in _WORDS.items():
+        if re.fullmatch(jargon, message):
+            return re.sub(jargon, words, message)
+    return message
+
+
 def _misused(error: Any, arguments: list[str]) -> int:
     """Report what is wrong with the command line."""
     if not error.format_message():
         return 2  # a command without any argument: typer has printed its help
+    error.message = _in_words(error.message)
     if _wants_json(arguments):
         emit_json(RefusedError(error.format_message(), remedy="see cbsr-qa COMMAND --help").document())
     error.show()

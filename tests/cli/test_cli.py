@@ -63,6 +63,21 @@ def test_a_misused_command_line_ends_with_2_and_says_so_on_stderr(capsys, argume
     assert said.err.strip() or "Usage" in said.out
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "--seed", "abc"], "'--seed': it must be a whole number"),
+        (["scene", "run", "none", "--seed", "-4"], "'--seed': it must be at least 0"),
+        (["scene", "run", "none", "--seed", "9999999999"], "'--seed': it must be at most 2147483647"),
+        (["gauge", "--confidence", "high"], "'--confidence': it must be a number"),
+        (["gauge", "--since", "2026-13-01"], "'--since': '2026-13-01' is not a date like 2027-03-31"),
+    ],
+)
+def test_a_value_that_an_option_cannot_take_is_refused_in_words(capsys, arguments, said):
+    assert main.guarded(arguments) == 2
+    assert said in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
 @pytest.mark.parametrize("command", ["run", "analyse", "report", "export", "scene", "calibration", "plugins", "db"])
 def test_every_command_has_help(capsys, command):
     assert main.guarded([command, "--help"]) == 0

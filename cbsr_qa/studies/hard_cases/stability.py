@@ -56,7 +56,7 @@ def _nearest(what: str, name: str, known: Sequence[str]) -> str:
         return f"there are: {', '.join(known)}"
     near = [other for other in known if name in other] or get_close_matches(name, known, n=_FEW, cutoff=0.5)
     if near:
-        return f"near are: {', '.join(near[:_FEW])}"
+        return f"did you mean one of: {', '.join(near[:_FEW])}"
     return f"cbsr-qa stability --area {AREAS[0]!r} lists the {what}s of an area; areas are: {', '.join(AREAS)}"
 
 

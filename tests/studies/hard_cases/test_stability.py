@@ -160,7 +160,7 @@ def test_two_processes_find_what_one_finds():
 @pytest.mark.parametrize(
     ("asked", "told"),
     [
-        ("offset-of-1e6-signal", "near are: offset-of-1e6-signals"),
+        ("offset-of-1e6-signal", "did you mean one of: offset-of-1e6-signals"),
         ("qqqq", "cbsr-qa stability --area 'forward model'"),
     ],
 )
