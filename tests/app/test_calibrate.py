@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -9,7 +10,10 @@ import pytest
 from pressed_sheets import adjacent_pairs, pressed_sheet, some, table
 from typer.testing import CliRunner
 
+from cbsr_qa.analysis import write_recording
 from cbsr_qa.cli import app
+from cbsr_qa.config import load_sensor_type
+from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
 
 TYPE = """
 [sensor_type]
@@ -49,6 +53,14 @@ def folder(pressed, tmp_path_factory):
     assert not done.exception, done.output
     (folder / "printed.json").write_text(done.stdout)
     return folder
+
+
+def recording(frames):
+    """A recording of frames that our own format keeps."""
+    return Recording(
+        path=Path("presses.h5"), format="cbsr-recording", dataset="", scan=ScanKind.FULL, frames=frames,
+        reference=None, still=False, magnitudes_only=False, clock="board",
+    )  # fmt: skip
 
 
 def calibrated(folder, *options, to="OUT.h5", **files):
@@ -190,6 +202,8 @@ def _nan(pressed):
     [
         (_doubled, {}, "row 61 repeats row 8"),
         (_nan, {}, "readings.csv: row 5, column r9: 'nan'"),
+        (lambda p: replace(p, changes=0 * p.changes), {}, "readings.csv: no reading changes in any row"),
+        (lambda p: replace(p, changes=p.changes[:1] * p.force_N[:, None]), {}, "all 60 rows are alike"),
         (lambda p: _place(p, 3, np.nan), {}, "presses.csv: row 4, column x_mm: 'nan'"),
         (lambda p: _place(p, 3, (46.0, 0.0)), {}, "row 4, columns x_mm and y_mm: (46, 0) mm"),
         (lambda p: _place(p, slice(None), (46.0, 0.0)), {}, "columns x_mm and y_mm: all 60 presses are at one place"),
@@ -221,6 +235,27 @@ def test_what_the_readings_are_must_be_stated_and_nothing_is_overwritten(folder)
     both = calibrated(folder, "--differences", "--rest", folder / "readings.csv", to="other.h5")
     assert "both --differences and --rest" in str(both.exception)
     assert "exists already" in str(calibrated(folder, "--differences").exception)
+
+
+def test_a_recording_with_a_frame_for_each_press_takes_the_place_of_tables(pressed, folder, tmp_path):
+    sensor_type = load_sensor_type(folder / "T.toml").value
+    pattern = sensor_type.pattern
+    pairs = np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
+    sheet = pressed_sheet(40, pairs=pairs, rotation_deg=-60.0)
+    presses = sheet.write(tmp_path)[1]
+    for name, values in (("presses", sheet.changes + sheet.unloaded), ("rest", np.tile(sheet.unloaded, (3, 1)))):
+        voltages = np.zeros((len(values), *pattern.shape))
+        voltages[:, pattern.usable()] = 1e-3 * values
+        time_s, flags = np.arange(len(values), dtype=float), np.zeros(voltages.shape, dtype=np.uint8)
+        frames = FrameBlock(time_s, voltages, flags, VoltageUnit.VOLT, 1e-3)
+        write_recording(tmp_path / f"{name}.h5", recording(frames))
+    arguments = ["--presses", presses, "--sensor-type", folder / "T.toml", "--rest", tmp_path / "rest.h5", "--json"]
+    done = run("calibrate", tmp_path / "presses.h5", "--to", tmp_path / "OUT.h5", *arguments)
+    assert json.loads(done.stdout)["registration"]["rotation_deg"] == pytest.approx(-60, abs=2)
+    fewer = FrameBlock(time_s[:1], voltages[:1, :, :4], flags[:1, :, :4], VoltageUnit.VOLT, 1e-3)
+    write_recording(tmp_path / "fewer.h5", recording(fewer))
+    done = run("calibrate", tmp_path / "fewer.h5", "--to", tmp_path / "other.h5", *arguments)
+    assert "16 × 4 readings" in str(done.exception)
 
 
 def test_a_pair_that_is_missing_when_it_is_applied_is_named(pressed, folder, tmp_path):

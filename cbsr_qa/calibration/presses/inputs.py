@@ -14,6 +14,9 @@ from cbsr_qa.domain.results import SheetRegistration
 #: A press may lie so far beyond the edge of the sheet, of its radius: labels, scale and radius are not exact.
 _BEYOND = 1.15
 _MOST_NAMED = 5
+#: Readings over their size that differ by less between presses are the same.
+_ALIKE = 1e-6
+_WHAT_READINGS = "give the readings of the presses, several pairs of electrodes each"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +71,14 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
             remedy="leave out rows of presses that are not in both tables",
         )
     some = np.any(changes != 0, axis=1)
+    if not some.any():
+        raise RecordingError(f"{readings.path}: no reading changes in any row", remedy=_WHAT_READINGS)
+    directions = changes[some] / np.linalg.norm(changes[some], axis=1, keepdims=True)
+    if np.ptp(directions, axis=0).max() < _ALIKE:
+        raise RecordingError(
+            f"{readings.path}: all {len(directions)} rows are alike but for their size, wherever the press was",
+            remedy=_WHAT_READINGS,
+        )
     for first, second in _repeated(changes):
         if some[second]:
             at = "" if np.array_equal(*presses.place_mm[[first, second]]) else ", though the places differ"

@@ -241,7 +241,8 @@ class _Search:
     def _prior(self, size: float) -> float:
         if self._stated_mm is None:
             return 0.0
-        return -0.5 * float((size - np.log(self._stated_mm) - self._radius_off) / _RADIUS_ERROR) ** 2
+        away = float(size - np.log(self._stated_mm) - self._radius_off) / _RADIUS_ERROR
+        return -2 * float(np.log1p(away**2 / 4))  # Student's t: presses may contradict what is stated
 
 
 def _registration(
@@ -271,7 +272,7 @@ def _doubts(place_share: float, signal_share: float, evidence: float) -> str:
     """Say why the modelled sheet does not tell how this one lies; empty if it does."""
     if place_share < _LEAST_SHARE:
         return (
-            f"the modelled sheet explains {place_share:.0%} of the spread of the presses' places,"
+            f"the modelled sheet explains {max(place_share, 0.0):.0%} of the spread of the presses' places,"
             f" {_LEAST_SHARE:.0%} is needed: this sheet is not what the sensor type describes"
         )
     if signal_share < _LEAST_SIGNAL:

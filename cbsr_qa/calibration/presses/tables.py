@@ -19,6 +19,8 @@ from cbsr_qa.domain.results import SourceFile
 
 #: Larger than a table of a hundred thousand presses.
 _LARGEST_BYTES: Final = 2**29
+#: Largest number of any column.
+_LARGEST: Final = 1e12
 #: Problems of a table that are listed.
 _MOST_LISTED: Final = 10
 _PAIR_COLUMNS: Final = ("source", "sink", "plus", "minus")
@@ -69,6 +71,10 @@ class NumberTable:
         if not math.isfinite(value):
             shown = "empty" if cell in ("", None) else f"{str(cell)[:40]!r}, not a finite number"
             problems.append(f"row {row + 1}, column {self.columns[column]}: {shown}")
+        elif abs(value) > _LARGEST:
+            problems.append(
+                f"row {row + 1}, column {self.columns[column]}: {value:g}; at most {_LARGEST:g} is allowed"
+            )
         return value
 
 

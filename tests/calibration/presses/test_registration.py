@@ -45,6 +45,13 @@ def test_places_on_the_sheet_and_labels_are_turned_into_each_other():
     np.testing.assert_allclose(pose.on_sheet_mm(pose.labelled_mm(places)), places, atol=1e-9)
 
 
+def test_places_in_another_unit_are_seen_in_the_scale():
+    pressed = pressed_sheet(40, noise=0.1, scale=1e-3, shift_mm=(0.046, -0.408))
+    pose = registered(pressed).registration
+    assert pose.trusted
+    assert pose.scale == pytest.approx(1e-3, rel=0.05)
+
+
 def test_a_rectifying_front_end_and_spikes_do_not_turn_the_sheet():
     pressed = pressed_sheet(40, rectified=True, mirrored=True, rotation_deg=70.0)
     changes, random = pressed.changes.copy(), np.random.default_rng(0)
