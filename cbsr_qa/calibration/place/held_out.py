@@ -1,21 +1,24 @@
 """Presses of a sheet, each located from others alone: what mixture, regions and stated errors rest on."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.place.drift import SESSIONS
 from cbsr_qa.calibration.place.mixture import learn_mixture, mahalanobis, mixed
 from cbsr_qa.calibration.place.process import given_presses, left_out, likely_scales
 from cbsr_qa.calibration.place.templates import learn_templates, match
 from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.results import PatternTurns, PlaceScales
+from cbsr_qa.domain.results import PatternTurns, PlaceScales, PlaceTemplates
 
-#: Blocks of presses, in the order in which they were made, that are left out in turn: drift over a session is seen.
-_BLOCKS: Final = 20
-#: Up to so many presses hyperparameters are found anew without each block, of which there are fewer then.
-_FOR_BLOCKS: Final = 120
+#: Up to so many presses all but a few are located together, and hyperparameters are found anew without every tenth.
+_FEW: Final = 120
+_BLOCKS_OF_FEW: Final = 40
 _BLOCKS_WITH_SCALES: Final = 10
+#: Blocks of more presses, in the order in which they were made, that are left out in turn.
+_BLOCKS: Final = 20
 #: Above that each half of the presses is located with hyperparameters of so many of the other half.
 _FOR_HALVES: Final = 200
 
@@ -49,11 +52,15 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressedSheet:
-    """Features (n, m) and places (n, 2) of presses, about the centre in the electrodes' axes."""
+    """Features (n, m), places (n, 2) about the centre in the electrodes' axes, and times (n,) of presses.
+
+    ``time`` runs from −½ to ½ over the session.
+    """
 
     turns: PatternTurns
     features: Array
     places_mm: Array
+    time: Array
 
     @property
     def radius_mm(self) -> float:
@@ -64,10 +71,15 @@ class PressedSheet:
         """Hyperparameters from some of the presses."""
         return likely_scales(self.turns, self.features[presses], self.places_mm[presses])
 
+    def templates(self, presses: Indices) -> tuple[PlaceTemplates, Array]:
+        """Templates of some of the presses, and their drift; see :func:`learn_templates`."""
+        parts = self.features[presses], self.places_mm[presses]
+        return learn_templates(self.turns, *parts, self.radius_mm, self.time[presses])
+
     def left_out(self) -> LeftOut:
         """Locate every press from presses of other blocks."""
         count = len(self.places_mm)
-        blocks = np.array_split(np.arange(count), min(_BLOCKS, count))
+        blocks = np.array_split(np.arange(count), min(_BLOCKS_OF_FEW if count <= _FEW else _BLOCKS, count))
         process = np.full((count, 2), np.nan)
         for learned, located in self._parts():
             given, inverse = given_presses(self.likely(learned), self.turns, self.features, self.places_mm)
@@ -75,21 +87,34 @@ class PressedSheet:
             process[located] = predicted[located]
         return LeftOut(process, *self._from_templates(blocks))
 
+    def misfit_growth(self) -> float:
+        """Factor by which misfits may have grown after :data:`SESSIONS`; 1 where they do not grow.
+
+        A random walk of features: half a session away the misfit's median has grown by a tenth of what it will.
+        """
+        count = len(self.places_mm)
+        presses, still = np.arange(count), replace(self, time=np.zeros(count))
+        apart, mixed = (
+            float(np.median(still._from_templates(halves)[2]))
+            for halves in ([presses[: count // 2], presses[count // 2 :]], [presses[::2], presses[1::2]])
+        )
+        return max(1.0, 1 + 2 * SESSIONS * (apart / mixed - 1))
+
     def _parts(self) -> list[tuple[Indices, Indices]]:
         """Presses that hyperparameters are found with, and those that are located with them."""
         count = len(self.places_mm)
-        if count > _FOR_BLOCKS:
+        if count > _FEW:
             halves = np.arange(0, count, 2), np.arange(1, count, 2)
             return [(one[evenly(len(one), _FOR_HALVES)], other) for one, other in (halves, halves[::-1])]
         blocks = np.array_split(np.arange(count), _BLOCKS_WITH_SCALES)
         return [(np.setdiff1d(np.arange(count), block), block) for block in blocks if len(block)]
 
-    def _from_templates(self, blocks: list[Indices]) -> tuple[Array, Array, Array]:
+    def _from_templates(self, blocks: Sequence[Indices]) -> tuple[Array, Array, Array]:
         count = len(self.places_mm)
         places, covariances, misfit = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty(count)
         for block in blocks:
             others = np.setdiff1d(np.arange(count), block)
-            templates = learn_templates(self.turns, self.features[others], self.places_mm[others], self.radius_mm)
+            templates, _ = self.templates(others)
             places[block], covariances[block], misfit[block] = match(templates, self.features[block])
         return places, covariances, misfit
 

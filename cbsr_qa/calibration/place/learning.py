@@ -9,11 +9,18 @@ from scipy.spatial import cKDTree
 
 from cbsr_qa.calibration.place.features import features_of, pattern_turns, turn_by
 from cbsr_qa.calibration.place.held_out import HeldOut, LeftOut, PressedSheet, coverage_of, evenly
-from cbsr_qa.calibration.place.mixture import learn_mixture
-from cbsr_qa.calibration.place.process import given_presses, start_likelihoods
-from cbsr_qa.calibration.place.templates import learn_templates
+from cbsr_qa.calibration.place.mixture import drifted, learn_mixture
+from cbsr_qa.calibration.place.process import frames_likelihoods, given_presses, likely_scales, located, start_scales
+from cbsr_qa.calibration.place.templates import match
 from cbsr_qa.domain import Array, CalibrationError, Indices
-from cbsr_qa.domain.results import FeatureScaling, LearnedPlace, PatternTurns, PlaceScales
+from cbsr_qa.domain.results import (
+    FeatureScaling,
+    LearnedPlace,
+    PatternTurns,
+    PlaceProcess,
+    PlaceScales,
+    PlaceTemplates,
+)
 
 FEWEST_PRESSES: Final = 6
 #: Powers of readings and of a frame's size; see :class:`~cbsr_qa.domain.results.FeatureScaling`. On presses left out
@@ -27,9 +34,13 @@ _CLEARLY: Final = 0.2
 _CEILING: Final = 3.0
 #: Presses that hyperparameters are found with.
 _FOR_SCALES: Final = 400
-#: Presses that damping and mirror axes are tried with, and steps of a half turn.
-_FOR_AXES: Final = 80
+#: Presses that damping, axes and centre are tried with, and steps of a half turn.
+_FOR_FRAME: Final = 100
 _AXES: Final = 24
+#: Standard error of the centre along an axis, over the radius of what is pressed: of the presses' middle, and of a
+#: centre that was registered.
+_CENTRE: Final = 0.1
+_KNOWN_CENTRE: Final = 0.03
 #: A touch misfits no more than this share of the presses left out, times the room for presses not seen.
 _MISFIT_LEVEL: Final = 0.98
 _MISFIT_ROOM: Final = 1.2
@@ -58,6 +69,7 @@ def learn_place(
     *,
     centre_mm: Array | None = None,
     axes: Array | None = None,
+    time_s: Array | None = None,
     tell: Tell = lambda stage: None,
 ) -> PlaceLearned:
     """Learn places from changes of readings by presses.
@@ -71,6 +83,7 @@ def learn_place(
     centre_mm : (2,) the sheet's centre in the frame of the presses; the middle of the presses where it is not known.
     axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`; the likeliest where they are
         not known.
+    time_s : (n,) of the presses; evenly in their order where it is not known. Drift over it is carried further.
     tell : is told of each step, in words.
 
     Raises
@@ -79,26 +92,29 @@ def learn_place(
         If there are fewer than six presses, all are at one place, or no reading changes.
     """
     _check(changes, places_mm)
-    centre = (places_mm.min(axis=0) + places_mm.max(axis=0)) / 2 if centre_mm is None else np.asarray(centre_mm)
-    about, turns = places_mm - centre, pattern_turns(pairs, electrodes)
-    tell("finding the axes of the electrodes")
-    scaling, axes = _frame(changes, about, turns, axes)
-    sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T)
+    turns = pattern_turns(pairs, electrodes)
+    tell("finding how the electrodes lie")
+    scaling, axes, centre = _frame(changes, places_mm, turns, axes, centre_mm)
+    about = places_mm - centre
+    sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T, _session(len(about), time_s))
     tell("locating presses that were left out")
     out = sheet.left_out()
     tell("learning from all presses")
     scales = sheet.likely(evenly(len(about), _FOR_SCALES))
     process, _ = given_presses(scales, turns, sheet.features, sheet.places_mm)
+    templates, later = sheet.templates(np.arange(len(about)))
+    room = _MISFIT_ROOM * (sheet.misfit_growth() if later.any() else 1.0)
+    mixture = learn_mixture(out.process, out.templates, out.templates_covariance, sheet.places_mm)
     size = np.sqrt((changes**2).mean(axis=1))
     model = LearnedPlace(
         scaling,
         turns,
         process,
-        learn_templates(turns, sheet.features, sheet.places_mm, sheet.radius_mm),
-        learn_mixture(out.process, out.templates, out.templates_covariance, sheet.places_mm),
+        templates,
+        drifted(mixture, _shift(turns, process, templates, mixture.share, sheet.features, later)),
         centre,
         axes,
-        misfit=float(_MISFIT_ROOM * np.quantile(out.misfit, _MISFIT_LEVEL)),
+        misfit=float(room * np.quantile(out.misfit, _MISFIT_LEVEL)),
         least_size=float(_SIZE_ROOM * np.quantile(size, 1 - _MISFIT_LEVEL)),
         reach_mm=_reach(about),
     )
@@ -119,27 +135,78 @@ def _check(changes: Array, places_mm: Array) -> None:
         )
 
 
-def _frame(changes: Array, about: Array, turns: PatternTurns, axes: Array | None) -> tuple[FeatureScaling, Array]:
-    """Find the damping and, where they are not known, the electrodes' axes that make the presses most likely.
+def _frame(
+    changes: Array, places_mm: Array, turns: PatternTurns, axes: Array | None, centre_mm: Array | None
+) -> tuple[FeatureScaling, Array, Array]:
+    """Find the damping and the electrodes' axes and centre that make the presses most likely.
 
-    A sheet that turns with its electrodes looks the same half a turn on, so that half a turn of axes is tried.
+    First with the scales that a search begins with, then with the likeliest in that frame. A sheet that turns with
+    its electrodes looks the same half a turn on, so that half a turn of axes is tried where none are known.
     """
-    some = evenly(len(changes), _FOR_AXES)
+    some = evenly(len(changes), _FOR_FRAME)
+    centre = (places_mm.min(axis=0) + places_mm.max(axis=0)) / 2 if centre_mm is None else np.asarray(centre_mm)
+    about = places_mm[some] - centre
+    stderr_mm = float(np.linalg.norm(about, axis=1).max()) * (_CENTRE if centre_mm is None else _KNOWN_CENTRE)
+    tried = _half_turn() if axes is None else _beside(axes)
+    found = []
+    for damping in _DAMPINGS:
+        scaling = FeatureScaling(_EXPONENT, damping, _ceiling(changes))
+        features = features_of(changes[some], scaling)
+        likelihoods, centres = frames_likelihoods(
+            start_scales(turns, features, about), turns, features, about, tried, stderr_mm
+        )
+        best = int(likelihoods.argmax())
+        clearly = _CLEARLY * len(some) * (damping - _DAMPINGS[0])
+        found.append((float(likelihoods[best]) - clearly, scaling, tried[best], centres[best]))
+    _, scaling, likely, shift = max(found, key=lambda each: each[0])
+    features = features_of(changes[some], scaling)
+    scales = likely_scales(turns, features, (about - shift) @ likely.T)
+    tried = np.concatenate([tried, _beside(likely)])
+    likelihoods, centres = frames_likelihoods(scales, turns, features, about, tried, stderr_mm)
+    best = int(likelihoods.argmax())
+    return scaling, tried[best], centre + centres[best]
+
+
+def _session(count: int, time_s: Array | None) -> Array:
+    """Times (n,) of the presses from −½ to ½."""
+    time = np.arange(count, dtype=np.float64) if time_s is None else time_s - time_s.min()
+    span = float(np.ptp(time))
+    session: Array = time / span - 0.5 if span > 0 else np.zeros(count)
+    return session
+
+
+def _shift(
+    turns: PatternTurns,
+    process: PlaceProcess,
+    templates: PlaceTemplates,
+    share: float,
+    features: Array,
+    later: Array,
+) -> float:
+    """Mean square [mm²] of how far later drift (n, m) of features moves the places found."""
+    found = [
+        (1 - share) * located(process, turns, seen) + share * match(templates, seen)[0]
+        for seen in (features, features + later, features - later)
+    ]
+    return float(np.mean([((moved - found[0]) ** 2).sum(axis=1).mean() for moved in found[1:]]))
+
+
+def _ceiling(changes: Array) -> Array:
     sizes = np.quantile(np.abs(changes), 0.9, axis=0)
     sizes = np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
-    ceiling = _CEILING * np.where(sizes > 0, sizes, 1.0)
+    ceiling: Array = _CEILING * np.where(sizes > 0, sizes, 1.0)
+    return ceiling
+
+
+def _half_turn() -> Array:
     angles = np.linspace(0, np.pi, _AXES, endpoint=False)
-    tried = [turn_by(angle, mirrored=mirrored) for mirrored in (False, True) for angle in angles]
-    if axes is not None:
-        tried = [axes]
-    places = np.stack([about[some] @ each.T for each in tried])
-    best = (-np.inf, FeatureScaling(_EXPONENT, _DAMPINGS[0], ceiling), tried[0])
-    for damping in _DAMPINGS:
-        scaling = FeatureScaling(_EXPONENT, damping, ceiling)
-        likely = start_likelihoods(turns, features_of(changes[some], scaling), places)
-        likely -= _CLEARLY * len(some) * (damping - _DAMPINGS[0])
-        best = max(best, (float(likely.max()), scaling, tried[int(likely.argmax())]), key=lambda found: found[0])
-    return best[1:]
+    return np.array([turn_by(angle, mirrored=mirrored) for mirrored in (False, True) for angle in angles])
+
+
+def _beside(axes: Array) -> Array:
+    """Axes (a, 2, 2) within 10° of known ones, themselves first."""
+    angles = np.radians([0.0, -10, -7.5, -5, -2.5, 2.5, 5, 7.5, 10])
+    return np.array([turn_by(angle, mirrored=False) @ axes for angle in angles])
 
 
 def _reach(about: Array) -> float:

@@ -1,16 +1,18 @@
 """Both estimates of a place mixed, with a covariance whose regions hold what they state on presses left out."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import f as fisher
+from scipy.stats import chi2, f as fisher
 
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import PlaceMixture
 
 #: What the regions are asked to hold.
 LEVELS: Final = (0.68, 0.95)
+_FOLDS: Final = 5
 #: The share before any press was seen, and how many presses that counts as.
 _PRIOR_SHARE: Final = 0.4
 _PRIOR_PRESSES: Final = 10.0
@@ -25,12 +27,31 @@ def mixed(mixture: PlaceMixture, first: Array, second: Array, second_covariance:
 
 
 def learn_mixture(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> PlaceMixture:
-    """Learn a mixture from both estimates (n, 2) of presses that were left out, and their places (n, 2)."""
-    share = _share(first, second, places_mm)
-    apart, error = second - first, places_mm - first - share * (second - first)
-    spread = _spread(error, apart, second_covariance)
-    ratio = mahalanobis(error, _covariance(spread, apart, second_covariance))
+    """Learn a mixture from both estimates (n, 2) of presses that were left out, and their places (n, 2).
+
+    Its quantiles are those of every press under a mixture of the others, so that presses do not judge themselves.
+    """
+    parts = first, second, second_covariance, places_mm
+    ratio = np.empty(len(places_mm))
+    for number in range(min(_FOLDS, len(ratio))):
+        held = np.arange(len(ratio)) % _FOLDS == number
+        share, spread = _fitted(*(part[np.logical_not(held)] for part in parts))
+        mixture = PlaceMixture(share, spread, np.zeros(len(LEVELS)))
+        found, covariance = mixed(mixture, first[held], second[held], second_covariance[held])
+        ratio[held] = mahalanobis(places_mm[held] - found, covariance)
+    share, spread = _fitted(*parts)
     return PlaceMixture(share, spread, np.array([quantile(ratio, level) for level in LEVELS]))
+
+
+def drifted(mixture: PlaceMixture, shift_mm2: float) -> PlaceMixture:
+    """Widen regions by a mean square shift [mm²] of places, so that normal errors of that size stay inside."""
+    factor = float(chi2.ppf(LEVELS[0], 2)) / float(mixture.quantiles[0])
+    return replace(mixture, spread=mixture.spread + np.array([0.0, factor * shift_mm2 / 2, 0.0]))
+
+
+def _fitted(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> tuple[float, Array]:
+    share, apart = _share(first, second, places_mm), second - first
+    return share, _spread(places_mm - first - share * apart, apart, second_covariance)
 
 
 def mahalanobis(error: Array, covariance: Array) -> Array:

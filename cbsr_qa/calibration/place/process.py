@@ -102,20 +102,36 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
     return likelihood.scales(best.x)
 
 
-def start_likelihoods(turns: PatternTurns, features: Array, places_mm: Array) -> Array:
-    """Logarithms (a,) of the marginal likelihood at the scales a search begins with.
+def start_scales(turns: PatternTurns, features: Array, places_mm: Array) -> PlaceScales:
+    """Hyperparameters that a search for the likeliest begins with."""
+    likelihood = _Likelihood(turns, features, places_mm)
+    return likelihood.scales(likelihood.start())
+
+
+def frames_likelihoods(
+    scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array, axes: Array, centre_stderr_mm: float
+) -> tuple[Array, Array]:
+    """Logarithms (a,) of the likelihood of presses in several axes of the electrodes, and the centres in them.
 
     Parameters
     ----------
-    features : (n, m).
-    places_mm : (a, n, 2), the same places in each of a pairs of axes.
+    places_mm : (n, 2) about a centre that is known to ``centre_stderr_mm`` along each axis.
+    axes : (a, 2, 2) orthogonal.
+
+    Returns
+    -------
+    The logarithms, with the centre's prior, and the likeliest centres (a, 2) in the frame of ``places_mm``.
     """
-    likelihood = _Likelihood(turns, features, places_mm[0])
-    scales = likelihood.scales(likelihood.start())
-    factor = cholesky(_covariance(scales, turns, features), lower=True)
-    white = solve_triangular(factor, places_mm.reshape(len(places_mm), -1).T, lower=True)
-    likelihoods: Array = -0.5 * (white**2).sum(axis=0) - np.log(np.diag(factor)).sum()
-    return likelihoods
+    factor = cholesky(_covariance(scales, turns, features), lower=True, check_finite=False)
+    likelihoods, centres = np.empty(len(axes)), np.empty((len(axes), 2))
+    for number, each in enumerate(axes):
+        both = np.column_stack([(places_mm @ each.T).ravel(), np.tile(each, (len(places_mm), 1))])
+        white = solve_triangular(factor, both, lower=True, check_finite=False)
+        precision = white[:, 1:].T @ white[:, 1:] + np.eye(2) / centre_stderr_mm**2
+        along = white[:, 1:].T @ white[:, 0]
+        centres[number] = np.linalg.solve(precision, along)
+        likelihoods[number] = -0.5 * (white[:, 0] @ white[:, 0] - along @ centres[number])
+    return likelihoods - np.log(np.diag(factor)).sum(), centres
 
 
 class _Likelihood:

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
+from cbsr_qa.calibration.place.drift import find_drift
 from cbsr_qa.calibration.place.features import matern, squared_distances
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PatternTurns, PlaceTemplates
@@ -52,29 +53,35 @@ def match(templates: PlaceTemplates, features: Array) -> tuple[Array, Array, Arr
 
 
 def learn_templates(
-    turns: PatternTurns, features: Array, places_mm: Array, radius_mm: float, *, settings: "Smoothness | None" = None
-) -> PlaceTemplates:
-    """Learn the templates of presses (n, m) at places (n, 2), about the centre in the electrodes' frame.
+    turns: PatternTurns, features: Array, places_mm: Array, radius_mm: float, time: Array
+) -> tuple[PlaceTemplates, Array]:
+    """Learn the templates of presses (n, m) at places (n, 2), about the centre in the electrodes' axes.
 
     Parameters
     ----------
     radius_mm : that all places are within.
-    settings : of the readings' own part; found by marginal likelihood where None.
+    time : (n,) of the presses, from −½ to ½ over the session.
+
+    Returns
+    -------
+    Templates, and one standard deviation of the drift (n, m) that the presses' features may show later.
     """
     shared = _Shared.learn(turns, features, places_mm, radius_mm * _MARGIN)
     grid = _disc(radius_mm * _MARGIN, radius_mm * _MARGIN / _ALONG_RADIUS)
     rest = features - shared.at(places_mm)
     offset = rest.sum(axis=0) / (len(rest) + 5)  # five presses' worth of trust in the shared part
     rest = rest - offset
-    own = settings or smoothness(rest, places_mm, radius_mm)
+    own = smoothness(rest, places_mm, radius_mm)
     inverse = np.linalg.inv(_between(places_mm, places_mm, own.length_mm) + own.ratio * np.eye(len(rest)))
     weights = inverse @ rest
     errors = weights / np.diag(inverse)[:, None]
     near = _between(grid, places_mm, own.length_mm)
     uncertainty = np.maximum(1 - np.einsum("kn,kn->k", near @ inverse, near), 0.0) / own.ratio
-    whitening = np.linalg.cholesky(np.linalg.inv(_shrunk_covariance(errors)))
+    later = find_drift(errors, features - errors, time).later(features - errors)
+    covariance = _shrunk_covariance(errors) + later.T @ later / len(later)
+    whitening = np.linalg.cholesky(np.linalg.inv(covariance))
     templates = shared.at(grid) + offset + near @ weights
-    return PlaceTemplates(grid, whitening, templates @ whitening, uncertainty)
+    return PlaceTemplates(grid, whitening, templates @ whitening, uncertainty), later
 
 
 @dataclass(frozen=True, slots=True)
