@@ -77,7 +77,7 @@ def learn_place(
     Parameters
     ----------
     changes : (n, m) of the readings, by each press, in one unit; finite.
-    places_mm : (n, 2) of the presses, in any frame, in the order in which they were made.
+    places_mm : (n, 2) of the presses, in any frame; in the order in which they were made, unless ``time_s`` says it.
     pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
     electrodes : how many there are around the sheet, evenly spaced.
     centre_mm : (2,) the sheet's centre in the frame of the presses; the middle of the presses where it is not known.
@@ -92,6 +92,9 @@ def learn_place(
         If there are fewer than six presses, all are at one place, or no reading changes.
     """
     _check(changes, places_mm)
+    if time_s is not None:
+        order = np.argsort(time_s, kind="stable")
+        changes, places_mm, time_s = changes[order], places_mm[order], time_s[order]
     turns = pattern_turns(pairs, electrodes)
     tell("finding how the electrodes lie")
     scaling, axes, centre = _frame(changes, places_mm, turns, axes, centre_mm)

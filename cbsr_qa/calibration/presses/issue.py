@@ -14,7 +14,7 @@ from cbsr_qa.calibration.presses.tables import PressTable
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain import Array, NumericsError, RecordingError
 from cbsr_qa.domain.results import LeftOutPress, PressCalibration, SourceFile
-from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.sensor import ElectrodeLayout, SensorType
 
 #: A scale that differs from one by less is within what mounting and modelling do.
 _SCALE_OFF: Final = 0.1
@@ -75,7 +75,8 @@ def issue_from_presses(
     if registration.trusted:
         check_inside(presses, registration)
     changed = np.any(readings.changes != 0, axis=1)
-    learned = _learned(sensor_type, order, readings.changes[changed], presses.place_mm[changed], tell)
+    time_s = None if presses.time_s is None else presses.time_s[changed]
+    learned = _learned(sensor_type, order, readings.changes[changed], presses.place_mm[changed], time_s, tell)
     held_out, distinct = learned.held_out, readings.distinct
     return stamped(
         PressCalibration(
@@ -105,12 +106,20 @@ def issue_from_presses(
 
 
 def _learned(
-    sensor_type: SensorType, order: ElectrodeOrder, changes: Array, place_mm: Array, tell: Tell
+    sensor_type: SensorType, order: ElectrodeOrder, changes: Array, place_mm: Array, time_s: Array | None, tell: Tell
 ) -> PlaceLearned:
     """Learn the place, from where the sheet was found to lie if that is to be trusted."""
-    registration = order.registered.registration
+    registration, layout = order.registered.registration, sensor_type.electrodes
     centre = np.array(registration.shift_mm) if registration.trusted else None
-    return learn_place(changes, place_mm, order.pairs, sensor_type.electrodes.count, centre_mm=centre, tell=tell)
+    axes = None
+    if centre is not None and isinstance(layout, ElectrodeLayout):
+        onto_sheet = registration.scale * registration.on_sheet_mm(centre + np.eye(2)).T
+        first, second = layout.angles_rad()[:2]
+        axes = np.array([[np.cos(first), np.sin(first)], [-np.sin(first), np.cos(first)]]) @ onto_sheet
+        axes[1] *= np.sign(second - first)
+    return learn_place(
+        changes, place_mm, order.pairs, layout.count, centre_mm=centre, axes=axes, time_s=time_s, tell=tell
+    )
 
 
 def _ordered(

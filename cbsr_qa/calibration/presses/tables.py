@@ -145,11 +145,6 @@ def read_presses(path: Path) -> PressTable:
                 remedy=f"leave column {name} out; the place is learned without it",
             )
     time_s = by_name.get("time_s")
-    if time_s is not None:
-        back = np.flatnonzero(np.diff(time_s) < 0) + 1
-        table.refuse(
-            [f"row {k + 1}, column time_s: {time_s[k]:g} is before row {k}, {time_s[k - 1]:g}" for k in back]
-        )
     return PressTable(table, values[:, :2], by_name.get("depth_mm"), by_name.get("force_N"), time_s)
 
 

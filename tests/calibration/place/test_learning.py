@@ -76,6 +76,41 @@ def test_places_turn_with_the_frame_they_are_labelled_in(sheet, learned):
     assert np.median(np.linalg.norm(there - here, axis=1)) < 0.05
 
 
+def test_rows_come_in_any_order_where_times_are_given(sheet, learned):
+    order = np.random.default_rng(4).permutation(60)
+    time_s = 3.0 * order + 100
+    other = learn_place(sheet.changes[order], sheet.labels_mm[order], sheet.pairs, 16, time_s=time_s)
+    places = [PlaceEstimator(each.model)(sheet.changes[TESTED]) for each in (learned, other)]
+    assert places[1].place_mm == pytest.approx(places[0].place_mm, abs=1e-6)
+
+
+@pytest.mark.parametrize("registered", [True, False])
+def test_a_known_frame_of_the_electrodes_is_kept(registered):
+    """Electrode 0 lies at 25° from the labels' x, numbers run clockwise there: that is what axes are."""
+    sheet = pressed_sheet(60, seed=9, mirrored=True, rectified=True)
+    angle = np.radians(25.0)
+    axes = np.array([[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]])
+    known = {"axes": axes, "centre_mm": np.array([46.0, -408.0])} if registered else {}
+    model = learn_place(sheet.changes, sheet.labels_mm, sheet.pairs, 16, **known).model
+    # Half a turn, a mirror at an electrode's axis, and steps of electrodes are the same to readings.
+    off = np.degrees(np.arctan2(*(model.axes @ axes.T)[1::-1, 0])) % 22.5
+    assert min(off, 22.5 - off) <= (3 if registered else 6)
+    assert np.linalg.det(model.axes) == pytest.approx(-1)
+    assert model.centre_mm == pytest.approx([46, -408], abs=1.5 if registered else 4)
+
+
+def test_drift_over_a_session_widens_regions(sheet, learned):
+    """Gains that drift apart: presses in time's order show it, shuffled ones do not."""
+    random = np.random.default_rng(3)
+    drift = 1 + np.linspace(0, 1, 60)[:, None] * random.normal(0, 0.6, sheet.changes.shape[1])
+    drifting = np.sign(sheet.changes[LEARNED]) * np.abs(sheet.changes[LEARNED] * drift)
+    size = {}
+    for name, time_s in (("in order", np.arange(60.0)), ("shuffled", 1.0 * random.permutation(60))):
+        locate = PlaceEstimator(learn_place(drifting, sheet.labels_mm[LEARNED], sheet.pairs, 16, time_s=time_s).model)
+        size[name] = locate.q68 * np.linalg.det(locate(sheet.changes[TESTED]).covariance_mm2).mean() ** 0.5
+    assert size["in order"] > 2 * size["shuffled"]
+
+
 def test_frames_that_are_no_such_touch_are_flagged(sheet, learned):
     locate, frames = PlaceEstimator(learned.model), sheet.changes[TESTED]
     assert (locate(1e-3 * frames).flags & Flag.NOT_DETECTED).all()

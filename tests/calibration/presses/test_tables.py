@@ -41,7 +41,6 @@ def test_labels_are_read_with_their_units(tmp_path):
         ("x_mm,y_mm\n1,1e13\n3,4\n", "row 1, column y_mm: 1e+13; at most 1e+12 is allowed"),
         ("x_mm,y_mm\n1,two\n3,4\n", "row 1, column y_mm: 'two'"),
         ("x_mm,y_mm,depth_mm\n1,2,3\n4,5,3\n", "column depth_mm: all 2 rows hold 3"),
-        ("x_mm,y_mm,time_s\n1,2,3\n4,5,2\n", "row 2, column time_s: 2 is before row 1, 3"),
     ],
 )
 def test_labels_that_cannot_be_used_are_refused(tmp_path, text, why):
