@@ -7,6 +7,7 @@ from .noise import (
     find_steps as find_steps,
     noise_report as noise_report,
 )
+from .offsets import find_offsets as find_offsets, without_offsets as without_offsets
 from .quality import (
     FEWEST_FRAMES as FEWEST_FRAMES,
     largest_by_reading as largest_by_reading,

@@ -1,11 +1,18 @@
-"""Preparation of a recording for imaging: bad channels masked, carry-over removed, spikes replaced."""
+"""Preparation of a recording for imaging: bad channels masked, offsets and carry-over removed, spikes replaced."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import ChannelFaults, channel_noise, despiked, find_faults
+from cbsr_qa.analysis.defects import (
+    ChannelFaults,
+    channel_noise,
+    despiked,
+    find_faults,
+    find_offsets,
+    without_offsets,
+)
 from cbsr_qa.domain.readings import (
     CarryOver,
     ChannelReport,
@@ -33,7 +40,7 @@ class ReadyReadings:
 
     Parameters
     ----------
-    block : frames, carry-over taken out where ``corrected``, spikes replaced.
+    block : frames, sudden offsets taken out, carry-over too where ``corrected``, spikes replaced.
     reference : (drives, measures) mean of the reference frames, treated alike; None where there are none.
     faults : of the raw frames.
     used : (drives, measures) bool, sound readings that touch no driven electrode.
@@ -41,6 +48,7 @@ class ReadyReadings:
     corrected : whether it was taken out of ``block``.
     error : reciprocity error of ``block``; None for one-row scans.
     offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
+    offsets : frame and size of every sudden change that was one offset on all readings.
     spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`despiked`.
     """
 
@@ -52,12 +60,17 @@ class ReadyReadings:
     corrected: bool
     error: float | None
     offset: bool
+    offsets: tuple[tuple[int, float], ...] = ()
     spikes: int = 0
     spiky_frames: int = 0
 
     def remarks(self) -> list[str]:
         """Describe corrections of readings, and channels that failed during the recording."""
         remarks = []
+        if self.offsets:
+            unit = self.block.unit.value
+            listed = ", ".join(f"{size:+.3g} {unit} at {self.block.time_s[at]:.1f} s" for at, size in self.offsets)
+            remarks.append(f"all readings changed by one offset, not by a load: {listed}; it was taken out")
         if self.spikes:
             remarks.append(
                 f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for about a"
@@ -117,9 +130,13 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     scanned &= bool(used.any())
     mending = scanned and recording.reference is None
     offset = has_offset(recording)
+    voltages, offsets = block.voltages, tuple[tuple[int, float], ...]()
+    if mending and len(block) > 1:
+        offsets = find_offsets(voltages[:, used], channel_noise(voltages[:, used], counts=offset))
+        voltages = without_offsets(voltages, offsets)
     if scanned:
         # One absurd reading must not decide how the whole frame is corrected.
-        calm = despiked(block.voltages, used, counts=offset)[0] if mending else block.voltages
+        calm = despiked(voltages, used, counts=offset)[0] if mending else voltages
         carry_over = estimate_carry_over(replace(block, voltages=calm), used)
     apply = (
         carry_over is not None
@@ -127,7 +144,6 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         and carry_over.share < 1
     )
     reference = None if recording.reference is None else recording.reference.voltages
-    voltages = block.voltages
     if apply and carry_over is not None:
         order = scan_order(block)
         voltages = correct_carry_over(voltages, carry_over.share, order)
@@ -146,6 +162,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         bool(apply),
         error,
         offset,
+        offsets,
         int(spikes.sum()),
         int(spikes.any(axis=(1, 2)).sum()),
     )

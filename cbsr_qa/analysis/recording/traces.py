@@ -20,6 +20,9 @@ _ROUGH_AFTER_FRAMES = 24  #: and so many after the step give its first, rough pa
 _BEGUN, _REACHED = 0.2, 0.8  #: shares of the plateau at which a press has begun, and is down
 _RELEASED = 0.15  #: least share of the trace that a release takes back
 _SUDDEN = 0.5  #: a release that takes back this share of its drop within three frames is that step
+_STAYED = 0.5  #: what keeps this share of its top, and fades from there on, was not released
+_HELD = 0.15  #: what was held first lies above the straight line from top to end by this share of the decline
+_SMOOTH_SHARE = 10  #: averaged over this part of the time, against noise
 _DECLINED = 0.25  #: otherwise it is where this share of the drop is passed
 
 
@@ -98,7 +101,7 @@ def signal_energy(white: Array, before: slice, held: slice) -> float:
 
 
 def end_of(along: Array, begin: int, limit: int) -> float:
-    """Start of a trace's final decline; the last frame if it does not decline."""
+    """Start of a trace's final decline; the last frame if it does not decline, or only fades."""
     part = along[begin:limit]
     if len(part) < 4:
         return float(limit - 1)
@@ -114,7 +117,18 @@ def end_of(along: Array, begin: int, limit: int) -> float:
         steepest = int(np.argmax(falls))
         if falls[steepest] >= _SUDDEN * drop:
             return _crossing(part, top + steepest, float(part[top + steepest]) - falls[steepest] / 2) + begin
+    down = int(np.argmax(part >= _REACHED * part[top]))
+    if limit == len(along) and last >= _STAYED * float(part[top]) and _fades(part[down:], drop, noise):
+        return float(limit - 1)
     return _crossing(part, top, float(part[top]) - _DECLINED * drop, last=True) + begin
+
+
+def _fades(part: Array, drop: float, noise: float) -> bool:
+    """Whether a trace declines all the time, ever slower or evenly, as creep does; a release follows a hold."""
+    window = max(len(part) // _SMOOTH_SHARE, 1)
+    calm = np.convolve(part, np.full(window, 1 / window), "valid")
+    straight = np.linspace(calm[0], calm[-1], len(calm))
+    return bool((calm - straight).max() <= _HELD * drop + noise / np.sqrt(window))
 
 
 def _crossing(part: Array, begin: int, level: float, *, last: bool = False) -> float:

@@ -1,5 +1,6 @@
 """Whole recordings with known presses, loose contacts, gains and glitches: what is called a load, and what is not."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -39,19 +40,17 @@ def counts(*presses, seed=1, gain=None):
     return np.round(OFFSET + frames + rng.normal(0, NOISE, frames.shape))
 
 
-def block(voltages):
-    return FrameBlock(
-        np.arange(len(voltages)) / RATE_HZ, voltages, np.zeros(voltages.shape, np.uint8), VoltageUnit.COUNT, None
-    )
+def block(voltages, unit=VoltageUnit.COUNT):
+    return FrameBlock(np.arange(len(voltages)) / RATE_HZ, voltages, np.zeros(voltages.shape, np.uint8), unit, None)
 
 
-def analysed(voltages):
+def analysed(voltages, unit=VoltageUnit.COUNT):
     recording = Recording(
         Path("made.csv"),
         "made",
         "",
         ScanKind.FULL,
-        block(voltages),
+        block(voltages, unit),
         None,
         still=False,
         magnitudes_only=False,
@@ -113,6 +112,45 @@ def test_a_press_at_the_centre_is_no_gain():
     for seed in range(4):
         (event,) = analysed(counts(press(0.0, 0.0, -25, 60, 110), seed=seed)).events
         assert event.r_over_R < 0.15
+
+
+OFFSETS = ((30, 300.0), (70, 500.0), (110, -300.0), (130, 60.0))
+
+
+@pytest.mark.parametrize("unit", [VoltageUnit.COUNT, VoltageUnit.VOLT])
+@pytest.mark.parametrize("loads", [(), (press(0.3, 0.4, -30, 50, 100),)])
+def test_every_offset_on_all_readings_is_named_and_is_no_load(unit, loads):
+    voltages = counts(*loads)
+    for at, size in OFFSETS:
+        voltages[at:] += size
+    if unit is VoltageUnit.VOLT:
+        voltages = 1e-5 * (voltages - OFFSET)
+    result = analysed(voltages, unit)
+    assert len(result.events) == len(loads)
+    for event in result.events:
+        assert (event.start_s, event.end_s) == pytest.approx((12.5, 25.0), abs=0.8)
+        assert np.hypot(event.x_over_R - 0.3, event.y_over_R - 0.4) < 0.1
+    (said,) = (w for w in result.warnings if "by one offset" in w)
+    assert [float(at) for at in re.findall(r"at ([\d.]+) s", said)] == [at / RATE_HZ for at, _ in OFFSETS]
+    scale = 1 if unit is VoltageUnit.COUNT else 1e-5
+    sizes = [float(size) / scale for size in re.findall(r"([+-][\d.e-]+) (?:count|V) at", said)]
+    assert sizes == pytest.approx([size for _, size in OFFSETS], abs=5)
+
+
+@pytest.mark.parametrize("tau", [15, 60, 200])
+def test_a_press_that_fades_but_is_still_there_lasts_to_the_end(tau):
+    faded = np.where(np.arange(FRAMES) < 42, 1.0, 0.6 + 0.4 * np.exp(-(np.arange(FRAMES) - 42) / tau))
+    for seed in range(3):
+        held = press(0.3, 0.4, -40, 40, FRAMES + 1) * faded[:, None, None]
+        (event,) = analysed(counts(held, seed=seed)).events
+        assert (event.start_s, event.end_s) == pytest.approx((10.0, (FRAMES - 1) / RATE_HZ), abs=0.5)
+
+
+@pytest.mark.parametrize("residue", [0.3, 0.6])
+def test_a_press_that_is_released_ends_though_the_sheet_keeps_most_of_it(residue):
+    for seed in range(3):
+        (event,) = analysed(counts(press(0.3, 0.4, -40, 40, 90, residue=residue), seed=seed)).events
+        assert event.end_s == pytest.approx(22.5, abs=0.8)
 
 
 @pytest.mark.rest

@@ -1,0 +1,68 @@
+"""Offsets: a change that is one and the same on all readings, as of an amplifier or a reference voltage.
+
+No load does that: its pattern differs from reading to reading, and so does a change of gain.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
+
+Array = NDArray[np.float64]
+
+_STAY_FRAMES = 8  #: at most so many frames on either side give an offset's size
+_SUDDEN = 6.0  #: the typical reading jumps by so many times the noise of such jumps
+_UNEVEN = 0.2  #: beyond noise, readings agree on the size within this share of it
+_SIZEABLE = 1.0  #: times the noise of one reading: smaller offsets are no matter
+_MEDIAN_NOISE = 1.2533  #: standard error of a median over that of a mean
+
+
+def find_offsets(readings: Array, sigma: Array) -> tuple[tuple[int, float], ...]:
+    """Find every sudden change that is one offset on all readings.
+
+    Parameters
+    ----------
+    readings : (n, m). sigma : (m,) noise of each, of :func:`channel_noise`.
+
+    Returns
+    -------
+    First frame with each offset, and its size in the readings' unit.
+    """
+    if len(readings) < 2 or not readings.shape[1]:
+        return ()
+    jumps = np.median(np.diff(readings, axis=0), axis=1)
+    noise = float(np.median(sigma))
+    usual = MAD_TO_SIGMA * float(np.median(np.abs(jumps - np.median(jumps))))
+    sudden = np.flatnonzero(np.abs(jumps) > max(_SUDDEN * usual, _SIZEABLE * noise / 2)) + 1
+    found: list[tuple[int, float]] = []
+    last = 0
+    for at in sudden.tolist():
+        # An offset that comes in the middle of a frame is seen in two frames, and is one.
+        later = sudden[sudden > at + 1]
+        until = min(at + _STAY_FRAMES, int(later[0]) if len(later) else len(readings))
+        begin = max(at - _STAY_FRAMES, last)
+        if found and at - last < 2 and until - at > 1:
+            continue
+        size, uneven = _common(readings[begin:at], readings[at:until], sigma)
+        if abs(size) > _SIZEABLE * noise and uneven < _UNEVEN * abs(size):
+            found.append((at, size))
+            last = at
+    return tuple(found)
+
+
+def _common(before: Array, after: Array, sigma: Array) -> tuple[float, float]:
+    """Typical change of all readings, and how far they disagree about it beyond their noise."""
+    change = np.median(after, axis=0) - np.median(before, axis=0)
+    size = float(np.median(change))
+    spread = MAD_TO_SIGMA * float(np.median(np.abs(change - size)))
+    noise = _MEDIAN_NOISE * float(np.median(sigma)) * np.sqrt(1 / len(before) + 1 / len(after))
+    return size, float(np.sqrt(max(spread**2 - noise**2, 0.0)))
+
+
+def without_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> Array:
+    """Take offsets out of (n, drives, measures) readings, so that all have that of the first frame."""
+    added = np.zeros(len(voltages))
+    for frame, size in offsets:
+        added[frame:] += size
+    clean: Array = voltages - added[:, None, None]
+    return clean
