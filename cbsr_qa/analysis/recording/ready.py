@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import (
     ChannelFaults,
+    DeadDrive,
     channel_noise,
     despiked,
+    find_dead_drives,
     find_faults,
     find_offsets,
     without_offsets,
@@ -49,6 +51,7 @@ class ReadyReadings:
     error : reciprocity error of ``block``; None for one-row scans.
     offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
     offsets : frame and size of every sudden change that was one offset on all readings.
+    dead_drives : whose readings are left out.
     spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`despiked`.
     """
 
@@ -61,6 +64,7 @@ class ReadyReadings:
     error: float | None
     offset: bool
     offsets: tuple[tuple[int, float], ...] = ()
+    dead_drives: tuple[DeadDrive, ...] = ()
     spikes: int = 0
     spiky_frames: int = 0
 
@@ -71,6 +75,7 @@ class ReadyReadings:
             unit = self.block.unit.value
             listed = ", ".join(f"{size:+.3g} {unit} at {self.block.time_s[at]:.1f} s" for at, size in self.offsets)
             remarks.append(f"all readings changed by one offset, not by a load: {listed}; it was taken out")
+        remarks += [dead.words(self.block.unit.value) for dead in self.dead_drives]
         if self.spikes:
             remarks.append(
                 f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for about a"
@@ -151,6 +156,8 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     spikes = np.zeros(voltages.shape, dtype=bool)
     if mending:
         voltages, spikes = despiked(voltages, used, counts=offset)
+    dead_drives = find_dead_drives(np.median(voltages, axis=0), used) if scanned else ()
+    used[[dead.drive for dead in dead_drives]] = False
     mean = voltages.mean(axis=0)
     error = reciprocity_error(mean, used, offset_of(mean, used, counts=offset)) if imaged and used.any() else None
     return ReadyReadings(
@@ -163,6 +170,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         error,
         offset,
         offsets,
+        dead_drives,
         int(spikes.sum()),
         int(spikes.any(axis=(1, 2)).sum()),
     )

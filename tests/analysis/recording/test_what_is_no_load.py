@@ -114,6 +114,45 @@ def test_a_press_at_the_centre_is_no_gain():
         assert event.r_over_R < 0.15
 
 
+def with_dead_drive(voltages, drive, *, wrapped):
+    """Let a fifth of the current reach the sheet from one drive pair; its own reading wraps, or does not."""
+    k = np.arange(16)
+    voltages[:, k, k] += 20_000
+    voltages[:, drive] = np.round(OFFSET + (voltages[:, drive] - OFFSET) / 5)
+    voltages[:, drive, drive] += -30_000 if wrapped else 16_000
+    return voltages
+
+
+@pytest.mark.parametrize("drive", [0, 6, 15])
+@pytest.mark.parametrize("wrapped", [True, False])
+def test_a_dead_drive_is_named_and_left_out(drive, wrapped):
+    result = analysed(with_dead_drive(counts(press(0.3, 0.4, -40, 60, 100)), drive, wrapped=wrapped))
+    (said,) = (w for w in result.warnings if "is dead" in w)
+    assert f"drive pair {drive} is dead" in said
+    assert float(re.search(r"readings are (\d+)%", said).group(1)) == pytest.approx(20, abs=1)
+    assert ("its own is" in said) == wrapped
+    assert result.channels.used == 208 - 13
+    (event,) = result.events
+    assert np.hypot(event.x_over_R - 0.3, event.y_over_R - 0.4) < 0.1
+
+
+@pytest.mark.parametrize("fault", ["none", "loud pair", "loose electrode", "carry-over", "noise"])
+def test_no_other_fault_is_a_dead_drive(fault):
+    for seed in range(4):
+        voltages = counts(press(0.3, 0.4, -40, 60, 100), seed=seed)
+        if fault == "loud pair":
+            voltages[:, :, 4] = OFFSET + 5 * (voltages[:, :, 4] - OFFSET)
+        elif fault == "loose electrode":
+            voltages = loosened(voltages, 5, 0)
+        elif fault == "carry-over":
+            voltages = np.round(
+                voltages + 0.14 * (np.roll(voltages.reshape(-1), 1).reshape(voltages.shape) - voltages)
+            )
+        elif fault == "noise":
+            voltages = np.round(OFFSET + 40 * np.random.default_rng(seed).normal(size=voltages.shape))
+        assert not any("is dead" in w for w in analysed(voltages).warnings)
+
+
 OFFSETS = ((30, 300.0), (70, 500.0), (110, -300.0), (130, 60.0))
 
 

@@ -1,0 +1,87 @@
+"""Dead drive pairs: most of the current never reaches the sheet.
+
+All readings of such a drive are a fraction of what they should be. A passive sheet is reciprocal: V_ij, driven at
+pair i, equals V_ji, driven at pair j. So the row of a dead drive is a fraction of its own column, whatever the sheet.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_DEAD = 0.4  #: a drive whose readings follow their reciprocals with less than this slope is dead …
+_SMALL = 0.6  #: … if they are also below this share of those of the typical drive, and their reciprocals are not …
+_SOUND = 0.7  #: … where those of most drives follow with at least this one
+_FOLLOWS = 0.8  #: correlation that a slope needs to mean anything, of the typical drive
+_FEWEST = 6  #: reciprocal readings of a drive
+_AWAY = 0.5  #: a dead drive's own reading is wrapped if it differs by this share of the typical one
+
+
+@dataclass(frozen=True, slots=True)
+class DeadDrive:
+    """A drive pair that hardly drives.
+
+    Parameters
+    ----------
+    drive : its number.
+    share : of the current that reaches the sheet, from its readings over their reciprocals.
+    own, usual_own : reading of the pair while it is driven itself, and what is usual of the others, as recorded.
+    """
+
+    drive: int
+    share: float
+    own: float
+    usual_own: float
+
+    @property
+    def wrapped(self) -> bool:
+        """Whether its own reading is far from that of the other drives."""
+        return abs(self.own - self.usual_own) > _AWAY * abs(self.usual_own)
+
+    def words(self, unit: str) -> str:
+        """Name the drive and what was seen; readings in ``unit``."""
+        own = f", and its own is {self.own:.5g} {unit} where {self.usual_own:.5g} is usual" if self.wrapped else ""
+        return (
+            f"drive pair {self.drive} is dead: its readings are {self.share:.0%} of those with drive and measurement"
+            f" exchanged{own}; they were left out"
+        )
+
+
+def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
+    """Find drives whose readings are a fraction of their reciprocals.
+
+    Parameters
+    ----------
+    frame : (pairs, pairs), the typical one, carry-over taken out; the same pairs drive and measure. An offset on all
+        readings does not matter.
+    used : (pairs, pairs) bool, sound readings that touch no driven electrode.
+
+    Returns
+    -------
+    None where the readings are not reciprocal enough to tell: noise, or a board that remembers.
+    """
+    both = used & used.T
+    drives = np.flatnonzero(both.sum(axis=1) >= _FEWEST)
+    if len(drives) < _FEWEST:
+        return ()
+    slopes, follow = np.array([_slope(frame[both[:, k], k], frame[k, both[k]]) for k in drives]).T
+    if np.median(slopes) < _SOUND or np.median(follow) < _FOLLOWS:
+        return ()
+    own = np.diag(frame)
+    # Of a measure pair that reads too much the row is as large as others; of a lost contact the column is small too.
+    rows, columns = (np.array([each[k, both[k]].std() for k in drives]) for each in (frame, frame.T))
+    dead = drives[(slopes < _DEAD) & (rows < _SMALL * np.median(rows)) & (columns > _SMALL * np.median(columns))]
+    usual = float(np.median(np.delete(own, dead)))
+    return tuple(DeadDrive(int(k), float(slopes[drives == k][0]), float(own[k]), usual) for k in dead)
+
+
+def _slope(reciprocal: Array, reading: Array) -> tuple[float, float]:
+    """Slope of readings over their reciprocals, each about its mean, and their correlation."""
+    x, y = reciprocal - reciprocal.mean(), reading - reading.mean()
+    power, other = float(x @ x), float(y @ y)
+    if power == 0 or other == 0:
+        return 0.0 if other == 0 < power else 1.0, float(other == power)
+    return float(x @ y) / power, float(x @ y) / np.sqrt(power * other)
