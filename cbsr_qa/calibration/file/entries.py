@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.file.content import INDEX, PRESS_FORMAT, PURE, TEXT, Entry, Reading, format_of
 from cbsr_qa.calibration.file.fields import Codec, Entries, Irregular, problems
 from cbsr_qa.domain import CalibrationError, RefusedError, kept_fields
-from cbsr_qa.domain.results import Calibration, ForceModel, LoadRelaxation, PressCalibration, RelaxationKernel
+from cbsr_qa.domain.results import (
+    Calibration,
+    ForceModel,
+    LearnedPlace,
+    LoadRelaxation,
+    PressCalibration,
+    RelaxationKernel,
+)
 from cbsr_qa.domain.sensor import (
     INTEGERS as MESH_INTEGERS,
     NAMES as MESH_ARRAYS,
@@ -103,7 +110,33 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
             raise CalibrationError(f"readings/{name} of {values.shape} does not fit {readings} readings")
     if not (calibration.registration.scale > 0 and calibration.registration.radius_mm > 0):
         raise CalibrationError("registration/scale or registration/radius is not positive")
+    for problem in _place_problems(calibration.place, readings):
+        raise CalibrationError(problem)
     return calibration
+
+
+def _place_problems(place: LearnedPlace, readings: int) -> Iterator[str]:
+    """Say what no place could be worked out from."""
+    permuted = place.turns.permuted
+    of_readings = {
+        "scaling/ceiling": place.scaling.ceiling.shape[0],
+        "turns/permuted": permuted.shape[1],
+        "process/features": place.process.features.shape[1],
+        "process/scales/own": place.process.scales.own.shape[0],
+        "templates/whitening": place.templates.whitening.shape[0],
+    }
+    yield from (
+        f"place/{name} is of {count} readings, readings/pairs of {readings}"
+        for name, count in of_readings.items()
+        if count != readings
+    )
+    if not permuted.size or permuted.min() < 0 or permuted.max() >= readings:
+        yield f"place/turns/permuted names a reading other than 0 to {readings - 1}"
+    if not len(place.templates.grid_mm) or not len(place.process.features):
+        yield "place/templates/grid or place/process/features is empty"
+    low, high = place.mixture.quantiles.tolist()
+    if not 0 < low <= high:
+        yield "place/mixture/quantiles are not positive and rising"
 
 
 def _calibration(entries: Mapping[str, Entry]) -> Calibration:
