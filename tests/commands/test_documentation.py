@@ -261,8 +261,12 @@ def test_the_page_on_presses_runs_as_printed(tmp_path, monkeypatch):
     page = HOW_TO / "calibrate-from-presses.md"
     assert write_files(page, tmp_path) == ["skin.toml"]
     monkeypatch.chdir(tmp_path)
-    exec("\n".join(blocks(page, "python")), {})
+    simulated, used = blocks(page, "python")
+    exec(simulated, {})
     calibrated, shown, _, applied = (typed(tmp_path, command).stdout for command in commands(page))
+    in_python = {}
+    exec(used, in_python)
+    assert in_python["radius_mm"].max() < 1
     assert "mirrored" in calibrated
     assert "no station made this" in shown
     frames = json.loads(applied)["frames"]
