@@ -40,13 +40,13 @@ class NoiseFigureSequence(WithOptions):
 
     Parameters
     ----------
-    rest_s : rest before the unloaded frames; default 240.
-    frames : unloaded frames; default 30, at least 16 (a noise floor and a reference apart from it).
-    strain_percent : of the centre load; default 20.
-    hold_s : default 60, so that frames after the steady state exist.
-    trials : default 3.
-    recovery_s : rest after each press; default 60.
-    find_surface : whether the centre's surface is found first; default true.
+    rest_s : rest before the unloaded frames.
+    frames : unloaded frames, at least 16 (a noise floor and a reference apart from it).
+    strain_percent : of the centre load.
+    hold_s : time pressed, long enough that frames after the steady state exist.
+    trials : how often the press is repeated.
+    recovery_s : rest after each press.
+    find_surface : whether the centre's surface is found first.
 
     """
 
@@ -81,12 +81,12 @@ class RelaxationSequence(WithOptions):
     Parameters
     ----------
     x_mm, y_mm : place; default the centre.
-    strain_percent : default 20.
-    hold_s, rest_s : default 240 and 240, about five of the paper's longest settling times.
-    trials : default 1.
-    initial_rest_s : rest after surface finding; default 240.
-    find_surface : whether the surface is found first; default true.
-    unloaded_frames : before the first press; default and least 16.
+    strain_percent : of each press.
+    hold_s, rest_s : time pressed, and rest after it; 240 s are about five of the paper's longest settling times.
+    trials : how often the press is repeated.
+    initial_rest_s : rest after surface finding.
+    find_surface : whether the surface is found first.
+    unloaded_frames : before the first press.
 
     """
 
@@ -124,11 +124,11 @@ class PreconditioningSequence(WithOptions):
 
     Parameters
     ----------
-    cycles : of each location; default 5, at least 2 (a change needs two).
-    strain_percent : default 30, the paper's highest.
-    hold_s, rest_s : default 10 and 10.
-    locations_mm : [x, y] each, labelled L0, L1, … in order; default the paper's nine.
-    find_surface : whether the surface is found at every location first; default true.
+    cycles : of each location, at least 2 (a change needs two).
+    strain_percent : of each press; 30 is the paper's highest.
+    hold_s, rest_s : time pressed, and rest after it.
+    locations_mm : [x, y] each, labelled L0, L1, … in order.
+    find_surface : whether the surface is found at every location first.
 
     """
 
@@ -173,13 +173,13 @@ class HysteresisLoopSequence(WithOptions):
     ----------
     strains_percent : rising; at least two, default [7.5, 15, 22.5, 30]. Half of the highest is where most loops are
         widest.
-    cycles : loops at each location; default 3 (with 2 and more their scatter is known).
-    hold_s, rest_s : at each strain, and after each loop; default 60 and 120.
-    locations_mm : [x, y] each, labelled H0, H1, … in order; default the centre.
-    label : what labels begin with; default H.
-    initial_rest_s : rest after surface finding; default 240.
-    find_surface : whether the surface is found at every location first; default true.
-    unloaded_frames : before the first press; default and least 16.
+    cycles : loops at each location (with 2 and more their scatter is known).
+    hold_s, rest_s : at each strain, and after each loop.
+    locations_mm : [x, y] each, labelled H0, H1, … in order.
+    label : what labels begin with.
+    initial_rest_s : rest after surface finding.
+    find_surface : whether the surface is found at every location first.
+    unloaded_frames : before the first press.
 
     """
 

@@ -30,14 +30,14 @@ class CharacterisationSequence(WithOptions):
 
     Parameters
     ----------
-    strains_percent : default the paper's [5, 10, 15, 20, 25, 30].
-    cycles : at each strain; default 10.
+    strains_percent : of the presses, in order.
+    cycles : at each strain.
     order : ``"as given"``, or ``"shuffled"`` by the run's seed, so that drift of the material does not pass for a
         dependence on strain.
-    hold_s, rest_s : default 60 and 60: a period of 120 s, half of it pressed.
-    initial_rest_s : rest after surface finding; default 240.
-    find_surface : whether the surface is found first; default true.
-    unloaded_frames : before the first press; default 60, least 16.
+    hold_s, rest_s : time pressed, and rest after it; the defaults make a period of 120 s, half of it pressed.
+    initial_rest_s : rest after surface finding.
+    find_surface : whether the surface is found first.
+    unloaded_frames : before the first press.
     x_mm, y_mm : place; default the strip's centre.
 
     """

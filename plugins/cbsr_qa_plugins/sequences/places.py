@@ -40,14 +40,14 @@ class LocationGridSequence(WithOptions):
 
     Parameters
     ----------
-    strains_percent : default [20]; the paper's campaign is [5, 10, 15, 20, 25, 30].
-    trials : of each location and strain; default 1 (the paper's campaign: 3).
-    hold_s, rest_s : default 60 and 60.
-    locations_mm : [x, y] each, labelled L0, L1, … in order; default the paper's nine.
-    label : what labels begin with; default L. Two grids of one recipe tell their places apart by it.
-    initial_rest_s : rest after surface finding; default 240.
-    find_surface : whether the surface is found at every location first; default true.
-    unloaded_frames : before the first press; default and least 16.
+    strains_percent : of the presses; the paper's campaign is [5, 10, 15, 20, 25, 30].
+    trials : of each location and strain (the paper's campaign: 3).
+    hold_s, rest_s : time pressed, and rest after it.
+    locations_mm : [x, y] each, labelled L0, L1, … in order.
+    label : what labels begin with. Two grids of one recipe tell their places apart by it.
+    initial_rest_s : rest after surface finding.
+    find_surface : whether the surface is found at every location first.
+    unloaded_frames : before the first press.
 
     """
 
@@ -101,12 +101,12 @@ class GivenLoadsSequence(WithOptions):
     ----------
     loads : tables of ``strain_percent`` and a place, which is either ``x_mm`` and ``y_mm``, or ``radius_mm`` and
         ``angle_deg`` (counterclockwise from the x axis), as the paper's Table 5 gives it. There is no default.
-    trials : of the whole list; default 1.
-    hold_s, rest_s : default 60 and 60.
-    initial_rest_s : rest after surface finding; default 240.
-    find_surface : whether the surface is found at every place first; default true.
-    unloaded_frames : before the first press; default and least 16.
-    label : what labels begin with; default R.
+    trials : of the whole list.
+    hold_s, rest_s : time pressed, and rest after it.
+    initial_rest_s : rest after surface finding.
+    find_surface : whether the surface is found at every place first.
+    unloaded_frames : before the first press.
+    label : what labels begin with.
 
     """
 
@@ -154,13 +154,13 @@ class RandomLoadsSequence(WithOptions):
 
     Parameters
     ----------
-    count : default 10.
-    radius_mm : [lowest, highest]; default [0, 40].
-    strain_percent : [lowest, highest]; default [5, 30].
-    hold_s, rest_s : default 60 and 60.
-    initial_rest_s : rest after surface finding; default 240.
-    find_surface : whether the surface is found at every place first; default true.
-    unloaded_frames : before the first press; default and least 16.
+    count : number of presses.
+    radius_mm : [lowest, highest].
+    strain_percent : [lowest, highest].
+    hold_s, rest_s : time pressed, and rest after it.
+    initial_rest_s : rest after surface finding.
+    find_surface : whether the surface is found at every place first.
+    unloaded_frames : before the first press.
     stream : name of the random stream; two phases of one recipe draw different loads under different names.
 
     """
