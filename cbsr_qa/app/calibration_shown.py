@@ -80,13 +80,6 @@ class ShownParameter:
     source: str
     units: str
 
-    @property
-    def text(self) -> str:
-        """Value, standard error, units and source."""
-        error = f" ± {self.stderr:.2g}" if self.stderr else ""  # 0 is: nobody doubted it
-        units = "" if self.units == "1" else f" {self.units}"
-        return f"{self.value:.4g}{error}{units} ({self.source})"
-
 
 @dataclass(frozen=True, slots=True)
 class ShownLine:
@@ -309,7 +302,6 @@ def _page(shown: ShownCalibration) -> Page:
 def _sections(shown: ShownCalibration) -> Iterator[Section]:
     yield _texts("Where it may be used", _validity(shown.validity))
     yield Section("Baseline conductance", (_baseline(shown.baseline_conductance),))
-    yield _texts("Relative conductance change = slope · x + intercept", _lines(shown))
     yield _texts("Force", _force(shown))
     yield Section("Settling", (_settling(shown.settling),))
     rows = [(path, field.units, field.text) for path, field in shown.values.items() if field.listed]
@@ -349,13 +341,6 @@ def _baseline(places: tuple[BaselineConductance, ...]) -> Table:
     ]
     columns = ("place", "x [mm]", "y [mm]", "value", "± 1 s.e.", "loads", "remark")
     return text_table("In relative image units.", columns, rows, (1, 2, 3, 4, 5))
-
-
-def _lines(shown: ShownCalibration) -> Iterator[str]:
-    for against, line in (("stress", shown.against_stress), ("strain", shown.against_strain)):
-        yield f"slope against {against}: {line.slope.text}"
-        yield f"intercept against {against}: {line.intercept.text}"
-    yield f"assumed, not measured on this sensor: {', '.join(shown.assumed) or 'nothing'}"
 
 
 def _force(shown: ShownCalibration) -> Iterator[str]:
