@@ -56,7 +56,7 @@ def _chart_changes(references: Iterable[ChartReference]) -> Iterator[ChartChange
 def _sections(changes: Changes, named: Callable[[str], str]) -> Iterator[Section]:
     """Yield a section a change: what, when, by whom, why, and what it was before."""
     for file in changes.changes:
-        title = f"{file.at:{_AT}}  {file.kind} {file.name}, by {file.by or 'nobody named'}"
+        title = f"{file.at:{_AT}}  {file.kind} {file.name}, operator: {file.by or 'not stated'}"
         runs = f"runs: {named(file.run)}; before it {named(file.earlier_run)}"
         content = f"content (SHA-256): {file.old_digest[:12]} → {file.new_digest[:12]}"
         yield _section(title, file.why, runs, content, *(difference.words for difference in file.differences))
