@@ -47,6 +47,9 @@ class Command:
         return "Studies of many runs or simulations" if ".studies." in self.run.__module__ else "Commands"
 
 
+#: What help lists first, in the order of use.
+_FIRST: Final = ("run", "report", "calibration", "export", "analyse", "station", "verdict", "db")
+
 _COMMANDS: Final[dict[str, Command]] = {}
 _GROUPS: Final[dict[str, str]] = {}
 _PRINTED: Final[dict[str, str]] = {}
@@ -83,9 +86,14 @@ def document(words: str, *, prints: str) -> None:
 
 
 def commands() -> list[Command]:
-    """Return all commands, in the order of their words."""
+    """Return all commands: those of a sensor's way from run to calibration first, then by their words."""
     _import_all()
-    return [_COMMANDS[words] for words in sorted(_COMMANDS)]
+    return [_COMMANDS[words] for words in sorted(_COMMANDS, key=lambda words: (_rank(words), words))]
+
+
+def _rank(words: str) -> int:
+    first = words.partition(" ")[0]
+    return _FIRST.index(first) if first in _FIRST else len(_FIRST)
 
 
 def purpose(of_group: str) -> str:

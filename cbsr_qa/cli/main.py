@@ -194,6 +194,7 @@ _WORDS = {
     r"Input should be a valid number.*": "it must be a number",
     r"Input should be greater than or equal to (.*)": r"it must be at least \1",
     r"Input should be less than or equal to (.*)": r"it must be at most \1",
+    r"Option '--place' requires 2 arguments\.": "--place needs two numbers, x and y in mm, e.g. --place 10 -5",
     r"(?:Value error, )?('.*') does not match the formats? '%Y-%m-%d'\.?": r"\1 is not a date like 2027-03-31",
 }
 

@@ -31,7 +31,9 @@ def run(
     seed: Annotated[
         int | None,
         typer.Option(
-            help="Seed for random loads and simulations; by default from the serial number and the number of its run."
+            min=0,
+            max=2**31 - 1,
+            help="Seed for random loads and simulations; by default from the serial number and how often it was run.",
         ),
     ] = None,
     database: Database = None,

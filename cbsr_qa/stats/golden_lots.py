@@ -191,7 +191,7 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     """
     smallest, largest, count = telling_runs(smallest), telling_runs(largest), len(largest)
     if count < FEWEST_SENSORS:
-        return LotLimits(why=f"{count} sensors are too few: at least {FEWEST_SENSORS} are needed")
+        return LotLimits(why=f"too few sensors: {count}; at least {FEWEST_SENSORS} are needed")
     for runs in ([smallest] if ask.lower else []) + ([largest] if ask.upper else []):
         if why := _nothing_to_go_by(runs):
             return LotLimits(why=why)

@@ -69,6 +69,8 @@ def test_a_misused_command_line_ends_with_2_and_says_so_on_stderr(capsys, argume
         (["run", "--seed", "abc"], "'--seed': it must be a whole number"),
         (["scene", "run", "none", "--seed", "-4"], "'--seed': it must be at least 0"),
         (["scene", "run", "none", "--seed", "9999999999"], "'--seed': it must be at most 2147483647"),
+        (["run", "--seed", "-3"], "'--seed': it must be at least 0"),
+        (["calibration", "apply", "a.h5", "b.h5", "--place", "3"], "--place needs two numbers, x and y in mm"),
         (["gauge", "--confidence", "high"], "'--confidence': it must be a number"),
         (["gauge", "--since", "2026-13-01"], "'--since': '2026-13-01' is not a date like 2027-03-31"),
     ],

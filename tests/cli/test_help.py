@@ -18,6 +18,12 @@ def test_help_shows_no_types_of_python_and_no_markup(capsys, words):
     assert not re.search(r"<\w+(\[\w+\])?>|<class|\bstr\b|\bfloat\b|list\[|range\b.*\[|%Y|x>=|<=x|`", out), out
 
 
+def test_help_lists_run_first_and_then_what_follows_a_run(capsys):
+    assert guarded(["--help"]) == 0
+    listed = re.findall(r"^│ (run|report|export|analyse|schema) ", capsys.readouterr().out, re.MULTILINE)
+    assert listed == ["run", "report", "export", "analyse", "schema"]
+
+
 def test_every_option_and_argument_has_a_description():
     from typer import main as typer_main
 

@@ -17,7 +17,7 @@ def test_no_lot_or_an_empty_one_is_refused(lot_database, refused, tmp_path):
     refused(lot_database, "--recipe", "shrt", said=["did you mean 'short'"])
     refused(lot_database, "--serial", "S-1", said=["of sensor 'S-1'", "did you mean"])
     refused(lot_database, "--batch", "golden", "--since", "2030-01-01", said=["no stored run fits"])
-    refused(lot_database, "--serial", "S-01", said=["1 sensors are too few"])
+    refused(lot_database, "--serial", "S-01", said=["too few sensors: 1;"])
     refused(lot_database, "--serials", tmp_path / "nowhere.txt", said=["nowhere.txt", "No such file"])
     (tmp_path / "bad.txt").write_text("S-01\nS 02\n")
     refused(lot_database, "--serials", tmp_path / "bad.txt", said=["bad.txt line 2", "'S 02'"])
@@ -111,7 +111,7 @@ def test_a_file_that_exists_is_not_written_over(lot_database, refused, tmp_path)
 
 def test_nothing_is_written_where_nothing_is_proposed(lot_database, refused, tmp_path):
     file = tmp_path / "limits.toml"
-    refused(lot_database, "--serial", "S-01", "--serial", "S-02", "--output", file, said=["2 sensors are too few"])
+    refused(lot_database, "--serial", "S-01", "--serial", "S-02", "--output", file, said=["too few sensors: 2;"])
     assert not file.exists()
 
 
