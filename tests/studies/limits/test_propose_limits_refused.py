@@ -39,7 +39,7 @@ def test_what_is_not_measured_is_refused_with_the_nearest_name(lot_database, ref
         ("--guard-factor", -1, "0 to 10"),
         ("--distribution", "lognormal", "did you mean 'log-normal'"),
         ("--limits-version", "a b", "letters, digits"),
-        ("--since", "yesterday", "%Y-%m-%d"),
+        ("--since", "yesterday", "not a date like 2027-03-31"),
     ],
 )
 def test_terms_out_of_range_are_refused(lot_database, refused, option, value, said):
