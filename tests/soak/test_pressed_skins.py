@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from pages import HOW_TO
 
-
 from benchmarks.pressed_places import GOALS, trial, tried
 
 PAGE = (HOW_TO.parent / "explanation" / "place.md").read_text(encoding="utf-8")
