@@ -204,7 +204,11 @@ def test_the_sheet_of_the_forward_model_page_is_pressed():
 
 
 _RUN_ABOVE = {"write-a-plugin.md", "describe-a-sensor.md", "forward-model.md", "reconstruction.md"}
-_RUN_ABOVE |= {"use-a-calibration.md", "calibration-file.md"}  # on a file that is made for them
+_RUN_ABOVE |= {
+    "use-a-calibration.md",
+    "calibration-file.md",
+    "calibrate-from-presses.md",
+}  # on a file that is made for them
 
 
 @pytest.mark.parametrize(

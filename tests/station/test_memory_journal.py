@@ -70,4 +70,6 @@ def test_memory_gives_what_the_database_gives(store):
     assert len(grid.frames.time_s) > 3
     assert loop.unloaded_from_s > loop.loops[0].release_end_s  # the latest rest counts
     assert kept.end is EndReason.FINISHED
-    assert_same(kept, replace(stored, sessions=(), chain=kept.chain), "run")  # only what is stored
+    assert_same(
+        kept, replace(stored, sessions=(), chain=kept.chain, chain_head=kept.chain_head), "run"
+    )  # only what is stored

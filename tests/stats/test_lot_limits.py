@@ -130,7 +130,7 @@ def test_a_sensor_far_from_the_others_is_named_and_stays_in():
 @pytest.mark.parametrize(
     ("runs", "why"),
     [
-        ([[1.0], [2.0]], "2 sensors are too few"),
+        ([[1.0], [2.0]], "too few sensors: 2"),
         ([[0.3]] * 9, "every sensor has 0.3"),
         ([[1.0, 3.0]] * 6, "every sensor has 2"),
         (1e-300 * np.arange(1.0, 9.0)[:, None], "too small to be squared"),

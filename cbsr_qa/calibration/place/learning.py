@@ -7,10 +7,18 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cbsr_qa.calibration.place.drift import SESSIONS
 from cbsr_qa.calibration.place.features import features_of, pattern_turns, turn_by
-from cbsr_qa.calibration.place.held_out import HeldOut, LeftOut, PressedSheet, coverage_of, evenly
+from cbsr_qa.calibration.place.held_out import HeldOut, PressedSheet, coverage_of, evenly
 from cbsr_qa.calibration.place.mixture import drifted, learn_mixture
-from cbsr_qa.calibration.place.process import frames_likelihoods, given_presses, likely_scales, located, start_scales
+from cbsr_qa.calibration.place.process import (
+    at_edges,
+    frames_likelihoods,
+    given_presses,
+    likely_scales,
+    located,
+    start_scales,
+)
 from cbsr_qa.calibration.place.templates import match
 from cbsr_qa.domain import Array, CalibrationError, Indices
 from cbsr_qa.domain.results import (
@@ -48,6 +56,8 @@ _MISFIT_ROOM: Final = 1.2
 _SIZE_ROOM: Final = 0.5
 #: Places further from the nearest press than this many median distances of neighbours lie outside.
 _REACH: Final = 4.0
+#: Errors above this share of those of always guessing the middle say that readings tell little.
+_POOR: Final = 0.6
 
 Tell = Callable[[str], None]
 
@@ -121,7 +131,8 @@ def learn_place(
         least_size=float(_SIZE_ROOM * np.quantile(size, 1 - _MISFIT_LEVEL)),
         reach_mm=_reach(about),
     )
-    return PlaceLearned(model, coverage_of(out, sheet.places_mm), tuple(_warnings(scales, out)))
+    held_out = coverage_of(out, sheet.places_mm)
+    return PlaceLearned(model, held_out, tuple(_warnings(held_out, sheet, scales, drifts=bool(later.any()))))
 
 
 def _check(changes: Array, places_mm: Array) -> None:
@@ -219,6 +230,19 @@ def _reach(about: Array) -> float:
     return float(_REACH * np.median(apart)) if len(apart) else 0.0
 
 
-def _warnings(scales: PlaceScales, out: LeftOut) -> Iterator[str]:
+def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, *, drifts: bool) -> Iterator[str]:
     """What a person should know of what was learned."""
-    yield from ()
+    spread_mm = float(np.linalg.norm(sheet.places_mm - sheet.places_mm.mean(axis=0), axis=1).mean())
+    if held_out.mean_mm > _POOR * spread_mm:
+        yield (
+            f"the readings hardly tell the place: presses left out are missed by {held_out.mean_mm:.1f} mm, where the"
+            f" middle of all presses misses them by {spread_mm:.1f} mm"
+        )
+    at_edge = at_edges(scales, sheet.turns, sheet.features, sheet.places_mm)
+    if at_edge:
+        yield f"hyperparameters at the edge of their range: {', '.join(at_edge)}; press at more places"
+    if drifts:
+        yield (
+            "readings drift over the session: regions are widened to hold as far as"
+            f" {SESSIONS:g} sessions later; press at some known places again before that"
+        )

@@ -102,6 +102,22 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
     return likelihood.scales(best.x)
 
 
+def at_edges(scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array) -> list[str]:
+    """Hyperparameters at the edge of the range they are searched in, in words.
+
+    A variance of one part, the scale of a reading or the noise near zero is none: the presses do without it.
+    """
+    begin = start_scales(turns, features, places_mm)
+    sizes = {
+        "variance of the places": (
+            scales.own_variance + scales.turning_variance, begin.own_variance + begin.turning_variance
+        ),
+        "noise": (max(scales.noise_variance, begin.noise_variance), begin.noise_variance),
+        "length of the features": (np.exp(np.log(scales.own).mean()), np.exp(np.log(begin.own).mean())),
+    }  # fmt: skip
+    return [name for name, (found, start) in sizes.items() if abs(np.log(found / start)) > 0.9 * _FURTHEST]
+
+
 def start_scales(turns: PatternTurns, features: Array, places_mm: Array) -> PlaceScales:
     """Hyperparameters that a search for the likeliest begins with."""
     likelihood = _Likelihood(turns, features, places_mm)

@@ -1,12 +1,14 @@
 """The Gaussian process from features to places."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs
 from scipy.optimize import check_grad
 
 from cbsr_qa.calibration.place.features import pattern_turns
-from cbsr_qa.calibration.place.process import _Likelihood, given_presses, left_out, likely_scales, located
+from cbsr_qa.calibration.place.process import _Likelihood, at_edges, given_presses, left_out, likely_scales, located
 
 TURNS = pattern_turns(adjacent_pairs(8), 8)
 
@@ -51,8 +53,6 @@ def test_presses_left_out_are_located_as_by_the_others_alone(presses, scales):
 
 
 def test_the_turning_part_turns_places_with_readings(presses, scales):
-    from dataclasses import replace
-
     features, places = presses
     turning = replace(scales, own_variance=0.0)
     process, _ = given_presses(turning, TURNS, features, places)
@@ -60,3 +60,8 @@ def test_the_turning_part_turns_places_with_readings(presses, scales):
     for number, turn in enumerate(TURNS.turns):
         there = located(process, TURNS, TURNS.forth(frame, number))
         assert there == pytest.approx(located(process, TURNS, frame) @ turn.T, abs=1e-9)
+
+
+def test_a_hyperparameter_at_the_edge_of_its_range_is_named(presses, scales):
+    assert at_edges(scales, TURNS, *presses) == []
+    assert at_edges(replace(scales, noise_variance=1e8), TURNS, *presses) == ["noise"]
