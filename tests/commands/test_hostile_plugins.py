@@ -107,7 +107,7 @@ def test_a_plugin_that_cannot_be_loaded_is_named_by_the_run(place, error, bench,
     assert warning in document(dry)["warnings"]
     refused = _run(bench, tmp_path, f"{place}: raise {error}")
     assert refused.returncode == 2
-    assert "there is no metric plugin named 'hostile'" in document(refused)["refused"]["reason"]
+    assert "metrics.hostile is no installed metric plugin" in document(refused)["refused"]["reason"]
     assert "hostile failed to load: " in document(refused)["refused"]["reason"]
 
 
