@@ -1,6 +1,8 @@
 """Help in words: what is typed for a value, never a type of Python; one way to name a station."""
 
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -58,3 +60,12 @@ def test_help_on_benchmarks_lists_its_parts():
     )
     assert re.search(r"^  fleet +Batches compared", done.stdout, re.M)
     assert "python -m benchmarks.chart_alarms" in done.stdout
+
+
+def test_help_and_version_load_no_heavy_library():
+    """Each takes longer than all of the command line: help and version answer at once."""
+    loaded = "import sys, cbsr_qa.cli.main; print(*sys.modules)"
+    modules = set(
+        subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True).stdout.split()
+    )
+    assert not modules & {"numpy", "scipy", "pydantic", "sqlalchemy", "jinja2", "pluggy", "h5py"}

@@ -10,12 +10,11 @@ import typer
 from cbsr_qa.cli.command import command
 from cbsr_qa.cli.output import Counting, note, show
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.studies.frontier import TimeBasis
 
 _CLOCKS: Final = {
-    "station": (TimeBasis.STATION,),
-    "computer": (TimeBasis.COMPUTER,),
-    "both": (TimeBasis.STATION, TimeBasis.COMPUTER),
+    "station": ("station",),
+    "computer": ("computer",),
+    "both": ("station", "computer"),
 }
 _NEWTONS: Final = {"N": 1.0, "mN": 1e-3}
 _SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
@@ -48,7 +47,7 @@ def frontier(
 
     Finished parts are kept: a sweep that was stopped goes on where it was.
     """
-    from cbsr_qa.studies.frontier import Files, Wish, frontier as sweep, frontier_outcome, write_png
+    from cbsr_qa.studies.frontier import Files, TimeBasis, Wish, frontier as sweep, frontier_outcome, write_png
 
     wish = Wish(
         _amount("--force-error", force_error, _NEWTONS, "a force above 0 with its unit, e.g. 0.5N or 80mN"),
@@ -60,7 +59,7 @@ def frontier(
     with Counting("simulations and measurements") as counting:
         counting.stage("what accuracy costs in time")
         swept = sweep(
-            _CLOCKS[clock],
+            tuple(TimeBasis(time) for time in _CLOCKS[clock]),
             wish,
             Files(recipe, output, png),
             quick=quick,
