@@ -22,7 +22,7 @@ from cbsr_qa.calibration.presses import (
     source_file,
 )
 from cbsr_qa.config import load_pressed_type
-from cbsr_qa.domain import Array, RecordingError, RefusedError, filled
+from cbsr_qa.domain import Array, RecordingError, RefusedError
 from cbsr_qa.domain.readings import UNUSABLE, ScanKind
 from cbsr_qa.domain.results import CommandOutcome, LeftOutPress, PressCalibration, SheetRegistration
 from cbsr_qa.domain.sensor import DrivePattern, SensorType
@@ -53,25 +53,6 @@ class CalibrateRequest:
     pattern: Path | None = None
     differences: bool = False
     rest: Path | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class FoundPose:
-    """How the sheet lies in the frame of the presses; see :class:`~cbsr_qa.domain.results.SheetRegistration`."""
-
-    rotation_deg: float
-    rotation_stderr_deg: float
-    mirrored: bool
-    scale: float
-    scale_stderr: float
-    shift_mm: tuple[float, float]
-    shift_stderr_mm: tuple[float, float]
-    radius_mm: float
-    radius_stderr_mm: float
-    place_share: float
-    signal_share: float
-    trusted: bool
-    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +93,7 @@ class PressesCalibrated:
     used: int
     left_out: tuple[LeftOutPress, ...]
     explained: float
-    registration: FoundPose
+    registration: SheetRegistration
     held_out: HeldOut
     warnings: tuple[str, ...]
     digest: str
@@ -210,7 +191,7 @@ def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCali
         used=issued.used,
         left_out=issued.left_out,
         explained=issued.registration.signal_share,
-        registration=filled(FoundPose, issued.registration),
+        registration=issued.registration,
         held_out=held_out,
         warnings=issued.findings,
         digest=issued.digest,

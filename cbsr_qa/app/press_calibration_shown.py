@@ -3,9 +3,16 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cbsr_qa.app.calibrate import FoundPose, HeldOut, HeldOutPlaces, press_facts
+from cbsr_qa.app.calibrate import HeldOut, HeldOutPlaces, press_facts
 from cbsr_qa.domain import filled
-from cbsr_qa.domain.results import Banner, CommandOutcome, LeftOutPress, PressCalibration, SourceFile
+from cbsr_qa.domain.results import (
+    Banner,
+    CommandOutcome,
+    LeftOutPress,
+    PressCalibration,
+    SheetRegistration,
+    SourceFile,
+)
 from cbsr_qa.report import answer
 
 
@@ -32,7 +39,7 @@ class ShownPressCalibration:
     differences: bool
     used: int
     left_out: tuple[LeftOutPress, ...]
-    registration: FoundPose
+    registration: SheetRegistration
     held_out: HeldOut
     findings: tuple[str, ...]
 
@@ -45,7 +52,7 @@ def shown_presses(path: Path, held: PressCalibration) -> CommandOutcome[ShownPre
         held,
         file=path,
         readings=len(held.pairs),
-        registration=filled(FoundPose, held.registration),
+        registration=held.registration,
         held_out=HeldOut(places, {"68": held.covered_68, "95": held.covered_95}),
     )
     facts = [

@@ -105,7 +105,7 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
 def at_edges(scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array) -> list[str]:
     """Hyperparameters at the edge of the range they are searched in, in words.
 
-    A variance of one part, the scale of a reading or the noise near zero is none: the presses do without it.
+    One part, one reading or the noise may fade to zero: that is not an edge.
     """
     begin = start_scales(turns, features, places_mm)
     sizes = {
