@@ -6,6 +6,7 @@ Rows are counted from 1 below the header; the first row of a CSV file is its lin
 import csv
 import hashlib
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -65,7 +66,7 @@ class NumberTable:
     def _number(self, row: int, column: int, problems: list[str]) -> float:
         cell = self.rows[row][column]
         try:
-            value = float(cell)  # type: ignore[arg-type]
+            value = math.nan if "_" in str(cell) else float(cell)  # type: ignore[arg-type]
         except (TypeError, ValueError):
             value = math.nan
         if not math.isfinite(value):
@@ -127,8 +128,8 @@ def read_presses(path: Path) -> PressTable:
     Raises
     ------
     RecordingError
-        As of :func:`read_table`; if a column lacks its unit or is missing, or a cell is not a finite number; if all
-        depths or all forces are equal, or times fall.
+        As of :func:`read_table`; if a column lacks its unit, is named otherwise or is missing, or a cell is not a
+        finite number; if all depths, all forces or all times are equal.
     """
     table = read_table(path)
     table.refuse(
@@ -137,7 +138,7 @@ def read_presses(path: Path) -> PressTable:
     others = [name for name in _OPTIONAL if name in table.columns]
     values = table.numbers([*_PLACE, *others])
     by_name = dict(zip(others, values[:, 2:].T, strict=True))
-    for name in ("depth_mm", "force_N"):
+    for name in _OPTIONAL:
         column = by_name.get(name)
         if column is not None and len(column) > 1 and np.ptp(column) == 0:
             table.refuse(
@@ -180,16 +181,22 @@ def source_file(role: str, path: Path) -> SourceFile:
 
 
 def _header_problems(columns: Sequence[str]) -> Iterator[str]:
+    named = []
     for name in columns:
-        quantity = name if name in _QUANTITIES else name.rpartition("_")[0]
-        wanted = _QUANTITIES.get(quantity)
-        if wanted is not None and name != wanted:
-            what = "has no unit" if name == quantity else "is in a unit that is not known"
-            yield f"column {name!r} {what}: {wanted} is allowed"
+        quantity, *units = re.findall(r"[^\W_]+", name.lower()) or [""]
+        wanted = _QUANTITIES.get(quantity) if len(units) <= 1 else None
+        named.append(wanted)
+        if wanted is None or name == wanted:
+            continue
+        if not units:
+            what = "has no unit"
+        elif f"{quantity}_{units[0]}" == wanted.lower():
+            what = "is spelled differently"
+        else:
+            what = "is in a unit that is not known"
+        yield f"column {name!r} {what}: {wanted} is allowed"
     yield from (
-        f"column {name} is missing; the header is {', '.join(columns[:8])}"
-        for name in _PLACE
-        if name not in columns and name[0] not in [column.partition("_")[0] for column in columns]
+        f"column {name} is missing; the header is {', '.join(columns[:8])}" for name in _PLACE if name not in named
     )
 
 
@@ -212,18 +219,24 @@ def _csv(path: Path) -> _Cells:
                 f"{path} is larger than {_LARGEST_BYTES >> 20} MiB: too large for a table of presses"
             )
         with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = [[cell.strip() for cell in line] for line in csv.reader(file) if any(map(str.strip, line))]
+            lines = [[cell.strip() for cell in line] for line in csv.reader(file)]
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}", remedy="check its name") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise RecordingError(f"{path} is not CSV in UTF-8: {error}") from error
+    while lines and not any(lines[-1]):
+        del lines[-1]
+    lines = [line for line in lines if line not in ([], [""])]
     if not lines:
         raise RecordingError(f"{path} is empty")
+    if not any(line[-1] for line in lines):  # a comma at the end of every line
+        lines = [line[:-1] for line in lines]
     header, *rows = lines
-    if len(header) == 1 and ";" in header[0]:
-        raise RecordingError(
-            f"{path} line 1: separated by semicolons", remedy="separate by commas, decimals by points"
-        )
+    for name, sign in (("semicolons", ";"), ("tabs", "\t")):
+        if len(header) == 1 and sign in header[0]:
+            raise RecordingError(
+                f"{path} line 1: separated by {name}", remedy="separate by commas, decimals by points"
+            )
     if _is_row(header):
         raise RecordingError(
             f"{path} line 1 holds numbers where the header is expected: {', '.join(header[:4])}",

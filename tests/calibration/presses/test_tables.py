@@ -23,6 +23,11 @@ def test_labels_are_read_with_their_units(tmp_path):
     assert table.depth_mm is None
 
 
+def test_commas_at_the_end_of_every_line_are_no_column(tmp_path):
+    table = read_table(written(tmp_path, "a,b,\r\n1,2,\r\n3,4,\r\n,,\r\n\r\n"))
+    np.testing.assert_array_equal(table.numbers(), [[1, 2], [3, 4]])
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [
@@ -30,10 +35,15 @@ def test_labels_are_read_with_their_units(tmp_path):
         ("x_mm,y_mm\n", "not one row"),
         ("1.5,2\n3,4\n", "line 1 holds numbers"),
         ("x_mm;y_mm\n1;2\n", "semicolons"),
+        ("x_mm\ty_mm\n1\t2\n", "tabs"),
+        ("x_mm,y_mm\n1,2\n,\n3,4\n", "row 2, column x_mm: empty"),
+        ("x_mm,y_mm\n1_0,2\n", "row 1, column x_mm: '1_0', not a finite number"),
         ("x_mm,y_mm\n1,2,3\n", "row 1: 3 cells, the header has 2"),
         ("x_mm,x_mm,y_mm\n1,2,3\n", "'x_mm' more than once"),
         ("x,y_mm\n1,2\n", "column 'x' has no unit: x_mm"),
         ("x_mm,y_m\n1,2\n", "column 'y_m' is in a unit that is not known: y_mm"),
+        ("X (mm),y_mm\n1,2\n", "column 'X (mm)' is spelled differently: x_mm"),
+        ("x_mm,y_mm,Force_n\n1,2,3\n", "column 'Force_n' is spelled differently: force_N"),
         ("x_mm,z\n1,2\n", "column y_mm is missing"),
         ("x_mm,y_mm,force\n1,2,3\n", "column 'force' has no unit: force_N"),
         ("x_mm,y_mm\n1,2\n3,nan\n", "row 2, column y_mm: 'nan', not a finite number"),
@@ -41,6 +51,7 @@ def test_labels_are_read_with_their_units(tmp_path):
         ("x_mm,y_mm\n1,1e13\n3,4\n", "row 1, column y_mm: 1e+13; at most 1e+12 is allowed"),
         ("x_mm,y_mm\n1,two\n3,4\n", "row 1, column y_mm: 'two'"),
         ("x_mm,y_mm,depth_mm\n1,2,3\n4,5,3\n", "column depth_mm: all 2 rows hold 3"),
+        ("x_mm,y_mm,time_s\n1,2,3\n4,5,3\n", "column time_s: all 2 rows hold 3"),
     ],
 )
 def test_labels_that_cannot_be_used_are_refused(tmp_path, text, why):
