@@ -9,16 +9,13 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rows import Row
-from cbsr_qa.app import CalibrateRequest, calibrate_from_presses
-from cbsr_qa.calibration.file import read_issued
 from cbsr_qa.calibration.place import PlaceEstimator
-from cbsr_qa.domain.results import LearnedPlace, PressCalibration
+from cbsr_qa.calibration.presses import learn_presses
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 
@@ -33,22 +30,6 @@ GOALS = {
     "parallel_lines": {9: (50, 17.0), 39: (50, 5.5), 100: (20, 3.5), 400: (20, 2.2), 1600: (20, 1.6)},
 }
 _LONGEST_MS = 5.0
-_SKIN = """\
-[sensor_type]
-name = "skin"
-radius_mm = 73.0
-thickness_mm = 3.0
-
-[electrodes]
-kind = "pin"
-count = 16
-ring_radius_mm = 70.0
-diameter_mm = 2.0
-
-[pattern]
-drive = "opposite"
-measure = "adjacent"
-"""
 Numbers = NDArray[np.int64]
 
 
@@ -80,12 +61,10 @@ def trial(sheet: Pressed, count: int, seed: int) -> Trial:
 
 
 def tried(sheet: Pressed, learned: Numbers, located: Numbers) -> Trial:
-    """Calibrate from tables of some presses and locate others."""
-    with TemporaryDirectory() as folder:
-        begin = time.perf_counter()
-        model = _calibrated(some(sheet, learned), Path(folder))
-        learned_s = time.perf_counter() - begin
-    locate = PlaceEstimator(model)
+    """Learn from some presses as ``cbsr-qa calibrate`` does, and locate others."""
+    begin = time.perf_counter()
+    locate = PlaceEstimator(learn_presses(some(sheet, learned).labelled()).place.model)
+    learned_s = time.perf_counter() - begin
     begin = time.perf_counter()
     for frame in sheet.changes[located[:20], None]:
         locate(frame)
@@ -96,19 +75,6 @@ def tried(sheet: Pressed, learned: Numbers, located: Numbers) -> Trial:
     coverage = float((ratio <= locate.q68).mean()), float((ratio <= locate.q95).mean())
     distance = float(np.linalg.norm(error, axis=1).mean())
     return Trial(distance, coverage, float(places.in_model.mean()), learned_s, frame_ms)
-
-
-def _calibrated(sheet: Pressed, folder: Path) -> LearnedPlace:
-    """What ``cbsr-qa calibrate`` learns from tables of presses."""
-    readings, presses, pattern = sheet.write(folder)
-    (folder / "skin.toml").write_text(_SKIN)
-    request = CalibrateRequest(
-        readings, presses, str(folder / "skin.toml"), folder / "skin.h5", pattern=pattern, differences=True
-    )
-    calibrate_from_presses(request)
-    issued = read_issued(request.to)
-    assert isinstance(issued, PressCalibration)
-    return issued.place
 
 
 def _row(name: str, count: int, trials: list[Trial], goal: tuple[int, float] | None) -> Row:

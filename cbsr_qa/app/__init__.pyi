@@ -12,11 +12,7 @@ from .apply_places import (
     places_csv as places_csv,
     places_outcome as places_outcome,
 )
-from .calibrate import (
-    CalibrateRequest as CalibrateRequest,
-    PressesCalibrated as PressesCalibrated,
-    calibrate_from_presses as calibrate_from_presses,
-)
+from .calibrate import PressesCalibrated as PressesCalibrated, calibrate_from_presses as calibrate_from_presses
 from .calibration_file import (
     Converted as Converted,
     SoundFile as SoundFile,

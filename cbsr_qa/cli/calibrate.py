@@ -47,7 +47,8 @@ def calibrate(
 
     Finds how the sheet lies in the frame of the places, and says how far presses that were left out are missed.
     """
-    from cbsr_qa.app import CalibrateRequest, calibrate_from_presses
+    from cbsr_qa.analysis.recording import PressFiles
+    from cbsr_qa.app import calibrate_from_presses
 
-    request = CalibrateRequest(readings, presses, sensor_type, to, pattern, differences, rest)
-    return show(calibrate_from_presses(request, tell=announce), as_json=as_json)
+    files = PressFiles(readings, presses, sensor_type, pattern, differences, rest)
+    return show(calibrate_from_presses(files, to, tell=announce), as_json=as_json)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
+from cbsr_qa.calibration.presses import DistinctPairs, LabelledPresses, NumberTable, PressReadings, PressTable
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, ElectrodeLayout, Response, SensorType, adjacent_pattern
 from cbsr_qa.eit.estimate import load_model
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
@@ -66,6 +67,13 @@ class Pressed:
     changes: np.ndarray
     unloaded: np.ndarray
     force_N: np.ndarray
+
+    def labelled(self):
+        """What ``calibrate`` reads from these tables."""
+        table = NumberTable(Path("presses.csv"), (), ())
+        distinct = DistinctPairs.of(self.pairs)
+        readings = PressReadings(Path("readings.csv"), distinct, self.changes @ distinct.merging)
+        return LabelledPresses(self.sensor, True, readings, PressTable(table, self.labels_mm, None, None, None))
 
     def write(self, folder: Path, *, labels=None):
         """READINGS, PRESSES and PAIRS as CSV files; returns their paths."""

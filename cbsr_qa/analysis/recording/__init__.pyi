@@ -11,5 +11,6 @@ from .images import (
 )
 from .imaging import nominal_disc as nominal_disc, sheet_for as sheet_for
 from .places import Place as Place
+from .press_files import PressFiles as PressFiles, read_labelled_presses as read_labelled_presses
 from .reading import guarded as guarded, read_recording_file as read_recording_file, recognised as recognised
 from .tank import fitted_tank as fitted_tank

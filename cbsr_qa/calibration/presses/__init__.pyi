@@ -1,6 +1,20 @@
 from .electrode_order import find_electrode_order as find_electrode_order
-from .inputs import PressReadings as PressReadings, read_press_readings as read_press_readings
-from .issue import Identity as Identity, issue_from_presses as issue_from_presses
+from .inputs import (
+    LabelledPresses as LabelledPresses,
+    PressReadings as PressReadings,
+    read_press_readings as read_press_readings,
+)
+from .issue import (
+    Identity as Identity,
+    issue_from_presses as issue_from_presses,
+    learn_presses as learn_presses,
+)
 from .pairs import DistinctPairs as DistinctPairs, matched_readings as matched_readings
-from .tables import read_pairs as read_pairs, read_presses as read_presses, source_file as source_file
+from .tables import (
+    NumberTable as NumberTable,
+    PressTable as PressTable,
+    read_pairs as read_pairs,
+    read_presses as read_presses,
+    source_file as source_file,
+)
 from .weak_loads import ModelledSheet as ModelledSheet

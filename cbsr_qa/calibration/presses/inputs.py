@@ -1,7 +1,7 @@
 """Labelled presses from tables of readings, places and pairs: put together and checked against each other."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from cbsr_qa.calibration.presses.pairs import DistinctPairs
 from cbsr_qa.calibration.presses.tables import PressTable, read_table
 from cbsr_qa.domain import Array, Indices, Mask, RecordingError
 from cbsr_qa.domain.results import SheetRegistration
+from cbsr_qa.domain.sensor import SensorType
 
 #: A press may lie so far beyond the edge of the sheet, of its radius: labels, scale and radius are not exact.
 _BEYOND = 1.15
@@ -37,6 +38,32 @@ class PressReadings:
     changes: Array
     rest: Array | None = None
     noise: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledPresses:
+    """Readings and labels of presses, in the same order.
+
+    Parameters
+    ----------
+    radius_stated : whether the sensor type states the sheet's size, or it is to be estimated.
+    """
+
+    sensor_type: SensorType
+    radius_stated: bool
+    readings: PressReadings
+    presses: PressTable
+
+    def some(self, rows: Indices) -> "LabelledPresses":
+        """The same with some of its presses, in the order of ``rows``."""
+        readings = replace(self.readings, changes=self.readings.changes[rows])
+        return replace(self, readings=readings, presses=self.presses.some(rows))
+
+    def check(self) -> None:
+        """Make sure that readings and labels match and may be of one sheet. RecordingError naming file and rows."""
+        check_rows(self.readings, self.presses)
+        if self.radius_stated:
+            check_near(self.presses, self.sensor_type.radius_mm)
 
 
 def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressReadings:

@@ -1,4 +1,4 @@
-"""A calibration issued from labelled presses."""
+"""What labelled presses teach of a sheet and its places, and the calibration that is issued from it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,11 +9,10 @@ import numpy as np
 from cbsr_qa.calibration.file import stamped
 from cbsr_qa.calibration.place import PlaceLearned, learn_place
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
-from cbsr_qa.calibration.presses.inputs import PressReadings, check_inside, check_near, check_rows
-from cbsr_qa.calibration.presses.tables import PressTable
+from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
-from cbsr_qa.domain import Array, NumericsError, RecordingError
-from cbsr_qa.domain.results import LeftOutPress, PressCalibration, SourceFile
+from cbsr_qa.domain import Array, Mask, NumericsError, RecordingError
+from cbsr_qa.domain.results import LeftOutPress, PressCalibration, SheetRegistration, SourceFile
 from cbsr_qa.domain.sensor import ElectrodeLayout, SensorType
 
 #: A scale that differs from one by less is within what mounting and modelling do.
@@ -43,20 +42,27 @@ class Identity:
     sources: tuple[SourceFile, ...]
 
 
-def issue_from_presses(
-    identity: Identity,
-    sensor_type: SensorType,
-    readings: PressReadings,
-    presses: PressTable,
-    *,
-    radius_stated: bool,
-    tell: Tell = lambda stage: None,
-) -> PressCalibration:
-    """Register a sheet to its labelled presses, learn the place from them, and issue what was learned.
+@dataclass(frozen=True, slots=True, eq=False)
+class PressesLearned:
+    """What was learned from labelled presses.
 
     Parameters
     ----------
-    radius_stated : whether the sensor type states the sheet's size, or it is to be estimated.
+    findings : about readings, electrodes and sheet, in words.
+    used : (n,) whether each press was learned from; no reading changes in the others.
+    """
+
+    registration: SheetRegistration
+    findings: tuple[str, ...]
+    used: Mask
+    place: PlaceLearned
+
+
+def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None) -> PressesLearned:
+    """Register a sheet to its labelled presses, and learn the place from them.
+
+    Parameters
+    ----------
     tell : is told of each step, in words.
 
     Raises
@@ -66,18 +72,24 @@ def issue_from_presses(
     CalibrationError
         If they are too few to learn from.
     """
-    check_rows(readings, presses)
-    if radius_stated:
-        check_near(presses, sensor_type.radius_mm)
+    readings, presses = labelled.readings, labelled.presses
+    labelled.check()
     tell("finding how the sheet lies")
-    order = _ordered(sensor_type, readings, presses, radius_stated=radius_stated)
+    order = _ordered(labelled)
     registration = order.registered.registration
     if registration.trusted:
         check_inside(presses, registration)
-    changed = np.any(readings.changes != 0, axis=1)
-    time_s = None if presses.time_s is None else presses.time_s[changed]
-    learned = _learned(sensor_type, order, readings.changes[changed], presses.place_mm[changed], time_s, tell)
-    held_out, distinct = learned.held_out, readings.distinct
+    used = np.any(readings.changes != 0, axis=1)
+    time_s = None if presses.time_s is None else presses.time_s[used]
+    learned = _learned(labelled.sensor_type, order, readings.changes[used], presses.place_mm[used], time_s, tell)
+    findings = *_findings(order, radius_stated=labelled.radius_stated), *learned.warnings
+    return PressesLearned(registration, findings, used, learned)
+
+
+def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
+    """Issue what was learned from labelled presses."""
+    sensor_type, readings, distinct = labelled.sensor_type, labelled.readings, labelled.readings.distinct
+    held_out = learned.place.held_out
     return stamped(
         PressCalibration(
             calibration=identity.calibration,
@@ -91,16 +103,16 @@ def issue_from_presses(
             repeats=distinct.repeats,
             rest=readings.rest,
             noise=readings.noise,
-            registration=registration,
-            findings=(*_findings(order, radius_stated=radius_stated), *learned.warnings),
-            used=int(changed.sum()),
-            left_out=tuple(LeftOutPress(int(row) + 1, "no reading changes") for row in np.flatnonzero(~changed)),
+            registration=learned.registration,
+            findings=learned.findings,
+            used=int(learned.used.sum()),
+            left_out=tuple(LeftOutPress(int(row) + 1, "no reading changes") for row in np.flatnonzero(~learned.used)),
             held_out_mm=held_out.mean_mm,
             held_out_stderr_mm=held_out.stderr_mm,
             held_out=held_out.count,
             covered_68=held_out.coverage[0],
             covered_95=held_out.coverage[1],
-            place=learned.model,
+            place=learned.place.model,
         )
     )
 
@@ -122,16 +134,15 @@ def _learned(
     )
 
 
-def _ordered(
-    sensor_type: SensorType, readings: PressReadings, presses: PressTable, *, radius_stated: bool
-) -> ElectrodeOrder:
+def _ordered(labelled: LabelledPresses) -> ElectrodeOrder:
+    readings, presses = labelled.readings, labelled.presses
     try:
         return find_electrode_order(
-            ModelledSheet(sensor_type),
+            ModelledSheet(labelled.sensor_type),
             readings.distinct.pairs,
             readings.changes,
             presses.place_mm,
-            radius_stated=radius_stated,
+            radius_stated=labelled.radius_stated,
         )
     except NumericsError as error:
         raise RecordingError(

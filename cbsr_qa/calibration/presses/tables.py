@@ -96,6 +96,13 @@ class PressTable:
     force_N: Array | None
     time_s: Array | None
 
+    def some(self, rows: Indices) -> "PressTable":
+        """The labels of some presses, in the order of ``rows``."""
+        depth_mm, force_N, time_s = (
+            None if column is None else column[rows] for column in (self.depth_mm, self.force_N, self.time_s)
+        )
+        return PressTable(self.table, self.place_mm[rows], depth_mm, force_N, time_s)
+
 
 def read_table(path: Path) -> NumberTable:
     """Read a table with a header: Parquet by its suffix, else CSV in UTF-8.

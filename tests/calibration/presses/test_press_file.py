@@ -1,26 +1,20 @@
 """The file of a calibration from labelled presses: kept whole, and content that no place follows from is refused."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from pressed_sheets import pressed_sheet
 
 from cbsr_qa.calibration.file import decode, encode, read_calibration, read_issued, write_calibration
-from cbsr_qa.calibration.presses.inputs import PressReadings
-from cbsr_qa.calibration.presses.issue import Identity, issue_from_presses
-from cbsr_qa.calibration.presses.pairs import DistinctPairs
-from cbsr_qa.calibration.presses.tables import NumberTable, PressTable
+from cbsr_qa.calibration.presses import Identity, issue_from_presses, learn_presses
 from cbsr_qa.domain import CalibrationError
 
 
 @pytest.fixture(scope="module")
 def issued():
-    pressed = pressed_sheet(12, noise=0.05)
-    presses = PressTable(NumberTable(Path("presses.csv"), (), ()), pressed.labels_mm, None, None, None)
-    readings = PressReadings(Path("readings.csv"), DistinctPairs.of(pressed.pairs), pressed.changes)
-    return issue_from_presses(Identity("id", "now", ()), pressed.sensor, readings, presses, radius_stated=True)
+    labelled = pressed_sheet(12, noise=0.05).labelled()
+    return issue_from_presses(Identity("id", "now", ()), labelled, learn_presses(labelled))
 
 
 def test_what_is_written_is_read(issued, tmp_path):

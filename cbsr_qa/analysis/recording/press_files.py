@@ -1,0 +1,114 @@
+"""Files of labelled presses: readings in a table or a recording, a row or a frame a press, and a table of labels."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cbsr_qa.analysis.recording.reading import read_recording_file
+from cbsr_qa.calibration.presses import (
+    DistinctPairs,
+    LabelledPresses,
+    PressReadings,
+    read_pairs,
+    read_press_readings,
+    read_presses,
+    source_file,
+)
+from cbsr_qa.config import load_pressed_type
+from cbsr_qa.domain import Array, RecordingError, RefusedError
+from cbsr_qa.domain.readings import UNUSABLE, ScanKind
+from cbsr_qa.domain.results import SourceFile
+from cbsr_qa.domain.sensor import DrivePattern, SensorType
+from cbsr_qa.plugin import discover
+
+
+@dataclass(frozen=True, slots=True)
+class PressFiles:
+    """What is learned from; see the options of ``cbsr-qa calibrate``.
+
+    Parameters
+    ----------
+    readings : table, or a recording whose frames are of one press each.
+    sensor_type : name or file.
+    pattern : of the tables' columns; None where the readings are a recording.
+    differences : whether the readings are changes.
+    rest : frames of the unloaded sheet, in the form of the readings.
+    """
+
+    readings: Path
+    presses: Path
+    sensor_type: str
+    pattern: Path | None = None
+    differences: bool = False
+    rest: Path | None = None
+
+
+def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[SourceFile, ...]]:
+    """Read presses, and name the files that they are from.
+
+    Raises
+    ------
+    RefusedError
+        If anything about the tables, the pattern or the sensor type cannot be used; see
+        :func:`~cbsr_qa.calibration.presses.read_press_readings`.
+    """
+    if files.differences == (files.rest is not None):
+        found = "both --differences and --rest are" if files.differences else "neither --differences nor --rest is"
+        raise RefusedError(
+            f"{found} given",
+            remedy="give --differences if the readings are changes, or --rest FILE with frames of the unloaded sheet",
+        )
+    loaded, sized = load_pressed_type(files.sensor_type)
+    presses = read_presses(files.presses)
+    labelled = LabelledPresses(loaded.value, sized, _readings(files, loaded.value), presses)
+    named = {"readings": files.readings, "presses": files.presses, "pattern": files.pattern}
+    named |= {"rest": files.rest, "sensor type": loaded.document.path}
+    return labelled, tuple(source_file(role, path) for role, path in named.items() if path is not None)
+
+
+def _readings(files: PressFiles, sensor_type: SensorType) -> PressReadings:
+    if files.pattern is not None:
+        pairs = read_pairs(files.pattern, sensor_type.electrodes.count)
+        return read_press_readings(files.readings, pairs, files.rest)
+    if files.readings.suffix.lower() in (".parquet", ".pq"):
+        raise RefusedError(
+            f"{files.readings} is a table, and --pattern is missing",
+            remedy="give --pattern FILE with source,sink,plus,minus of each column",
+        )
+    pattern = sensor_type.pattern
+    distinct = DistinctPairs.of(
+        np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
+    )
+    frames = _frames(files.readings, pattern)
+    if files.rest is None:
+        return PressReadings(files.readings, distinct, frames)
+    rest = _frames(files.rest, pattern)
+    noise = rest.std(axis=0, ddof=1) if len(rest) > 1 else None
+    return PressReadings(files.readings, distinct, frames - rest.mean(axis=0), rest.mean(axis=0), noise)
+
+
+def _frames(path: Path, pattern: DrivePattern) -> Array:
+    """Usable readings (n, m) of a recording, a frame a press. RecordingError if it is of another pattern."""
+    try:
+        recording = read_recording_file(path, discover(), format_=None, dataset=None)
+    except RecordingError as error:
+        remedy = "; a table of readings needs --pattern" if "no known format" in error.reason else ""
+        raise RecordingError(error.reason, remedy=error.remedy + remedy) from error
+    frames = recording.frames
+    if recording.scan is not ScanKind.FULL or frames.voltages.shape[1:] != pattern.shape or recording.magnitudes_only:
+        raise RecordingError(
+            f"{path.name} holds frames of {frames.voltages.shape[1]} × {frames.voltages.shape[2]} readings; signed"
+            f" ones of {pattern.shape[0]} × {pattern.shape[1]} are needed for the sensor type's pattern",
+            remedy="give the sensor type that was recorded",
+        )
+    usable = pattern.usable()
+    bad = np.argwhere(((frames.flags & UNUSABLE) != 0) & usable)
+    if len(bad):
+        frame, drive, measure = bad[0].tolist()
+        raise RecordingError(
+            f"{path.name}: {len(bad)} readings are missing or saturated, first in frame {frame}, drive pair {drive},"
+            f" measure pair {measure} (all from 0)",
+            remedy="leave out that press in both files",
+        )
+    return frames.voltages[:, usable]
