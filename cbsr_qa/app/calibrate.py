@@ -1,13 +1,14 @@
 """``cbsr-qa calibrate``: a calibration from labelled presses, wherever they were made."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 from cbsr_qa.analysis.recording import PressFiles, read_labelled_presses
 from cbsr_qa.app.calibration_file import check_free
+from cbsr_qa.app.press_sections import press_sections
 from cbsr_qa.calibration.file import write_calibration
 from cbsr_qa.calibration.presses import Identity, issue_from_presses, learn_presses
 from cbsr_qa.domain.results import CommandOutcome, LeftOutPress, PressCalibration, SheetRegistration
@@ -84,9 +85,10 @@ def calibrate_from_presses(
     identity = Identity(
         IdSource(lambda: datetime.now(UTC)).new(), datetime.now(UTC).isoformat(timespec="seconds"), sources
     )
-    issued = issue_from_presses(identity, labelled, learn_presses(labelled, tell=tell))
+    learned = learn_presses(labelled, tell=tell)
+    issued = issue_from_presses(identity, labelled, learned)
     write_calibration(to, issued)
-    return _outcome(issued, to)
+    return replace(_outcome(issued, to), sections=press_sections(labelled, learned))
 
 
 def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCalibrated]:
@@ -105,14 +107,10 @@ def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCali
         digest=issued.digest,
         size_bytes=file.stat().st_size,
     )
-    return answer(
-        result,
-        "calibrated",
-        f"{plural(issued.used, 'press', 'presses')} of a {issued.sensor_type}",
-        press_facts(issued),
-        printed=(("Calibration", str(file)),),
-        warnings=issued.findings,
-    )
+    reason = f"{plural(issued.used, 'press', 'presses')} of a {issued.sensor_type}"
+    printed = (("Calibration", str(file)),)
+    outcome = answer(result, "calibrated", reason, press_facts(issued), printed, issued.findings)
+    return replace(outcome, page=replace(outcome.page, kind="Calibration from presses", subject=file.name))
 
 
 def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson
-from cbsr_qa.cli.output import announce, show
+from cbsr_qa.cli.options import AsJson, PageOutput
+from cbsr_qa.cli.output import announce, check_page, show
 
 
 @command("calibrate", prints="cbsr_qa.app:PressesCalibrated")
@@ -41,6 +41,7 @@ def calibrate(
         Path | None,
         typer.Option(help="Frames of the unloaded sheet, in the form of READINGS, which are whole frames then."),
     ] = None,
+    output: PageOutput = None,
     as_json: AsJson = False,
 ) -> int:
     """Learn a sensor's places from presses at known places, made by a robot, another rig or by hand.
@@ -50,5 +51,6 @@ def calibrate(
     from cbsr_qa.analysis.recording import PressFiles
     from cbsr_qa.app import calibrate_from_presses
 
+    check_page(output)
     files = PressFiles(readings, presses, sensor_type, pattern, differences, rest)
-    return show(calibrate_from_presses(files, to, tell=announce), as_json=as_json)
+    return show(calibrate_from_presses(files, to, tell=announce), output=output, as_json=as_json)

@@ -49,7 +49,7 @@ def folder(pressed, tmp_path_factory):
     folder = tmp_path_factory.mktemp("presses")
     pressed.write(folder, labels={"force_N": pressed.force_N})
     (folder / "T.toml").write_text(TYPE)
-    done = calibrated(folder, "--differences")
+    done = calibrated(folder, "--differences", "--output", folder / "page.html")
     assert not done.exception, done.output
     (folder / "printed.json").write_text(done.stdout)
     return folder
@@ -85,6 +85,14 @@ def test_what_scripts_read_is_printed(folder, pressed):
     assert printed["held_out"]["coverage"].keys() == {"68", "95"}
     assert 0 < printed["explained"] <= 1
     assert any("mirrored" in words for words in printed["warnings"])
+
+
+def test_the_page_draws_presses_that_were_left_out(folder):
+    page = (folder / "page.html").read_text()
+    printed = json.loads((folder / "printed.json").read_text())
+    assert "60 presses left out" in page
+    assert "<svg" in page
+    assert all(words in page for words in printed["warnings"])
 
 
 def test_places_are_in_the_frame_of_the_presses_whatever_the_order_and_polarity(folder, pressed, tmp_path):

@@ -267,7 +267,7 @@ def test_the_page_on_presses_runs_as_printed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     simulated, used = blocks(page, "python")
     exec(simulated, {})
-    calibrated, shown, _, applied = (typed(tmp_path, command).stdout for command in commands(page))
+    calibrated, shown, _, applied = (typed(tmp_path, command).stdout for command in commands(page)[:4])
     in_python = {}
     exec(used, in_python)
     assert in_python["radius_mm"].max() < 1
@@ -278,3 +278,14 @@ def test_the_page_on_presses_runs_as_printed(tmp_path, monkeypatch):
     found = np.array([(frame["x_mm"], frame["y_mm"]) for frame in frames])
     assert np.linalg.norm(found - labels, axis=1).mean() < 1
     assert len((tmp_path / "places.csv").read_text().splitlines()) == 1 + len(labels)
+    assert "100 presses left out" in (tmp_path / "skin.html").read_text()
+
+
+@pytest.mark.rest
+def test_the_page_on_presses_says_how_many_are_enough(tmp_path, monkeypatch):
+    page = HOW_TO / "calibrate-from-presses.md"
+    write_files(page, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    exec(blocks(page, "python")[0], {})
+    *_, sweep = commands(page)
+    assert "the fewest of 4 numbers that were tried" in " ".join(typed(tmp_path, sweep).stdout.split())

@@ -1,2 +1,3 @@
 from .estimator import PlaceEstimator as PlaceEstimator, Places as Places
-from .learning import PlaceLearned as PlaceLearned, learn_place as learn_place
+from .learning import FEWEST_PRESSES as FEWEST_PRESSES, PlaceLearned as PlaceLearned, learn_place as learn_place
+from .mixture import mahalanobis as mahalanobis

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.place.drift import SESSIONS
-from cbsr_qa.calibration.place.mixture import learn_mixture, mahalanobis, mixed
+from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mixed
 from cbsr_qa.calibration.place.process import given_presses, left_out, likely_scales
 from cbsr_qa.calibration.place.templates import learn_templates, match
 from cbsr_qa.domain import Array, Indices
@@ -21,9 +21,11 @@ _BLOCKS_WITH_SCALES: Final = 10
 _BLOCKS: Final = 20
 #: Above that each half of the presses is located with hyperparameters of so many of the other half.
 _FOR_HALVES: Final = 200
+#: Levels at which what regions hold is compared with what they are asked to hold.
+_LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, LEVELS[0], 0.75, 0.8, 0.85, 0.9, LEVELS[1], 0.975, 0.99)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
     """Errors of presses that nothing was learned from when they were located.
 
@@ -31,13 +33,25 @@ class HeldOut:
     ----------
     mean_mm, stderr_mm : distance of the places found from the true ones.
     count : presses.
-    coverage : shares of them inside the regions of 68 and 95 %, whose sizes were found with all others.
+    presses : (count,) their numbers.
+    found_mm : (count, 2) places found.
+    levels, held : (k,) what regions are asked to hold, and the shares of the presses that they hold; the sizes of the
+        regions were found with other presses.
     """
 
     mean_mm: float
     stderr_mm: float
     count: int
-    coverage: tuple[float, float]
+    presses: Indices
+    found_mm: Array
+    levels: Array
+    held: Array
+
+    @property
+    def coverage(self) -> tuple[float, float]:
+        """Shares of the presses inside the regions of 68 and 95 %."""
+        low, high = (float(self.held[self.levels == level][0]) for level in LEVELS)
+        return low, high
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,17 +136,18 @@ class PressedSheet:
 def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
     """State errors and coverage of presses left out; mixture and regions are learned from the other half of them."""
     count = len(places_mm)
-    error, inside = np.empty(count), np.empty((count, 2))
+    places, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
     for half in (0, 1):
         located, learned = np.arange(half, count, 2), np.arange(1 - half, count, 2)
         first, second, second_covariance = out.process, out.templates, out.templates_covariance
-        mixture = learn_mixture(first[learned], second[learned], second_covariance[learned], places_mm[learned])
-        found, covariance = mixed(mixture, first[located], second[located], second_covariance[located])
-        apart = places_mm[located] - found
-        error[located] = np.linalg.norm(apart, axis=1)
-        inside[located] = mahalanobis(apart, covariance)[:, None] <= mixture.quantiles
-    low, high = inside.mean(axis=0).tolist()
-    return HeldOut(float(error.mean()), float(error.std(ddof=1) / np.sqrt(count)), count, (low, high))
+        parts = first[learned], second[learned], second_covariance[learned], places_mm[learned]
+        mixture = learn_mixture(*parts, _LEVELS)
+        places[located], covariance = mixed(mixture, first[located], second[located], second_covariance[located])
+        ratio = mahalanobis(places_mm[located] - places[located], covariance)
+        inside[located] = ratio[:, None] <= mixture.quantiles
+    error = np.linalg.norm(places_mm - places, axis=1)
+    mean, stderr = float(error.mean()), float(error.std(ddof=1) / np.sqrt(count))
+    return HeldOut(mean, stderr, count, np.arange(count), places, np.array(_LEVELS), inside.mean(axis=0))
 
 
 def evenly(count: int, most: int) -> Indices:

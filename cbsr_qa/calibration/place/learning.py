@@ -1,7 +1,7 @@
 """Learning where a sheet is pressed from presses at known places, and how well: held against presses left out."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -102,8 +102,8 @@ def learn_place(
         If there are fewer than six presses, all are at one place, or no reading changes.
     """
     _check(changes, places_mm)
+    order = np.arange(len(changes)) if time_s is None else np.argsort(time_s, kind="stable")
     if time_s is not None:
-        order = np.argsort(time_s, kind="stable")
         changes, places_mm, time_s = changes[order], places_mm[order], time_s[order]
     turns = pattern_turns(pairs, electrodes)
     tell("finding how the electrodes lie")
@@ -132,6 +132,8 @@ def learn_place(
         reach_mm=_reach(about),
     )
     held_out = coverage_of(out, sheet.places_mm)
+    found_mm = held_out.found_mm @ axes + centre
+    held_out = replace(held_out, presses=order[held_out.presses], found_mm=found_mm)
     return PlaceLearned(model, held_out, tuple(_warnings(held_out, sheet, scales, drifts=bool(later.any()))))
 
 

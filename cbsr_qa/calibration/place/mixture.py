@@ -1,5 +1,6 @@
 """Both estimates of a place mixed, with a covariance whose regions hold what they state on presses left out."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -26,10 +27,13 @@ def mixed(mixture: PlaceMixture, first: Array, second: Array, second_covariance:
     return first + mixture.share * apart, _covariance(mixture.spread, apart, second_covariance)
 
 
-def learn_mixture(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> PlaceMixture:
+def learn_mixture(
+    first: Array, second: Array, second_covariance: Array, places_mm: Array, levels: Sequence[float] = LEVELS
+) -> PlaceMixture:
     """Learn a mixture from both estimates (n, 2) of presses that were left out, and their places (n, 2).
 
-    Its quantiles are those of every press under a mixture of the others, so that presses do not judge themselves.
+    Its quantiles, one a level, are those of every press under a mixture of the others, so that presses do not judge
+    themselves.
     """
     parts = first, second, second_covariance, places_mm
     ratio = np.empty(len(places_mm))
@@ -40,7 +44,7 @@ def learn_mixture(first: Array, second: Array, second_covariance: Array, places_
         found, covariance = mixed(mixture, first[held], second[held], second_covariance[held])
         ratio[held] = mahalanobis(places_mm[held] - found, covariance)
     share, spread = _fitted(*parts)
-    return PlaceMixture(share, spread, np.array([quantile(ratio, level) for level in LEVELS]))
+    return PlaceMixture(share, spread, np.array([quantile(ratio, level) for level in levels]))
 
 
 def drifted(mixture: PlaceMixture, shift_mm2: float) -> PlaceMixture:

@@ -6,6 +6,7 @@ from .inputs import (
 )
 from .issue import (
     Identity as Identity,
+    PressesLearned as PressesLearned,
     issue_from_presses as issue_from_presses,
     learn_presses as learn_presses,
 )

@@ -49,7 +49,8 @@ class PressesLearned:
     Parameters
     ----------
     findings : about readings, electrodes and sheet, in words.
-    used : (n,) whether each press was learned from; no reading changes in the others.
+    used : (n,) whether each press was learned from; no reading changes in the others. Presses left out are numbered
+        among those used.
     """
 
     registration: SheetRegistration

@@ -1,15 +1,21 @@
-"""``cbsr-qa frontier``: what accuracy costs in time, and the setting to take."""
+"""``cbsr-qa frontier``: what accuracy costs in time or in presses, and the setting to take."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.output import Counting, note, show
+from cbsr_qa.cli.options import given_options, option_names
+from cbsr_qa.cli.output import Counting, check_page, note, show
 from cbsr_qa.domain import RefusedError
+
+if TYPE_CHECKING:
+    from cbsr_qa.analysis.recording import PressFiles
+    from cbsr_qa.domain.results import CommandOutcome
+    from cbsr_qa.studies.frontier import Frontier
 
 _CLOCKS: Final = {
     "station": ("station",),
@@ -18,10 +24,15 @@ _CLOCKS: Final = {
 }
 _NEWTONS: Final = {"N": 1.0, "mN": 1e-3}
 _SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
+_MILLIMETRES: Final = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "cm": 10.0}
+#: Options of the simulated sweep, and of one's own presses.
+_SIMULATED: Final = frozenset({"clock", "force_error", "budget", "fresh", "recipe", "png"})
+_RECORDED: Final = frozenset({"presses", "pattern", "sensor_type", "differences", "rest", "place_error"})
 
 
 @command("frontier", prints="cbsr_qa.studies.frontier:Frontier")
 def frontier(
+    context: typer.Context,
     clock: Annotated[str, typer.Option(help="Time to save: of the station, the computer or both.")] = "both",
     force_error: Annotated[
         str | None,
@@ -36,17 +47,54 @@ def frontier(
             help="Recommend a setting that takes at most this station time per sensor, with its unit.",
         ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few settings and one simulated sensor.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Few settings and one simulated sensor; of a recording, few draws.")
+    ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Forget what an earlier sweep has finished.")] = False,
     recipe: Annotated[Path | None, typer.Option(help="Recipe file to write the recommended setting to.")] = None,
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     png: Annotated[Path | None, typer.Option(help="Picture of the station's frontier to write.")] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="READINGS", help="Presses of your own in place of simulations, as calibrate takes them."
+        ),
+    ] = None,
+    presses: Annotated[Path | None, typer.Option(help="With --recording: table of where they were made.")] = None,
+    sensor_type: Annotated[str | None, typer.Option(help="With --recording: sensor type.")] = None,
+    pattern: Annotated[Path | None, typer.Option(help="With --recording: electrode pairs of a table.")] = None,
+    differences: Annotated[
+        bool, typer.Option("--differences", help="With --recording: READINGS are changes by the presses.")
+    ] = False,
+    rest: Annotated[Path | None, typer.Option(help="With --recording: frames of the unloaded sheet.")] = None,
+    place_error: Annotated[
+        str | None,
+        typer.Option(
+            metavar="2mm", help="With --recording: recommend the fewest presses with at most this error of place."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> None:
     """Sweep settings of computer and station, and say which accuracy costs how much time.
 
     Finished parts are kept: a sweep that was stopped goes on where it was.
+
+    With --recording, learn from growing numbers of your own presses, and say how many an accuracy needs.
     """
+    given = given_options(context)
+    if recording is not None:
+        _refuse(given & _SIMULATED, "is not for --recording but for the simulated sweep")
+        wish_mm = _amount("--place-error", place_error, _MILLIMETRES, "a distance above 0 with its unit, e.g. 2mm")
+        if presses is None or sensor_type is None:
+            missing = "--presses" if presses is None else "--sensor-type"
+            raise RefusedError(f"--recording needs {missing}", remedy="give it as to cbsr-qa calibrate")
+        check_page(output)
+        from cbsr_qa.analysis.recording import PressFiles
+
+        files = PressFiles(recording, presses, sensor_type, pattern, differences, rest)
+        show(_of_presses(files, wish_mm, quick=quick), output=output, as_json=as_json)
+        return
+    _refuse(given & _RECORDED, "is for presses of your own, and --recording is missing")
     from cbsr_qa.studies.frontier import Files, TimeBasis, Wish, frontier as sweep, frontier_outcome, write_png
 
     wish = Wish(
@@ -72,6 +120,22 @@ def frontier(
         write_png(swept.points, swept.chosen, png)
         note(f"picture      {png}")
     show(frontier_outcome(swept), output=output, as_json=as_json)
+
+
+def _of_presses(files: "PressFiles", wish_mm: float | None, *, quick: bool) -> "CommandOutcome[Frontier]":
+    from cbsr_qa.analysis.recording import read_labelled_presses
+    from cbsr_qa.studies.frontier.presses import press_frontier, press_outcome
+
+    with Counting("draws of presses") as counting:
+        counting.stage("what accuracy costs in presses")
+        labelled, _ = read_labelled_presses(files)
+        swept = press_frontier(labelled, wish_mm, quick=quick, tell=lambda done, of, _: counting.count(done, of))
+    return press_outcome(swept, files.readings.name, wish_mm)
+
+
+def _refuse(wrong: Set[str], why: str) -> None:
+    if wrong:
+        raise RefusedError(f"{option_names(sorted(wrong))} {why}", remedy="leave it out, or ask in two commands")
 
 
 def _amount(option: str, text: str | None, units: Mapping[str, float], wanted: str) -> float | None:

@@ -46,6 +46,7 @@ from .metrics import (
     waiting_figure as waiting_figure,
 )
 from .parameter import ParameterMark as ParameterMark, parameter_figure as parameter_figure, value_text as value_text
+from .presses import left_out_figure as left_out_figure
 from .relaxation import (
     SettledLoad as SettledLoad,
     agreement_figure as agreement_figure,
@@ -74,10 +75,13 @@ from .style import (
     canvas as canvas,
     change_norm as change_norm,
     checked_svg as checked_svg,
+    dots as dots,
     drawing as drawing,
+    drawn as drawn,
     fit_left as fit_left,
     light_grid as light_grid,
     name_rows as name_rows,
+    plot as plot,
     svg_of as svg_of,
 )
 from .time import Budget as Budget, Span as Span, budget_figure as budget_figure, timeline_figure as timeline_figure

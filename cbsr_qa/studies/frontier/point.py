@@ -11,6 +11,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from cbsr_qa.domain import NumericsError, StoreError
 
+#: Which values are more accurate: larger ones, smaller ones, or those near to what is stated, which are not compared.
+Better = Literal["more", "less", "stated"]
 #: What a knob is set to: a name, whether something is on, or a number.
 Knob = str | bool | int | float
 
@@ -25,6 +27,7 @@ class TimeBasis(StrEnum):
 
     COMPUTER = "computer"  #: seconds of one core
     STATION = "station"  #: seconds a sensor occupies the rig
+    PRESSES = "presses"  #: presses to be made
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +37,13 @@ class Accuracy:
     Parameters
     ----------
     stderr : of that mean; None where the value is exact, or one seed says nothing about it.
-    better : whether more is more accurate (an overlap) or less (an error).
+    better : whether more is more accurate (an overlap) or less (an error), or what comes near to what is stated.
     """
 
     value: float
     stderr: float | None
     unit: str
-    better: Literal["more", "less"] = "less"
+    better: Better = "less"
 
     def __post_init__(self) -> None:
         stderr = self.stderr or 0.0

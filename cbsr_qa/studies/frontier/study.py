@@ -32,19 +32,34 @@ Tell = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, slots=True)
+class Needed:
+    """Presses that an extrapolation asks for, and those one standard error below and above."""
+
+    presses: int
+    low: int
+    high: int
+
+
+@dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The setting to take (None without one), why or why not, and the file its recipe was written to."""
+    """The setting to take (None without one), why or why not, and the file its recipe was written to.
+
+    Parameters
+    ----------
+    needed : presses for a wish that those tried do not reach; None unless their errors can be extrapolated to it.
+    """
 
     setting: Mapping[str, Knob] | None
     accuracy: Mapping[str, Accuracy] | None
     station_s: float | None
     why: str
     recipe: str | None = None
+    needed: Needed | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Frontier:
-    """What a sweep came to; nothing is chosen if only the computer was swept, or nothing met the wish."""
+    """What a sweep came to; no recipe is chosen unless the station was swept and a setting met the wish."""
 
     quick: bool
     points: tuple[Point, ...]

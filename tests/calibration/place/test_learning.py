@@ -35,6 +35,10 @@ def test_places_and_regions_of_presses_not_seen(sheet, learned):
     held = learned.held_out
     assert error.mean() < 2.0  # 60 presses within 45 mm: neighbours are 6 mm apart
     assert held.mean_mm == pytest.approx(error.mean(), abs=3 * held.stderr_mm + 3 * error.std() / np.sqrt(len(error)))
+    missed = np.linalg.norm(held.found_mm - sheet.labels_mm[LEARNED][held.presses], axis=1)
+    assert missed.mean() == pytest.approx(held.mean_mm)
+    assert (np.diff(held.held) >= 0).all()
+    assert (np.abs(held.held - held.levels) < 4 * np.sqrt(held.levels * (1 - held.levels) / held.count)).all()
     # 60 presses tell quantiles to 6 and 3 %.
     assert (ratio <= locate.q68).mean() == pytest.approx(0.68, abs=0.15)
     assert (ratio <= locate.q95).mean() == pytest.approx(0.95, abs=0.06)
@@ -82,6 +86,9 @@ def test_rows_come_in_any_order_where_times_are_given(sheet, learned):
     other = learn_place(sheet.changes[order], sheet.labels_mm[order], sheet.pairs, 16, time_s=time_s)
     places = [PlaceEstimator(each.model)(sheet.changes[TESTED]) for each in (learned, other)]
     assert places[1].place_mm == pytest.approx(places[0].place_mm, abs=1e-6)
+    held = other.held_out
+    missed = np.linalg.norm(held.found_mm - sheet.labels_mm[order][held.presses], axis=1)
+    assert missed.mean() == pytest.approx(held.mean_mm)
 
 
 @pytest.mark.parametrize("registered", [True, False])

@@ -1,0 +1,57 @@
+"""Error of place against the number of presses, and what the regions hold."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from cbsr_qa.report.draw import BLUE, FAINT, INK, VERMILION, canvas, dots, drawn, plot
+from cbsr_qa.studies.frontier.point import Point
+from cbsr_qa.studies.frontier.presses.needed import PLACE
+
+_COLOURS: Final = (BLUE, VERMILION, INK)
+_TICKS: Final = tuple(digit * 10.0**power for power in range(-2, 5) for digit in (1, 2, 5))
+
+
+@drawn
+def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], wish_mm: float | None = None) -> Canvas:
+    """Draw error of place and coverage against presses, each with standard errors.
+
+    Parameters
+    ----------
+    series : names, and points of each in the order of their presses.
+    """
+    figure = canvas(3.1)
+    error = plot(figure, (0.07, 0.14, 0.4, 0.74), "mean error of place [mm]", x="presses", grid="both")
+    held = plot(figure, (0.56, 0.14, 0.4, 0.74), "places inside their region [%]", x="presses", grid="both")
+    for number, (name, points) in enumerate(series):
+        colour = _COLOURS[number % len(_COLOURS)]
+        _draw(error, points, PLACE, colour, line="solid", label=name)
+        for covered, look in (("covered_68", "solid"), ("covered_95", "dashed")):
+            _draw(held, points, covered, colour, scale=100, line=look)
+    error.set_yscale("log")
+    if wish_mm is not None:
+        error.axhline(wish_mm, color=FAINT, linewidth=0.8, zorder=1)
+    for stated in (68, 95):
+        held.axhline(stated, color=INK, linewidth=0.8, zorder=1)
+        held.text(1.01, stated, f"{stated} %", transform=held.get_yaxis_transform(), va="center", fontsize=7)
+    held.set_ylim(min(40.0, held.get_ylim()[0]), 103)
+    for axis in (error.xaxis, held.xaxis, error.yaxis):
+        low, high = axis.get_view_interval()
+        axis.set_major_locator(FixedLocator([tick for tick in _TICKS if low <= tick <= high]))
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    error.legend(frameon=False, fontsize=7, loc="lower left")
+    return figure
+
+
+def _draw(
+    axes: Axes, points: Sequence[Point], name: str, colour: str, *, line: str, scale: float = 1, label: str = ""
+) -> None:
+    axes.set_xscale("log")
+    numbers = [float(point.knobs["presses"]) for point in points]
+    values = [scale * point.accuracy[name].value for point in points]
+    errors = [scale * (point.accuracy[name].stderr or 0.0) for point in points]
+    dots(axes, numbers, values, colour, errors=errors, linestyle=line, label=label or None, hollow=line == "dashed")

@@ -1,0 +1,83 @@
+"""What a person reads of accuracy against the number of presses."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from cbsr_qa.domain.results import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
+from cbsr_qa.report import duration, text_table, with_uncertainty
+from cbsr_qa.studies.frontier.point import Accuracy, Point
+from cbsr_qa.studies.frontier.presses.needed import PLACE
+from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, COVERED, IN_ORDER
+from cbsr_qa.studies.frontier.report import notes_of
+from cbsr_qa.studies.frontier.study import Frontier
+
+_CAPTION: Final = "•: no fewer presses are as good within the errors. Learning and frame: time on one core."
+_FIGURE: Final = (
+    "Left: mean distance of the places found from the true ones, of presses that nothing was learned from. Right:"
+    " share of them inside the regions of 68 % (filled) and 95 % (hollow), which should lie on the lines. Bars are"
+    " standard errors."
+)
+_READING: Final = (
+    "Presses are drawn at random, the place is learned from them as cbsr-qa calibrate does, and presses that were not"
+    " drawn are located. What is drawn at random lies between the presses located; drift over a session then hardly"
+    " matters. How much it matters the second table shows: there the first presses of the session locate its last.",
+    "A draw is registered and learned from its own presses alone. Its standard error is of draws and of the presses"
+    " located together, all from this one table: another sheet may differ by more.",
+)
+
+
+def press_outcome(frontier: Frontier, name: str, wish_mm: float | None = None) -> CommandOutcome[Frontier]:
+    """Lay out accuracy against the number of presses of a recording called ``name``."""
+    series = [
+        (each, [point for point in frontier.points if point.series == each])
+        for each in (AT_RANDOM, IN_ORDER)
+        if any(point.series == each for point in frontier.points)
+    ]
+
+    def draw() -> str:
+        from cbsr_qa.studies.frontier.presses.figures import presses_figure  # loads matplotlib
+
+        return presses_figure(series, wish_mm)
+
+    figure = Figure(_FIGURE, "Errors and coverage against the number of presses; the tables have the numbers.", draw)
+    sections = (
+        Section("How to read this page", (figure, *map(Paragraph, _READING)), page_only=True),
+        *(Section(f"Presses: {each}", tuple(_blocks(points))) for each, points in series),
+    )
+    return CommandOutcome(frontier, _page(frontier, name), sections)
+
+
+def _page(frontier: Frontier, name: str) -> Page:
+    chosen = frontier.recommended
+    banner = Banner("plain", "–", "No number of presses recommended", chosen.why)
+    if chosen.setting is not None and chosen.accuracy is not None:
+        headline = f"{chosen.setting['presses']} presses: {_shown(chosen.accuracy[PLACE])} mm"
+        banner = Banner("pass", "✓", headline, chosen.why)
+    facts = [("Recording", name)]
+    if chosen.station_s is not None:
+        facts.append(("Time of these presses", f"{duration(chosen.station_s)} at the pace of the table"))
+    if frontier.quick:
+        facts.append(("Sweep", "quick: few draws"))
+    return Page("Frontier", "What accuracy costs in presses", banner, tuple(facts))
+
+
+def _blocks(points: Sequence[Point]) -> list[Block]:
+    columns = ("presses", "draws", "error of place [mm]", "68 % hold [%]", "95 % hold [%]", "taken for touches [%]")
+    rows = [
+        (
+            str(point.knobs["presses"]),
+            str(point.seeds),
+            _shown(point.accuracy[PLACE]),
+            *(_shown(point.accuracy[name], 100) for name in (*COVERED.values(), "in_model")),
+            duration(point.costs["learning_s"]),
+            f"{1e3 * (point.compute_s or 0.0):.1f} ms",
+            "•" if point.pareto else "",
+        )
+        for point in points
+    ]
+    table = text_table(_CAPTION, (*columns, "learning", "frame", "worth it"), rows, range(len(columns) + 2))
+    return [table, *(Paragraph(f"{note}.", "note") for note in notes_of(points))]
+
+
+def _shown(accuracy: Accuracy, scale: float = 1) -> str:
+    return with_uncertainty(scale * accuracy.value, scale * (accuracy.stderr or 0.0))

@@ -1,0 +1,187 @@
+"""``cbsr-qa frontier --recording``: how accurate places become with the number of presses, and how many to make.
+
+Every draw is registered and learned from its own presses alone, as ``cbsr-qa calibrate`` would do with these, so that
+nothing of the presses located is known. To register once on all presses would save a second or two a draw.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.place import FEWEST_PRESSES
+from cbsr_qa.calibration.presses import LabelledPresses
+from cbsr_qa.domain import Array, CalibrationError, Indices, RecordingError, RefusedError
+from cbsr_qa.studies.frontier.point import Accuracy, Better, Point, TimeBasis
+from cbsr_qa.studies.frontier.presses.needed import PLACE, recommended_presses
+from cbsr_qa.studies.frontier.presses.trial import Trial, in_random_order, trial
+from cbsr_qa.studies.frontier.recommend import undominated_within_errors
+from cbsr_qa.studies.frontier.study import Frontier
+
+AT_RANDOM: Final = "drawn at random"
+IN_ORDER: Final = "first of the session, locating its last"
+COVERED: Final = {"68": "covered_68", "95": "covered_95"}
+#: The smallest number that is tried, unless there are too few presses; further ones are about twice as large.
+_FIRST: Final = 9
+#: The largest: the time of learning grows with its cube.
+_MOST: Final = 2000
+#: Share of the presses that is left out at least, their smallest number, and how many of them are located.
+_LEFT_OUT: Final = 0.2
+_FEWEST_LOCATED: Final = 5
+_MOST_LOCATED: Final = 500
+#: Draws of a number: so many presses in all, within these bounds; of the quick sweep, and of the whole.
+_LEARNED: Final = {True: 100, False: 400}
+_DRAWS: Final = {True: (1, 3), False: (2, 20)}
+
+Tell = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Draw:
+    series: str
+    presses: LabelledPresses
+    learned: Indices
+    located: Indices
+
+
+def press_frontier(
+    labelled: LabelledPresses,
+    wish_mm: float | None = None,
+    *,
+    quick: bool = False,
+    tell: Tell = lambda done, of, what: None,
+) -> Frontier:
+    """Learn from growing numbers of presses, locate others, and recommend a number.
+
+    Parameters
+    ----------
+    wish_mm : largest mean error of place; without it the smallest number is recommended that no larger one surely
+        beats.
+    quick : fewer draws, and one number of presses of the session's first part.
+
+    Raises
+    ------
+    RefusedError
+        If the presses are too few to leave any out, or nothing can be learned from any draw.
+    RecordingError
+        If readings and labels do not match.
+    """
+    labelled.check()
+    draws = list(_draws(labelled, quick=quick))
+    tried: dict[tuple[str, int], list[Trial | str]] = {}
+    for done, draw in enumerate(draws):
+        tell(done, len(draws), f"{len(draw.learned)} presses, {draw.series}")
+        tried.setdefault((draw.series, len(draw.learned)), []).append(_tried(draw))
+    tell(len(draws), len(draws), "")
+    pace_s = _pace_s(labelled.presses.time_s)
+    found = (_point(*key, trials, pace_s) for key, trials in tried.items())
+    points = _compared([point for point in found if point is not None])
+    if not points:
+        why = next(each for trials in tried.values() for each in trials if isinstance(each, str))
+        raise RefusedError(f"nothing can be learned from any draw of these presses: {why}")
+    chosen = recommended_presses([point for point in points if point.series == AT_RANDOM], wish_mm)
+    return Frontier(quick, tuple(points), chosen)
+
+
+def numbers_of(total: int) -> list[int]:
+    """Numbers of presses to learn from where there are ``total``, each about twice the one before.
+
+    Raises
+    ------
+    RefusedError
+        If there are too few to learn from some and locate others.
+    """
+    most = min(_MOST, total - max(_FEWEST_LOCATED, round(_LEFT_OUT * total)))
+    if most < FEWEST_PRESSES:
+        raise RefusedError(
+            f"{total} presses are too few to leave any out: {FEWEST_PRESSES} to learn from and {_FEWEST_LOCATED} to"
+            " locate are needed",
+            remedy="press at more places",
+        )
+    if most <= _FIRST:
+        return [most]
+    steps = max(1, round(float(np.log2(most / _FIRST))))
+    return [round(number) for number in np.geomspace(_FIRST, most, steps + 1)]
+
+
+def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
+    total = len(labelled.presses.place_mm)
+    numbers, still = numbers_of(total), in_random_order(labelled)
+    for number in numbers:
+        for split in range(int(np.clip(_LEARNED[quick] // number, *_DRAWS[quick]))):
+            order = np.random.default_rng([*b"presses", number, split]).permutation(total)
+            yield _Draw(AT_RANDOM, still, order[:number], order[number:][:_MOST_LOCATED])
+    time_s = labelled.presses.time_s
+    session = np.arange(total) if time_s is None else np.argsort(time_s, kind="stable")
+    last = min(_MOST_LOCATED, max(_FEWEST_LOCATED, round(_LEFT_OUT * total)))
+    early = [number for number in numbers if number <= total / 2]
+    for number in early[-1:] if quick else early:
+        yield _Draw(IN_ORDER, labelled, session[:number], session[-last:])
+
+
+def _tried(draw: _Draw) -> Trial | str:
+    """Result of a draw, or why nothing could be learned from it."""
+    try:
+        return trial(draw.presses, draw.learned, draw.located)
+    except (RecordingError, CalibrationError) as error:
+        return error.reason
+
+
+def _pace_s(time_s: Array | None) -> float | None:
+    """Median time from one press to the next [s]."""
+    if time_s is None or not np.ptp(time_s) > 0:
+        return None
+    return float(np.median(np.diff(np.sort(time_s))))
+
+
+def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: float | None) -> Point | None:
+    whole = [each for each in trials if isinstance(each, Trial)]
+    if not whole:
+        return None
+    refused = [each for each in trials if isinstance(each, str)]
+    note = f"nothing learned from {len(refused)} of {len(trials)} draws: {refused[0]}" if refused else ""
+    inside = [each.inside.T.astype(float) for each in whole]
+    accuracy = {
+        PLACE: _mean(whole, [each.error_mm for each in whole], "mm", "less"),
+        COVERED["68"]: _mean(whole, [each[0] for each in inside], "1", "stated"),
+        COVERED["95"]: _mean(whole, [each[1] for each in inside], "1", "stated"),
+        "in_model": _mean(whole, [each.in_model.astype(float) for each in whole], "1", "more"),
+    }
+    return Point(
+        TimeBasis.PRESSES,
+        series,
+        {"presses": number},
+        accuracy,
+        compute_s=float(np.median([each.frame_s for each in whole])),
+        station_s=None if pace_s is None else number * pace_s,
+        seeds=len(whole),
+        note=note,
+        costs={"learning_s": float(np.median([each.learning_s for each in whole]))},
+    )
+
+
+def _mean(trials: Sequence[Trial], values: Sequence[Array], unit: str, better: Better) -> Accuracy:
+    """Mean over draws, with a standard error of both: of draws, and of the presses that they locate.
+
+    Draws locate the same presses again and again, which are as many as there are different ones: of k draws with a
+    variance within draws σ² and one of their means s², it is √(max(0, s² − σ²/n)/k + σ²/N), where n presses are
+    located in a draw and N different ones in all. One draw cannot show what others would scatter by.
+    """
+    means = [float(each.mean()) for each in values]
+    within = float(np.mean([each.var(ddof=1) for each in values]))
+    different = len(np.unique(np.concatenate([each.located for each in trials])))
+    between = 0.0
+    if len(means) > 1:
+        between = max(0.0, float(np.var(means, ddof=1)) - within / len(trials[0].located))
+    return Accuracy(float(np.mean(means)), float(np.sqrt(between / len(means) + within / different)), unit, better)
+
+
+def _compared(points: Sequence[Point]) -> list[Point]:
+    """The same with what is worth its presses marked, within each series."""
+    compared = []
+    for series in dict.fromkeys(point.series for point in points):
+        members = [point for point in points if point.series == series]
+        worth = undominated_within_errors(members, lambda point: float(point.knobs["presses"]), [PLACE])
+        compared += [replace(point, pareto=on) for point, on in zip(members, worth, strict=True)]
+    return compared

@@ -1,0 +1,63 @@
+"""One draw of presses: learned from as ``cbsr-qa calibrate`` does, and held against presses left out."""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.place import PlaceEstimator, mahalanobis
+from cbsr_qa.calibration.presses import LabelledPresses, learn_presses
+from cbsr_qa.domain import Array, Indices, Mask
+
+#: Frames that are located one by one for their time.
+_TIMED: Final = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Presses located with what was learned from others.
+
+    Parameters
+    ----------
+    located : (k,) rows of these presses.
+    error_mm : (k,) distance of the places found from the true ones.
+    inside : (k, 2) whether the regions of 68 and 95 % hold the true places.
+    in_model : (k,) whether each was taken for a touch like those learned from.
+    learning_s, frame_s : time of registering and learning, and of locating one frame.
+    """
+
+    located: Indices
+    error_mm: Array
+    inside: Mask
+    in_model: Mask
+    learning_s: float
+    frame_s: float
+
+
+def in_random_order(labelled: LabelledPresses) -> LabelledPresses:
+    """The same without times: presses drawn at random lie between those that they locate, and need no drift."""
+    return replace(labelled, presses=replace(labelled.presses, time_s=None))
+
+
+def trial(labelled: LabelledPresses, learned: Indices, located: Indices) -> Trial:
+    """Register and learn from some presses alone, and locate others.
+
+    Raises
+    ------
+    RecordingError, CalibrationError
+        If nothing can be learned from these presses.
+    """
+    begin = time.perf_counter()
+    locate = PlaceEstimator(learn_presses(labelled.some(learned)).place.model)
+    learning_s = time.perf_counter() - begin
+    changes, true_mm = labelled.readings.changes[located], labelled.presses.place_mm[located]
+    begin = time.perf_counter()
+    for frame in changes[:_TIMED, None]:
+        locate(frame)
+    frame_s = (time.perf_counter() - begin) / len(changes[:_TIMED])
+    places = locate(changes)
+    error = true_mm - places.place_mm
+    square = mahalanobis(error, places.covariance_mm2)
+    inside = square[:, None] <= [locate.q68, locate.q95]
+    return Trial(located, np.linalg.norm(error, axis=1), inside, places.in_model, learning_s, frame_s)
