@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.rows import Row
-from cbsr_qa.studies.frontier.presses import Trial, trial
+from cbsr_qa.studies.frontier.presses import Trial, try_presses
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 
@@ -41,7 +41,7 @@ def rows() -> Iterator[Row]:
 def split(sheet: Pressed, count: int, seed: int) -> Trial:
     """Learn from ``count`` presses drawn at random and locate others."""
     order = np.random.default_rng([seed, count]).permutation(len(sheet.labels_mm))
-    return trial(sheet.labelled(), order[_LOCATED : _LOCATED + count], order[:_LOCATED])
+    return try_presses(sheet.labelled(), order[_LOCATED : _LOCATED + count], order[:_LOCATED])
 
 
 def _row(name: str, count: int, trials: list[Trial], goal: tuple[int, float] | None) -> Row:

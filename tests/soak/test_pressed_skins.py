@@ -8,7 +8,7 @@ import pytest
 from pages import HOW_TO
 
 from benchmarks.pressed_places import GOALS, split
-from cbsr_qa.studies.frontier.presses import trial
+from cbsr_qa.studies.frontier.presses import try_presses
 
 PAGE = (HOW_TO.parent / "explanation" / "place.md").read_text(encoding="utf-8")
 CASES = [(name, count) for name, counts in GOALS.items() for count in counts]
@@ -31,7 +31,7 @@ def test_error_and_regions_from_so_many_presses(skins, name, count):
 
 def test_last_presses_of_a_session_from_the_first(skins):
     for name, limit_mm in (("no_pattern", 3.0), ("parallel_lines", 3.0)):
-        found = trial(skins(name).labelled(), np.arange(400), np.arange(2100, 2500))
+        found = try_presses(skins(name).labelled(), np.arange(400), np.arange(2100, 2500))
         assert found.error_mm.mean() <= limit_mm
         assert (found.inside.mean(axis=0) >= [0.63, 0.90]).all()
 

@@ -15,7 +15,7 @@ from cbsr_qa.calibration.presses import LabelledPresses
 from cbsr_qa.domain import Array, CalibrationError, Indices, RecordingError, RefusedError
 from cbsr_qa.studies.frontier.point import Accuracy, Better, Point, TimeBasis
 from cbsr_qa.studies.frontier.presses.needed import PLACE, recommended_presses
-from cbsr_qa.studies.frontier.presses.trial import Trial, in_random_order, trial
+from cbsr_qa.studies.frontier.presses.trial import Trial, in_random_order, try_presses
 from cbsr_qa.studies.frontier.recommend import undominated_within_errors
 from cbsr_qa.studies.frontier.study import Frontier
 
@@ -123,7 +123,7 @@ def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
 def _tried(draw: _Draw) -> Trial | str:
     """Result of a draw, or why nothing could be learned from it."""
     try:
-        return trial(draw.presses, draw.learned, draw.located)
+        return try_presses(draw.presses, draw.learned, draw.located)
     except (RecordingError, CalibrationError) as error:
         return error.reason
 

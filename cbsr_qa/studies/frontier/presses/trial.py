@@ -40,7 +40,7 @@ def in_random_order(labelled: LabelledPresses) -> LabelledPresses:
     return replace(labelled, presses=replace(labelled.presses, time_s=None))
 
 
-def trial(labelled: LabelledPresses, learned: Indices, located: Indices) -> Trial:
+def try_presses(labelled: LabelledPresses, learned: Indices, located: Indices) -> Trial:
     """Register and learn from some presses alone, and locate others.
 
     Raises

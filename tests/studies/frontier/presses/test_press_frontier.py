@@ -62,7 +62,7 @@ def trials(monkeypatch):
         inside = random.uniform(size=(len(located), 1)) < [0.68, 0.95]
         return Trial(located, error, inside, np.ones(len(located), bool), 2.0, 1e-3)
 
-    monkeypatch.setattr(study, "trial", trial)
+    monkeypatch.setattr(study, "try_presses", trial)
     return asked
 
 
@@ -109,7 +109,7 @@ def test_standard_errors_are_the_scatter_of_means_over_other_presses(labelled, m
         of_press = 5 + random.standard_normal(60)
         monkeypatch.setattr(
             study,
-            "trial",
+            "try_presses",
             lambda _labelled, _learned, located, of_press=of_press: Trial(
                 located, of_press[located] + 0.3 * random.standard_normal(), np.ones((len(located), 2), bool),
                 np.ones(len(located), bool), 1.0, 1e-3,
@@ -124,12 +124,12 @@ def test_draws_that_teach_nothing_are_noted_and_none_at_all_is_refused(labelled,
     def refused(labelled, learned, located):
         raise CalibrationError("all presses are at one place")
 
-    whole = study.trial
-    monkeypatch.setattr(study, "trial", lambda *given: (refused if given[1][0] % 2 else whole)(*given))
+    whole = study.try_presses
+    monkeypatch.setattr(study, "try_presses", lambda *given: (refused if given[1][0] % 2 else whole)(*given))
     first = press_frontier(labelled).points[0]
     assert 0 < first.seeds < 20
     assert first.note.startswith(f"nothing learned from {20 - first.seeds} of 20 draws: all presses are at one place")
-    monkeypatch.setattr(study, "trial", refused)
+    monkeypatch.setattr(study, "try_presses", refused)
     with pytest.raises(RefusedError, match="nothing can be learned from any draw of these presses: all presses are"):
         press_frontier(labelled)
 
