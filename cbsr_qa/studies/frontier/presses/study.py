@@ -13,6 +13,7 @@ import numpy as np
 from cbsr_qa.calibration.place import FEWEST_PRESSES
 from cbsr_qa.calibration.presses import LabelledPresses
 from cbsr_qa.domain import Array, CalibrationError, Indices, RecordingError, RefusedError
+from cbsr_qa.report import plural
 from cbsr_qa.studies.frontier.point import Accuracy, Better, Point, TimeBasis
 from cbsr_qa.studies.frontier.presses.needed import PLACE, recommended_presses
 from cbsr_qa.studies.frontier.presses.trial import Trial, in_random_order, try_presses
@@ -54,6 +55,8 @@ def press_frontier(
 ) -> Frontier:
     """Learn from growing numbers of presses, locate others, and recommend a number.
 
+    Presses that change no reading are left out, and counted in a note.
+
     Parameters
     ----------
     wish_mm : largest mean error of place; without it the smallest number is recommended that no larger one surely
@@ -68,6 +71,8 @@ def press_frontier(
         If readings and labels do not match.
     """
     labelled.check()
+    changed = np.any(labelled.readings.changes != 0, axis=1)
+    labelled = labelled.some(np.flatnonzero(changed))
     draws = list(_draws(labelled, quick=quick))
     tried: dict[tuple[str, int], list[Trial | str]] = {}
     for done, draw in enumerate(draws):
@@ -75,7 +80,9 @@ def press_frontier(
         tried.setdefault((draw.series, len(draw.learned)), []).append(_tried(draw))
     tell(len(draws), len(draws), "")
     pace_s = _pace_s(labelled.presses.time_s)
-    found = (_point(*key, trials, pace_s) for key, trials in tried.items())
+    unchanged = int((~changed).sum())
+    note = f"{plural(unchanged, 'press', 'presses')} without a change of any reading left out" if unchanged else ""
+    found = (_point(*key, trials, pace_s, note) for key, trials in tried.items())
     points = _compared([point for point in found if point is not None])
     if not points:
         why = next(each for trials in tried.values() for each in trials if isinstance(each, str))
@@ -135,12 +142,12 @@ def _pace_s(time_s: Array | None) -> float | None:
     return float(np.median(np.diff(np.sort(time_s))))
 
 
-def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: float | None) -> Point | None:
+def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: float | None, note: str) -> Point | None:
     whole = [each for each in trials if isinstance(each, Trial)]
     if not whole:
         return None
     refused = [each for each in trials if isinstance(each, str)]
-    note = f"nothing learned from {len(refused)} of {len(trials)} draws: {refused[0]}" if refused else ""
+    failed = f"nothing learned from {len(refused)} of {len(trials)} draws: {refused[0]}" if refused else ""
     inside = [each.inside.T.astype(float) for each in whole]
     accuracy = {
         PLACE: _mean(whole, [each.error_mm for each in whole], "mm", "less"),
@@ -156,7 +163,7 @@ def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: floa
         compute_s=float(np.median([each.frame_s for each in whole])),
         station_s=None if pace_s is None else number * pace_s,
         seeds=len(whole),
-        note=note,
+        note="; ".join(filter(None, (failed, note))),
         costs={"learning_s": float(np.median([each.learning_s for each in whole]))},
     )
 

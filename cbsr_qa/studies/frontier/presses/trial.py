@@ -1,4 +1,4 @@
-"""One draw of presses: learned from as ``cbsr-qa calibrate`` does, and held against presses left out."""
+"""One draw of presses: learned from as ``cbsr-qa calibrate`` does, others located."""
 
 import time
 from dataclasses import dataclass, replace

@@ -91,6 +91,14 @@ def test_nothing_located_was_learned_from_and_a_session_is_cut_by_time(labelled,
     assert len({tuple(rows) for rows in first}) == len(first)
 
 
+def test_presses_that_change_nothing_are_left_out_and_counted(labelled, trials):
+    changes = labelled.readings.changes.copy()
+    changes[[3, 40]] = 0
+    swept = press_frontier(replace(labelled, readings=replace(labelled.readings, changes=changes)), quick=True)
+    assert {point.note for point in swept.points} == {"2 presses without a change of any reading left out"}
+    assert all(given.readings.changes.any(axis=1).all() for given, _, _ in trials)
+
+
 def test_errors_fall_as_they_do_and_time_is_that_of_the_table(labelled, trials):
     swept = press_frontier(labelled)
     for point in swept.points:
