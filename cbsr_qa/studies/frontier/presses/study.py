@@ -1,7 +1,8 @@
 """``cbsr-qa frontier --recording``: how accurate places become with the number of presses, and how many to make.
 
 Every draw is registered and learned from its own presses alone, as ``cbsr-qa calibrate`` would do with these, so that
-nothing of the presses located is known. To register once on all presses would save a second or two a draw.
+nothing of the presses located is known. Registering takes half the time of a draw of 39 presses and a tenth of one of
+400, which registering once on all presses would save.
 """
 
 from collections.abc import Callable, Iterator, Sequence
