@@ -71,8 +71,9 @@ class PlaceEstimator:
 
     def _located(self, changes: Array) -> tuple[Array, Array, Array, Indices]:
         model = self._model
-        whole: Mask = np.asarray(np.isfinite(changes).all(axis=1))
-        changes = np.where(whole[:, None], changes, 0.0)
+        used = model.scaling.ceiling > 0
+        whole: Mask = np.asarray(np.isfinite(changes[:, used]).all(axis=1))
+        changes = np.where(whole[:, None] & used, changes, 0.0)
         features = features_of(changes, model.scaling)
         second, covariance, misfit = match(model.templates, features)
         place, covariance = mixed(model.mixture, located(model.process, model.turns, features), second, covariance)

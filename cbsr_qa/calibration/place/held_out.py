@@ -19,6 +19,8 @@ _BLOCKS_OF_FEW: Final = 40
 _BLOCKS_WITH_SCALES: Final = 10
 #: Blocks of more presses, in the order in which they were made, that are left out in turn.
 _BLOCKS: Final = 20
+#: Presses nearer to each other than this share of the radius are at one place.
+_ONE_PLACE: Final = 0.01
 #: Above that each half of the presses is located with hyperparameters of so many of the other half.
 _FOR_HALVES: Final = 200
 #: Levels at which what regions hold is compared with what they are asked to hold.
@@ -81,6 +83,14 @@ class PressedSheet:
         """Of the circle about the centre that holds all presses."""
         return float(np.linalg.norm(self.places_mm, axis=1).max())
 
+    @property
+    def visits(self) -> Indices:
+        """For each press (n,) the number of the first one at its place."""
+        cells = np.round(self.places_mm / (_ONE_PLACE * self.radius_mm))
+        _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+        visits: Indices = first[cell.ravel()]
+        return visits
+
     def likely(self, presses: Indices) -> PlaceScales:
         """Hyperparameters from some of the presses."""
         return likely_scales(self.turns, self.features[presses], self.places_mm[presses])
@@ -91,9 +101,11 @@ class PressedSheet:
         return learn_templates(self.turns, *parts, self.radius_mm, self.time[presses])
 
     def left_out(self) -> LeftOut:
-        """Locate every press from presses of other blocks."""
-        count = len(self.places_mm)
-        blocks = np.array_split(np.arange(count), min(_BLOCKS_OF_FEW if count <= _FEW else _BLOCKS, count))
+        """Locate every press from presses of other blocks, which are at other places."""
+        count, visits = len(self.places_mm), self.visits
+        places = np.unique(visits)
+        groups = np.array_split(places, min(_BLOCKS_OF_FEW if count <= _FEW else _BLOCKS, len(places)))
+        blocks = [np.flatnonzero(np.isin(visits, group)) for group in groups]
         process = np.full((count, 2), np.nan)
         for learned, located in self._parts():
             given, inverse = given_presses(self.likely(learned), self.turns, self.features, self.places_mm)
@@ -133,8 +145,11 @@ class PressedSheet:
         return places, covariances, misfit
 
 
-def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
-    """State errors and coverage of presses left out; mixture and regions are learned from the other half of them."""
+def coverage_of(out: LeftOut, places_mm: Array, visits: Indices) -> HeldOut:
+    """State errors and coverage of presses left out; mixture and regions are learned from the other half of them.
+
+    The standard error takes the errors of presses at one place (of the same number in ``visits``) for one.
+    """
     count = len(places_mm)
     places, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
     for half in (0, 1):
@@ -146,8 +161,9 @@ def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
         ratio = mahalanobis(places_mm[located] - places[located], covariance)
         inside[located] = ratio[:, None] <= mixture.quantiles
     error = np.linalg.norm(places_mm - places, axis=1)
-    mean, stderr = float(error.mean()), float(error.std(ddof=1) / np.sqrt(count))
-    return HeldOut(mean, stderr, count, np.arange(count), places, np.array(_LEVELS), inside.mean(axis=0))
+    sums = np.bincount(visits, error - error.mean())[np.unique(visits)]
+    stderr = float(np.sqrt(np.sum(sums**2) * len(sums) / max(len(sums) - 1, 1)) / count)
+    return HeldOut(float(error.mean()), stderr, count, np.arange(count), places, np.array(_LEVELS), inside.mean(axis=0))
 
 
 def evenly(count: int, most: int) -> Indices:

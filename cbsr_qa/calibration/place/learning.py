@@ -86,7 +86,8 @@ def learn_place(
 
     Parameters
     ----------
-    changes : (n, m) of the readings, by each press, in one unit; finite.
+    changes : (n, m) of the readings, by each press, in one unit; finite. Readings that are zero in all are not
+        used, whatever they are later.
     places_mm : (n, 2) of the presses, in any frame; in the order in which they were made, unless ``time_s`` says it.
     pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
     electrodes : how many there are around the sheet, evenly spaced.
@@ -129,9 +130,9 @@ def learn_place(
         axes,
         misfit=float(room * np.quantile(out.misfit, _MISFIT_LEVEL)),
         least_size=float(_SIZE_ROOM * np.quantile(size, 1 - _MISFIT_LEVEL)),
-        reach_mm=_reach(about),
+        reach_mm=_reach(about[np.unique(sheet.visits)]),
     )
-    held_out = coverage_of(out, sheet.places_mm)
+    held_out = coverage_of(out, sheet.places_mm, sheet.visits)
     found_mm = held_out.found_mm @ axes + centre
     held_out = replace(held_out, presses=order[held_out.presses], found_mm=found_mm)
     return PlaceLearned(model, held_out, tuple(_warnings(held_out, sheet, scales, drifts=bool(later.any()))))
@@ -209,8 +210,7 @@ def _shift(
 
 def _ceiling(changes: Array) -> Array:
     sizes = np.quantile(np.abs(changes), 0.9, axis=0)
-    sizes = np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
-    ceiling: Array = _CEILING * np.where(sizes > 0, sizes, 1.0)
+    ceiling: Array = _CEILING * np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
     return ceiling
 
 
@@ -226,10 +226,9 @@ def _beside(axes: Array) -> Array:
 
 
 def _reach(about: Array) -> float:
-    """Distance from the nearest press beyond which a place was not learned [mm]."""
+    """Distance from the nearest of some different places (n, 2) beyond which none was learned [mm]."""
     nearest = np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]
-    apart = nearest[nearest > 0]
-    return float(_REACH * np.median(apart)) if len(apart) else 0.0
+    return float(_REACH * np.median(nearest))
 
 
 def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, *, drifts: bool) -> Iterator[str]:

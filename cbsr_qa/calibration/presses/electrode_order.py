@@ -145,7 +145,7 @@ class _Evidence:
         self._changes = registered.sign * changes[chosen]
 
     def __call__(self, pairs: Indices) -> Array:
-        answers = answering_side(self._changes, self._sheet.unloaded(pairs)).answers
+        answers = answering_side(self._sheet, pairs, self._changes).answers
         alike = alikeness(self._changes[:, answers], self._loads.readings(pairs[answers]))
         return log_likelihood(alike)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from cbsr_qa.calibration.presses.pairs import DistinctPairs
 from cbsr_qa.calibration.presses.tables import PressTable, read_table
@@ -17,6 +18,9 @@ _BEYOND = 1.15
 _MOST_NAMED = 5
 #: Readings over their size that differ by less between presses are the same.
 _ALIKE = 1e-6
+#: Presses were made in the order of their places if these explain more than half of the times' variance, which they
+#: do by chance in one case of a thousand.
+_UNORDERED, _BY_CHANCE = 0.5, 1e-3
 _WHAT_READINGS = "give the readings of the presses, several pairs of electrodes each"
 
 
@@ -58,6 +62,23 @@ class LabelledPresses:
         """The same with some of its presses, in the order of ``rows``."""
         readings = replace(self.readings, changes=self.readings.changes[rows])
         return replace(self, readings=readings, presses=self.presses.some(rows))
+
+    def by_place(self) -> bool:
+        """Whether places tell when presses were made, as on a raster: drift cannot be told from place then.
+
+        By the share of the times' variance that a quadratic function of place explains, and its F-test.
+        """
+        x, y = (self.presses.place_mm - self.presses.place_mm.mean(axis=0)).T
+        time = np.arange(len(x)) if self.presses.time_s is None else self.presses.time_s
+        design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
+        design /= np.maximum(np.abs(design).max(axis=0), np.finfo(float).tiny)
+        rest = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
+        degrees = len(x) - design.shape[1]
+        unexplained = float(np.sum(rest**2) / np.sum((time - time.mean()) ** 2))
+        if degrees < 1 or unexplained > _UNORDERED:
+            return False
+        ratio = (1 - unexplained) / max(unexplained, 1e-12) * degrees / (design.shape[1] - 1)
+        return bool(fisher.sf(ratio, design.shape[1] - 1, degrees) < _BY_CHANCE)
 
     def check(self) -> None:
         """Make sure that readings and labels match and may be of one sheet. RecordingError naming file and rows."""

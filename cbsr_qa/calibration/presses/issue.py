@@ -1,13 +1,14 @@
 """What labelled presses teach of a sheet and its places, and the calibration that is issued from it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.file import stamped
 from cbsr_qa.calibration.place import PlaceLearned, learn_place
+from cbsr_qa.calibration.presses.dead_readings import find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
@@ -21,6 +22,10 @@ _MADE_BY: Final = "labelled presses; no station made this calibration"
 _MIRRORED: Final = (
     "the sheet is mirrored against its sensor type: it is seen from below, or its electrodes are numbered the other"
     " way round"
+)
+_BY_PLACE: Final = (
+    "presses were made in the order of their places: drift of the readings would look like another place, and presses"
+    " left out would not show it; press in random order, or at some places again at the end"
 )
 
 Tell = Callable[[str], None]
@@ -76,14 +81,17 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     readings, presses = labelled.readings, labelled.presses
     labelled.check()
     tell("finding how the sheet lies")
-    order = _ordered(labelled)
+    dead = find_dead_readings(readings.distinct.pairs, readings.changes, presses.place_mm)
+    readings = replace(readings, changes=np.where(dead.dead, 0.0, readings.changes))
+    order = _ordered(replace(labelled, readings=readings))
     registration = order.registered.registration
     if registration.trusted:
         check_inside(presses, registration)
     used = np.any(readings.changes != 0, axis=1)
     time_s = None if presses.time_s is None else presses.time_s[used]
     learned = _learned(labelled.sensor_type, order, readings.changes[used], presses.place_mm[used], time_s, tell)
-    findings = *_findings(order, radius_stated=labelled.radius_stated), *learned.warnings
+    about_sheet = *dead.findings, *_findings(order, radius_stated=labelled.radius_stated)
+    findings = *about_sheet, *learned.warnings, *([_BY_PLACE] if labelled.by_place() else [])
     return PressesLearned(registration, findings, used, learned)
 
 

@@ -12,7 +12,8 @@ from cbsr_qa.domain import Array, Indices, Mask
 #: Readings and templates are compared as their signed powers of this exponent: of the exponents 0.3 to 1 it gives the
 #: smallest errors of place on a sheet with spikes, and next to nothing is lost on one without.
 _COMPRESSION: Final = 0.7
-#: Readings of one modelled polarity whose median is smaller than that of the other by this factor hardly answer.
+#: Readings of one modelled polarity hardly answer if those of the other are larger by this factor, both over what the
+#: modelled sheet answers.
 _DEAD: Final = 3.0
 #: Independent readings that a press counts as: what is left of a template is no noise but how the sheet differs from
 #: its model, alike in many readings.
@@ -28,7 +29,7 @@ class AnsweringSide:
 
     Parameters
     ----------
-    answers : (m,) False for those of a polarity that hardly answers.
+    answers : (m,) False for those that never do, and those of a polarity that hardly answers.
     words : says so; empty where both polarities answer.
     """
 
@@ -36,26 +37,30 @@ class AnsweringSide:
     words: str = ""
 
 
-def answering_side(changes: Array, unloaded: Array) -> AnsweringSide:
+def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> AnsweringSide:
     """Tell whether readings of one modelled polarity hardly answer, as behind a rectifying front end.
 
     Parameters
     ----------
+    sheet : as modelled.
+    pairs : (m, 4) of the readings.
     changes : (n, m) of the presses, any unit.
-    unloaded : (m,) modelled readings without a load.
     """
-    positive = unloaded > 0
+    alive: Mask = np.any(changes != 0, axis=0)
+    positive = sheet.unloaded(pairs) > 0
     if positive.all() or not positive.any():
-        return AnsweringSide(np.ones(len(unloaded), dtype=np.bool_))
-    sizes = [float(np.median(np.abs(changes[:, side]))) for side in (positive, ~positive)]
+        return AnsweringSide(alive)
+    modelled = np.median(np.abs(sheet.lattice.readings(pairs)), axis=0)
+    answer = np.median(np.abs(changes), axis=0) / np.maximum(modelled, np.finfo(np.float64).tiny)
+    sizes = [float(np.median(answer[side])) for side in (positive, ~positive)]
     if max(sizes) <= _DEAD * min(sizes):
-        return AnsweringSide(np.ones(len(unloaded), dtype=np.bool_))
+        return AnsweringSide(alive)
     dead, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
     words = (
-        f"{int(dead.sum())} readings whose modelled voltage is {name} hardly answer (median change {min(sizes):.3g},"
-        f" that of the others {max(sizes):.3g}): the front end appears to rectify"
+        f"{int(dead.sum())} readings whose modelled voltage is {name} hardly answer: {min(sizes) / max(sizes):.1%} of"
+        " what the others do, both compared with the modelled sheet; the front end appears to rectify"
     )
-    return AnsweringSide(~dead, words)
+    return AnsweringSide(alive & ~dead, words)
 
 
 def alikeness(changes: Array, templates: Array) -> Array:

@@ -101,7 +101,7 @@ def register_presses(
         If the places do not determine a similarity: too few, all at one place, or all on a line.
     """
     check_places(place_mm)
-    side = answering_side(changes, sheet.unloaded(pairs))
+    side = answering_side(sheet, pairs, changes)
     pairs, changes = pairs[side.answers], changes[:, side.answers]
     stated_mm = sheet.radius_mm if radius_stated else None
     chosen = evenly_spread(len(changes), _REFINED)
@@ -131,7 +131,7 @@ def turned_likelihood(
 
     Parameters and errors as of :func:`register_presses`.
     """
-    side = answering_side(changes, sheet.unloaded(pairs))
+    side = answering_side(sheet, pairs, changes)
     size = np.log(near.radius_mm * near.scale)
     turned = (_complex(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * _ROTATIONS)[:, None]
     values = []
@@ -192,13 +192,17 @@ class _Search:
         return max(refined, key=lambda found: found[1])
 
     def errors(self, likeness: Likeness, pose: _Pose) -> Array:
-        """Standard errors (4,) of a pose's numbers, by refining it with presses and a radius drawn again."""
-        count, random = len(self.labelled), np.random.default_rng(_SEED)
+        """Standard errors (4,) of a pose's numbers, by refining it with places and a radius drawn again.
+
+        All presses at one place are drawn together, since how the sheet differs from its model is the same for them.
+        """
+        _, place = np.unique(self.labelled, return_inverse=True)
+        count, random = int(place.max()) + 1, np.random.default_rng(_SEED)
         draws = (random.integers(count, size=count) for _ in range(_BOOTSTRAPS))
         drawn = []
         for draw in draws:
             self._radius_off = _RADIUS_ERROR * random.standard_normal()
-            times = np.bincount(draw, minlength=count)
+            times = np.bincount(draw, minlength=count)[place]
             drawn.append(self._refined(likeness, pose, times)[0].numbers)
         low, high = np.quantile(np.array(drawn) - pose.numbers, [0.16, 0.84], axis=0)
         half: Array = (high - low) / 2

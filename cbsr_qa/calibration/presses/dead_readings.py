@@ -1,0 +1,79 @@
+"""Readings that tell nothing of the press: those that never change, and all of an electrode without contact."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from cbsr_qa.domain import Array, Indices, Mask
+
+#: Presses from which on electrodes are judged: of fewer, neighbours are too far apart to read alike.
+_FEWEST: Final = 30
+#: A dead electrode's readings follow the place by less than this share of what those of the middle electrode do. In
+#: 60 draws of 30 presses of two real skins no electrode falls below 0.46, and of those whose readings are replaced by
+#: noise nine of ten are below 0.4.
+_LEAST: Final = 0.4
+#: Where the middle electrode follows by less, nothing is said of single ones.
+_FOLLOWS: Final = 0.3
+_NEIGHBOURS: Final = 3
+#: Brings large readings closer to small ones, as in the features that places are learned from.
+_EXPONENT: Final = 0.7
+_MOST_NAMED: Final = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeadReadings:
+    """Which readings (m,) tell nothing, and what a person should know of them."""
+
+    dead: Mask
+    findings: tuple[str, ...] = ()
+
+
+def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadReadings:
+    """Find readings that never change, and electrodes whose readings do not follow the place of the press.
+
+    Parameters
+    ----------
+    pairs : (m, 4) source, sink, plus and minus.
+    changes : (n, m) by presses at places (n, 2).
+    """
+    still = np.ptp(changes, axis=0) == 0
+    followed = _followed(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
+    followed[still] = 0.0
+    dead, findings = np.zeros(len(pairs), dtype=np.bool_), []
+    of_electrode = {int(electrode): (pairs == electrode).any(axis=1) for electrode in np.unique(pairs)}
+    while not dead.all():  # the worst first: its readings are its neighbours' too
+        left = {electrode: followed[of & ~dead] for electrode, of in of_electrode.items() if (of & ~dead).any()}
+        usual = {electrode: float(np.mean(each)) for electrode, each in left.items()}
+        worst, middle = min(usual, key=lambda electrode: usual[electrode]), float(np.median(list(usual.values())))
+        if not (usual[worst] < _LEAST * middle and middle > _FOLLOWS):
+            break
+        of = of_electrode[worst]
+        how = "never change" if still[of].all() else "do not follow the place of the press"
+        findings.append(f"electrode {worst} is dead: its {int(of.sum())} readings {how}, and are left out")
+        dead |= of
+    still &= ~dead
+    dead |= still
+    if still.any():
+        named = "; ".join(",".join(map(str, pair)) for pair in pairs[still][:_MOST_NAMED].tolist())
+        more = "; …" if still.sum() > _MOST_NAMED else ""
+        findings.append(
+            f"{int(still.sum())} of {len(pairs)} readings never change, and are left out (source,sink,plus,minus):"
+            f" {named}{more}"
+        )
+    return DeadReadings(dead, tuple(findings))
+
+
+def _followed(changes: Array, place_mm: Array) -> Array:
+    """Share (m,) of each reading's variance that presses beside each other have in common; about 0 for noise.
+
+    One less the ratio of von Neumann (1941) with neighbours by place in place of time, of frames of equal size.
+    """
+    roots = np.sign(changes) * np.abs(changes) ** _EXPONENT
+    size = np.median(np.abs(roots), axis=1, keepdims=True)
+    roots = roots / np.where(size > 0, size, 1.0)
+    nearest = np.asarray(cKDTree(place_mm).query(place_mm, k=_NEIGHBOURS + 1)[1])[:, 1:]
+    apart = ((roots[:, None] - roots[nearest]) ** 2).mean(axis=(0, 1))
+    followed: Array = 1 - apart / np.maximum(2 * roots.var(axis=0), np.finfo(float).tiny)
+    return followed
