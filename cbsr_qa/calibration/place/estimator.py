@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place.features import features_of, squared_distances
+from cbsr_qa.calibration.place.features import features_of, spikes_in, squared_distances
 from cbsr_qa.calibration.place.mixture import mixed
 from cbsr_qa.calibration.place.process import located
 from cbsr_qa.calibration.place.templates import match
@@ -73,7 +73,8 @@ class PlaceEstimator:
         model = self._model
         used = model.scaling.ceiling > 0
         whole: Mask = np.asarray(np.isfinite(changes[:, used]).all(axis=1))
-        changes = np.where(whole[:, None] & used, changes, 0.0)
+        sound = whole[:, None] & used & ~spikes_in(changes, model.scaling.ceiling)
+        changes = np.where(sound, changes, 0.0)
         features = features_of(changes, model.scaling)
         second, covariance, misfit = match(model.templates, features)
         place, covariance = mixed(model.mixture, located(model.process, model.turns, features), second, covariance)

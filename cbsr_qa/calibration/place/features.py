@@ -2,8 +2,26 @@
 
 import numpy as np
 
-from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import FeatureScaling, PatternTurns
+
+#: A reading's ceiling, in 90 % quantiles of its size; and what is taken for a spike, in ceilings: one reading of a
+#: thousand on two real skins, and with adjacent pairs of a simulated one whose presses reach the electrodes.
+_CEILING, _SPIKE = 3.0, 3.5
+
+
+def ceilings_of(changes: Array) -> Array:
+    """Ceilings (m,) of readings from presses (n, m); zero for those that are zero in all."""
+    sizes = np.quantile(np.abs(changes), 0.9, axis=0)
+    ceiling: Array = _CEILING * np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
+    return ceiling
+
+
+def spikes_in(changes: Array, ceiling: Array) -> Mask:
+    """Which readings (n, m) are spikes: far larger than in other presses, and than most of the same press."""
+    sizes = np.abs(changes) / np.where(ceiling > 0, ceiling, np.inf)
+    spikes: Mask = sizes > _SPIKE * np.maximum(np.quantile(sizes, 0.9, axis=1, keepdims=True), 1.0)
+    return spikes
 
 
 def features_of(readings: Array, scaling: FeatureScaling) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cbsr_qa.calibration.place.drift import SESSIONS
-from cbsr_qa.calibration.place.features import features_of, pattern_turns, turn_by
+from cbsr_qa.calibration.place.features import ceilings_of, features_of, pattern_turns, spikes_in, turn_by
 from cbsr_qa.calibration.place.held_out import HeldOut, PressedSheet, coverage_of, evenly
 from cbsr_qa.calibration.place.mixture import drifted, learn_mixture
 from cbsr_qa.calibration.place.process import (
@@ -38,8 +38,6 @@ _EXPONENT: Final = 0.7
 _DAMPINGS: Final = (0.5, 1.0)
 #: Logarithm of the likelihood, per press, that damping a frame's whole size must gain.
 _CLEARLY: Final = 0.2
-#: A reading's ceiling, in 90 % quantiles of its size.
-_CEILING: Final = 3.0
 #: Presses that hyperparameters are found with.
 _FOR_SCALES: Final = 400
 #: Presses that damping, axes and centre are tried with, and steps of a half turn.
@@ -104,6 +102,7 @@ def learn_place(
     """
     _check(changes, places_mm)
     order = np.arange(len(changes)) if time_s is None else np.argsort(time_s, kind="stable")
+    changes = np.where(spikes_in(changes, ceilings_of(changes)), 0.0, changes)
     if time_s is not None:
         changes, places_mm, time_s = changes[order], places_mm[order], time_s[order]
     turns = pattern_turns(pairs, electrodes)
@@ -167,7 +166,7 @@ def _frame(
     tried = _half_turn() if axes is None else _beside(axes)
     found = []
     for damping in _DAMPINGS:
-        scaling = FeatureScaling(_EXPONENT, damping, _ceiling(changes))
+        scaling = FeatureScaling(_EXPONENT, damping, ceilings_of(changes))
         features = features_of(changes[some], scaling)
         likelihoods, centres = frames_likelihoods(
             start_scales(turns, features, about), turns, features, about, tried, stderr_mm
@@ -206,12 +205,6 @@ def _shift(
         for seen in (features, features + later, features - later)
     ]
     return float(np.mean([((moved - found[0]) ** 2).sum(axis=1).mean() for moved in found[1:]]))
-
-
-def _ceiling(changes: Array) -> Array:
-    sizes = np.quantile(np.abs(changes), 0.9, axis=0)
-    ceiling: Array = _CEILING * np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
-    return ceiling
 
 
 def _half_turn() -> Array:

@@ -1,4 +1,4 @@
-"""Readings that tell nothing of the press: those that never change, and all of an electrode without contact."""
+"""Readings that tell nothing of the press: spikes, those that never change, and those of a dead electrode."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from cbsr_qa.calibration.place import ceilings_of, spikes_in
 from cbsr_qa.domain import Array, Indices, Mask
 
 #: Presses from which on electrodes are judged: of fewer, neighbours are too far apart to read alike.
@@ -20,25 +21,29 @@ _NEIGHBOURS: Final = 3
 #: Brings large readings closer to small ones, as in the features that places are learned from.
 _EXPONENT: Final = 0.7
 _MOST_NAMED: Final = 5
+#: Share of readings that are spikes from which on it is said: presses beside electrodes show a tenth of that.
+_SPIKY: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReadings:
-    """Which readings (m,) tell nothing, and what a person should know of them."""
+    """Which readings (n, m) tell nothing, and what a person should know of them."""
 
     dead: Mask
     findings: tuple[str, ...] = ()
 
 
 def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadReadings:
-    """Find readings that never change, and electrodes whose readings do not follow the place of the press.
+    """Find spikes, readings that never change, and electrodes whose readings do not follow the place of the press.
 
     Parameters
     ----------
     pairs : (m, 4) source, sink, plus and minus.
     changes : (n, m) by presses at places (n, 2).
     """
+    spikes = spikes_in(changes, ceilings_of(changes))
     still = np.ptp(changes, axis=0) == 0
+    changes = np.where(spikes, 0.0, changes)
     followed = _followed(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
     followed[still] = 0.0
     dead, findings = np.zeros(len(pairs), dtype=np.bool_), []
@@ -62,7 +67,14 @@ def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadR
             f"{int(still.sum())} of {len(pairs)} readings never change, and are left out (source,sink,plus,minus):"
             f" {named}{more}"
         )
-    return DeadReadings(dead, tuple(findings))
+    spikes &= ~dead
+    if spikes.mean() > _SPIKY:
+        row, reading = np.argwhere(spikes)[0].tolist()
+        findings.append(
+            f"{spikes.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
+            f" column {reading + 1} of the distinct readings"
+        )
+    return DeadReadings(dead | spikes, tuple(findings))
 
 
 def _followed(changes: Array, place_mm: Array) -> Array:

@@ -1,10 +1,10 @@
-"""The symmetry of a pattern of readings."""
+"""The symmetry of a pattern of readings, and what is taken for a spike."""
 
 import numpy as np
 import pytest
-from pressed_sheets import adjacent_pairs, opposite_pairs
+from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet
 
-from cbsr_qa.calibration.place.features import matern_and_slope, pattern_turns, turn_by
+from cbsr_qa.calibration.place.features import ceilings_of, matern_and_slope, pattern_turns, spikes_in, turn_by
 
 
 @pytest.mark.parametrize(
@@ -57,3 +57,13 @@ def test_slope_of_the_covariance_is_its_derivative():
     squared, step = np.array([0.01, 0.5, 3.0]), 1e-6
     numeric = (matern_and_slope(squared + step)[0] - matern_and_slope(squared - step)[0]) / (2 * step)
     assert matern_and_slope(squared)[1] == pytest.approx(numeric, rel=1e-6)
+
+
+def test_a_press_far_stronger_than_those_that_calibrated_is_no_spike():
+    changes = pressed_sheet(60).changes
+    ceiling = ceilings_of(changes)
+    one = 20 * changes[:1].copy()
+    one[0, 7] = 100 * ceiling[7]
+    for frame in (20 * changes, changes):
+        assert spikes_in(frame, ceiling).mean() < 2e-3
+    assert spikes_in(one, ceiling)[0].nonzero()[0].tolist() == [7]

@@ -24,12 +24,29 @@ def without_contact(pressed, electrode, *, common, noise=20.0):
 @pytest.mark.parametrize("common", [False, True])
 def test_an_electrode_without_contact_is_found(pairs, common):
     pressed = pressed_sheet(60, pairs=pairs, noise=0.3)
-    assert not find_dead_readings(pairs, pressed.changes, pressed.labels_mm).dead.any()
+    sound = find_dead_readings(pairs, pressed.changes, pressed.labels_mm)
+    assert not sound.findings
+    assert sound.dead.mean() < 1e-3
     spoilt = without_contact(pressed, 5, common=common)
     found = find_dead_readings(pairs, spoilt.changes, spoilt.labels_mm)
-    np.testing.assert_array_equal(found.dead, (pairs == 5).any(axis=1))
+    np.testing.assert_array_equal(found.dead.all(axis=0), (pairs == 5).any(axis=1))
     assert len(found.findings) == 1
     assert found.findings[0].startswith("electrode 5 is dead")
+
+
+def test_spikes_cost_neither_pose_nor_place():
+    pressed, random = pressed_sheet(140, noise=0.05), np.random.default_rng(8)
+    spikes = random.random(pressed.changes.shape) < 0.05
+    height = 100 * np.median(np.abs(pressed.changes)) * random.choice([-1.0, 1.0], spikes.shape)
+    spiky = replace(pressed, changes=np.where(spikes, height, pressed.changes))
+    found = find_dead_readings(pressed.pairs, spiky.changes, spiky.labels_mm)
+    assert found.dead[spikes].mean() > 0.8
+    assert found.dead[~spikes].mean() < 0.005
+    learned = learn_presses(some(spiky, np.arange(40)).labelled())
+    assert any("are spikes" in words for words in learned.findings)
+    assert learned.registration.trusted
+    places = PlaceEstimator(learned.place.model)(spiky.changes[40:])
+    assert np.linalg.norm(places.place_mm - pressed.labels_mm[40:], axis=1).mean() < 3  # taken for touches 7 mm
 
 
 def test_readings_that_never_change_are_named():
@@ -37,7 +54,7 @@ def test_readings_that_never_change_are_named():
     changes = pressed.changes.copy()
     changes[:, 7] = 40.0
     found = find_dead_readings(pressed.pairs, changes, pressed.labels_mm)
-    assert np.flatnonzero(found.dead).tolist() == [7]
+    assert np.flatnonzero(found.dead.all(axis=0)).tolist() == [7]
     assert ",".join(map(str, pressed.pairs[7])) in found.findings[0]
     changes[:, (pressed.pairs == 3).any(axis=1)] = 0.0
     found = find_dead_readings(pressed.pairs, changes, pressed.labels_mm)
