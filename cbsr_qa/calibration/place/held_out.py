@@ -163,7 +163,9 @@ def coverage_of(out: LeftOut, places_mm: Array, visits: Indices) -> HeldOut:
     error = np.linalg.norm(places_mm - places, axis=1)
     sums = np.bincount(visits, error - error.mean())[np.unique(visits)]
     stderr = float(np.sqrt(np.sum(sums**2) * len(sums) / max(len(sums) - 1, 1)) / count)
-    return HeldOut(float(error.mean()), stderr, count, np.arange(count), places, np.array(_LEVELS), inside.mean(axis=0))
+    return HeldOut(
+        float(error.mean()), stderr, count, np.arange(count), places, np.array(_LEVELS), inside.mean(axis=0)
+    )
 
 
 def evenly(count: int, most: int) -> Indices:

@@ -45,6 +45,18 @@ def test_places_and_regions_of_presses_not_seen(sheet, learned):
     assert places.in_model.mean() > 0.95
 
 
+def test_presses_at_one_place_do_not_tell_each_others_errors(sheet):
+    rows, random = np.tile(np.arange(12), 4), np.random.default_rng(12)
+    noise = 0.05 * np.median(np.abs(sheet.changes)) * random.standard_normal((48, sheet.changes.shape[1]))
+    four_times = learn_place(sheet.changes[rows] + noise, sheet.labels_mm[rows], sheet.pairs, 16)
+    places = PlaceEstimator(four_times.model)(sheet.changes[TESTED])
+    error = distances(places, sheet.labels_mm[TESTED])
+    held = four_times.held_out
+    assert held.mean_mm == pytest.approx(error.mean(), abs=3 * held.stderr_mm)
+    assert held.mean_mm > 0.5 * error.mean()
+    assert ((places.flags & Flag.OUTSIDE) > 0).mean() < 0.5  # the same place twice makes no reach of zero
+
+
 def test_error_falls_with_the_number_of_presses(sheet, learned):
     few = learn_place(sheet.changes[:12], sheet.labels_mm[:12], sheet.pairs, 16)
     errors = [
