@@ -1,5 +1,6 @@
-"""The documentation is in plain technical English: phrases that read as translated are named by file and line."""
+"""Pages and messages are in plain technical English: phrases that read as translated are named by file and line."""
 
+import ast
 import re
 
 from pages import TOP
@@ -30,16 +31,39 @@ _BANNED = {
     r"\bof before\b": "earlier, old",
     r"\b(refused|left out) by name\b": "refused, and the message names it",
     r"\bit is another( one)?\b(?! \w)": "it has another value",
+    r"\b(is|are|was|were) held to\b": "is checked against",
+    r"\b(to be|is|are|was|were) told (of|about|anything)\b|\b(could|can|cannot) be told\b(?! apart)": "known, shown",
+    r"\bcan be had\b": "is possible",
+    r"\b(this |it )?goes on\b": "continues",
+    r"\bnobody (answers|is there|measures|retires|sets)\b": "name who or what does not",
+    r"\bno(thing|ne)? vouch": "it is unknown whether",
+    r"\bdrawn towards a common\b": "shrunk towards",
+    r"\bone (row|line|value|frame|number|map) a \w+\b": "one … per …",
+    r"\b(is|are) alike but for\b": "are proportional, differ only in",
+    r"\bmakes? no lot\b|\bis no (list|name|outline|dataset|zero)\b": "is not a …",
 }
 
 
 def _prose(page):
-    """A page without code and targets of links, line by line as it was."""
+    """A page without code and targets of links, line by line as it was; of a module, what it prints."""
+    if page.suffix == ".py":
+        return _messages(ast.parse(page.read_text(encoding="utf-8")))
 
     def blank(found):
         return re.sub(r"[^\n]", " ", found[0])
 
     return re.sub(r"^```.*?^```|`[^`]*`|\]\([^)]*\)", blank, page.read_text(encoding="utf-8"), flags=re.M | re.S)
+
+
+def _messages(module):
+    """Texts of a module that are no docstrings, on their lines; what an f-string fills in is left out."""
+    docstrings = {node.value for node in ast.walk(module) if isinstance(node, ast.Expr)}
+    texts = [node for node in ast.walk(module) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    lines = {}
+    for node in texts:
+        if node not in docstrings and " " in node.value:
+            lines[node.lineno] = lines.get(node.lineno, "") + " … " + node.value.replace("\n", " ")
+    return "\n".join(lines.get(number, "") for number in range(1, max(lines, default=0) + 1))
 
 
 def _banned(page):
@@ -50,6 +74,7 @@ def _banned(page):
             yield f"{page.relative_to(TOP)}:{line}: {' '.join(found[0].split())!r}; write: {instead}"
 
 
-def test_no_page_reads_as_translated():
-    found = [line for page in _PAGES for line in _banned(page)]
+def test_no_page_or_message_reads_as_translated():
+    modules = sorted(path for folder in ("cbsr_qa", "plugins") for path in (TOP / folder).rglob("*.py"))
+    found = [line for page in (*_PAGES, *modules) for line in _banned(page)]
     assert not found, "\n".join(found)
