@@ -33,8 +33,8 @@ class Quantisation(SceneEffect):
 
     Parameters
     ----------
-    range_V : of the converter, to both sides.
-    bits : of the converter.
+    range_V : readings from −range to +range are converted.
+    bits : resolution of the converter.
     """
 
     class Options(PluginOptions):
@@ -54,11 +54,11 @@ class Quantisation(SceneEffect):
 
 
 class ConverterSaturation(SceneEffect):
-    """Readings beyond the converter's range are its end, and flagged as saturated.
+    """Readings beyond the converter's range are clipped to it and flagged as saturated.
 
     Parameters
     ----------
-    range_V : to both sides.
+    range_V : readings are limited to −range to +range.
     """
 
     class Options(PluginOptions):
@@ -77,7 +77,7 @@ class ConverterSaturation(SceneEffect):
 
 
 class ReadingOffset(SceneEffect):
-    """The converter's zero is off: a constant is on every reading.
+    """The converter has an offset: a constant is added to every reading.
 
     Parameters
     ----------
@@ -97,17 +97,17 @@ class ReadingOffset(SceneEffect):
 
 
 class ReadingMemory(SceneEffect):
-    """Each reading keeps a share of the one before it, as of a multiplexer and converter that do not settle.
+    """Each reading keeps a share of the one before it, because multiplexer and converter do not settle.
 
-    s[n] = (1 − m) x[n] + m s[n−1]. A frame begins with the memory of its own last reading, as if the one before had
-    been the same: frames do not depend on each other. Where no reading differs by more than d from that of the frame
-    before, reading n (from 0) is wrong by m^(n + 1) d at most.
+    s[n] = (1 − m) x[n] + m s[n−1]. A frame begins with the memory of its own last reading, as if the frame before had
+    been the same, so frames do not depend on each other. If no reading differs by more than d from that of the frame
+    before, the error of reading n (from 0) is at most m^(n + 1) d.
 
     Parameters
     ----------
     share : m; recordings of the authors' board show 0.11 to 0.14.
-    inner : which pair steps faster, ``"measure"`` or ``"drive"``. Where ``time-skew`` is on its order holds, which
-        this may only repeat; by default that, or ``"measure"`` where all readings are taken at once.
+    inner : which pair steps faster, ``"measure"`` or ``"drive"``. By default the order of ``time-skew``, which it
+        may not contradict, or ``"measure"`` without that effect.
     """
 
     class Options(PluginOptions):
@@ -153,11 +153,11 @@ class ReadingMemory(SceneEffect):
 class TimeSkew(SceneEffect):
     """The readings of a frame are taken one after the other instead of all at once.
 
-    Reading n of N at (n + ½)/N of the part of the frame that is spent reading, about its middle.
+    Reading n of N is taken at (n + ½)/N of the time spent reading, which is centred in the frame.
 
     Parameters
     ----------
-    share : of the frame's period that is spent reading.
+    share : share of the frame's period that is spent reading.
     inner : which pair steps faster, ``"measure"`` (row by row) or ``"drive"`` (the rig's command multiplexer).
     """
 
@@ -182,14 +182,14 @@ class TimeSkew(SceneEffect):
 
 
 class FrameLoss(SceneEffect):
-    """Every frame, with the same probability, loses a run of rows from a random one on; its other rows arrive.
+    """With a given probability, a frame loses a run of successive rows.
 
-    Where the run begins and how long it is are uniform; the end of the frame cuts it.
+    First row and length of the run are uniformly distributed; the end of the frame cuts it.
 
     Parameters
     ----------
-    share : of the frames that lose rows, 0 to 1.
-    most_rows : longest run, 1 to the rows of a frame. The lab's recordings miss one to four rows of a broken frame.
+    share : share of the frames that lose rows.
+    most_rows : longest run, up to the rows of a frame. In the lab's recordings a broken frame lacks one to four rows.
     """
 
     class Options(PluginOptions):
@@ -213,17 +213,16 @@ class FrameLoss(SceneEffect):
 
 
 class WatchdogDump(SceneEffect):
-    """At regular times the board's watchdog prints a log, and the board reads on when it is printed.
+    """The board's watchdog prints a log at regular times, during which the board takes no readings.
 
-    A dump stands before the first row that would be read after its time, rows being spread evenly over their frame.
-    When the first one comes is drawn once per seed.
+    A dump comes before the first row that is due after its time; rows are spread evenly over their frame. The time of
+    the first dump is drawn once per seed.
 
     Parameters
     ----------
-    period_s : from one dump to the next on the board's own clock; by its log the lab's board prints one every
-        5.000 s.
-    pause_ms : how long printing takes, up to 10 000 ms and less than the period. Frames of the lab with a dump in
-        them take 70 to 80 ms longer.
+    period_s : time between dumps on the board's own clock; the lab's board prints one every 5.000 s.
+    pause_ms : duration of printing, less than the period. Frames of the lab's board with a dump take 70 to 80 ms
+        longer.
     """
 
     class Options(PluginOptions):

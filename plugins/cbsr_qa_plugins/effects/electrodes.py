@@ -31,11 +31,11 @@ _MOST: Final = 50.0  # change of ln z; no sheet can be solved with contacts that
 
 
 class ContactDrift(SceneEffect):
-    """Every contact impedance grows or falls exponentially at its own rate, Gaussian, drawn once per seed.
+    """Every contact impedance drifts exponentially at its own Gaussian rate, drawn once per seed.
 
     Parameters
     ----------
-    deviation_per_hour : standard deviation of the change of ln z in an hour.
+    deviation_per_hour : standard deviation of the change of ln z per hour.
     """
 
     class Options(PluginOptions):
@@ -63,12 +63,12 @@ class ContactDrift(SceneEffect):
 
 
 class ContactSpread(SceneEffect):
-    """Contact impedances scatter about a common one: log-normal, independent, drawn once per seed.
+    """Contact impedances scatter about a common mean: log-normal, independent, drawn once per seed.
 
     Parameters
     ----------
     deviation : standard deviation over the mean.
-    contact_mm : mean impedance over the sheet's resistance; by default the sheet's own.
+    contact_mm : mean contact impedance over sheet resistance; by default that of the bench.
     """
 
     class Options(PluginOptions):
@@ -96,19 +96,18 @@ _A_BLOCK: Final = 16.0  # events on average; one of e^16 blocks is empty
 
 
 class ElectrodeIntermittent(SceneEffect):
-    """The lead of an electrode opens and closes at random, for times that are exponentially distributed.
+    """The lead of an electrode opens and closes at random, for exponentially distributed times.
 
-    The two-state Markov process by uniformisation: events come as a Poisson process of the rate 1/open + 1/closed,
-    and at each the lead is found open with the probability open/(open + closed), whatever it was before. So the
-    state at a time is the mark of the last event, events of separate blocks of time are independent, and each block
-    has random numbers of its own: any time of a run can be asked for in any order, and a resumed session goes on
-    with the same history.
+    The two-state Markov process is made by uniformisation: events are a Poisson process of the rate 1/open +
+    1/closed, and after each event the lead is open with the probability open/(open + closed), whatever its state
+    before. Blocks of time have separate random numbers, so any time of a run can be requested in any order, and a
+    resumed session continues the same history.
 
     Parameters
     ----------
-    electrode : its number.
-    mean_open_s, mean_closed_s : mean times, each time it opens and closes.
-    resistance_ohm : of the open lead, as of ``electrode-open``.
+    electrode : number of the electrode.
+    mean_open_s, mean_closed_s : mean duration of an open and of a closed period.
+    resistance_ohm : resistance of the open lead, as in ``electrode-open``.
     """
 
     class Options(PluginOptions):
@@ -196,16 +195,16 @@ class _BadLead(SceneEffect):
 
 
 class ElectrodeOpen(_BadLead):
-    """The lead of an electrode is open: its driven pairs carry what the source's limit drives through a leak.
+    """The lead of an electrode is open: its driven pairs carry only what the source drives through a leak.
 
     The other pairs are not affected as long as the voltmeter draws no current: the floating lead then has the
-    potential of its contact. What a real input makes of it is ``voltmeter-input``.
+    potential of its contact. For a real voltmeter see ``voltmeter-input``.
 
     Parameters
     ----------
-    electrode : its number.
-    resistance_ohm : of the open lead; 1 GΩ is chosen by us (surface leakage of a connector).
-    from_s, to_s : when, on the run's time line; by default always.
+    electrode : number of the electrode.
+    resistance_ohm : resistance of the open lead; 1 GΩ is chosen by us (surface leakage of a connector).
+    from_s, to_s : start and end, in time of the run; by default always.
     """
 
     class Options(_LeadOptions):
@@ -216,14 +215,14 @@ class ElectrodeOpen(_BadLead):
 
 
 class ElectrodeShort(SceneEffect):
-    """Two electrodes touch: there is a resistance between them, beside the sheet.
+    """Two electrodes are shorted by a resistance in parallel with the sheet.
 
-    Exact: with Z the sheet's transfer impedance and a = e_i − e_j, the short takes Z a aᵀ Z/(r + aᵀ Z a) from it.
+    Exact: with the sheet's transfer impedance Z and a = e_i − e_j, the short subtracts Z a aᵀ Z/(r + aᵀ Z a) from Z.
 
     Parameters
     ----------
-    electrodes : the two.
-    resistance_ohm : between them; 0 is a dead short.
+    electrodes : numbers of the two electrodes.
+    resistance_ohm : resistance between them; 0 is a dead short.
     """
 
     class Options(PluginOptions):
@@ -251,16 +250,16 @@ class ElectrodeShort(SceneEffect):
 
 
 class LeadResistance(_BadLead):
-    """A lead is bad: there is a resistance between an electrode and the multiplexer, from one time to another.
+    """A resistance is in series with the lead of an electrode.
 
-    A voltmeter draws no current: only the driven pairs of this electrode show it, as more resistance. A lead that
-    is open is ``electrode-open``.
+    A voltmeter draws no current, so only the driven pairs of this electrode show it, as more resistance. For an open
+    lead see ``electrode-open``.
 
     Parameters
     ----------
-    electrode : its number.
-    resistance_ohm : in series.
-    from_s, to_s : when, on the run's time line; by default always.
+    electrode : number of the electrode.
+    resistance_ohm : resistance in series.
+    from_s, to_s : start and end, in time of the run; by default always.
     """
 
     class Options(_LeadOptions):

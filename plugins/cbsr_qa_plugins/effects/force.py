@@ -6,7 +6,7 @@ from cbsr_qa.simulate import Amount, Positive, RandomStream, SceneEffect, Transi
 
 
 class ElasticStress(SceneEffect):
-    """The sheet resists the head with a stress in proportion to the strain, by the material's relaxed modulus.
+    """The stress under the head is proportional to the strain, by the material's relaxed modulus.
 
     σ = E ε: uniaxial compression, no confinement under the head.
     """
@@ -22,13 +22,13 @@ class ElasticStress(SceneEffect):
 
 
 class Confinement(SceneEffect):
-    """A thin sheet that cannot bulge under a wide head is stiffer: all stress is larger by a factor.
+    """A thin sheet that cannot bulge under a wide head is stiffer: all stress is multiplied by a factor.
 
     1 + 2 S² with S = r/(2 t) for a bonded layer (Gent & Lindley 1959): 2.3 for 13 mm on 4 mm.
 
     Parameters
     ----------
-    factor : in its place.
+    factor : used instead of 1 + 2 S².
     """
 
     class Options(PluginOptions):
@@ -73,7 +73,7 @@ class LoadCellNoise(SceneEffect):
 
     Parameters
     ----------
-    rms_N : standard deviation [N].
+    rms_N : standard deviation.
     """
 
     class Options(PluginOptions):
@@ -94,7 +94,7 @@ class LoadCellSaturation(SceneEffect):
 
     Parameters
     ----------
-    limit_N : to both sides.
+    limit_N : samples are limited to −limit to +limit.
     """
 
     class Options(PluginOptions):

@@ -39,14 +39,14 @@ _RINGS = 8
 
 
 class HeadEdge(SceneEffect):
-    """The strain falls from full to none over a band about the head's edge, linearly; what presses in all is kept.
+    """The strain falls linearly to zero over a band about the head's edge; the total is kept.
 
-    Made of eight nested heads of equal weight, whose sizes are the middles of eight parts of the band. The band of a
-    head that is not round is so wide where its edge is as far from the axis as that of the disc of equal area.
+    Made of eight nested heads of equal weight, whose sizes are the midpoints of eight parts of the band. The band of
+    a head that is not round has this width where its edge is as far from the axis as that of the disc of equal area.
 
     Parameters
     ----------
-    width_mm : of the band.
+    width_mm : width of the band.
     """
 
     class Options(PluginOptions):
@@ -73,14 +73,14 @@ _RINGS_PRESSURE_PROFILE = 10
 
 
 class PressureProfile(SceneEffect):
-    """The head presses unevenly: the response follows a pressure that depends on the distance from its axis.
+    """The response follows a pressure that depends on the distance from the head's axis.
 
-    1 on average. ``punch``: p = ½ (1 − ρ²)^(−½), of a rigid punch on an elastic half-space (Boussinesq);
-    ``parabola``: p = 2 (1 − ρ²), of a domed one. In ten annuli of equal width with the exact mean pressure of each.
+    1 on average. ``punch``: p = ½ (1 − ρ²)^(−½), a rigid punch on an elastic half-space (Boussinesq);
+    ``parabola``: p = 2 (1 − ρ²), a domed one. In ten annuli of equal width with the exact mean pressure of each.
 
     Parameters
     ----------
-    shape : ``"punch"`` or ``"parabola"``.
+    shape : pressure profile.
     """
 
     class Options(PluginOptions):
@@ -105,12 +105,12 @@ class PressureProfile(SceneEffect):
 
 
 class ApplicatorPositionError(SceneEffect):
-    """The head gets beside its target by Gaussian errors of place and depth, fresh with every movement.
+    """The head misses its target by Gaussian errors of place and depth, new for every movement.
 
     Parameters
     ----------
     error_mm : standard deviation along x and along y.
-    depth_error_mm : of the depth.
+    depth_error_mm : standard deviation of the depth.
     """
 
     class Options(PluginOptions):
@@ -134,15 +134,14 @@ class ApplicatorPositionError(SceneEffect):
 
 
 class Backlash(SceneEffect):
-    """Every axis has play: it follows what it is told only when its play is used up, on the side it came from.
+    """Every axis has play: it stops half of the play short of its target.
 
-    The play operator (Visintin 1994): the axis stays where it is as long as that is within half of its play from
-    where it is told to be; else it stops half of its play short of it.
+    The play operator (Visintin 1994): an axis that is within half of its play of its target does not move.
 
     Parameters
     ----------
-    play_mm : along x and along y.
-    depth_play_mm : of the depth.
+    play_mm : play along x and along y.
+    depth_play_mm : play of the depth.
     """
 
     class Options(PluginOptions):
@@ -164,14 +163,14 @@ def _played(to_mm: float, from_mm: float, play_mm: float) -> float:
 
 
 class MisplacedSheet(SceneEffect):
-    """The disc lies beside its place on the station, and turned: all loads are off alike.
+    """The sheet is shifted and rotated on the station, which displaces all loads together.
 
-    What the station calls (x, y) is R(−θ) ((x, y) − (x₀, y₀)) on the sheet.
+    The station's place (x, y) is R(−θ) ((x, y) − (x₀, y₀)) on the sheet.
 
     Parameters
     ----------
-    x_mm, y_mm : where on the station the sheet's centre lies.
-    rotation_deg : θ, how far it is turned, counterclockwise.
+    x_mm, y_mm : place of the sheet's centre on the station.
+    rotation_deg : θ, counterclockwise.
     """
 
     class Options(PluginOptions):
@@ -192,11 +191,11 @@ class MisplacedSheet(SceneEffect):
 
 
 class SheetSeat(SceneEffect):
-    """The sheet lies off nominal in level and tilt: Gaussian, independent, drawn once per seed, fixed for the run.
+    """The surface of the sheet is off nominal in level and tilt: Gaussian, drawn once per seed.
 
     Parameters
     ----------
-    error_mm : standard deviation of the level, and of what the tilt adds at the sheet's edge along x and along y.
+    error_mm : standard deviation of the level, and of the height of the edge along x and along y due to tilt.
     """
 
     class Options(PluginOptions):
@@ -217,7 +216,7 @@ class SheetSeat(SceneEffect):
 
 
 class PinPositionError(SceneEffect):
-    """Every electrode is off by a Gaussian error along x and along y, independent, drawn once per seed.
+    """Every electrode is displaced by Gaussian errors along x and along y, drawn once per seed.
 
     Parameters
     ----------

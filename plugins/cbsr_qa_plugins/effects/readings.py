@@ -36,21 +36,20 @@ class _RelativeNoise(SceneEffect):
 
 
 class MeasurementNoise(_RelativeNoise):
-    """Independent Gaussian noise on all readings, alike on each, less where a reading is averaged for longer.
+    """Independent Gaussian noise, equal on all readings, that falls with the averaging time.
 
-    White noise averaged over a rectangular window of N power line cycles falls as √(1/N); what averaging does not
-    take away adds to it in quadrature: rms² = floor² + (stated² − floor²) N₀/N. At N₀ it is the noise that
-    was stated, floor and all.
+    White noise averaged over N power line cycles falls as √(1/N); the floor adds to it in quadrature:
+    rms² = floor² + (stated² − floor²) N₀/N. At N₀ it is the stated noise, floor included.
 
-    Departure from real converters: the floor is drawn afresh with every reading, so that means over frames beat it.
+    Departure from real converters: every reading draws a new floor, so means over frames go below it.
 
     Parameters
     ----------
     relative_noise : rms of one reading over the mean magnitude of the used readings of the unloaded sheet; by
         default the material's.
-    nplc : N, power line cycles a reading is averaged over; the rig reads at 0.01.
+    nplc : N, power line cycles over which a reading is averaged; the rig reads at 0.01.
     measured_at_nplc : N₀, at which ``relative_noise`` holds.
-    relative_floor : what averaging does not take away, in the same unit; at most ``relative_noise``.
+    relative_floor : noise that averaging does not reduce, relative in the same way; at most ``relative_noise``.
     """
 
     class Options(PluginOptions):
@@ -76,14 +75,14 @@ class MeasurementNoise(_RelativeNoise):
 
 
 class ElectrodeNoise(_RelativeNoise):
-    """Independent Gaussian noise on every reading that uses an electrode, to drive, to measure or both.
+    """Independent Gaussian noise on every reading that uses one electrode, to drive or to measure.
 
     It adds to that of other effects. Readings that use the electrode twice have no more of it than the others.
 
     Parameters
     ----------
-    electrode : its number.
-    relative_noise : rms on one reading over the mean magnitude of the used readings of the unloaded sheet, as of
+    electrode : number of the electrode.
+    relative_noise : rms on one reading over the mean magnitude of the used readings of the unloaded sheet, as in
         ``measurement-noise``.
     """
 
@@ -101,15 +100,15 @@ class ElectrodeNoise(_RelativeNoise):
 
 
 class JohnsonNoise(SceneEffect):
-    """Thermal noise of the resistance that each measured pair sees as it is read, independent between readings.
+    """Thermal noise of the resistance of each measured pair, independent between readings.
 
     √(4 k T R Δf) (Nyquist 1928). Readings average over N power line cycles, Δf = 1/(2 T_int) of a rectangular window.
 
     Parameters
     ----------
-    nplc : N; the rig reads at 0.01.
-    mains_Hz : of the mains.
-    temperature_C : of the sheet.
+    nplc : N, power line cycles over which a reading is averaged; the rig reads at 0.01.
+    mains_Hz : mains frequency.
+    temperature_C : temperature of the sheet.
     """
 
     class Options(PluginOptions):
@@ -133,16 +132,16 @@ class JohnsonNoise(SceneEffect):
 
 
 class MainsHum(SceneEffect):
-    """A sine of the mains' frequency on all readings, averaged over each reading's integration.
+    """A sine at the mains frequency on all readings, averaged over each reading's integration time.
 
     A sinc(N) sin(2π f t + φ) for N power line cycles: nothing is left at whole cycles, nearly all at 0.01. The phase
     is drawn once per seed.
 
     Parameters
     ----------
-    amplitude_V : A.
-    nplc : N, integration time in cycles of the mains; the rig reads at 0.01.
-    mains_Hz : f.
+    amplitude_V : A, amplitude before averaging.
+    nplc : N, integration time in power line cycles; the rig reads at 0.01.
+    mains_Hz : f, mains frequency.
     """
 
     class Options(PluginOptions):
@@ -167,13 +166,13 @@ class MainsHum(SceneEffect):
 
 
 class SourceCompliance(SceneEffect):
-    """A driven pair that asks for more than the source's voltage limit gets what the limit drives, and is flagged.
+    """A driven pair that would exceed the source's voltage limit gets less current and is flagged.
 
     I = V_limit/R.
 
     Parameters
     ----------
-    limit_V : of the source; the rig's is 20 to 22 V.
+    limit_V : voltage limit of the source; the rig's is 20 to 22 V.
     """
 
     class Options(PluginOptions):
@@ -192,7 +191,7 @@ class SourceCompliance(SceneEffect):
 
 
 class VoltmeterInput(SceneEffect):
-    """The voltmeter loads what it measures: its input has a finite resistance, and a bias current flows out of it.
+    """The voltmeter has a finite input resistance and a bias current.
 
     U = (U₀ + i R) R_in/(R_in + R) of a pair that unloaded shows U₀ behind the resistance R (Thévenin): that between
     its electrodes as the reading is taken, or with the driven pair held at the source's limit, R − R_md²/R_dd. Hardly
@@ -200,8 +199,8 @@ class VoltmeterInput(SceneEffect):
 
     Parameters
     ----------
-    input_ohm : R_in between the terminals; 10 GΩ is chosen by us.
-    bias_A : i.
+    input_ohm : R_in, resistance between the terminals; 10 GΩ is chosen by us.
+    bias_A : i, bias current out of the terminals.
     """
 
     class Options(PluginOptions):

@@ -57,15 +57,16 @@ def places_on(outline: SheetOutline) -> Array:
 
 
 class UnevenSheet(SceneEffect):
-    """An effect that makes one quantity of the sheet uneven: a smooth random factor, one on average over it.
+    """An effect that multiplies one quantity of the sheet by a smooth random factor with a mean of one.
 
-    Drawn once a seed. Subclasses say which quantity.
+    Drawn once per seed. Subclasses state the quantity.
 
     Parameters
     ----------
-    deviation : standard deviation of the factor over its mean, as if the sheet went on for ever. What is alike
-        all over the sheet is divided out: of 0.1 on a disc of 100 mm 0.088 are left at 20 mm, 0.052 at 60 mm.
-    correlation_mm : length over which it stays alike (of a Gaussian covariance).
+    deviation : standard deviation of the factor over its mean on an infinite sheet. The mean over the sheet is
+    divided
+        out: on a disc of 100 mm, 0.088 of 0.1 remain with a correlation length of 20 mm, 0.052 with 60 mm.
+    correlation_mm : correlation length (Gaussian covariance).
     """
 
     class Options(PluginOptions):
@@ -93,7 +94,7 @@ class UnevenSheet(SceneEffect):
 
 
 class UnevenConductance(UnevenSheet):
-    """The material's own conductance is uneven: it carries more current where it conducts better.
+    """The conductance of the unloaded sheet varies from place to place.
 
     The mean inter-electrode resistance stays the material's.
     """
@@ -102,23 +103,22 @@ class UnevenConductance(UnevenSheet):
 
 
 class UnevenResponse(UnevenSheet):
-    """The response to strain is uneven: the same strain changes the conductance more here than there."""
+    """The response of the conductance to strain varies from place to place."""
 
     quantity = "response"
 
 
 class UnevenThickness(UnevenSheet):
-    """The thickness is uneven: a thicker place conducts better, and the same depth is less strain there."""
+    """The thickness varies from place to place: a thicker place conducts better and is strained less."""
 
     quantity = "thickness"
 
 
 class Piezoresistivity(SceneEffect):
-    """The sheet's conductance under the head follows the strain along the material's quasi-static line.
+    """The conductance under the head follows the strain along the material's quasi-static line.
 
-    Δρ/ρ₀ = α_ε ε + β_ε (paper Eq 2), with the material's α_ε and β_ε. The paper fits the line to held loads; β_ε is
-    the line's value where nothing presses, which cannot be. Here it fades in over the first contact
-    (:data:`cbsr_qa.simulate.CONTACT_STRAIN`) and goes with it.
+    Δρ/ρ₀ = α_ε ε + β_ε (paper Eq 2), with the material's α_ε and β_ε. The paper fits the line to held loads, but an
+    unloaded sheet has no change. So β_ε fades in over the first contact (:data:`cbsr_qa.simulate.CONTACT_STRAIN`).
     """
 
     perturbs = "response"
@@ -146,15 +146,15 @@ class _Transient(SceneEffect):
 
 
 class ConductanceRelaxation(_Transient):
-    """The conductance change nears its held value by two exponentials after every press and every release.
+    """The conductance relaxes with two exponentials after every press and every release.
 
-    Paper Eq 3, superposed over all ramps. Every ramp of the quasi-static change q(t) is answered with K(t) = 1 + w₁
-    e^(−t/τ₁) + w₂ e^(−t/τ₂), by the material's loading kernel where the head presses harder and by its unloading
-    kernel where it lifts: Δρ/ρ₀(t) = Σ over ramps ∫ K(t − s) q̇(s) ds. Piezoresistivity is the 1 of K; this effect
-    adds the rest. Negative weights creep towards the steady state. After a release they leave a residue that fades,
-    which later loads meet (paper 4.2).
+    Paper Eq 3, superposed over all ramps. The response to every ramp of the quasi-static change q(t) is K(t) = 1 + w₁
+    e^(−t/τ₁) + w₂ e^(−t/τ₂), with the material's loading kernel when the head presses harder and its unloading kernel
+    when it lifts: Δρ/ρ₀(t) = Σ over ramps ∫ K(t − s) q̇(s) ds. Piezoresistivity is the 1 of K; this effect adds the
+    rest. With negative weights the change creeps towards the steady state; after a release a residue remains, which
+    fades while later loads press (paper 4.2).
 
-    Departure from linear viscoelasticity: two kernels, since the paper finds unloading slower than loading.
+    Departure from linear viscoelasticity: two kernels, because the paper finds unloading slower than loading.
     """
 
     needs: tuple[str, ...] = ("piezoresistivity",)
@@ -165,15 +165,15 @@ class ConductanceRelaxation(_Transient):
 
 
 class Residue(_Transient):
-    """A share of every change stays when it is released, and fades slowly.
+    """A share of every released change remains and fades over minutes.
 
-    Residues of earlier loads (paper 4.2), beside the relaxation of the material itself: ramps that lift are answered
-    with −share e^(−t/τ) more.
+    Residues of earlier loads (paper 4.2), in addition to the material's relaxation: ramps that lift add the response
+    −share e^(−t/τ).
 
     Parameters
     ----------
-    share : of the released change.
-    decay_s : τ, minutes and more.
+    share : share of the released change.
+    decay_s : τ, minutes or more.
     """
 
     class Options(PluginOptions):
@@ -190,17 +190,16 @@ class Residue(_Transient):
 
 
 class UnloadingSpike(_Transient):
-    """A release first raises the change by some share of what it will take away, and that fades.
+    """A release first raises the change for a short time before it falls.
 
-    Paper 3.1.2. At the moment of a release the material's unloading kernel keeps −Σ w of what is released
-    (`conductance-relaxation`). Every ramp that lifts is also answered with −(1 + size + Σ w) e^(−t/τ): at once the
-    change is `size` of the ramp beyond where it was, and comes back to the material's own curve with τ. The paper
-    prints neither: both are to be chosen.
+    Paper 3.1.2. At the moment of a release the material's unloading kernel keeps −Σ w of the released change
+    (`conductance-relaxation`). Every ramp that lifts adds the response −(1 + size + Σ w) e^(−t/τ): the change rises
+    at once by `size` of the ramp, and returns to the material's own curve with τ. The paper prints neither number.
 
     Parameters
     ----------
-    size : of the spike over the change that is released.
-    decay_s : τ.
+    size : height of the spike over the released change.
+    decay_s : τ, decay time of the spike.
     """
 
     class Options(PluginOptions):
@@ -218,14 +217,14 @@ class UnloadingSpike(_Transient):
 
 
 class Hysteresis(SceneEffect):
-    """Once a press has begun to lift, the response follows a higher curve until it is as deep again as it was.
+    """Once a press lifts, the response is larger than on the way in, until it is as deep again.
 
     On the way back from the deepest strain ε_m of the press the change at a strain ε is larger by
     4 width α ε_m x (1 − x), x = ε/ε_m: rate-independent, closed at both ends, widest half-way.
 
     Parameters
     ----------
-    width : of the loop over the change at its tip.
+    width : width of the loop over the change at its tip.
     """
 
     class Options(PluginOptions):
@@ -255,15 +254,15 @@ def _deepest_so_far(press: SimulatedPress, time_s: float) -> float:
 
 
 class TemperatureDrift(SceneEffect):
-    """The room warms steadily and swings, and sheet and contacts conduct better or worse with it.
+    """The conductance of sheet and contacts follows a temperature that drifts and swings.
 
-    By 1 + c ΔT, ΔT(t) = rate t + swing sin(2π t/period).
+    Factor 1 + c ΔT, ΔT(t) = rate t + swing sin(2π t/period).
 
     Parameters
     ----------
-    coefficient_per_K : c.
-    rate_K_per_h : of the warming.
-    swing_K, period_s : of what comes and goes, such as air conditioning.
+    coefficient_per_K : c, relative change of conductance per kelvin.
+    rate_K_per_h : rate of warming.
+    swing_K, period_s : amplitude and period of the swing, e.g. of air conditioning.
     """
 
     class Options(PluginOptions):

@@ -147,7 +147,7 @@ class ForceCell(DriverBase):
         shift_N = mean_N - self._zero_N
         if abs(shift_N) > settings.tare_limit_N:
             raise self._error(
-                f"it reads {shift_N:.3g} N before it is tared; more than {settings.tare_limit_N:g} N is no zero",
+                f"it reads {shift_N:.3g} N before it is tared; more than {settings.tare_limit_N:g} N is not a zero",
                 "take off what presses on it, lift the head, or correct 'offset' in its table",
             )
         self._zero_N = mean_N

@@ -246,7 +246,7 @@ class MarlinAxes:
 
     def _check_not_stopped(self) -> None:
         if self._stops != self._allowed_stops:
-            raise self._fail("it was stopped on its way", "nothing: somebody told the bench to stop")
+            raise self._fail("it was stopped on its way", "nothing: the bench was stopped")
 
     def _on_the_way(self, origin: Position, goal: Position) -> Position:
         """Return the live position; one that is off the way is asked for once more, since digits may be garbled."""
@@ -272,7 +272,7 @@ class MarlinAxes:
                     x, y, z, *count = map(float, match.groups())
                     live = [c / per for c, per in zip(count, self.machine.per_mm, strict=True)]
                     return (x, y, z), (live[0], live[1], live[2])
-        raise self._fail("it does not say where it is", "check 'firmware' in its table, and its cable")
+        raise self._fail("it does not report its position", "check 'firmware' in its table, and its cable")
 
 
 _LOOK: Final = "look whether the head is clear of the sheet before anything else is done"

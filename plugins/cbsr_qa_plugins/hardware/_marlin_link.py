@@ -112,7 +112,7 @@ class MarlinLink:
         while not self._answers_token(_KNOCK_S):
             if self._time.now() > until_s:
                 raise self._link.error(
-                    f"nobody answers as a Marlin printer within {self._boot_s:g} s", remedy=_CHECK, retryable=False
+                    f"no Marlin printer answers within {self._boot_s:g} s", remedy=_CHECK, retryable=False
                 )
         self._exchange(self._number, f"M110 N{self._number}")
         self._lost = False

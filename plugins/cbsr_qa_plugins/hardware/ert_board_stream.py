@@ -43,23 +43,23 @@ _log: Final = logging.getLogger(__name__)
 
 @driver(_DRIVER, BoardOptions)
 def open_board(context: StationContext, options: BoardOptions) -> "ErtBoardStream":
-    """Open the board's port, and see that frames come as its table says.
+    """Open the port of the authors' ERT board, and check that frames arrive as the options state.
 
     Options of its table
     --------------------
-    address : of its port.
-    frame_period_s : from one frame to the next.
-    format : of what the board sends.
-    baud : of its port; 1 400 000 by default where it sends binary frames.
+    address : serial port.
+    frame_period_s : time from one frame to the next.
+    format : format of the frames.
+    baud : baud rate; 1 400 000 by default for binary frames.
     signed : counts of −32 768 to 32 767 instead of 0 to 65 535.
-    range_counts : the converter's ends, where they lie elsewhere.
-    zero_counts : the count of 0 V, taken off.
-    order : ``"measure"`` where the voltage pair steps faster, or ``"drive"``.
+    range_counts : ends of the converter's range, if they differ from those.
+    zero_counts : the count of 0 V, which is subtracted.
+    order : ``"measure"`` if the voltage pair steps faster, or ``"drive"``.
     first_reading : where in that order a frame begins.
-    current_mA : stated where it is known.
-    memory_share : how much each reading keeps of the one before, as
-        :func:`cbsr_qa.domain.readings.estimate_carry_over` finds it from reciprocity: it is taken out of them.
-        Of a saturated one the end of the range is taken, and the first reading of a call stays as it is.
+    current_mA : drive current, if known.
+    memory_share : share of the previous reading that each reading keeps, as
+        :func:`cbsr_qa.domain.readings.estimate_carry_over` finds it from reciprocity. The driver removes it. A
+        saturated reading counts as the end of the range; the first reading of a call is not corrected.
 
     Raises
     ------

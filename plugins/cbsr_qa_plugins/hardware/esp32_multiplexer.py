@@ -50,13 +50,14 @@ def open_multiplexer(context: StationContext, options: MultiplexerOptions) -> "E
 
     Options of its table
     --------------------
-    address, baud : of its port.
-    inner : ``"current"`` where the driven pair changes with every step, else ``"voltage"``.
+    address : serial port.
+    baud : baud rate.
+    inner : ``"current"`` if the driven pair changes with every step, else ``"voltage"``.
     current_skip, voltage_skip : electrodes between the two of a pair, 0 for neighbours.
-    settle_ms : waited after a step.
-    boot_s : longest time it takes to start.
-    timeout_s : of an answer.
-    reconnect_s : how long a pulled cable is waited for.
+    settle_ms : waiting time after a step.
+    boot_s : longest time that it takes to start.
+    timeout_s : longest time for an answer.
+    reconnect_s : how long to wait for a pulled cable.
 
     Raises
     ------
@@ -309,6 +310,6 @@ class Esp32Multiplexer(DriverBase):
                     return self._order.index((drive, measure))
         raise self._error(
             f"it drives from electrode {source} to {sink} and measures between {voltage[0]} and {voltage[1]},"
-            " which are no pairs of the sensor type",
+            " which are not pairs of the sensor type",
             remedy="correct current_skip and voltage_skip in its table, or the sensor type's pattern",
         )

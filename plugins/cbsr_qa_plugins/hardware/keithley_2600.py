@@ -74,14 +74,14 @@ def open_source_meter(context: StationContext, options: KeithleyOptions) -> "Kei
     Options of its table
     --------------------
     address : VISA resource.
-    source_channel, meter_channel : the rig drives with b.
+    source_channel, meter_channel : which channel drives the current, which one measures; the rig drives with b.
     compliance_V : voltage that the source does not exceed.
-    range_V : of the meter; by default the compliance.
-    largest_current_mA : that may be asked for.
+    range_V : range of the meter; by default the compliance.
+    largest_current_mA : a request for more current is refused.
     nplc : aperture in power line cycles.
-    readings : averaged on the instrument.
-    timeout_s : of an answer, beside the time that readings take.
-    visa_backend : of pyvisa.
+    readings : number of readings that the instrument averages.
+    timeout_s : longest time for an answer, in addition to the time of the readings.
+    visa_backend : backend of pyvisa; ``"@ivi"`` for a vendor's library.
 
     Raises
     ------
@@ -234,9 +234,7 @@ class Keithley2600(DriverBase):
             raise self._error(f"took {got} of {self._options.readings} readings", retryable=True)
         bits_meter, bits_source = (np.bitwise_or.reduce(s.astype(np.int64)) for s in (meter_status, source_status))
         if (bits_meter | bits_source) & _OVER_TEMPERATURE:
-            raise self._error(
-                "it is too warm to go on", remedy="let it cool down; look at its fan and its surroundings"
-            )
+            raise self._error("it is too warm", remedy="let it cool down; check its fan and its surroundings")
         beyond = np.abs(volts) > _NO_NUMBER
         volts = np.where(beyond, self._options.meter_range_V, volts)
         at_limit = np.abs(volts) >= _AT_THE_LIMIT * self._options.compliance_V

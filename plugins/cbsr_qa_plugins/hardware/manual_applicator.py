@@ -28,8 +28,8 @@ def open_applicator(context: StationContext, options: ManualHeadOptions) -> "Man
 
     Options of its table
     --------------------
-    label, number : of the stand, for the record.
-    tolerance_mm : how far a depth may be from what was asked for.
+    label, number : name and serial number of the stand, for the record.
+    tolerance_mm : allowed difference between a depth and the requested one.
 
     Raises
     ------

@@ -54,7 +54,7 @@ class Operator:
     def __init__(self, context: StationContext, driver: str) -> None:
         if context.ask is None:
             raise ConfigError(
-                f"instrument {context.role!r} ({driver}) is worked by hand, and nobody is there to be asked",
+                f"instrument {context.role!r} ({driver}) is operated by hand, and there is no operator to ask",
                 remedy="start the run at a terminal, or use a driver that needs no operator",
             )
         self._role = context.role
@@ -82,10 +82,12 @@ class Operator:
             value = _parsed(answer, unit)
             if value is not None and least <= value <= most:
                 return value
-            wrong = f"{answer!r} is no number" if value is None else f"{value:g} {unit} is not within its bounds"
+            wrong = f"{answer!r} is not a number" if value is None else f"{value:g} {unit} is not within its bounds"
             question = f"{self._role}: {wrong}. {text}, from {least:g} to {most:g} [{unit}]:"
         raise InstrumentError(
-            self._role, "the operator", f"{_MOST_ASKED} answers were no number of {unit} within {least:g} to {most:g}"
+            self._role,
+            "the operator",
+            f"{_MOST_ASKED} answers were not a number of {unit} within {least:g} to {most:g}",
         )
 
 
@@ -166,10 +168,10 @@ def open_load_cell(context: StationContext, options: ManualCellOptions) -> "Manu
 
     Options of its table
     --------------------
-    label, number : of the cell, for the record.
-    unit : that it shows, compression positive.
-    capacity : in that unit; no reading can be larger.
-    tare : whether what it shows with the head up is asked for once and taken off.
+    label, number : name and serial number of the cell, for the record.
+    unit : unit of its display, compression positive.
+    capacity : largest possible reading, in that unit.
+    tare : whether the reading with the head up is requested once and subtracted.
 
     Raises
     ------
@@ -237,9 +239,8 @@ def open_thermometer(context: StationContext, options: ManualThermometerOptions)
 
     Options of its table
     --------------------
-    label, number : of the thermometer, for the record.
-    every_min : how often it is asked for; by default every 3 minutes where the station limits the temperature, else
-        every 30.
+    label, number : name and serial number of the thermometer, for the record.
+    every_min : time between readings; by default 3 minutes if the station limits the temperature, else 30.
 
     Raises
     ------

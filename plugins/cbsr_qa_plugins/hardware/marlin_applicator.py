@@ -71,14 +71,16 @@ def open_applicator(context: StationContext, options: MarlinOptions) -> "MarlinA
     --------------------
     address : serial port, or ``usb:VID:PID:SERIAL``.
     centre_mm : [x, y] of the sheet's centre, in the machine's coordinates.
-    hover_height_mm : the machine's z where the head is at the station's hover height above the nominal surface.
-    firmware : ``"prusa"`` (``Count`` in mm; default) or ``"marlin"`` (``Count`` in steps: state ``steps_per_mm``).
-    z_axis : ``"up"`` (z grows upwards; default) or ``"down"``.
-    steps_per_mm : of x, y and z, for stock Marlin.
-    baud, timeout_s, boot_s : 115200; 1 s for an acknowledgement; 10 s from opening to the first answer.
-    acceleration_mm_s2 : 200, the rig's.
-    contact_force_N : from which the sheet counts as touched when feeling for it; 0.2.
-    search_depth_mm : how far below the nominal surface is felt for it at most; 1.
+    hover_height_mm : the machine's z with the head at the station's hover height above the nominal surface.
+    firmware : ``"prusa"`` (``Count`` in mm) or ``"marlin"`` (``Count`` in steps: state ``steps_per_mm``).
+    z_axis : ``"up"`` if z grows upwards, or ``"down"``.
+    steps_per_mm : steps of x, y and z, for stock Marlin.
+    baud : baud rate.
+    timeout_s : longest time for an acknowledgement.
+    boot_s : longest time from opening to the first answer.
+    acceleration_mm_s2 : acceleration of all axes; the default is the rig's.
+    contact_force_N : force at which the surface search counts the sheet as touched.
+    search_depth_mm : greatest depth below the nominal surface that the search goes to.
 
     Raises
     ------
@@ -137,7 +139,7 @@ class MarlinApplicator(HeadDriver):
         if firmware != self._options.firmware:
             raise self._error(
                 f"firmware {name or answer[:60]!r} was found; {self._options.firmware!r} was expected",
-                "check its address, and 'firmware' in its table: it says what positions are told in",
+                "check its address, and 'firmware' in its table: it gives the unit of reported positions",
             )
         return self._identified(names.get("MACHINE_TYPE", ""), names.get("UUID", ""), name)
 
@@ -299,5 +301,5 @@ class MarlinApplicator(HeadDriver):
 
     def _watched(self) -> ForceWatch:
         if self._watch is None:
-            raise self._error("nobody measures the force", "link it with a load cell before it presses")
+            raise self._error("no instrument measures the force", "link it with a load cell before it presses")
         return self._watch

@@ -55,15 +55,17 @@ def open_bridge(context: StationContext, options: BridgeOptions) -> ForceCell:
 
     Options of its table
     --------------------
-    device_serial : of the bridge; the first that is found where it is not stated.
-    channel : of the bridge; 0.
-    gain : 1, 8, 16, 32, 64 or 128 (default).
-    data_interval_ms : between samples, 8 at best; 125.
-    attach_s : how long the bridge is waited for; 5.
+    device_serial : serial number of the bridge; by default the first bridge found.
+    channel : input of the bridge.
+    gain : 1, 8, 16, 32, 64 or 128.
+    data_interval_ms : time between samples.
+    attach_s : how long to wait for the bridge.
     scale, offset : grams = scale × ratio + offset, ratio in V/V; the rig's are 4.94462e6 and 70.13.
-    sign : -1 where compression reads negative, as on the rig; 1.
-    limit_N, tare_s, tare_limit_N, dead_weight_g : as of the driver ``serial-load-cell``; the rig's cell stands flat
-        at -749 g, which is ``limit_N = 7.34``.
+    sign : -1 if compression reads negative, as on the rig.
+    limit_N : end of the cell's range: readings at this value break the run; 7.34 for the rig's cell.
+    tare_s : the mean over this time at opening becomes the zero; 0: no tare.
+    tare_limit_N : a larger force at opening is a load, not a zero.
+    dead_weight_g : a known mass for the check of the station.
 
     Raises
     ------

@@ -29,15 +29,15 @@ class ReplayOptions(PluginOptions):
 
 @driver(_DRIVER, ReplayOptions)
 def open_replay(context: StationContext, options: ReplayOptions) -> "ReplayedRecording":
-    """Open a recording as frame source, sampler of one of its channels, and head that only keeps time.
+    """Play a recording as frame source, sampler of one of its channels, and a head that only takes the time to move.
 
     Options of its table
     --------------------
-    file : of the recording.
-    format : by default the file is recognised.
-    dataset : of a file that holds several.
-    channel : of its samples.
-    start_s : the recording's time at which it begins to play; by default that of the first thing in it.
+    file : file of the recording.
+    format : its format; by default recognised from the file.
+    dataset : which data set, if the file holds several.
+    channel : channel of its samples.
+    start_s : time in the recording at which it starts to play; by default its beginning.
 
     Raises
     ------

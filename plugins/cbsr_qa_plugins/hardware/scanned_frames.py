@@ -57,12 +57,12 @@ def open_frames(context: StationContext, options: ScanOptions) -> "ScannedFrames
 
     Options of its table
     --------------------
-    current : ``"auto"``, the default: as much as leaves the headroom on this sensor.
-    current_mA : in its place.
-    largest_current_mA : that may be chosen or stated.
-    headroom_percent : of the source's voltage limit that is left.
+    current : ``"auto"``, the default: the largest current that leaves the headroom on this sensor.
+    current_mA : drive current, instead of ``current``.
+    largest_current_mA : upper limit of the drive current.
+    headroom_percent : share of the source's voltage limit that stays free.
     contacts : ``"refuse"`` sensors with open pins or pins that touch, or ``"warn"``.
-    polarity : ``"reversed"`` where the meter's leads are the other way round.
+    polarity : ``"reversed"`` if the meter's leads are swapped.
 
     Raises
     ------

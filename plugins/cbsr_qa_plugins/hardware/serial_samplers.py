@@ -44,17 +44,17 @@ def open_load_cell(context: StationContext, options: LoadCellOptions) -> ForceCe
     Options of its table
     --------------------
     address : serial port, or ``usb:VID:PID:SERIAL``.
-    baud : 115200.
-    time : ``"device_ms"`` (lines ``<milliseconds>,<value>``; default) or ``"arrival"`` (lines ``<value>``).
-    rate_hz : lines a second; 8.
-    boot_s : how long the first line is waited for; 5.
-    unit : ``"N"`` (default), ``"g"`` or ``"counts"``; of counts the ``scale`` says how many newtons one is.
-    scale, offset : quantity in that unit = scale × number + offset; 1 and 0.
-    sign : -1 where compression reads negative, as on the rig; 1.
-    limit_N : where the cell ends: a reading that stands there says nothing but that the force is above it.
-    tare_s : mean of so many seconds at the opening is taken as zero; 0 for none.
-    tare_limit_N : more than this at the opening is a load and no zero; 0.5.
-    dead_weight_g : a known mass, for the check of the station.
+    baud : baud rate.
+    time : ``"device_ms"`` (lines ``<milliseconds>,<value>``) or ``"arrival"`` (lines ``<value>``).
+    rate_hz : lines per second.
+    boot_s : how long to wait for the first line.
+    unit : ``"N"``, ``"g"`` or ``"counts"``; for counts, ``scale`` is newtons per count.
+    scale, offset : quantity in that unit = scale × number + offset.
+    sign : -1 if compression reads negative, as on the rig.
+    limit_N : end of the cell's range: readings at this value break the run.
+    tare_s : the mean over this time at opening becomes the zero; 0: no tare.
+    tare_limit_N : a larger force at opening is a load, not a zero.
+    dead_weight_g : a known mass for the check of the station.
 
     Raises
     ------
@@ -90,11 +90,11 @@ def open_thermometer(context: StationContext, options: ThermometerOptions) -> "S
     Options of its table
     --------------------
     address : serial port, or ``usb:VID:PID:SERIAL``.
-    baud : 9600.
-    time : ``"arrival"`` (lines ``<value>``; default) or ``"device_ms"`` (lines ``<milliseconds>,<value>``).
-    rate_hz : lines a second; 1.
-    scale, offset : °C = scale × number + offset; 1 and 0.
-    boot_s : how long the first line is waited for; 5.
+    baud : baud rate.
+    time : ``"arrival"`` (lines ``<value>``) or ``"device_ms"`` (lines ``<milliseconds>,<value>``).
+    rate_hz : lines per second.
+    scale, offset : °C = scale × number + offset.
+    boot_s : how long to wait for the first line.
 
     Raises
     ------

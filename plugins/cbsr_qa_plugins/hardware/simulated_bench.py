@@ -34,9 +34,9 @@ def open_bench(context: StationContext, options: BenchOptions) -> "SimulatedBenc
 
     Options of its table
     --------------------
-    hover_mm, travel_speed_mm_s : by default the station's motion.
+    hover_mm, travel_speed_mm_s : hover height and travel speed; by default those of the station.
     contact_length_mm : contact impedance over sheet resistance.
-    scene : file or name of the simulated world; the station loads it before the bench is opened.
+    scene : file or name of the scene.
 
     Raises
     ------

@@ -30,7 +30,7 @@ _LEAST_READING = 1e-6  # of the largest: a reading that the model says is zero h
 
 
 class LinearBackProjection:
-    """Every element takes the readings' relative changes, weighted by how much it makes of them (Kotre 1989).
+    """Every element gets the mean relative change of the readings, weighted by their sensitivity to it (Kotre 1989).
 
     x_e = Σ S_me (y_m/v_m) / √ΣS_me² with S_me = J_me/v_m and v the reference readings: the transposed sensitivity
     in the place of its inverse, the successor of the back-projection along equipotentials of Barber & Brown 1984.
@@ -50,7 +50,7 @@ class LinearBackProjection:
         if not (felt > 0).all():
             raise NumericsError(
                 f"{int((felt <= 0).sum())} image elements are felt by no reading that is left",
-                remedy="mend the masked channels",
+                remedy="repair the masked channels",
             )
         matrix = (relative[:, None] * sensitivity).T / felt[:, None]
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance

@@ -152,7 +152,7 @@ def _smooth_over_head(problem: ImagingProblem, options: _HeadOptions) -> Prior:
 
 
 class Temporal(WithOptions):
-    """Images as of gauss-newton-indenter, alike their neighbours in time (Adler, Dai & Lionheart 2007).
+    """Images as from gauss-newton-indenter, correlated with those before and after (Adler, Dai & Lionheart 2007).
 
     Images of a block of frames are made together: noise falls where nothing changes, and what changes faster than the
     correlation time is smeared over it. Frames of a block must be evenly spaced, in order and of one recording; a

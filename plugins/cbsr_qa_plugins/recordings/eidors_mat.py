@@ -235,7 +235,7 @@ def _refuse_unfit(path: Path, names: list[str], alternating: tuple[str, ...]) ->
     if complex_ones:
         raise RecordingError(
             f"{path.name}: {', '.join(complex_ones)} holds complex voltages (alternating current), not real ones",
-            remedy="save the real part as a data set of its own, if that is what the frames are to be",
+            remedy="save the real part as a separate data set, if those are the frames",
         )
     if names:
         raise RecordingError(

@@ -150,7 +150,7 @@ def _scaled(line: BoardLine, width: int, scale: CountScale) -> BoardLine:
         return line
     clock, readings = line.numbers[:-PAIRS], line.numbers[-PAIRS:]
     if any(value % scale.factor for value in readings):
-        said = f"absurd: a reading is no multiple of {scale.factor}, as all others are"
+        said = f"impossible: a reading is not a multiple of {scale.factor}, as all others are"
         return replace(line, kind=LineKind.GARBLED, said=said)
     return replace(line, numbers=(*clock, *(value // scale.factor for value in readings)))
 

@@ -321,7 +321,7 @@ def _assemble_session(lines: list[BoardLine], following: list[BoardLine], assemb
         elif bad or (inside and (end is not None or following)) or (end is None and _begins_with_a_frame(following)):
             why = f"{len(rows)} whole rows where a frame has {PAIRS}"
             if end is None and following:
-                why += f", then headers, and the recording goes on in line {following[0].number}"
+                why += f", then headers, and the recording continues in line {following[0].number}"
             assembly.dropped.append(DroppedFrame(lines[begin].number, lines[begin:end][-1].number, bad, why))
 
 

@@ -60,7 +60,7 @@ def frames_of(stretches: list[Stretch]) -> Scans:
             scans.late = at
         elif at != expected:
             what = (
-                f"the scan goes on with reading {at} of {FRAME} here, as the driven pairs show, not with {expected}"
+                f"the scan continues with reading {at} of {FRAME} here, as the driven pairs show, not with {expected}"
             )
             scans.moved.append(RowProblem(stretch.readings[0].line, what, False))
         head = stretch.readings[: -at % FRAME]
@@ -131,7 +131,7 @@ Frames = list[list[Reading]]
 
 
 class SmuRigCsv(OneDataSet):
-    """Reads one line a reading, 256 a frame, the current pair as the inner loop; simulated scenes are written so too.
+    """Reads and writes the rig's CSV: one line per reading, 256 per frame, the current pair as the inner loop.
 
     Frames are put into canonical order (row = drive pair, column = measure pair). The rig's start-up query was itself
     a step of the multiplexer, so a file may be shifted by one reading: where the scan stands is decided from where

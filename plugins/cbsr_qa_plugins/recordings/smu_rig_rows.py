@@ -272,7 +272,7 @@ def _not_said(recording: Recording, transcript: Transcript) -> list[str]:
     if transcript.dumps:
         said.append(
             f"{len(transcript.dumps)} watchdog dumps are not written: this rig's multiplexer sends none;"
-            " their pauses are in the times where readings have times of their own"
+            " the times of readings, if recorded, contain their pauses"
         )
     absent = [name for name, _ in CHANNELS if name not in carried]
     if absent:

@@ -36,14 +36,14 @@ from cbsr_qa_plugins.sequences._shared import (
 
 
 class NoiseFigureSequence(WithOptions):
-    """A long rest, many unloaded frames, then the centre load L0 a few times (science, section 6).
+    """A long rest, many unloaded frames, then the centre load L0 a few times.
 
     Parameters
     ----------
     rest_s : rest before the unloaded frames.
-    frames : unloaded frames, at least 16 (a noise floor and a reference apart from it).
-    strain_percent : of the centre load.
-    hold_s : time pressed, long enough that frames after the steady state exist.
+    frames : number of unloaded frames; noise floor and reference need separate ones.
+    strain_percent : strain of the centre load.
+    hold_s : time pressed; long enough to reach the steady state.
     trials : how often the press is repeated.
     recovery_s : rest after each press.
     find_surface : whether the centre's surface is found first.
@@ -74,19 +74,20 @@ class NoiseFigureSequence(WithOptions):
 
 
 class RelaxationSequence(WithOptions):
-    """A press held until the slow exponential has died out, and a rest as long (science, section 7).
+    """A press held until the slow exponential has died out, and a rest of the same length.
 
     The load is labelled by its place: L0 … L8 on the paper's nine locations, X0 elsewhere.
 
     Parameters
     ----------
     x_mm, y_mm : place; default the centre.
-    strain_percent : of each press.
-    hold_s, rest_s : time pressed, and rest after it; 240 s are about five of the paper's longest settling times.
+    strain_percent : strain of each press.
+    hold_s, rest_s : time pressed, and time of rest after it; 240 s are about five of the paper's longest settling
+    times.
     trials : how often the press is repeated.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found first.
-    unloaded_frames : before the first press.
+    unloaded_frames : number of unloaded frames before the first press.
 
     """
 
@@ -124,9 +125,9 @@ class PreconditioningSequence(WithOptions):
 
     Parameters
     ----------
-    cycles : of each location, at least 2 (a change needs two).
-    strain_percent : of each press; 30 is the paper's highest.
-    hold_s, rest_s : time pressed, and rest after it.
+    cycles : number of presses of each location.
+    strain_percent : strain of each press; 30 is the paper's highest.
+    hold_s, rest_s : time pressed, and time of rest after it.
     locations_mm : [x, y] each, labelled L0, L1, … in order.
     find_surface : whether the surface is found at every location first.
 
@@ -163,7 +164,7 @@ def _above_each_other(strains: tuple[float, ...]) -> tuple[float, ...]:
 
 
 class HysteresisLoopSequence(WithOptions):
-    """Press to the lowest strain, ease up to the highest one by one and down again, release, and rest.
+    """Press in loops: up through the strains and down again without lifting the head, then release and rest.
 
     Every strain is held equally long, on the way up and down, so that each reading is as old as its counterpart; the
     highest is held once. Cycles of a location follow each other. A loop is one load: it is the calibration cycle of
@@ -171,15 +172,15 @@ class HysteresisLoopSequence(WithOptions):
 
     Parameters
     ----------
-    strains_percent : rising; at least two, default [7.5, 15, 22.5, 30]. Half of the highest is where most loops are
+    strains_percent : rising, at least two. Include half of the highest strain, where most loops are
         widest.
-    cycles : loops at each location (with 2 and more their scatter is known).
-    hold_s, rest_s : at each strain, and after each loop.
+    cycles : number of loops at each location; two or more show their scatter.
+    hold_s, rest_s : hold at each strain, and rest after each loop.
     locations_mm : [x, y] each, labelled H0, H1, … in order.
-    label : what labels begin with.
+    label : prefix of the labels.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every location first.
-    unloaded_frames : before the first press.
+    unloaded_frames : number of unloaded frames before the first press.
 
     """
 

@@ -24,20 +24,20 @@ _NAME: Final = "characterisation"
 
 
 class CharacterisationSequence(WithOptions):
-    """Press one place a number of times at each strain, all cycles of a strain in a row.
+    """Press one place a number of times at each strain, one strain after the other.
 
     Loads are labelled C1, C2, … by strain in the order given; a cycle is a trial of its strain.
 
     Parameters
     ----------
-    strains_percent : of the presses, in order.
-    cycles : at each strain.
-    order : ``"as given"``, or ``"shuffled"`` by the run's seed, so that drift of the material does not pass for a
+    strains_percent : strains of the presses, in order.
+    cycles : number of cycles at each strain.
+    order : ``"as given"``, or ``"shuffled"`` by the run's seed, so that drift of the material does not look like a
         dependence on strain.
-    hold_s, rest_s : time pressed, and rest after it; the defaults make a period of 120 s, half of it pressed.
+    hold_s, rest_s : time pressed, and time of rest after it; the defaults make a period of 120 s, half of it pressed.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found first.
-    unloaded_frames : before the first press.
+    unloaded_frames : number of unloaded frames before the first press.
     x_mm, y_mm : place; default the strip's centre.
 
     """

@@ -40,14 +40,14 @@ class LocationGridSequence(WithOptions):
 
     Parameters
     ----------
-    strains_percent : of the presses; the paper's campaign is [5, 10, 15, 20, 25, 30].
-    trials : of each location and strain (the paper's campaign: 3).
-    hold_s, rest_s : time pressed, and rest after it.
+    strains_percent : strains of the presses; the paper's campaign is [5, 10, 15, 20, 25, 30].
+    trials : number of presses of each location and strain (the paper's campaign: 3).
+    hold_s, rest_s : time pressed, and time of rest after it.
     locations_mm : [x, y] each, labelled L0, L1, … in order.
-    label : what labels begin with. Two grids of one recipe tell their places apart by it.
+    label : prefix of the labels. Give two grids of one recipe different prefixes.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every location first.
-    unloaded_frames : before the first press.
+    unloaded_frames : number of unloaded frames before the first press.
 
     """
 
@@ -95,18 +95,18 @@ class GivenLoad(PluginOptions):
 
 
 class GivenLoadsSequence(WithOptions):
-    """Press a list of loads in its order, a number of times.
+    """Press a list of loads in its order, one or several times.
 
     Parameters
     ----------
     loads : tables of ``strain_percent`` and a place, which is either ``x_mm`` and ``y_mm``, or ``radius_mm`` and
         ``angle_deg`` (counterclockwise from the x axis), as the paper's Table 5 gives it. There is no default.
-    trials : of the whole list.
-    hold_s, rest_s : time pressed, and rest after it.
+    trials : number of times that the list is pressed.
+    hold_s, rest_s : time pressed, and time of rest after it.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every place first.
-    unloaded_frames : before the first press.
-    label : what labels begin with.
+    unloaded_frames : number of unloaded frames before the first press.
+    label : prefix of the labels.
 
     """
 
@@ -157,10 +157,10 @@ class RandomLoadsSequence(WithOptions):
     count : number of presses.
     radius_mm : [lowest, highest].
     strain_percent : [lowest, highest].
-    hold_s, rest_s : time pressed, and rest after it.
+    hold_s, rest_s : time pressed, and time of rest after it.
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every place first.
-    unloaded_frames : before the first press.
+    unloaded_frames : number of unloaded frames before the first press.
     stream : name of the random stream; two phases of one recipe draw different loads under different names.
 
     """
