@@ -255,10 +255,10 @@ a mesh that follows the load; the estimator sums multipoles. Both use the nomina
 [performance](performance.md) shows the effect of others. If the size is unknown, the expected size still starts the
 fit and decides when an answer is required: where d′ ≥ 10 and the bound of the place is at most a third of the radius
 (for the diameter: where its own bound is at most a third). The noise is independent, a share 10^(−dB/20) of each
-reading. {TRIALS} frames are estimated in a cell that requires an answer. If its coverage is then outside 64–72 %, {AGAIN} new
-frames are estimated, and only these count (with {TRIALS} frames, one cell in twenty would be outside by chance). In other
-cells, {REFUSALS} frames show that there is no answer ({AGAIN} if one of them got an answer); "else" is the share that got one,
-mostly where d′ is 7 to 10.
+reading. {TRIALS} frames are estimated in a cell that requires an answer. If its coverage is then outside 64–72 %,
+{AGAIN} new frames are estimated, and only these count (with {TRIALS} frames, one cell in twenty would be outside by
+chance). In other cells, {REFUSALS} frames show that there is no answer ({AGAIN} if one of them got an answer); "else"
+is the share that got one, mostly where d′ is 7 to 10.
 
 Place, amplitude (contrast if the indenter is given, else area × contrast) and diameter: number of cells, largest
 spread and bias over the bound, and coverage of the 68 % regions in per cent, from the lowest to the highest cell.

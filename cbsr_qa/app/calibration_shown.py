@@ -43,6 +43,9 @@ from cbsr_qa.system import read_untrusted
 #: Values of an array that is shown.
 _MOST_SHOWN: Final = 8
 
+#: Fields that have a line or a table of their own on the page.
+_IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settling/", "validity/")
+
 _Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
@@ -156,7 +159,7 @@ class Value:
         if self.value is None:
             return "not measured"
         each = self.value if isinstance(self.value, tuple) else (self.value,)
-        return ", ".join(f"{one:.6g}" if isinstance(one, float) else str(one) for one in each) or "none"
+        return ", ".join(f"{one:.6g}" if isinstance(one, float) else str(one) for one in each) or "–"
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,26 +303,30 @@ def _page(shown: ShownCalibration) -> Page:
 
 
 def _sections(shown: ShownCalibration) -> Iterator[Section]:
-    yield _texts("Where it may be used", _validity(shown.validity))
+    yield _texts("Where it may be used", _validity(shown))
     yield Section("Baseline conductance", (_baseline(shown.baseline_conductance),))
     yield _texts("Force", _force(shown))
     yield Section("Settling", (_settling(shown.settling),))
-    rows = [(path, field.units, field.text) for path, field in shown.values.items() if field.listed]
-    table = text_table("Every field of the file but long arrays.", ("path", "unit", "value"), rows)
-    arrays = plural(len(shown.values) - len(rows), "long array")
-    yield Section("Fields", (table, Paragraph(f"Not shown: {arrays}. --json gives their shapes.")))
+    others = {path: field for path, field in shown.values.items() if not path.startswith(_IN_SECTIONS)}
+    rows = [(path, field.units, field.text) for path, field in others.items() if field.listed]
+    table = text_table("All other fields of the file, except long arrays.", ("path", "unit", "value"), rows)
+    arrays = plural(len(others) - len(rows), "long array")
+    yield Section("Other fields", (table, Paragraph(f"Not shown: {arrays}. --json gives their shapes.")))
 
 
 def _texts(title: str, lines: Iterator[str]) -> Section:
     return Section(title, tuple(map(Paragraph, lines)))
 
 
-def _validity(validity: RangeOfUse) -> Iterator[str]:
+def _validity(shown: ShownCalibration) -> Iterator[str]:
+    validity = shown.validity
     yield f"force: {_range(validity.force_N, 'N')}"
     yield f"strain: {_range((100 * validity.strain[0], 100 * validity.strain[1]), '%')}"
     yield f"temperature: {_range(validity.temperature_C, '°C')}"
-    yield f"within {validity.radius_mm:.3g} mm of the centre, head: {validity.indenter}"
+    yield f"place: within {validity.radius_mm:.3g} mm of the centre"
+    yield f"head: {validity.indenter}"
     yield from (f"reduced: {reason}" for reason in validity.reduced)
+    yield f"assumed, not measured on this sensor: {', '.join(shown.assumed) or 'nothing'}"
 
 
 def _range(ends: tuple[float, float] | None, unit: str) -> str:
@@ -351,17 +358,16 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
     low, high = 100 * force.response_lowest, 100 * force.response_highest
     best, worst = 100 * force.response_stderr_lowest, 100 * force.response_stderr_highest
     yield (
-        f"The sheet answers with {low:.1f} to {high:.1f} % of what its material would at {force.places} places, known"
-        f" to {best:.1f} to {worst:.1f} % (1 s.e.); single loads scatter by {100 * force.scatter:.1f} %."
+        f"Response of the sheet: {low:.1f} to {high:.1f} % of that of its material, with a standard error of"
+        f" {best:.1f} to {worst:.1f} %; single loads scatter by {100 * force.scatter:.1f} %."
     )
     x, y = force.least_force_worst_at_mm
     yield (
-        f"Least force one frame detects: {force.least_force_centre_N:.2g} N at the centre,"
-        f" {force.least_force_worst_N:.2g} N at worst, at ({x:.3g}, {y:.3g}) mm."
+        f"Least force that one frame detects: {force.least_force_centre_N:.2g} N at the centre,"
+        f" {force.least_force_worst_N:.2g} N at the worst place, ({x:.3g}, {y:.3g}) mm."
     )
     least, most = force.stress_kPa
-    yield f"Learned from {least:.3g} to {most:.3g} kPa, {force.hold_s:.3g} s after the press."
-    yield f"assumed, not measured on this sensor: {', '.join(force.assumed) or 'nothing'}"
+    yield f"Learned from loads of {least:.3g} to {most:.3g} kPa, {force.hold_s:.3g} s after the press."
 
 
 def _settling(summaries: tuple[Settling, ...]) -> Table:
@@ -374,5 +380,5 @@ def _settling(summaries: tuple[Settling, ...]) -> Table:
         )
         for one in summaries
     ]
-    columns = ("signal", "mean [s]", "deviation [s]", "settled", "not within the window", "rejected")
-    return text_table("Time to settle, of all loads.", columns, rows, (1, 2, 3, 4, 5))
+    columns = ("signal", "mean [s]", "deviation [s]", "settled", "later than window", "rejected")
+    return text_table("Settling times over all loads.", columns, rows, (1, 2, 3, 4, 5))

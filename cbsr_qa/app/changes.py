@@ -149,11 +149,13 @@ def override_verdict(
         override = store.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
         calibration = store.analyses(run)[0].calibration
         identity, report = store.identity(run), report_command(run, store)
-    note = "no calibration was issued, and an override issues none"
+    note = "no calibration was issued; an override does not issue one"
     if calibration is not None and override.outcome is Outcome.FAIL:
-        note = f"calibration {calibration} stays stored: an override withdraws none; take its file out of use"
+        note = (
+            f"calibration {calibration} is still stored: an override does not withdraw it; take its file out of use"
+        )
     elif calibration is not None:
-        note = f"calibration {calibration} stays as it was issued"
+        note = f"calibration {calibration} is unchanged"
     facts = (("Run", identity.words), ("Calibration", note))
     done = filled(Overridden, override, calibration=calibration, note=note)
     printed = (("Report", f"{report} writes it with this"),)

@@ -163,6 +163,6 @@ def _laid_out(
     for finished in status.without_result:
         name = run_named(finished.serial, made_at(finished.run), finished.run)
         facts.append(("no result", f"{name}: finished; next: its result"))
-    resume = f"cbsr-qa run --resume RUN{database_option(option)} goes on with one of them"
+    resume = f"cbsr-qa run --resume RUN{database_option(option)} continues one of them"
     resumable = status.without_result or any(not run.writer for run in runs)
-    return answer(status, status.url, "", facts, printed=(("Go on with", resume),) if resumable else ())
+    return answer(status, status.url, "", facts, printed=(("Continue with", resume),) if resumable else ())

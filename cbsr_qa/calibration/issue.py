@@ -66,10 +66,10 @@ def issue_calibration(
     loads = _loads_of(observation, phases)
     against_stress = material.against_stress if learned is None else learned.line
     baseline, used = _baseline(observation, loads, against_stress)
-    why = "" if learned else no_force or "nobody asked for a force model"
+    why = "" if learned else no_force or "no force model was requested"
     reduced = [*_left_out(baseline), *unmeasured(loads)]
     if learned is None:
-        reduced.append(f"no force can be told: {why}")
+        reduced.append(f"no force model: {why}")
     else:
         used = [load for load, refusal in zip(learned_from, learned.refused, strict=True) if not refusal]
         reduced += [*force_reductions(learned, learned_from), *tried_beyond(used, confirmed)]
@@ -150,7 +150,7 @@ def _utc(issued_at: str) -> str:
     try:
         moment = datetime.fromisoformat(issued_at)
     except ValueError as error:
-        raise CalibrationError(f"issued at {issued_at!r}, which is no ISO time") from error
+        raise CalibrationError(f"issued at {issued_at!r}, which is not an ISO time") from error
     if moment.tzinfo is None:
         raise CalibrationError(f"issued at {issued_at!r}, which states no zone")
     return moment.astimezone(UTC).isoformat()

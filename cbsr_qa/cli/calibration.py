@@ -48,7 +48,7 @@ def export(
     from cbsr_qa.app import export_calibration
 
     if stride is not None and not firmware:
-        raise typer.BadParameter("only --firmware has a lattice of its own", param_hint="--stride")
+        raise typer.BadParameter("only --firmware has a separate lattice", param_hint="--stride")
     show_outcome(export_calibration(file, output, firmware=firmware, stride=stride), as_json=as_json)
 
 

@@ -83,9 +83,9 @@ def _options(
     """Test, judge and calibrate soft pressure sensors read by electrical impedance tomography."""
 
 
-_REPORT_IT = "what was stored is kept; please report this with the output of CBSR_QA_TRACEBACK=1 and the command"
+_REPORT_IT = "stored data are kept; please report this with the output of CBSR_QA_TRACEBACK=1 and the command"
 
-_LOST = "make room for it, or name another file; what was stored is kept: cbsr-qa db status, cbsr-qa report RUN"
+_LOST = "free some space, or name another file; stored data are kept: cbsr-qa db status, cbsr-qa report RUN"
 
 #: What typer raises for a misused command line. It brings its own copy of click, or uses the installed one.
 _UsageError = cast(type[Exception], typer.BadParameter.__mro__[1])

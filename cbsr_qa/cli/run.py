@@ -77,7 +77,7 @@ def run(
         planned = plan_run(request, attended=operator_at_terminal() is not None)
         code = show(plan_outcome(planned), as_json=as_json)
         if planned.refused is not None:
-            note(f"cbsr-qa: the run would be refused for what is not allowed\n{planned.refused.remedy}")
+            note(f"cbsr-qa: the run would be refused\n{planned.refused.remedy}")
         return code
     outcome = run_sensor(
         request,
@@ -95,8 +95,8 @@ def _check_given(context: typer.Context, *, resuming: bool) -> None:
         extra = [name for name in context.params if name in given and name not in _WITH_RESUME]
         if extra:
             context.fail(
-                f"a run is resumed as it was begun: {option_names(extra)} cannot be given with --resume"
-                " (--operator, --database and --json can)"
+                f"a run is resumed with the options it began with: {option_names(extra)} cannot be given with"
+                " --resume (--operator, --database and --json can)"
             )
         return
     missing = [name for name in _NEEDED if name not in given]

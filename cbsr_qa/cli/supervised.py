@@ -257,13 +257,13 @@ def _concluded(reported: dict[str, Any], status: int, *, judges: bool) -> int:
 def _broken(run: str | None, database: str | None, why: str, *, judges: bool) -> CbsrError:
     from cbsr_qa.app import database_option
 
-    look = "look at the bench before you touch it: the head may be down and the source on"
+    look = "check the bench before you touch it: the head may be down and the source on"
     if not judges:
         return BrokenProcessError(why, remedy=f"if the command uses the bench, {look}. Then start it again")
     if run is None:
         return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
     on = f"cbsr-qa run --resume {run}{database_option(database)}"
-    return BrokenRunError(run, why, remedy=f"{look}. What was stored stays, and this goes on: {on}")
+    return BrokenRunError(run, why, remedy=f"{look}. The stored data are kept; continue with: {on}")
 
 
 def _cut_off(status: int, code: int | None) -> str:

@@ -64,7 +64,7 @@ class IndenterTable(Table):
         try:
             self.to_domain()
         except NumericsError as error:
-            yield Problem((table, "outline_mm"), f"is no outline: {error.reason}. {error.remedy}".strip())
+            yield Problem((table, "outline_mm"), f"is not an outline: {error.reason}. {error.remedy}".strip())
 
     def to_domain(self) -> Indenter:
         """Return the head."""

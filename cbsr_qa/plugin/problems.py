@@ -155,7 +155,7 @@ def _unknown(key: str, table: type[BaseModel] | None) -> tuple[str, str]:
     # A key without its unit is the commonest slip: "current" for "current_mA".
     near = [k for k in known if k.startswith(f"{key}_")] or get_close_matches(key, known, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    return "is not a known key", f"{hint}allowed here: {', '.join(known) or 'none'}"
+    return "is not a known key", f"{hint}allowed here: {', '.join(known)}" if known else "this takes no options"
 
 
 def _missing(key: str, table: type[BaseModel] | None, present: Any) -> str:

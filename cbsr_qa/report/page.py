@@ -18,9 +18,9 @@ _SYMBOLS: Final = {
 
 #: How a run that did not finish is announced; its verdict alone would hide that.
 _ENDS: Final = {
-    EndReason.RUNNING: "The run is incomplete: it was begun and never ended",
+    EndReason.RUNNING: "The run is incomplete: it began and did not end",
     EndReason.ABORTED: "The run was aborted",
-    EndReason.BROKEN: "The run was broken off",
+    EndReason.BROKEN: "The run broke off",
 }
 
 

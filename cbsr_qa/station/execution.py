@@ -47,7 +47,7 @@ def ending(error: BaseException, where: str, *, at_once: bool = False, before: E
 
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
     """Report instruments that did not reach their safe state; the run is then broken in any case."""
-    warnings = [f"NOT SAFE: {who}; look at the bench before touching it" for who in silent]
+    warnings = [f"NOT SAFE: {who}; check the bench before touching it" for who in silent]
     return EndReason.BROKEN, "; ".join([*filter(None, [_told(end)]), *warnings])
 
 

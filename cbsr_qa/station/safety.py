@@ -100,7 +100,7 @@ class Interlock:
             raise SafetyError(
                 "safe start",
                 f"the bench could not be brought to a safe state before the run: {'; '.join(failed)}",
-                remedy="nothing was moved or stored; look at the bench before touching it",
+                remedy="nothing was moved or stored; check the bench before touching it",
             )
         self.to(State.ARMED)
 

@@ -58,8 +58,8 @@ def test_missing_places_are_a_reason_and_too_few_give_no_force(record):
     assert np.median(wide) > 1.5 * np.median(full)
     none, _ = _calibrated(_of_loads(record, range(2)))
     assert none.force is None
-    assert none.no_force.startswith("2 of 2 loads say how strongly the sheet answers; 3 are needed")
-    assert f"no force can be told: {none.no_force}" in none.validity.reduced
+    assert none.no_force.startswith("2 of 2 loads determine the response of the sheet; 3 are needed")
+    assert f"no force model: {none.no_force}" in none.validity.reduced
 
 
 def test_a_load_cell_flat_at_its_limit_calibrates_nothing(record):
@@ -125,7 +125,7 @@ def test_a_load_that_answers_the_other_way_is_named_and_left_out(record):
     voltages = np.where(during[:, None, None], 2 * rested - frames.voltages, frames.voltages)
     issued, _ = _calibrated(_changed(record, frames=replace(frames, voltages=voltages)))
     assert any(
-        why.startswith("no force was learned from L3 at (15, 15) mm, trial 0: the place changed the other way")
+        why.startswith("no force was learned from L3 at (15, 15) mm, trial 0: it changed in the direction opposite")
         for why in issued.validity.reduced
     )
     assert issued.force is not None

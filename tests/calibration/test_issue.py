@@ -68,7 +68,7 @@ def test_a_relaxation_says_of_which_load_it_is_and_in_what_unit():
 def test_the_time_of_issue_is_in_utc_and_has_a_zone():
     run = sample_run(_loads())
     assert _issue(run, issued_at="2026-01-01T23:00:00+13:00").issued_at == "2026-01-01T10:00:00+00:00"
-    for wrong, said in (("2026-01-01T10:00:00", "states no zone"), ("yesterday", "no ISO time")):
+    for wrong, said in (("2026-01-01T10:00:00", "states no zone"), ("yesterday", "not an ISO time")):
         with pytest.raises(CalibrationError, match=said):
             _issue(run, issued_at=wrong)
 
@@ -79,7 +79,7 @@ def test_the_range_is_that_of_the_loads_of_the_named_phases():
     assert validity.strain == (0.2, 0.2)
     assert validity.radius_mm == 30.0
     assert validity.temperature_C is None
-    assert validity.reduced == ("no force can be told: nobody asked for a force model",)
+    assert validity.reduced == ("no force model: no force model was requested",)
     wider = _issue(sample_run(_loads()), phases=("nine locations", "random loads")).validity
     assert (wider.force_N, wider.radius_mm) == ((2.0, 9.0), 40.0)
 

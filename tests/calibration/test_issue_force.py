@@ -45,7 +45,7 @@ def test_the_learned_line_takes_the_place_of_the_materials_and_baselines_are_tak
     assert issued.assumed == ("α against stress", "α against strain", "β against strain")
     assert issued.no_force == ""
     plain = _issue(run)
-    assert (plain.force, plain.no_force) == (None, "nobody asked for a force model")
+    assert (plain.force, plain.no_force) == (None, "no force model was requested")
     stress = run.loads[3].stress_kPa
     factor = 4.5e-3 * stress / (4.5e-3 * stress - 2e-3)
     assert issued.baseline[3].value == pytest.approx(plain.baseline[3].value * factor, rel=1e-12)
@@ -67,17 +67,17 @@ def test_the_range_is_that_of_the_loads_that_were_used_and_the_others_are_named(
 
 def test_many_loads_refused_for_one_reason_are_one_reason():
     loads = (*_loads(), *_loads())
-    refused = ("",) * 7 + ("the place changed the other way than the response of the material",) * 7
+    refused = ("",) * 7 + ("it changed in the direction opposite to the material's response",) * 7
     (reason,) = _issued(loads, refused)[0].validity.reduced
     assert reason.startswith("no force was learned from L0 at (0, 0) mm, trial 0, L1 at")
-    assert "and 1 more: the place changed the other way" in reason
+    assert "and 1 more: it changed in the direction opposite" in reason
 
 
 @pytest.mark.parametrize(
     ("strains", "fitted", "said"),
     [
         ((0.2,), False, "all loads were pressed at one strain (20 %): the intercept"),
-        ((0.1, 0.2), False, "all loads pressed alike (8.25 to 41.5 kPa): the intercept"),
+        ((0.1, 0.2), False, "all loads had the same stress (8.25 to 41.5 kPa): the intercept"),
         ((0.2,), True, "all loads were pressed at one strain (20 %)"),
     ],
 )
@@ -95,7 +95,7 @@ def test_few_places_are_a_reason():
 def test_without_a_model_the_reason_is_in_the_range_too():
     issued = _issue(sample_run(_loads()), no_force="1 of 7 loads say something; 3 are needed")
     assert issued.no_force == "1 of 7 loads say something; 3 are needed"
-    assert issued.validity.reduced == ("no force can be told: 1 of 7 loads say something; 3 are needed",)
+    assert issued.validity.reduced == ("no force model: 1 of 7 loads say something; 3 are needed",)
 
 
 def test_an_electrode_of_which_no_reading_could_be_used_is_named():

@@ -184,7 +184,7 @@ def test_a_log_that_is_damaged_in_the_middle_of_a_run_ends_in_no_verdict(here, b
     with pytest.raises(BrokenRunError, match=r"cbsr-qa\.db is damaged .*, including this run") as broken:
         run_sensor(request())
     assert broken.value.reason.count("is damaged") == 1
-    assert "where the database then holds the run, this goes on: cbsr-qa run --resume" in broken.value.remedy
+    assert "if the database then holds the run, this continues it: cbsr-qa run --resume" in broken.value.remedy
     assert broken.value.exit_code == 3
     assert "restore the database from a copy; data measured after that copy is lost" in broken.value.remedy
     assert benches == [True]

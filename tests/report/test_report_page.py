@@ -197,7 +197,7 @@ def test_the_banner_says_verdict_and_reason_first(result, value, headline, reaso
     ("end", "said"),
     [
         (EndReason.ABORTED, "The run was aborted: SIGINT"),
-        (EndReason.BROKEN, "The run was broken off: SIGINT"),
+        (EndReason.BROKEN, "The run broke off: SIGINT"),
         (EndReason.RUNNING, "The run is incomplete"),
     ],
 )

@@ -177,7 +177,7 @@ def sparse_calibration() -> Calibration:
         noise_figure=None,
         validity=Validity(None, (0.2, 0.2), (21.5, 22.0), 0.0),
         force=None,
-        no_force="2 of 9 loads say how strongly the sheet answers; 3 are needed",
+        no_force="2 of 9 loads determine the response of the sheet; 3 are needed",
     )
 
 

@@ -23,7 +23,7 @@ STATIONS = {
     "by hand": HEAD.replace("temperature_C", "#") + BOARD + BY_HAND,
 }
 ABSENT = (
-    r"no such device is plugged in|there is no port|does not answer|nobody answers|refused|unreachable"
+    r"no such device is plugged in|there is no port|does not answer|no Marlin printer answers|refused|unreachable"
     r"|needs the library Phidget22|attach"
 )
 

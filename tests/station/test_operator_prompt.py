@@ -86,7 +86,9 @@ def test_without_a_terminal_a_station_worked_by_hand_is_refused(station, monkeyp
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     assert guarded(["run", "--station", station, "--recipe", "nine-locations", "--serial", "S-1", "--seed", "1"]) == 2
     said = capsys.readouterr().err
-    assert "cbsr-qa: instrument 'scale' (manual-load-cell) is worked by hand, and nobody is there to be asked" in said
+    assert (
+        "cbsr-qa: instrument 'scale' (manual-load-cell) is operated by hand, and there is no operator to ask" in said
+    )
     assert "start the run at a terminal" in said
     assert [path.name for path in tmp_path.iterdir()] == [station]
 

@@ -28,7 +28,7 @@ def test_a_misspelt_driver_is_said_as_such_though_its_instrument_is_emulated():
 
 def test_an_address_that_is_none_is_said_with_its_instrument_once():
     said = refused("load_cell", options={"address": "usb:1A867523"})
-    assert said.reason == "instrument 'load_cell' (serial-load-cell): address 'usb:1A867523' is no USB device"
+    assert said.reason == "instrument 'load_cell' (serial-load-cell): address 'usb:1A867523' is not a USB device"
 
 
 @pytest.mark.parametrize(

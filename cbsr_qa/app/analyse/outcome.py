@@ -23,7 +23,7 @@ from cbsr_qa.domain.readings import (
 from cbsr_qa.domain.results import Block, CommandOutcome, Paragraph, ParameterChoice, Section
 from cbsr_qa.report import IF_GIVEN, Refusal, fixed, plural, recording_page, text_table
 
-_USED_FOR: Final = "images of the events and what is said of them; events are found in the readings, without images"
+_USED_FOR: Final = "images of the events and their descriptions; events are found in the readings, without images"
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,4 +326,4 @@ def _events(result: RecordingResult, *, imaged: bool) -> Iterator[Block]:
         yield Paragraph(f"Images by {name}, {choice.name} {choice.value:.3g}: {choice.how}.")
     for number, event in enumerate(result.events, start=1):
         if event.motion is not None:
-            yield Paragraph(f"E{number} moves: {event.motion.words}; the place above is where it is clearest.")
+            yield Paragraph(f"E{number} moves: {event.motion.words}; the place above is that of its clearest frame.")

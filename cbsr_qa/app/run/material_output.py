@@ -59,7 +59,9 @@ def material_of(result: RunResult) -> Material:
     assert characterised.modulus_kPa is not None
     loading, unloading, relaxation = (kernel for kernel in kernels if kernel is not None)
     noise = result.record.material.relative_noise
-    carried = f"taken over from {result.record.material.name}, a strip of two pins does not tell it; {noise.source}"
+    carried = (
+        f"taken over from {result.record.material.name}, because a strip with two pins cannot show it; {noise.source}"
+    )
     return Material(
         name=(identity.sensor.batch or identity.sensor.serial)[:_LONGEST_NAME],
         interelectrode_resistance_ohm=_resistance(characterised),
@@ -101,7 +103,7 @@ def _comments(result: RunResult) -> list[str]:
         f" {identity.sensor.serial}, batch {identity.sensor.batch or 'not stated'}.",
         "against_strain and against_stress are local: relative conductance changes under the head, by the forward",
         f"model of the strip with contacts of {characterised.settings.contact_length_mm:g} ±"
-        f" {characterised.settings.contact_length_stderr_mm:g} mm (assumed: two pins do not tell them).",
+        f" {characterised.settings.contact_length_stderr_mm:g} mm (assumed: two pins cannot show them).",
     ]
     if characterised.against_strain.line is not None:
         slope = characterised.against_strain.line.slope

@@ -237,7 +237,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
     elif tested.material_why:
         facts.append(("Material", f"none: {tested.material_why}"))
     if tested.resume:
-        printed.append(("Go on with", tested.resume))
+        printed.append(("Continue with", tested.resume))
     page = run_page(result)
     if tested.end is not EndReason.FINISHED:
         page = replace(page, banner=replace(page.banner, headline=tested.end.upper(), reason=tested.reason))

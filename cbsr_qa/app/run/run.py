@@ -96,7 +96,7 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
 
 
 def _nobody_in_a_dry_run(text: str) -> str:
-    raise RefusedError(f"a dry run asks nobody, and was to ask: {text}")
+    raise RefusedError(f"a dry run cannot ask the operator; the question was: {text}")
 
 
 def run_sensor(

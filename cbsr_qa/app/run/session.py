@@ -243,7 +243,7 @@ def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
         raise BrokenRunError(
             run,
             ended.detail,
-            remedy=f"fix that; what was stored stays, and this goes on: {resume_command(run, store)}",
+            remedy=f"correct that; stored data are kept, and this continues the run: {resume_command(run, store)}",
         )
 
 
@@ -271,7 +271,7 @@ def concluded(
         following = report_command(run, store) if store.analyses(run) else resume_command(run, store)
         raise UnconcludedError(run, following, error.by) from error
     except StoreError as error:
-        remedy = "; where the database then holds the run, this goes on: ".join(
+        remedy = "; if the database then holds the run, this continues it: ".join(
             filter(None, [error.remedy, resume_command(run, store)])
         )
         raise BrokenRunError(run, error.reason, remedy=remedy) from error

@@ -217,12 +217,12 @@ class _Look:
         if ring is None:
             return self._add(_no_ring("its resistances are not given, or --no-ring", _NO_RING))
         if not resistances_ohm:
-            why = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes, between which there is no ring"
+            why = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes; a ring needs at least three"
             return self._add(_no_ring(why, "set the station up for a sensor type with more"))
         if self._bench is None:
             return self._add(_no_ring("the instruments do not work together", "see above"))
         if not connected:
-            why = "nobody said that the ring is connected"
+            why = "it is not known whether the ring is connected"
             return self._add(_no_ring(why, "run it from a terminal, or with --ring-connected once it is"))
         self._tell("measuring the reference ring")
         try:
@@ -242,7 +242,7 @@ class _Look:
             unclosed = stop_all([*((mounted.name, mounted.instrument.close) for mounted in self._mounted), *after])
         for name, who in (("safe state", unsafe), ("closing", unclosed)):
             for words in who:
-                remedy = "switch the source off and lift the head by hand, then look at this instrument"
+                remedy = "switch the source off and lift the head by hand, then check this instrument"
                 self._add(CheckResult(name, CheckOutcome.FAILED, said=words, remedy=remedy, subject=_WHOLE))
         if self._mounted and not unsafe:
             finding = "source off, head up: every instrument says so"

@@ -173,7 +173,7 @@ def _line(
 ) -> CheckResult:
     value, shown = figure.value, metric_words(name)
     if not compared:
-        why = f"fewer than {FEWEST_VALUES} earlier runs to hold it against"
+        why = f"fewer than {FEWEST_VALUES} earlier runs to compare with"
         return CheckResult(shown, CheckOutcome.NOT_DONE, value=value, unit=figure.unit, said=why, subject=subject)
     outcomes, means, allowed = [CheckOutcome.OK], [], []
     for where, values in compared.items():

@@ -18,7 +18,7 @@ from cbsr_qa.report.draw import ring_figure
 _RING_WORDS: Final = (
     "A ring of resistors between neighbouring electrodes stands in place of the sensor. What every pair must read of "
     "it follows from Kirchhoff's laws alone: between two electrodes lie two arcs in parallel. All readings together "
-    "are fitted by a gain, an offset and a resistance of each lead; what is left of a reading is its own error."
+    "are fitted by a gain, an offset and a resistance of each lead; the residual of a reading is its own error."
 )
 _GOLDEN_WORDS: Final = (
     "A golden sensor is kept for checks of stations. Its values are compared with its earlier runs, separately for "

@@ -82,7 +82,7 @@ class Reading:
         single = isinstance(value, np.ndarray) and value.dtype == np.float32
         values = self.array(path, np.float32).astype(np.float64) if single else self.numbers(path)
         if not np.isfinite(values).all():
-            raise CalibrationError(f"{path} holds what is not a finite number")
+            raise CalibrationError(f"{path} holds a value that is not a finite number")
         return values
 
     def maybes(self, path: str) -> list[float | None]:

@@ -118,7 +118,7 @@ def problems(value: Any, within: str) -> Iterator[str]:
 def _beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
     least, most = kept.least, kept.most
     if not np.isfinite(values).all():
-        yield f"{path} holds what is not a finite number"
+        yield f"{path} holds a value that is not a finite number"
     elif least and most and not (least <= values.min(initial=most) and values.max(initial=least) <= most):
         found = f"{values.item()}" if values.size == 1 else f"{values.min():.3g} to {values.max():.3g}"
         yield f"{path} is {found}; {least:g} to {most:g} are allowed"

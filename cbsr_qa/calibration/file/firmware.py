@@ -135,7 +135,7 @@ def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
 
 def _model(calibration: Calibration) -> ForceModel:
     if calibration.force is None:
-        why = calibration.no_force or "it was issued before calibrations had any"
+        why = calibration.no_force or "it was issued before calibrations held force models"
         raise CalibrationError(f"calibration {calibration.calibration} holds no force model: {why}")
     return calibration.force
 

@@ -48,9 +48,11 @@ class _Walk:
             path = f"{prefix}{name}"
             self._names += 1
             if self._names > _MOST_NAMES:
-                raise RefusedError(f"more than {_MOST_NAMES} names up to {path}: no file of ours has as many")
+                raise RefusedError(
+                    f"more than {_MOST_NAMES} names up to {path}: no such file of this program has so many"
+                )
             if not path.isprintable():
-                raise RefusedError(f"{path!r} is a name that no file of ours has")
+                raise RefusedError(f"{path!r} is not a name of such a file")
             # Links could lead out of the file, or around in circles.
             if not isinstance(group.get(name, getlink=True), h5py.HardLink) or path.count("/") >= _DEEPEST:
                 raise RefusedError(f"{path} is a link, not content")
@@ -131,6 +133,8 @@ def texts(path: str, dataset: h5py.Dataset) -> str | tuple[str, ...]:
         text = str(held[k])
         left -= len(text)
         if left < 0:
-            raise RefusedError(f"{path} holds more than {_MOST_CHARACTERS} characters: no file of ours has as many")
+            raise RefusedError(
+                f"{path} holds more than {_MOST_CHARACTERS} characters: no such file of this program has so many"
+            )
         read.append(text)
     return tuple(read)

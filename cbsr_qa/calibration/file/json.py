@@ -116,7 +116,7 @@ def _document(path: Path) -> dict[str, Any]:
 def _entry(path: str, stated: object) -> Entry:
     try:
         if not isinstance(stated, dict):
-            raise CalibrationError(f"{path} is no dataset")
+            raise CalibrationError(f"{path} is not a dataset")
         units, kind, shape = stated["units"], stated["kind"], tuple(stated["shape"])
         if not (isinstance(units, str) and all(type(n) is int and n >= 0 for n in shape)):
             raise CalibrationError(f"{path} states no units or no shape")

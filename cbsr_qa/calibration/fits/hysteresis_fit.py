@@ -139,7 +139,7 @@ def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
 
 def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
     if loop.why:
-        raise NumericsError(f"nothing can be told from the loops: {loop.why}")
+        raise NumericsError(f"the loops cannot be evaluated: {loop.why}")
     if loop.stress is None:
         raise NumericsError(f"no stress to compare outputs at: {loop.no_force or 'no force was recorded'}")
     cycles = [_strains(record) for record in loop.records]
@@ -171,7 +171,7 @@ def _differences(output: Array, stress: Array, peak: int) -> Array:
     """Falling less rising output at the falling stress, (loops, falling strains), in shares of the mean span."""
     span = float(output[:, peak].mean())
     if not abs(span) > 0:
-        raise NumericsError("the output at the deepest strain is zero: there is nothing to be a share of")
+        raise NumericsError("the output at the deepest strain is zero: no share can be computed")
     differences = []
     for values, at in zip(output, stress, strict=True):
         rising = np.concatenate([[0.0], at[: peak + 1]])

@@ -113,7 +113,7 @@ def _checked(strain: Sequence[float], x: Sequence[float], change: Sequence[float
         size = float(np.abs(part).max(initial=0.0))
         if size and not 1 / _LARGEST <= size <= _LARGEST:
             raise NumericsError(
-                f"a quasi-static fit was given {name} of {size:.3g}: squares of such numbers are none",
+                f"a quasi-static fit was given {name} of {size:.3g}: its square is outside the range of numbers",
                 remedy="state it in another unit",
             )
     return np.round(level, 9), place, value

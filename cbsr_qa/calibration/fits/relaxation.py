@@ -186,13 +186,13 @@ def _in_range(time_s: Array, values: Array) -> None:
     window_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
     if window_s > 0 and abs(time_s[0]) > _LATEST * window_s:
         raise NumericsError(
-            f"a trace of {window_s:.4g} s begins {time_s[0]:.6g} s after the end of the ramp: nothing is left to see",
+            f"a trace of {window_s:.4g} s begins {time_s[0]:.6g} s after the end of the ramp: nothing is left to fit",
             remedy="count its times from the end of the ramp, not from some other beginning",
         )
     largest = float(np.abs(values).max(initial=0.0))
     if largest > 0 and not _SIZES[0] <= largest <= _SIZES[1] and (values != values[0]).any():
         raise NumericsError(
-            f"a trace reaches {largest:.3g}: squares of such values are no numbers",
+            f"a trace reaches {largest:.3g}: its square is outside the range of numbers",
             remedy="state it in another unit",
         )
 

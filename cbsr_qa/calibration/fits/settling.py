@@ -54,7 +54,7 @@ def settling_time(
     if fit.status is FitStatus.FLAT:
         return SettlingTime(start_s, False, half_width, "inside the band from the start")
     if half_width == 0:
-        return SettlingTime(None, False, 0.0, "there is no steady change that a band could be a share of")
+        return SettlingTime(None, False, 0.0, "there is no steady change to which the band could be relative")
     last = _last_outside(fit, half_width, start_s, window_s)
     return SettlingTime(last, False, half_width, "" if last > start_s else "inside the band from the start")
 

@@ -64,7 +64,7 @@ def predict_steady(
 def interval(prediction: SteadyPrediction, level: float) -> tuple[Array, Array]:
     """Return the lower and upper ends (m,) of the central intervals of a level such as 0.95."""
     if not 0 < level < 1:
-        raise NumericsError(f"an interval of level {level} is none", remedy="levels lie between 0 and 1")
+        raise NumericsError(f"an interval cannot have the level {level}", remedy="levels lie between 0 and 1")
     reach = stdtrit(np.minimum(prediction.freedom, 1e9), (1 + level) / 2) * prediction.stderr
     return prediction.values - reach, prediction.values + reach
 
@@ -85,7 +85,7 @@ def event_rate_per_min(
     parts = (loading_s, unloading_s, held, rested, ramp_s)
     period_s = held * loading_s + rested * unloading_s + 2 * ramp_s
     if not (all(np.isfinite(part) and part >= 0 for part in parts) and period_s > 0):
-        raise NumericsError(f"no rate of events follows from {', '.join(f'{part:g}' for part in parts)}")
+        raise NumericsError(f"times that give no event rate: {', '.join(f'{part:g}' for part in parts)}")
     return 60 / period_s
 
 

@@ -257,7 +257,7 @@ def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) ->
         if common.fit.status is FitStatus.DRIFTING:
             way = "up" if loading else "down"
             raise NumericsError(
-                f"creep cannot be told from hysteresis: on the way {way} the {trace.name} is {common.fit.why}",
+                f"creep cannot be separated from hysteresis: on the way {way} the {trace.name} is {common.fit.why}",
                 remedy="hold each strain longer",
             )
     held_s = float(np.median([step.time_s[-1] for step in steps]))

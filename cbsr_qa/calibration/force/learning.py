@@ -130,7 +130,7 @@ def learn_force(
     if int(used.sum()) < 3:
         reasons = "; ".join(dict.fromkeys(why for why in refused if why)) or "there are no others"
         raise CalibrationError(
-            f"{int(used.sum())} of {len(used)} loads say how strongly the sheet answers; 3 are needed: {reasons}"
+            f"{int(used.sum())} of {len(used)} loads determine the response of the sheet; 3 are needed: {reasons}"
         )
     ratio = np.full(len(used), np.nan)
     ratio[used] = seen.contrast[used] / predicted[used]
@@ -235,9 +235,9 @@ def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, e
         elif seen.detectability[number] < _CLEAR:
             reasons.append("the load does not stand out of the noise of the readings")
         elif seen.contrast[number] * predicted[number] < 0:
-            reasons.append("the place changed the other way than the response of the material")
+            reasons.append("it changed in the direction opposite to the material's response")
         elif error[number] > LARGEST_ERROR:
-            reasons.append(f"its amplitude is known to {error[number]:.0%} only")
+            reasons.append(f"the standard error of its amplitude is {error[number]:.0%}")
         else:
             reasons.append("")
     return tuple(reasons)
@@ -248,7 +248,7 @@ def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, fitted
     change, variance = bend
     alpha, beta = line.slope.value, line.intercept.value
     by_slope, by_intercept = -alpha / middle, 1 - beta / middle
-    how = "fitted to this sensor's loads" if fitted else "assumed: all loads of the calibration press alike"
+    how = "fitted to this sensor's loads" if fitted else "assumed: all loads of the calibration have the same force"
     return QuasiStatic(
         slope=Parameter(alpha + by_slope * change, abs(by_slope) * sqrt(variance), line.slope.source),
         intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), how),

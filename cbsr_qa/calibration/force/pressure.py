@@ -32,7 +32,7 @@ class PressureMap:
         places = [(p.x_mm, p.y_mm, p.value) for p in issued.baseline if p.value is not None]
         if not places:
             raise CalibrationError(
-                f"no location of calibration {issued.calibration} says what an image makes of a load",
+                f"no location of calibration {issued.calibration} relates images to loads",
                 remedy="calibrate again; the report says why no location has a baseline conductance",
             )
         self._calibration = calibration

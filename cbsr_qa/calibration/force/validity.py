@@ -31,16 +31,13 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
         yield words
     places = {load.place_mm for load in used}
     if len(places) < _FEW_PLACES:
-        yield (
-            f"force was learned at {len(places)} places only: elsewhere the sheet is taken to answer as they do"
-            " in the mean"
-        )
+        yield (f"force was learned at only {len(places)} places: elsewhere their mean response is assumed")
     strains = {round(load.record.load.strain, 6) for load in used}
     alike_strain = f"all loads were pressed at one strain ({100 * strains.pop():g} %)" if len(strains) == 1 else ""
     if not learned.fitted_intercept:
         lowest, highest = learned.model.stress_kPa
-        alike = f"all loads pressed alike ({lowest:.3g} to {highest:.3g} kPa)"
-        yield f"{alike_strain or alike}: the intercept of the response cannot be told from the map and is assumed"
+        alike = f"all loads had the same stress ({lowest:.3g} to {highest:.3g} kPa)"
+        yield f"{alike_strain or alike}: the intercept of the line cannot be separated from the map and is assumed"
     elif alike_strain:
         yield alike_strain
 

@@ -140,7 +140,7 @@ def learn_place(
 def _check(changes: Array, places_mm: Array) -> None:
     if len(changes) < FEWEST_PRESSES:
         raise CalibrationError(
-            f"{len(changes)} presses; a place is learned from {FEWEST_PRESSES} at least",
+            f"{len(changes)} presses; learning places needs {FEWEST_PRESSES} or more",
             remedy="press at more places, all over the sheet",
         )
     if not np.ptp(places_mm, axis=0).any():
@@ -229,8 +229,8 @@ def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, *, dr
     spread_mm = float(np.linalg.norm(sheet.places_mm - sheet.places_mm.mean(axis=0), axis=1).mean())
     if held_out.mean_mm > _POOR * spread_mm:
         yield (
-            f"the readings hardly tell the place: presses left out are missed by {held_out.mean_mm:.1f} mm, where the"
-            f" middle of all presses misses them by {spread_mm:.1f} mm"
+            f"the readings hardly depend on the place: the mean error of presses left out is {held_out.mean_mm:.1f}"
+            f" mm; always guessing the middle of the presses gives {spread_mm:.1f} mm"
         )
     at_edge = at_edges(scales, sheet.turns, sheet.features, sheet.places_mm)
     if at_edge:

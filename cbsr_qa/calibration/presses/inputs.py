@@ -114,8 +114,8 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
     table, changes = presses.table, readings.changes
     if len(changes) != len(presses.place_mm):
         raise RecordingError(
-            f"{readings.path} has {len(changes)} rows, {table.path} has {len(presses.place_mm)}; both have one row a"
-            " press",
+            f"{readings.path} has {len(changes)} rows, {table.path} has {len(presses.place_mm)}; both must have one"
+            " row per press",
             remedy="leave out rows of presses that are not in both tables",
         )
     some = np.any(changes != 0, axis=1)
@@ -124,22 +124,23 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
     directions = changes[some] / np.linalg.norm(changes[some], axis=1, keepdims=True)
     if np.ptp(directions, axis=0).max() < _ALIKE:
         raise RecordingError(
-            f"{readings.path}: all {len(directions)} rows are alike but for their size, wherever the press was",
+            f"{readings.path}: all {len(directions)} rows are proportional to each other, wherever the press was",
             remedy=_WHAT_READINGS,
         )
     for first, second in _repeated(changes):
         if some[second]:
             at = "" if np.array_equal(*presses.place_mm[[first, second]]) else ", though the places differ"
             raise RecordingError(
-                f"{readings.path} row {second + 1} repeats row {first + 1} in every column{at}: the press is doubled",
+                f"{readings.path} row {second + 1} repeats row {first + 1} in every column{at}: the press appears"
+                " twice",
                 remedy="leave out one of the two, in both tables",
             )
     if presses.time_s is not None:
         labels = np.column_stack([presses.place_mm, presses.time_s])
         for first, second in _repeated(labels):
             raise RecordingError(
-                f"{table.path} row {second + 1}, columns x_mm, y_mm and time_s: the same as row {first + 1}, the"
-                " press is doubled",
+                f"{table.path} row {second + 1}, columns x_mm, y_mm and time_s: the same as row {first + 1}; the"
+                " press appears twice",
                 remedy="leave out one of the two, in both tables",
             )
 

@@ -74,7 +74,8 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     Raises
     ------
     RecordingError
-        If readings and labels do not match, the places do not tell how the sheet lies, or presses are outside of it.
+        If readings and labels do not match, the places do not determine how the sheet lies, or presses are outside of
+        it.
     CalibrationError
         If they are too few to learn from.
     """

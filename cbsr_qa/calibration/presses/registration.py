@@ -152,13 +152,13 @@ def check_places(place_mm: Array) -> None:
         )
     if len(different) < FEWEST_PLACES:
         raise NumericsError(
-            f"presses at {len(different)} different places do not tell how the sheet lies",
-            remedy=f"press at {FEWEST_PLACES} places at least, better nine or more",
+            f"presses at {len(different)} different places do not determine how the sheet lies",
+            remedy=f"press at {FEWEST_PLACES} places or more, better nine",
         )
     singular = np.linalg.svd(different - different.mean(axis=0), compute_uv=False)
     if singular[1] < _LINE * singular[0]:
         raise NumericsError(
-            "all presses are on one line: they do not tell whether the sheet is mirrored",
+            "all presses are on one line: they do not show whether the sheet is mirrored",
             remedy="press at places to both sides of the line too",
         )
 

@@ -149,7 +149,10 @@ def read_presses(path: Path) -> PressTable:
         column = by_name.get(name)
         if column is not None and len(column) > 1 and np.ptp(column) == 0:
             table.refuse(
-                [f"column {name}: all {len(column)} rows hold {column[0]:g}, from which nothing can be learned"],
+                [
+                    f"column {name}: all {len(column)} rows hold {column[0]:g}, a constant column carries no"
+                    " information"
+                ],
                 remedy=f"leave column {name} out; the place is learned without it",
             )
     time_s = by_name.get("time_s")

@@ -59,7 +59,7 @@ class Calibration:
 
     def __init__(self, issued: record.Calibration) -> None:
         if issued.force is None:
-            why = issued.no_force or "it was issued before calibrations had any"
+            why = issued.no_force or "it was issued before calibrations held force models"
             raise CalibrationError(
                 f"calibration {issued.calibration} of sensor {issued.sensor.serial} holds no force model: {why}",
                 remedy="calibrate the sensor again: run a recipe whose calibration phases press three places or more",
@@ -150,7 +150,7 @@ class Calibration:
             As of :meth:`force`; and where ``at_most`` is not 1 or more.
         """
         if not (isinstance(at_most, int) and at_most >= 1):
-            raise CalibrationError(f"{at_most} heads cannot be looked for", remedy="look for at least 1")
+            raise CalibrationError(f"{at_most} heads cannot be searched for", remedy="look for at least 1")
         rows, bad = self.rows(frames, current_A=current_A)
         head = self.issued.indenter if indenter is None else indenter
         finder = self._filter(head)

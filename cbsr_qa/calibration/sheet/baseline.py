@@ -65,7 +65,7 @@ def load_baseline(
         return LoadBaseline(None, None, why_not)
     change = float(sensed_change(load.image.values, view.sensed, load.response))
     if change <= 0:
-        return LoadBaseline(None, None, f"the sensed change {change:.3g} has not the sign of the response")
+        return LoadBaseline(None, None, f"the sensed change {change:.3g} does not have the sign of the response")
     value = change / predicted
     noise = sensed_change(noise_images, view.sensed, load.response)
     of_change = float(np.sqrt(np.mean(noise**2) / max(load.steady_frames, 1))) / change

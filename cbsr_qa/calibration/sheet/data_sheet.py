@@ -126,7 +126,7 @@ def ratio_of_sums(parts: Sequence[float], wholes: Sequence[float]) -> Estimate:
         raise NumericsError(f"{len(part)} parts and {len(whole)} wholes do not fit together")
     total = float(whole.sum())
     if not total > 0:
-        raise NumericsError(f"the changes under load sum to {total:.3g}: there is nothing to be a share of")
+        raise NumericsError(f"the changes under load sum to {total:.3g}: no share can be computed")
     ratio, count = float(part.sum()) / total, len(part)
     if count < 2:
         return Estimate(ratio, None, 0)
@@ -177,12 +177,12 @@ def _sorted_points(
         raise NumericsError("the points of a characteristic and their errors do not fit together")
     if not FEWEST_POINTS <= len(place) <= _MOST_POINTS:
         raise NumericsError(
-            f"a characteristic needs {FEWEST_POINTS} to {_MOST_POINTS} strains; this one has {len(place)}",
+            f"needs {FEWEST_POINTS} to {_MOST_POINTS} strains; there are {len(place)}",
             remedy=f"press at {FEWEST_POINTS} strains or more",
         )
     order = np.argsort(place, kind="stable")
     if (np.diff(place[order]) <= 1e-9 * np.abs(place).max()).any():
-        raise NumericsError("two points of a characteristic have the same stress")
+        raise NumericsError("two strains have the same stress")
     return place[order], value[order], None if error is None else error[order], order
 
 
@@ -264,7 +264,7 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
         image = modelled[load.place_mm]
         gain = float(sensed_change(image, view.sensed, load.response))
         if not gain > _ON_HEAD * float(np.abs(image).max()):
-            why = f"{load.record.load.label} was sensed elsewhere than a head there is imaged"
+            why = f"{load.record.load.label} was not sensed under its head"
             continue
         place = (load.record.load.label, *load.place_mm)
         by_strain[round(load.record.load.strain, 9)][place].append((baseline.value, baseline.value / gain))

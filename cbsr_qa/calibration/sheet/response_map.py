@@ -191,12 +191,12 @@ def learn_response(
     """
     if len(log_response) < FEWEST:
         raise CalibrationError(
-            f"{len(log_response)} loads say how strongly the sheet answers; at least {FEWEST} are needed for a map",
+            f"{len(log_response)} loads determine the response of the sheet; a map needs at least {FEWEST}",
             remedy="press more places, or press harder: loads must stand out of the noise",
         )
     if not (np.isfinite(places_mm).all() and np.isfinite(log_response).all() and (variance >= 0).all()):
         raise CalibrationError(
-            "a load's place, response or variance is no number: it says nothing of a map",
+            "the place, response or variance of a load is not a finite number",
             remedy="leave the load out, or press it again",
         )
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])

@@ -98,7 +98,7 @@ def _check_alone(context: typer.Context, study: Path) -> None:
     if given:
         named = option_names(name for name in context.params if name in given)
         raise typer.BadParameter(
-            f"{study} says what is studied: {named} cannot be given beside it, change it there"
+            f"{study} defines the study: {named} cannot be given together with it; change the file instead"
             " (--output, --database and --json can)"
         )
 

@@ -217,7 +217,7 @@ def _usb_identity(role: str, address: str) -> tuple[int, int, str | None]:
         return int(vendor, 16), int(product, 16), number or None
     except ValueError as error:
         raise ConfigError(
-            f"instrument {role!r}: address {address!r} is no USB device",
+            f"instrument {role!r}: address {address!r} is not a USB device",
             remedy='write usb:VID:PID or usb:VID:PID:SERIAL in hexadecimal, e.g. "usb:2C99:0002"',
         ) from error
 

@@ -35,8 +35,8 @@ class VisaLink:
     Timeouts are real time, whatever the station's clock. An answer that stays out, is cut short or carries another
     mark than its question leaves the link out of step: :meth:`recover` brings it back. It is for one thread at a
     time; :meth:`write` alone may be called by another while the first waits for an answer. ConfigError if the address
-    is no VISA resource, or the backend is not installed. InstrumentError if another program has the resource, or it
-    cannot be opened. A refused TCP port shows only at the first question.
+    is not a VISA resource, or the backend is not installed. InstrumentError if another program has the resource, or
+    it cannot be opened. A refused TCP port shows only at the first question.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class VisaLink:
     def _not_opened(self, error: Exception) -> ConfigError | InstrumentError:
         named = (StatusCode.error_invalid_resource_name, StatusCode.error_invalid_setup)
         if isinstance(error, AttributeError) or getattr(error, "error_code", None) in named:
-            return ConfigError(f"instrument {self.role!r}: {self.address!r} is no VISA resource", remedy=_EXAMPLE)
+            return ConfigError(f"instrument {self.role!r}: {self.address!r} is not a VISA resource", remedy=_EXAMPLE)
         return self.error(f"it does not open: {error}", remedy=_SILENT, retryable=True)
 
     @contextmanager

@@ -178,7 +178,7 @@ def ring_figure(
         _compared(figure, expected, mean, kinds, unit)
         axes = plot(figure, (0.52, 0.17, 0.46, 0.66), "Gain, offset and leads taken out")
         axes.set_xlabel("reading, drive pair after drive pair")
-        axes.set_ylabel("left of the reading [%]")
+        axes.set_ylabel("residual of the reading [%]")
         number = np.arange(expected.size).reshape(expected.shape)
         for _, which, colour in kinds:
             axes.plot(number[which], 100 * residual[which], ".", color=colour, markersize=2.5)

@@ -108,7 +108,7 @@ def characteristic_figure(
     """
     figure = canvas(2.75)
     ends = np.array([0.0, 1.04 * _stress(mean)[-1]])
-    titles = ("change against stress", "left over from the best straight line")
+    titles = ("change against stress", "deviation from the best straight line")
     labels = ("change [% of the location's span]", "change less line [% of span]")
     left, right = _stress_pair(figure, ends[1], titles, labels)
     _draw_curves(left, curves, mean)

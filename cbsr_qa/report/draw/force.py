@@ -98,7 +98,7 @@ def ratio_figure(points: RatioPoints) -> Canvas:
     axes = plot(figure, (0.075, 0.175, 0.55, 0.74), "each load of the calibration", x="measured force [N]")
     axes.set_ylabel("seen over predicted change")
     _draw_ratios(axes, points)
-    side = plot(figure, (0.715, 0.175, 0.275, 0.74), "what neither explains", grid="both")
+    side = plot(figure, (0.715, 0.175, 0.275, 0.74), "residuals", grid="both")
     _draw_deviations(side, points)
     return figure
 
@@ -185,7 +185,7 @@ def _draw_ratios(axes: Axes, points: RatioPoints) -> None:
 
 
 def _draw_deviations(axes: Axes, points: RatioPoints) -> None:
-    """Draw the distribution of what is left over of each load."""
+    """Draw the distribution of the residuals of the loads."""
     expected = np.interp(points.force_N, points.line_N, points.line)
     left = np.sort(100 * (points.placed / expected - 1))
     rank = (np.arange(len(left)) + 0.5) / len(left)
@@ -193,5 +193,5 @@ def _draw_deviations(axes: Axes, points: RatioPoints) -> None:
     dots(axes, left, 100 * rank, BLUE, size=3.0)
     widest = 1.15 * max(float(np.abs(left).max()), 1e-3)
     axes.set(xlim=(-widest, widest), ylim=(0, 100))
-    axes.set_xlabel("left over by map and line [%]")
-    axes.set_ylabel("loads up to here [%]")
+    axes.set_xlabel("residual after map and line [%]")
+    axes.set_ylabel("cumulative share of loads [%]")

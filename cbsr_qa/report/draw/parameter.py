@@ -54,8 +54,8 @@ def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name
     figure = canvas(2.35)
     label = name if curve.discrete else f"{name} (no unit)"
     boxes = ((0.07, 0.175, 0.3, 0.72), (0.44, 0.175, 0.29, 0.72))
-    whole = plot(figure, boxes[0], "all that was searched", x=label, y="noise figure", grid="both")
-    close = plot(figure, boxes[1], "around the answers", x=label, grid="both")
+    whole = plot(figure, boxes[0], "whole search", x=label, y="noise figure", grid="both")
+    close = plot(figure, boxes[1], "around the choices", x=label, grid="both")
     across = near_marks(curve, marks)
     for axes in (whole, close):
         axes.set(yscale="log", xscale="linear" if curve.discrete else "log")

@@ -51,7 +51,7 @@ def agreement_figure(compared: Sequence[DirectedAgreement]) -> Canvas:
         _draw_curves(above, curves, agreement)
         _draw_difference(below, curves, str(agreement.found.shape))
         if column == 0:
-            above.set_ylabel("over the change")
+            above.set_ylabel("share of the change")
             below.set_ylabel("difference")
             labelled += [above, below]
     fit_left(figure, grid, labelled)

@@ -283,7 +283,7 @@ def _variation(
     both = repeatability.value + between
     named = {appraiser: station, "sensor": sensor} | ({"interaction": interaction} if interaction else {})
     notes = tuple(
-        f"the estimate of the {name} variance is {part.estimate:.3g} and was set to zero"
+        f"the estimated {name} variance is negative and is set to zero"
         for name, part in named.items()
         if part.estimate < 0
     )

@@ -180,7 +180,7 @@ def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
 def _inseparable(sums: RandomEffectSums) -> str:
     """Say why sensor and run variance cannot be separated; empty otherwise."""
     if sums.runs == sums.total_sensors:
-        return "no sensor has more than one run, so that sensors and runs cannot be told apart"
+        return "no sensor has more than one run, so variation between sensors and between runs cannot be separated"
     if _repeats(sums) < 1:
         return "the stations' differences use up the repeated runs of sensors: first runs only"
     left = sums.within_rest()

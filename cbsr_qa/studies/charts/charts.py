@@ -21,8 +21,10 @@ from cbsr_qa.studies.selection import check_names, clock_notes, likeness_notes, 
 from cbsr_qa.system import RealClock
 
 # What is noted of all charts, or why a metric has none.
-_FROM_FIRST: Final = "the reference period begins with the first run of all, of {day}: see --reference-from"
-_RETIRED: Final = "retired by {operator}: {charts}; a new reference begins them anew"
+_FROM_FIRST: Final = (
+    "the reference period begins with the station's first run ({day}); --reference-from chooses another day"
+)
+_RETIRED: Final = "retired by {operator}: {charts}; a new reference starts them again"
 _SHORT: Final = "{runs} in the reference period instead of {wanted}"
 _FEW_GROUPS: Final = "{runs} runs in the reference period make {groups} of {size} instead of {least}"
 _LEFT: Final = "the last {runs} of the reference period do not fill a group of {size}: taken as after it"
@@ -176,9 +178,7 @@ def _with_period(
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     if all(chart.reference is None for chart in charts):
         whys = "\n".join("; ".join((f"  {member.label}: {member.why}", *member.notes)) for member in charts[:10])
-        raise RefusedError(
-            f"no limits come of this reference period:\n{whys}", remedy="choose another or a longer one"
-        )
+        raise RefusedError(f"this reference period gives no limits:\n{whys}", remedy="choose another or a longer one")
     return charts
 
 

@@ -25,11 +25,11 @@ _NONE: Final = "–"
 _COLUMNS: Final = ("chart", "unit", "mean", "deviation", "limits", "latest", "reference", "runs since", "state")
 
 _READING: Final = (
-    "A chart compares each run with limits from a reference period, in which the station was known to be well. "
+    "A chart compares each run with limits from a reference period, in which the station was known to be good. "
     "{limits} They say nothing about whether a sensor is good. A signal says that the station, its surroundings or "
-    "the material has changed. Measure a golden sensor first: a new batch of material signals too.",
-    f"A signal stands until {STANDS} runs in a row gave none. While one stands, every report of the station says so. "
-    "Once the cause is found and repaired, set a new reference period; the old limits stay stored.",
+    "the material has changed. Measure a golden sensor first: a new batch of material causes signals too.",
+    f"A signal stays active until {STANDS} successive runs are without one. As long as it is active, every report"
+    " of the station says so. After the cause is repaired, set a new reference period; the old limits stay stored.",
 )
 _AWAY: Final = "Limits are {kinds}; a deviation is that of single runs from one to the next."
 _LIMITS: Final = {
@@ -41,19 +41,19 @@ _LIMITS: Final = {
 _NOTHING: Final = "Nothing is charted now."
 
 # Sentences, in the order they are read.
-_SIGNALS: Final = "a signal stands on {signals} of {charts} of {station}; the first: {words}"
-_WELL: Final = "no signal stands on {charts} of {station}"
+_SIGNALS: Final = "{signals} of {charts} of {station} signals; the first: {words}"
+_WELL: Final = "no signal on {charts} of {station}"
 _RETIRED: Final = "all charts of {station} and this recipe are retired"
 _SET: Final = "{chart} set{by} on {day}{why}{rules}"
 _CAPTION: Final = "Mean, deviation, limits and latest point of each chart, in its unit."
 _FIGURE: Final = "{label}. Grey: the reference period. Dashed: limits. Orange: points that break a rule.{cut}"
 _CUT: Final = f" Only the latest {MOST_DRAWN} runs are drawn."
-_ALTERNATIVE: Final = "Control charts of {label}; the table and the sentences above say how it stands."
+_ALTERNATIVE: Final = "Control charts of {label}; the table and the sentences above give their state."
 _NO_CHART: Final = "No chart: {why}."
 
 
 def charts_outcome(charts: Charts) -> CommandOutcome[Charts]:
-    """Lay charts out; the exit code is 1 where a signal stands."""
+    """Lay charts out; the exit code is 1 if a signal is active."""
     sections = [Section("How to read this page", tuple(_reading(charts)), page_only=True)]
     sections += [Section("Charts", (_table(charts),))] if charts.charts else []
     sections += [

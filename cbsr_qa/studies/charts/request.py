@@ -83,12 +83,14 @@ def check_request(request: ChartsRequest) -> None:
     if request.retire is not None and period is not None:
         raise RefusedError("--retire beside a new reference period", remedy="do one after the other")
     if request.retire is not None and not request.operator:
-        raise RefusedError("nobody retires these charts", remedy="give --operator: who retires charts is kept")
+        raise RefusedError(
+            "the operator who retires these charts is not named", remedy="give --operator: who retires charts is kept"
+        )
     if period is not None:
         _check_period(period, settings.subgroup)
         if not (request.operator or request.dry_run):
             remedy = "give --operator: who sets limits is kept with them (or --dry-run)"
-            raise RefusedError("nobody sets this reference", remedy=remedy)
+            raise RefusedError("the operator who sets this reference is not named", remedy=remedy)
 
 
 def _check_period(period: ReferencePeriod, size: int) -> None:

@@ -25,7 +25,7 @@ _ONE_GROUP: Final = "There is only one {by}, {name}: nothing to compare it with"
 _ONE_SENSOR: Final = "{name} has only one sensor, which does not show how sensors differ"
 _SEVERAL_GROUPS: Final = "Runs put {sensors} into several groups, which is a mistake in one of them: {serials}"
 _NESTED: Final = "Batches of one material are treated as alike: intervals do not include how they differ"
-_ONE_BATCH: Final = "A difference of materials cannot be told from one of batches: {materials}"
+_ONE_BATCH: Final = "A difference of materials cannot be separated from one of batches: {materials}"
 _RESTS_ON: Final = (
     "Differences of {noun}s rest on batches that ran at one station in both, compared with {reference}: {groups}"
 )

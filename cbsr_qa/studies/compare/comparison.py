@@ -40,8 +40,10 @@ _APART: Final = f"not compared with groups {_ELSEWHERE}"
 _SHARES_PLACES: Final = {"centre_of_mass_error": "registered_centre_of_mass_error"}
 
 # What is to be kept in mind of one metric.
-_STATIONS_ALONE: Final = "it describes how a station seats sensors, so stations are compared in it and groups are not"
-_HOLDS_SHARED: Final = "it includes the shift of all places, which comes from how the station seats sensors"
+_STATIONS_ALONE: Final = (
+    "it describes how a station places sensors, so it is compared between stations, not between groups"
+)
+_HOLDS_SHARED: Final = "it includes the shift of all places, which depends on how the station places sensors"
 _IS_WITHOUT: Final = "; {other} does not"
 
 

@@ -97,8 +97,8 @@ def _row(axes: Axes, row: int, values: Array, colour: str) -> None:
 
 
 def _map(label: str, places: Sequence[tuple[float, float, PlaceDifference]], level: float) -> Canvas:
-    figure = canvas(2.9, 3.6)
-    axes = figure.add_axes((0.02, 0.02, 0.72, 0.96))
+    figure = canvas(2.9)
+    axes = figure.add_axes((0.2, 0.02, 0.4, 0.96))
     norm = change_norm(max(abs(place.difference) for *_, place in places))
     reach = 1.35 * max(float(np.hypot(x, y)) for x, y, _ in places) or 1.0
     axes.add_patch(Circle((0, 0), reach, fill=False, edgecolor=QUIET, linewidth=0.6))
@@ -111,6 +111,6 @@ def _map(label: str, places: Sequence[tuple[float, float, PlaceDifference]], lev
     bare(axes)
     axes.set_xlim(-1.05 * reach, 1.05 * reach)
     axes.set_ylim(-1.05 * reach, 1.05 * reach)
-    bar = figure.colorbar(ScalarMappable(norm, CHANGE_MAP), cax=figure.add_axes((0.8, 0.15, 0.03, 0.7)))
+    bar = figure.colorbar(ScalarMappable(norm, CHANGE_MAP), cax=figure.add_axes((0.64, 0.15, 0.016, 0.7)))
     bar.set_label(label)
     return figure

@@ -209,7 +209,7 @@ class Design:
             return ""
         batches, stations = (self._apart(crossing, (first, second), side) for side in (1, 0))
         other = "batches" if batches and not stations else "stations" if stations and not batches else ""
-        cannot = f"and {other} cannot be told apart" if other else "cannot be told from batches and stations"
+        cannot = f"and {other} cannot be told apart" if other else "cannot be separated from batches and stations"
         where = "; ".join(f"{name} is {self._words(crossing, name, other)}" for name in (first, second))
         return f"{self.noun}s {cannot}: {where}; run some sensors of one batch at one station in both"
 

@@ -36,22 +36,22 @@ _T_TEST: Final = (
     "A t test, which ignores {others} and the number of metrics, claims differences that the model does not find: "
     "{claims}."
 )
-_NOT_ALIKE: Final = "No difference shown does not mean alike: --margin METRIC=VALUE tests for that."
+_NOT_ALIKE: Final = "No difference shown does not prove groups alike: --margin METRIC=VALUE tests for that."
 _NOTE: Final = "{metrics}: {text}."
 _RULES: Final = (
-    "--policy {policy} says which of a sensor's finished runs decides; first-pass yield counts the first.",
-    "--quarantine {quarantine} says how sensors that could not be measured count: apart from yields, or as failed.",
-    "Yields, means, quantiles and capability are of values as measured, stations' differences included. Verdicts are "
-    "those of the analysis; overrides (cbsr-qa verdict override) do not count.",
-    "Intervals hold with {confidence:g} % each. --adjust {adjustment} says how p values are adjusted: those of "
-    "differences for all metrics and groups, those of stations and likeness likewise; those of places by Holm.",
-    "Of a metric with one value a load, a sensor's value is the mean over the loads of its recipe; capability is of "
-    "the load nearest to the limit, which decides.",
+    "Yield counts one finished run per sensor (--policy {policy}); first-pass yield counts the first.",
+    "Sensors that could not be measured count apart from yields, or as failed (--quarantine {quarantine}).",
+    "Yields, means, quantiles and capability are those of values as measured, not adjusted for stations. Verdicts"
+    " are those of the analysis; overrides (cbsr-qa verdict override) do not count.",
+    "Each interval has a confidence of {confidence:g} %. p values (--adjust {adjustment}) are adjusted over all"
+    " metrics and groups, separately for differences, stations and equivalence; those of places by Holm.",
+    "If a metric has one value per load, the value of a sensor is their mean over the loads of its recipe;"
+    " capability uses the load nearest to the limit, which decides the verdict.",
 )
 _RULE_OF_NUMBERS: Final = (
-    "Groups are alike within a margin by two one-sided tests. Numbers of sensors are those of each group, all "
-    "{where} and run once, with which one test at the level {level:g} succeeds with {power:g} %; where many tests "
-    "are adjusted it takes more."
+    "Two one-sided tests decide whether groups are alike within a margin. Numbers of sensors are those in each"
+    " group, all {where} and run once, with which one test at the level {level:g} succeeds with {power:g} %;"
+    " adjusting for many tests takes more."
 )
 
 
@@ -69,7 +69,7 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
         (
             "Runs",
             _RUNS.format(
-                runs=sum(group.runs for group in comparison.groups),
+                runs=plural(sum(group.runs for group in comparison.groups), "run"),
                 sensors=plural(sum(group.n for group in comparison.groups), "sensor"),
                 stations=", ".join(comparison.all_stations),
                 recipes=", ".join(comparison.recipes),

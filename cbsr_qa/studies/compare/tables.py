@@ -24,20 +24,20 @@ _OTHER: Final = (
     "{pair} by other methods, p not adjusted: Welch's t test ignores {others}; Hodges and Lehmann's shift does not."
 )
 _TO_FIND: Final = "Sensors of each group that would find a difference with {power}."
-_STATIONS: Final = "What stations read above the one with most runs, differences of {others} taken out."
-_GROUPS: Final = "Sensors and yields as measured, stations' differences included, with Wilson's intervals."
-_FAILURES: Final = "What sensors fail, most first; one sensor may fail several metrics."
+_STATIONS: Final = "Differences of stations from the one with most runs, adjusted for {others}."
+_GROUPS: Final = "Sensors and yields as measured, not adjusted for stations, with Wilson intervals."
+_FAILURES: Final = "Failed metrics, most frequent first; one sensor may fail several."
 _VALUES: Final = (
-    "One value a sensor as measured, stations' differences included; spread is the standard deviation, percentages "
+    "One value per sensor as measured, not adjusted for stations; spread is the standard deviation, percentages "
     "are quantiles."
 )
-_CAPABILITY: Final = "Capability against the recipe's limits, stations' differences included, with intervals."
+_CAPABILITY: Final = "Capability against the recipe's limits, not adjusted for stations, with intervals."
 _STRIPS: Final = (
     "{metric}: a row is a group at a station, a point a sensor (an outline where there are many). Line: mean; bar: "
     "middle half of the sensors."
 )
 _MAP: Final = (
-    "{metric}: {pair} by place, differences of {others} taken out. Ringed: more than chance, adjusted for the places."
+    "{metric}: {pair} by place, adjusted for {others}. Ringed: significant, with p adjusted for the number of places."
 )
 _BY_PLACE: Final = "{metric}: {pair} by place; p adjusted for the places."
 
@@ -108,7 +108,7 @@ def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) 
         _ends(pair.equivalence_interval),
         _p(pair.equivalence_p),
         "yes" if pair.equivalent else "not shown",
-        "none would do" if hopeless else _count(pair.sensors_to_show_alike),
+        "not possible" if hopeless else _count(pair.sensors_to_show_alike),
     )
 
 
@@ -282,7 +282,7 @@ def _result(metric: MetricComparison, difference: Estimated, comparison: Compari
 def _taken_out(comparison: Comparison) -> str:
     kinds = {"stations": ("station", comparison.all_stations), "batches": ("batch", comparison.all_batches)}
     kind, names = kinds.get(comparison.others, ("", []))
-    return f"all of {of_kind(kind, names[0])}" if len(names) == 1 else f"differences of {comparison.others} taken out"
+    return f"all of {of_kind(kind, names[0])}" if len(names) == 1 else f"adjusted for {comparison.others}"
 
 
 def _label(metric: MetricComparison) -> str:

@@ -26,7 +26,7 @@ _BEYOND: Final = f"infinite or beyond {LARGEST:g}, left out: {{values}}"
 _NOT_MEASURED: Final = "could not be measured, left out: {sensors}"
 _LOWER_BOUND: Final = "only a lower bound is known, left out: {sensors}"
 _FEWER: Final = "fewer than {most} values, the mean is of the rest: {sensors}"
-_SEVERAL_LIMITS: Final = "runs were held against different limits; capability is against those of the latest run"
+_SEVERAL_LIMITS: Final = "runs had different limits; capability uses those of the latest run"
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ class Files:
         for option, path in wanted.items():
             _check_place(option, path)
         if len({path.absolute() for path in wanted.values()}) < len(wanted):
-            raise RefusedError(f"{', '.join(wanted)} name the same file", remedy="give each a name of its own")
+            raise RefusedError(f"{', '.join(wanted)} name the same file", remedy="give each a different name")
         for option in ("--recipe", "--png"):
             if option in wanted and TimeBasis.STATION not in clocks:
                 what = "recipe to write" if option == "--recipe" else "force error to draw"
@@ -58,13 +58,13 @@ class Files:
 def check_png(path: Path) -> None:
     """Refuse a name that is not one of a PNG picture."""
     if path.suffix.lower() != ".png":
-        raise RefusedError(f"{path} is no name of a PNG picture", remedy="let it end in .png")
+        raise RefusedError(f"{path} is not the name of a PNG file", remedy="use a name ending in .png")
 
 
 def check_recipe(path: Path) -> None:
     """Refuse a name that ``run --recipe`` would not take for a file's, and a file that was not written here."""
     if path.suffix != ".toml":
-        raise RefusedError(f"{path} is no name of a recipe file", remedy="let it end in .toml")
+        raise RefusedError(f"{path} is not the name of a recipe file", remedy="use a name ending in .toml")
     with writing(path):
         try:
             first = path.read_bytes()[:100]

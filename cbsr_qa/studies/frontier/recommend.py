@@ -163,7 +163,7 @@ def _none(usable: Sequence[tuple[Setting, Point]], wish: Wish) -> RefusedError:
         wanted = f"{force} in {time}" if time else force
     best, quickest = min(usable, key=_surely_N), min(usable, key=_seconds)
     return RefusedError(
-        f"none of the {len(usable)} settings that were tried {wanted}",
+        f"no setting of {len(usable)} {wanted}",
         remedy=f"the most accurate has {_described(best)}, the quickest {_described(quickest)}",
     )
 

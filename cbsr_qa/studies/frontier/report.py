@@ -13,7 +13,7 @@ _NONE: Final = "–"
 _READING: Final = (
     "Every point is a way to do the same thing: to calibrate a sensor, or to compute an image. Further down is more "
     "accurate, further left is quicker. A filled point is worth its time: nothing that was tried is as accurate for "
-    "less. A hollow one is not: some filled point costs less and is as good, as far as anybody can tell.",
+    "less. A hollow one is not: a filled point costs less and is as good, within the errors.",
     "Station time is what a sensor occupies the rig: rests, travel and finding the surface are in it. Accuracy is "
     "against known truth, which only a simulation has: sensors whose response varies by 20 % over the sheet, with "
     "noise, relaxation, and a residue of earlier presses. Force errors are root mean squares over random loads of 5 "
@@ -23,8 +23,8 @@ _READING: Final = (
     "long one ends, with the sensor's own relaxation from three long holds.",
 )
 _OF_COMPUTER: Final = (
-    "Of the computer, time is that of one core for a new conductance, an image, or a frame. Voltages are held "
-    "against exact ones (multipoles, Fourier series): their error unloaded and with an inclusion in the sheet, and "
+    "Of the computer, time is that of one core for a new conductance, an image, or a frame. Voltages are compared "
+    "with exact ones (multipoles, Fourier series): their error unloaded and with an inclusion in the sheet, and "
     "that of the change that a load makes, which is what images are made of.",
     "Images are of simulated sensors pressed at nine known places. E_CoM is how far the middle of the region that is "
     "found lies from the head's, A_OL how much of the two areas overlaps (100 % were the head's own outline), SD the "
@@ -52,9 +52,9 @@ _SETTING: Final = (
 )
 _TRANSIENTS: Final = {True: "predicted to where long ones end", False: "taken as they are"}
 _PLOT: Final = (
-    "Force error on loads the calibration has not seen, against what it takes of the station. Filled: worth its "
+    "Force error on loads the calibration has not seen, against station time. Filled: worth its "
     "time. Squares: transients predicted. Ring: recommended, the most accurate of those that were allowed; a quicker "
-    "one may be as good as far as anybody can tell."
+    "one may be as good within the errors."
 )
 _PLOT_ALTERNATIVE: Final = "Force errors against station time; the tables below have the numbers."
 _SERIES: Final = "{repetitions}. •: nothing that was tried is as accurate for less time."

@@ -218,7 +218,7 @@ def _stability(
     bare = BiasStability(reference.serial, who)
     wrong = clock_notes(lines)
     if wrong:
-        return replace(bare, why=f"no drift can be told: {wrong[0]}")
+        return replace(bare, why=f"no drift can be estimated: {wrong[0]}")
     days = [(line.started_at - lines[0].started_at) / timedelta(days=1) for line in lines]
     try:
         over_time = stability(days, values, reference.value)

@@ -38,7 +38,7 @@ _NONE: Final = "–"
 _READING: Final = (
     "Sensors differ, and so do measurements of one sensor: from run to run (repeatability), and from one station or "
     "operator to another (reproducibility). Both together are the gauge. A gauge that varies as much as the sensors "
-    "cannot tell them apart; one that varies as much as the limits are wide passes and fails sensors by chance.",
+    "cannot distinguish them; one that varies as much as the limits are apart passes and fails sensors by chance.",
     "Each value is the mean over the loads of a run. Components come from an analysis of variance with random "
     "effects; an interaction of sensor and station with p above 0.25 is pooled into repeatability. The column "
     "'by ranges' uses the older method of averages and ranges, which ignores the interaction and has no intervals. "
@@ -91,10 +91,10 @@ def _banner(study: GaugeStudy) -> Banner:
     tone, symbol = ("pass", "✓") if share < _GOOD_PERCENT else ("marginal", "≈")
     if share > _POOR_PERCENT:
         tone, symbol = "fail", "✗"
-    of = f"{label} is the worst of {plural(len(shares), 'metric')}" if len(shares) > 1 else label
-    return Banner(
-        tone, symbol, f"The gauge makes up {_percent(share)} of the study variation", f"{of}: {_grade(share)}"
-    )
+    worst = f", the worst of {plural(len(shares), 'metric')}" if len(shares) > 1 else ""
+    grade, _, band = _grade(share).partition(" (")
+    reason = f"{_percent(share)} of the study variation in {label}{worst} ({band}"
+    return Banner(tone, symbol, f"The gauge is {grade}", reason)
 
 
 def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:

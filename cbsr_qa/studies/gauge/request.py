@@ -216,10 +216,10 @@ class StudyFile(FileModel[GaugeRequest]):
         for index, reference in enumerate(self.reference or ()):
             where = ("reference", index)
             if serials is not None and reference.serial not in serials:
-                what = f"is {reference.serial!r}, which is none of study.serials: {', '.join(serials)}"
+                what = f"is {reference.serial!r}, which is not in study.serials: {', '.join(serials)}"
                 yield Problem((*where, "serial"), what)
             if names and reference.metric not in names:
-                what = f"is {reference.metric!r}, which is none of the metrics: {', '.join(names)}"
+                what = f"is {reference.metric!r}, which is not among the metrics: {', '.join(names)}"
                 yield Problem((*where, "metric"), what)
             if (reference.serial, reference.metric) in seen:
                 yield Problem(

@@ -246,7 +246,7 @@ def _studied(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], request:
     sensors, appraisers, values = zip(*rows, strict=True)
     for noun, names in (("sensor", set(sensors)), (request.appraiser, set(appraisers))):
         if len(names) < 2:
-            raise NumericsError(f"all {len(values)} runs are of one {noun}, {names.pop()}")
+            raise NumericsError(f"there is only one {noun}, {names.pop()}")
     crossing = study(sensors, appraisers, values, appraiser=request.appraiser)
     return replace(
         bare,

@@ -17,7 +17,7 @@ _READING: Final = (
     "that lie on an offset a million times as large. This page lists such cases. Each is computed as any measurement "
     "would be, and compared with a truth found in another way: a formula, the same equations in fifty digits, or an "
     "identity that must hold exactly.",
-    "The error is what the answer is off by, relative where no unit is given. The bound is what it may be off by. "
+    "Errors and bounds are relative if no unit is given. A case is within its bound if its error is not larger. "
     "The condition number says how much the problem itself magnifies a last digit: no method can do better than "
     "condition × 2.2 × 10⁻¹⁶, and a bound that rests on it allows a hundred times that. Where truth is continuous "
     "and the answer comes from a mesh, the bound is of the mesh, and says so.",
@@ -29,17 +29,16 @@ _CELLS: Final = {Ending.OK: Outcome.PASS, Ending.REFUSED: Outcome.NOT_JUDGED, En
 _WORDS: Final = {Ending.OK: "within its bound", Ending.REFUSED: "refused", Ending.BROKEN: "BROKEN"}
 
 # Sentences, in the order they are read.
-_COUNTS: Final = "{cases}: {ok} within their bound, {refused} refused as they must be, {broken} broken"
+_COUNTS: Final = "{cases}: {ok} within their bound, {refused} refused as they should be, {broken} broken"
 _ENDED: Final = "{name}, {outcome}: {reason}."
 _REMEDY: Final = " What to do: {remedy}."
 _CONDITIONS: Final = (
-    "Relative errors against what the problem's condition number makes of one rounding (hollow: exactly zero). Above "
+    "Relative error against condition number × one rounding error (hollow: exactly zero). Above "
     "the upper line digits would be lost for no reason; cases whose bound is of a mesh or of a limit may lie above "
     "it, and say so."
 )
 _ERRORS: Final = (
-    "Error of every case with a number (dot; hollow where it is exactly zero) and the bound it may not pass (bar). A "
-    "red dot is out of its bound."
+    "Error of every case (dot; hollow if exactly zero) and its bound (bar). A red dot is beyond its bound."
 )
 _ALTERNATIVE: Final = "Errors of {cases}; the tables have the numbers."
 

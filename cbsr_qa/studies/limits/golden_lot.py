@@ -106,7 +106,7 @@ def read_serials(path: Path) -> tuple[str, ...]:
     """
     try:
         if path.is_char_device() or path.is_block_device() or path.stat().st_size > _LARGEST_BYTES:
-            raise RefusedError(f"{path} is no list of serial numbers", remedy="write one serial number a line")
+            raise RefusedError(f"{path} is not a list of serial numbers", remedy="write one serial number a line")
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or "it is not text in UTF-8"
@@ -143,7 +143,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
         check_names(store, choice.runs)
         raise RefusedError(
             f"no stored run fits the golden lot ({choice.words()})",
-            remedy="each of the choices fits some runs, or there are none yet, but no run fits all",
+            remedy="no stored run matches all of these choices together",
         )
     kept = [run for run in chosen if run.serial not in choice.without]
     not_good = _not_good(kept, choice)
@@ -206,7 +206,7 @@ def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tupl
     if mixed and not choice.allow_mixed:
         raise RefusedError(
             f"the lot mixes {' and '.join(mixed)}",
-            remedy="narrow it by --recipe, --since, --until or --without, or take it as it is by --allow-mixed",
+            remedy="narrow it by --recipe, --since, --until or --without, or accept it with --allow-mixed",
         )
     return mixed
 

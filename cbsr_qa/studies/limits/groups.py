@@ -84,7 +84,7 @@ def _group(key: MetricKey, lot: Mapping[str, tuple[Taken, ...]], latest: Taken) 
     if len(units) > 1:
         units_words = " and ".join(f"{unit} ({serial})" for unit, serial in units.items())
         raise RefusedError(
-            f"{key.name} is in {units_words}: values of different units make no lot",
+            f"{key.name} is in {units_words}: values in different units cannot form a lot",
             remedy="leave the sensors of one unit out by --without, or analyse all with one version",
         )
     limits = [m.limit for m in latest.get(key, ()) if m.limit is not None]

@@ -176,7 +176,7 @@ def _remarks(proposed: ProposedLimits) -> Iterator[str]:
     if lot.simulated:
         yield f"From SIMULATED sensors: {'; '.join(lot.simulated)}"
     if lot.left_out:
-        yield f"Left out by name: {', '.join(lot.left_out)}"
+        yield f"Left out on request: {', '.join(lot.left_out)}"
     yield from (f"Taken in although not good: {words}" for words in lot.not_good)
     yield from (f"Mixed {words}" for words in lot.mixed)
     yield from (SIZELESS.format(label=label) for label in proposed.without_size)
@@ -209,5 +209,7 @@ def refuse_existing(path: Path) -> None:
     """Refuse to write over a file: limits that runs were judged by stay as they were."""
     with writing(path):
         there = path.exists()
+    if path.suffix != ".toml":
+        raise RefusedError(f"{path} is not named as a TOML file", remedy=f"name it {path.stem}.toml, for example")
     if there:
         raise RefusedError(f"{path} exists already", remedy="name another file: versions of limits are kept")

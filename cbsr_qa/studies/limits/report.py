@@ -17,24 +17,22 @@ _EACH: Final = "each holds {coverage:g} % of good sensors, with {confidence:g} %
 _TOGETHER: Final = "; all {count} together may fail up to {percent:.3g} %"
 _LOT_FAILS: Final = "of this lot {failing} of {sensors} sensors fail{names}"
 _LIMITS: Final = (
-    "Mean of all values, deviation of the sensors' worst values, limits with guard band; how many of the lot fail "
-    "now → then, and pass marginally then."
+    "Mean of all values, deviation of the sensors' worst values, proposed limits with guard band; sensors of the lot "
+    "that fail the present limit → the proposed one, and that pass it marginally."
 )
 _BASIS: Final = (
-    "What each limit rests on: the worst value of each run, its distribution, the factor k on the deviation, and the "
-    "limits by other distributions that are not refuted."
+    "Basis of each limit: the worst value of each run, its distribution, the factor k on the deviation, and the "
+    "limits from other distributions that are not refuted."
 )
 _GUARD: Final = (
-    "Guard band = {factor:g} × k × standard uncertainty u of one run; consumer's and producer's risk (C, P) where "
-    "marginal passes are accepted, and where they are refused."
+    "Guard band = {factor:g} × k × standard uncertainty u of one run; consumer's and producer's risk (C, P) if "
+    "marginal passes are accepted, and if they are refused."
 )
 _NO_GUARD: Final = "{label}: no guard band: {why}."
 _NO_RISKS: Final = "{label}: no risks: {why}."
-_NEGATIVE: Final = (
-    "{label}: the lower limit is not above 0, as all values are: it fails nothing that cannot be negative."
-)
+_NEGATIVE: Final = "{label}: the lower limit is not above 0, although all values are: no value can fail it."
 _BOTH: Final = "{label}: limited on both sides, because the recipe sets no limit."
-_FAR: Final = "{label}: {serials} far from the others, and in the lot; without: {limits}."
+_FAR: Final = "{label}: {serials} far from the others, but part of the lot; limit without: {limits}."
 _NOT_PROPOSED: Final = "{label}: no limit is proposed: {why}{far}."
 
 
@@ -81,7 +79,7 @@ def _limits(proposed: ProposedLimits) -> Table:
         "sensors",
         "mean",
         "deviation",
-        "taken for",
+        "distribution",
         "lower",
         "upper",
         "guard",
@@ -204,5 +202,5 @@ def _sides(lower: float | None, upper: float | None) -> str:
 
 
 def _exact(value: float | None) -> str:
-    """Write a limit as it is proposed: it is rounded already."""
-    return _NONE if value is None else f"{value:.9g}".replace("-", "\N{MINUS SIGN}")
+    """Write a limit; proposed ones are rounded already."""
+    return _NONE if value is None else f"{value:.6g}".replace("-", "\N{MINUS SIGN}")

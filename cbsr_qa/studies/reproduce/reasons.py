@@ -85,7 +85,7 @@ REASONS: Final = {
         "SD at low masks says how far a blob's outline lies beyond the head. The paper's does not fit its own A_OL: "
         "a disc about the head that scores 53.3 % has SD of 23 mm² if it is smaller, of 350 mm² if it is larger"
     ),
-    "E_CoM place": f"expected: {_RESIDUE}, so that all nine places are alike but for noise and distance from the rim",
+    "E_CoM place": f"expected: {_RESIDUE}, so that the nine places differ only by noise and distance from the rim",
     "A_OL place": f"expected: {_RESIDUE}; the printed ± are over few values of one sample, and small",
     "SD place": f"expected: {_RESIDUE}; our 85 % blob is smaller than the head, as sharp images make it",
     "contradiction": "the printed row contradicts itself: SD must be at least about E²/2",

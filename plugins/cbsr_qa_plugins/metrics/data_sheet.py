@@ -166,7 +166,7 @@ class Creep(WithOptions):
             estimate = self._estimate(kind, loads, frames)
         except NumericsError as error:
             return refused("creep", "%", error, qualifier=kind)
-        words = how if kind else f"conductance, the stress's own change taken out, {how}"
+        words = how if kind else f"conductance minus stress, {how}"
         return percent("creep", estimate, words, qualifier=kind)
 
     def _estimate(self, kind: str, loads: tuple[LoadObservation, ...], frames: int) -> Estimate:
@@ -176,7 +176,7 @@ class Creep(WithOptions):
 
 
 class ZeroReturn:
-    """``zero_return`` [% of the loaded change]: what is left of the conductance change at the end of the rest.
+    """``zero_return`` [% of the loaded change]: share of the conductance change that remains at the end of the rest.
 
     ISO 376's zero error, read at the end of the rest instead of after 30 s and taken relative to each press's own
     change. It has no options.

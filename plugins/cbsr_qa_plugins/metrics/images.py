@@ -97,7 +97,7 @@ _WATERSHED: Final = "watershed"
 
 
 class TwoTouchResolution:
-    """``two_touch_resolution`` [mm]: smallest distance of two equal loads from which on two regions are seen.
+    """``two_touch_resolution`` [mm]: smallest distance at which two equal loads show as two regions.
 
     Without qualifier for contours at the run's main mask, with ``"watershed"`` for peaks parted along the valley
     between them. Of the linearised model, without noise, along a line through the sheet's centre; the readings that

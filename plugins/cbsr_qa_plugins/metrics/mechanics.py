@@ -45,7 +45,7 @@ class Uniformity:
         scatter = scatter_of_presses(places)
         alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.1f} %"
         return (
-            percent("uniformity", own, f"ρ₀ over what an even sheet images there; {how}{alone}"),
+            percent("uniformity", own, f"ρ₀ relative to an even sheet imaged in the same way; {how}{alone}"),
             percent("uniformity", imaged, f"ρ₀ as imaged; {how}", qualifier=AS_IMAGED),
         )
 

@@ -25,7 +25,7 @@ from cbsr_qa.domain.results import (
     RelaxationObservation,
     RunObservation,
 )
-from cbsr_qa.report import plural
+from cbsr_qa.report import plural, with_uncertainty
 from cbsr_qa_plugins.metrics._shared import at_load
 
 #: Fewest points of a trace that are fitted.
@@ -148,7 +148,7 @@ def _loaded_change(members: list[_Member]) -> float | None:
 
 def _in_words(fit: RelaxationFit) -> str:
     pairs = zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=True)
-    constants = " and ".join(f"{tau:.3g} ± {stderr:.2g} s" for tau, stderr in pairs)
+    constants = " and ".join(f"{with_uncertainty(tau, stderr)} s" for tau, stderr in pairs)
     return f"{fit.status}, {constants}" if constants else fit.why
 
 

@@ -179,7 +179,7 @@ def _settled_in_words(settlings: Sequence[StrainSettling]) -> str:
         f"{settling.words} {'at least ' if settling.settling.censored else ''}{settling.settling.value_s:.3g} s"
         for settling in common
     ]
-    return f"All strains together: {'; '.join(settled)}." if settled else "No settling time could be told."
+    return f"All strains together: {'; '.join(settled)}." if settled else "No settling time could be determined."
 
 
 def _kernels(material: Characterisation) -> Table:
@@ -191,7 +191,7 @@ def _kernels(material: Characterisation) -> Table:
             ("stress", material.stress),
         )
     ]
-    columns = ("Answer to a unit step", "w₁", "τ₁ [s]", "w₂", "τ₂ [s]")
+    columns = ("Response to a unit step", "w₁", "τ₁ [s]", "w₂", "τ₂ [s]")
     return text_table("1 + w₁ exp(−t/τ₁) + w₂ exp(−t/τ₂), corrected for the ramps.", columns, rows, (1, 2, 3, 4))
 
 

@@ -50,7 +50,7 @@ from cbsr_qa.report.draw import (
 
 
 class BaselineConductanceMap(RunSection):
-    """Section of ρ̄₀ as issued in the calibration (paper: Eq 7); none where no calibration was issued."""
+    """Section of ρ̄₀ as issued in the calibration (paper: Eq 7), if one was issued."""
 
     title = "Baseline conductance"
 
@@ -80,7 +80,7 @@ def _in_words(places: tuple[BaselineConductance, ...]) -> str:
     values = [place.value for place in places if place.value is not None]
     summary = mean_deviation(values)
     if summary is None:
-        return "No load says anything about the baseline conductance."
+        return "No load determines the baseline conductance."
     mean, deviation = summary
     spread = "" if not deviation or not mean else f", a spread of {100 * deviation / abs(mean):.2g} % over the sheet"
     missing = "" if len(values) == len(places) else f"; {len(places) - len(values)} without a value"
@@ -129,13 +129,13 @@ _ROWS: Final = (
     ("preconditioning_change", "stress", "– of the stress"),
 )
 _NO_LOOP: Final = (
-    "the recipe does not measure it: that takes strains reached from below and from above, as the sequence"
-    " hysteresis-loop presses them"
+    "the recipe does not measure it: it needs strains that are reached from below and from above (sequence"
+    " hysteresis-loop)"
 )
 
 
 class DataSheet(ObservedSection):
-    """Section of the values that a sensor's data sheet states; only where the recipe measures any of them."""
+    """Section of the values of a sensor's data sheet, if the recipe measures any of them."""
 
     title = "Data sheet of this sensor"
 
@@ -240,8 +240,8 @@ def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[
         ranges = [(shown, [place.value for place in shown.places]) for shown in maps]
         words = "; ".join(f"{s.title} {number(min(v))} to {number(max(v))} {s.unit}" for s, v in ranges)
         yield Figure(
-            "By location. Response: ρ₀ over what the imaging makes of an even sheet there, against its mean. Modulus:"
-            " relaxed stress over strain, against strain and place as they were asked for.",
+            "By location. Response: ρ₀ relative to that of an even sheet imaged in the same way, as deviation from"
+            " the mean. Modulus: relaxed stress over nominal strain.",
             f"Maps of the sheet: {words}.",
             place_maps_figure(maps, run.record.sensor_type),
         )

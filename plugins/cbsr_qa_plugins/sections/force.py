@@ -50,7 +50,7 @@ _KINDS: Final = (
 
 
 class Force(ObservedSection):
-    """Section of the force model; only where the recipe measures ``force-error``."""
+    """Section of the force model, if the recipe measures ``force-error``."""
 
     title = "Force"
 
@@ -61,7 +61,7 @@ class Force(ObservedSection):
         force = run_force(run)
         learned = force.learned
         if learned is None:
-            yield Paragraph(f"No force can be told with this sensor: {force.why}.", "warning")
+            yield Paragraph(f"This sensor has no force model: {force.why}.", "warning")
             return
         tests = tests_of(run, force, HELD_OUT)
         yield Paragraph(_learned_words(run, force, learned))
@@ -81,8 +81,8 @@ def _learned_words(run: RunObservation, force: RunForce, learned: LearnedForce) 
     phases = " and ".join(dict.fromkeys(load.phase for load in used))
     low, high = (stress * run.record.indenter.area_mm2 / 1e3 for stress in learned.model.stress_kPa)
     return (
-        "The force of a head follows from the readings, a map of how strongly each place answers, and a line from"
-        f" stress to change. Map and line were learned from {len(used)} of {plural(len(force.used), 'load')}"
+        "The force of a head follows from the readings, a map of the response by place, and a line of change against"
+        f" stress. Map and line were learned from {len(used)} of {plural(len(force.used), 'load')}"
         f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(force):.0f} mm from the centre."
     )
 
@@ -99,10 +99,10 @@ def _predicted(run: RunObservation, learned: LearnedForce) -> list[Block]:
 
 def _sheet_pose_words(pose: SheetPose) -> str:
     return (
-        "The loads say that the sheet did not lie where the station takes it to lie: the station's centre is"
+        "The loads show that the sheet was not where the station expected it: the station's centre is"
         f" ({pose.shift_mm[0]:+.1f}, {pose.shift_mm[1]:+.1f}) ± {pose.shift_stderr_mm:.1f} mm from the sheet's, and"
-        f" its x axis turned by {pose.rotation_deg:+.1f} ± {pose.rotation_stderr_deg:.1f}°. Loads were placed on the"
-        " sheet accordingly: this is a fault of the station and costs the sensor nothing."
+        f" its x axis is rotated by {pose.rotation_deg:+.1f} ± {pose.rotation_stderr_deg:.1f}°. The places of the"
+        " loads are corrected for this. It is a fault of the station, not of the sensor."
     ).replace("-", "−")
 
 
@@ -114,18 +114,18 @@ def _between(low_N: float, high_N: float) -> str:
 def _tested_words(tests: Sequence[ForceTest]) -> list[str]:
     """What loads that were not used say; how few they are is part of it."""
     if not tests:
-        return ["No load was held out: nothing here says how well the force is told."]
+        return ["No load was held out, so the error of the force is unknown."]
     known, estimated, flat = errors_of(tests, known=True), errors_of(tests, known=False), global_errors(tests)
     if len(known.error_N) < 2:
         return [f"One load was held out; with its place known it is {number(known.error_N[0], 2)} N off."]
     phases = " and ".join(dict.fromkeys(test.load.phase for test in tests))
     words = (
-        f"On {len(tests)} loads it was not learned from ({phases}) the force errs by {_error(known)} with the place"
+        f"On {len(tests)} held-out loads ({phases}) the standard deviation of the force error is {_error(known)} with"
     )
-    words += f" known (standard deviation σ_F; bias {parameter_text(known.bias())} N)"
+    words += f" the place known (bias {parameter_text(known.bias())} N)"
     if len(estimated.error_N) > 1:
-        words += f" and by {_error(estimated)} with the place found from the same readings"
-    words += f"; with one response for the whole sheet by {_error(flat)}."
+        words += f", {_error(estimated)} with the place estimated from the same readings"
+    words += f", and {_error(flat)} with one response for the whole sheet."
     words += f" {plural(estimated.missed, 'load was', 'loads were')} not detected." if estimated.missed else ""
     return [words, _covered(known)]
 
@@ -137,11 +137,12 @@ def _error(errors: ForceErrors) -> str:
 def _covered(errors: ForceErrors) -> str:
     count = len(errors.error_N)
     words = (
-        f"Stated error bars: {errors.inside(1.0)} of {count} loads lie within one of them and {errors.inside(1.96)}"
-        f" within 1.96; if they are right, {number(0.6827 * count, 2)} and {number(0.95 * count, 2)} are expected"
+        f"{errors.inside(1.0)} of {count} errors are within one stated standard error and {errors.inside(1.96)}"
+        f" within 1.96; if the stated errors are right, {number(0.6827 * count, 2)} and {number(0.95 * count, 2)}"
+        " are expected"
     )
     slack = np.sqrt(0.6827 * 0.3173 * count)
-    return f"{words}, ± {number(slack, 1)} for the first by chance alone."
+    return f"{words} (chance alone changes the first by ± {number(slack, 1)})."
 
 
 def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
@@ -153,16 +154,22 @@ def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
     used = np.array([not why for why in learned.refused])
     places = places_mm(force.used)
     return Figure(
-        "How strongly each place answers, over what a sheet of the nominal material would (left; brown less, blue"
-        " more), and the standard error of that (right). White dots: loads it was learned from; red crosses: refused"
-        " loads. Dashed: the calibrated area, beyond which the map returns to its mean.",
+        "Response of each place relative to the nominal material (left; brown less, blue more) and its standard error"
+        " (right). White dots: loads that it was learned from; red crosses: refused loads. Dashed: the calibrated"
+        " area, beyond which the map returns to its mean.",
         _map_words(run, force, learned),
         force_map_figure(
             [
                 SheetField(
-                    "relative response S", "over the nominal material", x, y, np.exp(mean).reshape(shape), 1.0, 0.15
+                    "relative response S",
+                    "relative to the nominal material",
+                    x,
+                    y,
+                    np.exp(mean).reshape(shape),
+                    1.0,
+                    0.15,
                 ),
-                SheetField("its standard error", "%", x, y, 100 * np.sqrt(variance).reshape(shape)),
+                SheetField("standard error of S", "%", x, y, 100 * np.sqrt(variance).reshape(shape)),
             ],
             run.record.sensor_type,
             used_mm=places[used],
@@ -178,11 +185,11 @@ def _map_words(run: RunObservation, force: RunForce, learned: LearnedForce) -> s
     x_mm, y_mm = quality.least_sure_mm
     where = f"({x_mm:.0f}, {y_mm:.0f}) mm".replace("-", "−")
     return (
-        f"In the calibrated area the response lies between {number(low, 2)} and {number(high, 2)} of the material's"
-        f" and spreads by {number(100 * quality.spread, 2)} %. Its standard error is"
-        f" {number(100 * quality.rms_error, 2)} % (root mean square); least sure is {where} with"
-        f" {number(100 * float(quality.stderr.max()), 2)} %. Single loads scatter about it by"
-        f" {number(100 * learned.model.scatter, 2)} % more than noise explains."
+        f"In the calibrated area the response is {number(low, 2)} to {number(high, 2)} times the material's"
+        f" and varies by {number(100 * quality.spread, 2)} %. Its standard error is"
+        f" {number(100 * quality.rms_error, 2)} % (root mean square; largest at {where}:"
+        f" {number(100 * float(quality.stderr.max()), 2)} %). Single loads scatter about the map by"
+        f" {number(100 * learned.model.scatter, 2)} % beyond their noise."
     )
 
 
@@ -201,9 +208,9 @@ def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
     which = "held out" if shown[0].how == HELD_OUT else "of each trial in turn, left out"
     return [
         Figure(
-            f"Force of {plural(len(shown), 'load')} {which}, as the sensor tells it against the load cell, bars:"
-            " stated standard error. Open: repeated presses of one place, which the values in the text leave out."
-            " Below: errors, in bands of one and two stated standard errors; diamonds: with one response for the"
+            f"Estimated against measured force of {plural(len(shown), 'load')} {which}; bars: stated standard error."
+            " Open: repeated presses of one place, which the values in the text leave out."
+            " Below: errors, with bands of one and two stated standard errors; diamonds: with one response for the"
             " whole sheet, place known (triangles: beyond the edge). Red cross: not detected.",
             " ".join(_tested_words(tests)),
             force_figure(panels, faint),
@@ -247,8 +254,8 @@ def _results(result: RunResult) -> list[Block]:
         return []
     columns = ("Loads not used", "σ_F [N]", "Bias [N]", "Within 68 % [%]", "Within 95 % [%]")
     caption = (
-        "Errors of force. ± of a coverage is what chance gives honest intervals of as many loads; a dash: too few"
-        " loads to say."
+        "Errors of force. ± of a coverage: the scatter of correct intervals over this number of loads. A dash: too"
+        " few loads."
     )
     return [text_table(caption, columns, rows, (1, 2, 3, 4))]
 
@@ -267,9 +274,9 @@ def _ratios(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figu
     variance += 2 * stress * (learned.line.covariance or 0.0)
     ratio = learned.ratio[used]
     return Figure(
-        "Change seen under the head over what the material's line predicts for its force. Diamonds: as seen. Dots:"
-        " without the map at their places, bars: noise of readings and load cell. Red: line of this sensor with its"
-        " standard error. Right: what map and line leave over, of single loads.",
+        "Change under the head relative to what the material's line predicts for its force. Diamonds: as measured."
+        " Dots: divided by the map at their places, bars: noise of readings and load cell. Red: line of this sensor"
+        " with its standard error. Right: residuals of single loads, after map and line.",
         _line_words(learned),
         ratio_figure(
             RatioPoints(
@@ -296,11 +303,10 @@ def _assumed_words(learned: LearnedForce) -> str:
     alpha = learned.line.slope
     share, stderr = learned.model.residue_share, learned.model.residue_stderr
     return (
-        f"Taken as given: the slope α_σ = {number(alpha.value)} /kPa ({alpha.source}); what is wrong with it is in"
-        f" the map. {_line_words(learned)} Of what earlier loads left behind just before a press"
-        f" {with_uncertainty(share, stderr)} is taken to be there still at its steady frames. One known head is"
-        " pressed flat and held; drift, temperature and hysteresis are in the errors above as far as this run had"
-        " them."
+        f"Assumed: the slope α_σ = {number(alpha.value)} /kPa ({alpha.source}); the map absorbs its error."
+        f" {_line_words(learned)} {with_uncertainty(share, stderr)} of the residue of earlier loads just before a"
+        " press is assumed to remain in its steady frames. The model is for one known head, pressed flat and held."
+        " The errors above include drift, temperature and hysteresis only as far as this run had them."
     )
 
 
@@ -311,16 +317,16 @@ def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests:
     outside = sum(float(np.hypot(t.load.record.load.x_mm, t.load.record.load.y_mm)) > radius_mm for t in tests)
     if outside:
         words.append(
-            f"{outside} of {plural(len(tests), 'held-out load')} lie beyond the {radius_mm:.0f} mm the map was"
-            " learned within: there the force rests on the mean response, and the errors above include them."
+            f"{outside} of {plural(len(tests), 'held-out load')} lie beyond the calibrated {radius_mm:.0f} mm: there"
+            " the force rests on the mean response. The errors above include these loads."
         )
     low, high = (stress * run.record.indenter.area_mm2 / 1e3 for stress in learned.model.stress_kPa)
     beside = sum(not low <= test.measured_N <= high for test in tests)
     if not learned.fitted_intercept:
         words.append(
-            f"All loads of the calibration press alike ({_between(low, high)}): the line's intercept is the"
-            f" material's and not this sensor's, and {beside} of the {plural(len(tests), 'held-out load')} press less"
-            " or more. Places pressed at other strains in a calibrating phase would tell."
+            f"All loads of the calibration have the same force ({_between(low, high)}), so the line's intercept is"
+            f" the material's, not this sensor's; {beside} of {plural(len(tests), 'held-out load')} have other"
+            " forces. A calibrating phase with several strains would determine the intercept."
         )
     predicted = learned.predicted or (False,) * len(force.used)
     unsettled = sum(
@@ -328,8 +334,8 @@ def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests:
     )
     if unsettled:
         words.append(
-            f"{plural(unsettled, 'load')} of the calibration had not settled for 1.5 settling times: forces of loads"
-            " held longer or shorter are off by what is left of the relaxation."
+            f"{plural(unsettled, 'load')} of the calibration had not settled for 1.5 settling times: the remaining"
+            " relaxation is in the error of loads that are held longer or shorter."
         )
     return words
 

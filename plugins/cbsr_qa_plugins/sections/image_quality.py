@@ -49,7 +49,7 @@ _COLUMNS: Final = (
 
 
 class ImageQuality(ObservedSection):
-    """Section of the values that do not depend on a mask, on the grid of locations or else on all loads."""
+    """Section of GREIT's figures of merit and other values that do not depend on a mask."""
 
     title = "Image quality"
 
@@ -64,11 +64,12 @@ class ImageQuality(ObservedSection):
 
 def _in_words(measurements: Sequence[Measurement], run: RunObservation) -> tuple[str, str]:
     apart = [m for m in measurements if m.name == "two_touch_resolution" and m.value is not None]
-    ways = [f"{bound_sign([m])}{number(m.value or 0.0, 3)} mm on by {told_apart_by(m.qualifier, run)}" for m in apart]
+    ways = [f"{bound_sign([m])}{number(m.value or 0.0, 3)} mm ({told_apart_by(m.qualifier, run)})" for m in apart]
     counts = {m.name: m.value for m in measurements if m.name in ("missed_loads", "merged_loads") and m.value}
     fates = " and ".join(f"{plural(int(count), 'load')} {name.partition('_')[0]}" for name, count in counts.items())
     two = (
-        f"Two equal loads are told apart from {', from '.join(ways)} (linearised model, without noise)."
+        f"Two equal loads show as two regions from a distance of {' or '.join(ways)}; linearised model, without"
+        " noise."
         if ways
         else ""
     )
@@ -81,17 +82,18 @@ def _table(loads: Sequence[LoadObservation], measured: Measured) -> Table:
         for label, members in by_label(loads).items()
     ]
     caption = (
-        "Figures of merit of Adler et al. 2009. AR: integral of the image, over head area times the change that the"
-        " material file expects. PE: how much nearer to the centre it is seen. RES: size of the set above a quarter"
-        " of the maximum, of the sheet. Deformation: its share outside a circle of its area. RNG: opposite sign"
-        " outside that circle, of what is inside. False regions: at the main mask, beyond the loads held."
+        "Figures of merit of Adler et al. 2009. AR: integral of the image over head area × change expected by the"
+        " material file. PE: distance by which the image is too near to the centre. RES: √(area above a quarter of"
+        " the maximum over area of the sheet). Deformation: share of that area outside a circle of equal area."
+        " RNG: integral of the opposite sign outside the circle over the integral inside. False regions: at the"
+        " main mask, without a load."
     )
     columns = ["Location", *(title for _, title in _COLUMNS)]
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
 
 
 class SizeResponses(ObservedSection):
-    """Section of the size response; only where the recipe measures it."""
+    """Section of the size response, if the recipe measures it."""
 
     title = "Size response"
 
@@ -106,7 +108,7 @@ class SizeResponses(ObservedSection):
         if seen:
             caption = (
                 f"Diameter of a circle with the region's area (mask {100 * run.main_mask:g} %) against the diameter"
-                " of what presses, without noise. On the dashed line regions are as large as their loads."
+                " of the target, without noise. Dashed: regions as large as their targets."
             )
             yield Figure(caption, words, size_figure(seen, run.record.indenter.diameter_mm))
         yield _table_size_response(responses)
@@ -123,8 +125,8 @@ def _table_size_response(responses: Sequence[SizeResponse]) -> Table:
         for response in responses
     ]
     caption = (
-        "Area of the region [mm²] that round targets of these diameters leave. Slope: of its logarithm over the"
-        f" target's area's; 1 is in proportion, below {FLAT:g} is called flat."
+        "Area of the region [mm²] for round targets of these diameters. Slope: log area of the region against log"
+        f" area of the target; 1 is proportional, below {FLAT:g} is flat."
     )
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
 
@@ -133,21 +135,21 @@ def in_words(responses: Sequence[SizeResponse]) -> str:
     """Say what an overlap is worth."""
     seen = [response for response in responses if response.slope is not None]
     if not seen:
-        return "Targets of no size leave a region in the images of this reconstruction."
+        return "No target, of any size, gives a region in the images of this reconstruction."
     flattest = min(seen, key=lambda response: response.slope or 0.0)
     first, last = flattest.diameters_mm[0], flattest.diameters_mm[-1]
     areas = [area for area in flattest.areas_mm2 if area is not None]
     expected, got = (last / first) ** 2, areas[-1] / areas[0]
     words = (
-        f"From {first:.3g} to {last:.3g} mm a load grows {number(expected, 2)} times in area; its region"
-        f" ({flattest.place}) grows {number(got, 2)} times."
+        f"From {first:.3g} to {last:.3g} mm the area of a load grows {number(expected, 2)} times, that of its region"
+        f" ({flattest.place}) {number(got, 2)} times."
     )
     if any(response.flat for response in seen):
         return (
-            f"{words} The response is flat: loads of every size give nearly the same region, so that neither its area"
-            " nor an overlap near 100 % says how large a load is. The load estimate measures sizes."
+            f"{words} The response is flat: loads of every size give nearly the same region, so neither its area"
+            " nor an overlap near 100 % shows how large a load is. The load estimate measures sizes."
         )
-    return f"{words} Regions follow the size of what presses."
+    return f"{words} Regions follow the size of the loads."
 
 
 def _measured(measurements: Sequence[Measurement]) -> list[SizeResponse]:
@@ -179,7 +181,7 @@ _APART: Final = 0.005  # noise figures of a sensor and of its type that differ l
 
 
 class RegularisationParameter(ObservedSection):
-    """Section of the regularisation parameter, with its curve where the method chose from one."""
+    """Section of the regularisation parameter and the values it was chosen from."""
 
     title = "Regularisation"
 
@@ -229,11 +231,11 @@ def _marks(choice: ParameterChoice, curve: ParameterCurve) -> list[ParameterMark
 
 def _figure(choice: ParameterChoice, curve: ParameterCurve, marks: list[ParameterMark]) -> Figure:
     smoother = "Fewer components smooth more" if curve.discrete else "Larger values smooth more"
-    target = "" if curve.target is None else f" Dashed: noise figure {curve.target:g}, what the criterion asks for."
-    others = " Open marks: what other criteria would have taken." if len(marks) > 1 else ""
+    target = "" if curve.target is None else f" Dashed: noise figure {curve.target:g}, the target."
+    others = " Open marks: choices of other criteria." if len(marks) > 1 else ""
     caption = (
-        f"Noise figure (Adler et al. 2009) against {choice.name}. {smoother}: less noise, and what presses closer"
-        f" together is no longer told apart. Full mark and line: chosen.{others}{target}"
+        f"Noise figure (Adler et al. 2009) against {choice.name}. {smoother}: less noise, but loads near each other"
+        f" merge. Filled mark and line: chosen.{others}{target}"
     )
     words = [
         f"{mark.title} {'chose' if mark.chosen else 'would take'} {value_text(mark.value, discrete=curve.discrete)}"
@@ -255,5 +257,5 @@ def _table_regularisation(choice: ParameterChoice, curve: ParameterCurve, marks:
         for mark, answer in zip(marks, curve.answers, strict=True)
     ]
     name = capital(choice.name) if len(choice.name) > 1 else choice.name
-    caption = "What each criterion takes for the parameter, the noise figure there, and what it looks at."
-    return text_table(caption, ("Criterion", name, "Noise figure", "On"), rows, (1, 2))
+    caption = "Choice of each criterion, its noise figure, and the data it uses."
+    return text_table(caption, ("Criterion", name, "Noise figure", "Uses"), rows, (1, 2))

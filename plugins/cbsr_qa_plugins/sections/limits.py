@@ -46,7 +46,7 @@ _MOST_PHASES: Final = 4
 
 
 class Limits(RunSection):
-    """Section that lists everything that was measured, by any plugin."""
+    """Section of all limits and measurements, of any plugin."""
 
     title = "Limits and measurements"
 
@@ -101,10 +101,10 @@ def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str
     words = f"{plural(members, 'limit')} of version {version.version}, made {version.date}{lot}."
     if version.coverage_percent is not None and version.confidence_percent is not None:
         share = f"{version.coverage_percent:g} % of good sensors with {version.confidence_percent:g} % confidence"
-        words += f" Each by itself was made to pass {share}."
+        words += f" Each limit by itself passes {share}."
     if version.rule:
         words += f" Decision rule: {version.rule}."
-    return words if version.sealed else f"{words} Nothing vouches that they are still as they were made."
+    return words if version.sealed else f"{words} They may have been changed since."
 
 
 def _judged(judged: Sequence[Measurement]) -> list[Table]:
@@ -152,10 +152,10 @@ def _others(measurements: Sequence[Measurement]) -> list[Table]:
 def _others_of(measurements: Sequence[Measurement], phases: Sequence[str]) -> Table:
     rows = [_row(name, members, phases) for name, members in _grouped(measurements).items()]
     columns = ("Measurement", *(phase or "whole run" for phase in phases))
-    where = "in a phase" if any(phases) else "of the whole run"
+    where = "of each phase" if any(phases) else "of the whole run"
     caption = (
-        f"What else was measured {where}, without a limit. Several values: mean ± standard deviation and their"
-        " number; one: with its uncertainty."
+        f"Measurements {where} without a limit. Several values: mean ± standard deviation (number of values); one"
+        " value: with its uncertainty."
     )
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
 

@@ -45,7 +45,7 @@ _COLUMNS = (
 
 
 class LoadEstimates(ObservedSection):
-    """Section of the estimates with their 68 % regions; only where the recipe measures them."""
+    """Section of the load estimates with their 68 % regions, if the recipe measures them."""
 
     title = "Load estimates"
 
@@ -63,9 +63,9 @@ class LoadEstimates(ObservedSection):
         longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
         yield Paragraph(words)
         yield Figure(
-            "Where loads are by their readings (dot with its 68 % ellipse, the indenter's radius given) and by their"
-            f" images (cross: centre of mass), errors and ellipses {longer}. Dashed: the indenter. Right: sizes of"
-            " both errors, the bar is one standard error; a red tick was refused.",
+            "Places of loads, estimated from their readings (dot with 68 % ellipse, radius of the indenter given) and"
+            f" from their images (cross: centre of mass); errors and ellipses {longer}. Dashed: the indenter. Right:"
+            " both errors; bar: one standard error; red tick: refused.",
             words,
             estimates_figure(placed, run.record.sensor_type),
         )
@@ -94,13 +94,13 @@ def _in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Se
     errors = [float(np.hypot(*p.estimated_error)) for p in placed if p.estimated_error is not None]
     if not errors:
         why = next((e.why or (c.why if (c := _chosen(e)) else "") for _, e in pairs), "")
-        return f"none of {plural(len(pairs), 'load')} could be placed by its readings: {why}."
+        return f"None of {plural(len(pairs), 'load')} could be located from its readings: {why}."
     imaged = [float(np.hypot(*p.imaged_error)) for p in placed if p.imaged_error is not None]
     rms, of_image = (np.sqrt(np.mean(np.square(values))) if values else None for values in (errors, imaged))
     covered = sum(p.covered for p in placed)
-    words = f"{plural(len(errors), 'load')} placed to {number(float(rms or 0), 2)} mm (root mean square)"
-    words += f", by their images to {number(float(of_image), 2)} mm" if of_image is not None else ""
-    words += f"; {covered} of {len(errors)} lie in their 68 % ellipse."
+    words = f"{plural(len(errors), 'load')} located to {number(float(rms or 0), 2)} mm (root mean square)"
+    words += f", from their images to {number(float(of_image), 2)} mm" if of_image is not None else ""
+    words += f"; {covered} of {len(errors)} are inside their 68 % ellipse."
     refused = [c for _, e in pairs if (c := _chosen(e)) is not None and c.finding is not LoadFinding.LOCATED]
     counts = {finding: sum(c.finding is finding for c in refused) for finding in LoadFinding}
     words += "".join(f" {plural(count, 'load')} {finding}." for finding, count in counts.items() if count)
@@ -133,9 +133,9 @@ def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Mea
             ]
         )
     caption = (
-        "Errors of place by the image (E_CoM) and by the readings, ± one standard error along an axis. Contrast with"
-        " the head's radius given; radius and area × contrast A·c without. No radius: the readings do not determine"
-        " it there. d′: detectability."
+        "Error of the place from the image (E_CoM) and from the readings, ± one standard error along an axis."
+        " Contrast c: with the head's radius given; radius and area × contrast A·c: without it. A dash: the"
+        " readings do not determine the radius. d′: detectability."
     )
     table = text_table(caption, _COLUMNS, rows, tuple(range(1, len(_COLUMNS))))
     return replace(table, folded=len(rows) > _MOST_ROWS)
@@ -146,7 +146,7 @@ _MOST: Final = 48
 
 
 class LoadImages(ObservedSection):
-    """Section of small pictures, one a press; none where nothing was pressed."""
+    """Section of small images, one per press."""
 
     title = "Images"
 
@@ -174,7 +174,7 @@ class LoadImages(ObservedSection):
 
 
 class RandomLoads(ObservedSection):
-    """Section of the loads that were drawn at random (paper: Fig 11, Table 5); none where none were pressed."""
+    """Section of random loads (paper: Fig 11, Table 5), if there are any."""
 
     title = "Random loads"
 

@@ -43,7 +43,7 @@ _CLEAR = 3.0
 
 
 class NineLocations(ObservedSection):
-    """Section of the loads of the phases that press a grid of places; none where no grid was pressed."""
+    """Section of the loads of phases that press a grid of places."""
 
     title = "Locations"
 

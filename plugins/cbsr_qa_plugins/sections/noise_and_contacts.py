@@ -69,7 +69,7 @@ def _channels(run: RunObservation, ratio_dB: NDArray[np.float64]) -> Figure:
         f"Signal-to-noise ratio of each reading on the rested sheet ({len(run.unloaded)} frames): {words}. Grey:"
         " readings that are not imaged.",
         f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
-        channel_map_figure(ratio_dB, label="level over noise", unit="dB", used=run.usable),
+        channel_map_figure(ratio_dB, label="signal-to-noise ratio", unit="dB", used=run.usable),
     )
 
 
@@ -77,8 +77,8 @@ def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: NDArray[
     largest = largest_by_reading(pairs, errors, run.usable.shape)
     words = f"rms {number(100 * float(np.sqrt(np.mean(errors**2))), 2)} %, largest {number(100 * errors.max(), 2)} %"
     return Figure(
-        "Change of each reading of the reference frame when drive and measure pair are exchanged, of the rms reading:"
-        f" {words}. A row and column that stand out: a contact; a triangle: memory of the readings.",
+        "Change of each reading of the reference frame when drive and measure pair are exchanged, relative to the rms"
+        f" reading: {words}. A row and column that stand out point to a contact, a triangle to reading memory.",
         f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {words}.",
         channel_map_figure(100 * largest, label="reciprocity error", unit="%", used=largest >= 0),
     )

@@ -129,7 +129,7 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     forced = any(event.force_N is not None for event in events)
     columns += ["Force [N]"] if forced else []
     beside = any(event.fate for event in events)
-    columns += ["Beside others"] if beside else []
+    columns += ["Overlapping"] if beside else []
     rows = []
     for rank, event in enumerate(events):
         times = ["–"] * 3 if still else [fixed(t, 1) for t in (event.start_s, event.peak_s, event.end_s)]
@@ -142,11 +142,11 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         if beside:
             row.append(event.fate or "–")
         rows.append(row)
-    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "Conductance", "Beside others"))
+    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "Conductance", "Overlapping"))
     caption = (
-        "Events, found without being told where or when. Electrode: direction as a fractional electrode number. SNR:"
+        "Events found in the readings. Electrode: direction as a fractional electrode number. SNR:"
         " change over the noise of such changes in this recording."
-        + (" Beside others held at its peak: whether the image shows it as a region of its own." if beside else "")
+        + (" Overlapping: whether the image shows an event during others as a separate region." if beside else "")
     )
     return text_table(caption, columns, rows, numeric)
 
@@ -229,7 +229,7 @@ def _timeline(result: RecordingResult) -> Figure | None:
     traces = [Trace("change", block.unit.value, block.time_s, changed)]
     traces += [Trace("force", s.unit, s.time_s, s.values) for s in recording.samples if s.channel == "force"]
     spans = [Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
-    what = "one row a frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
+    what = "one row per frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
     count = plural(len(spans), "event") if spans else "no event"
     return Figure(
         f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {count}.",
@@ -242,7 +242,7 @@ _MOST_ROWS = 200
 
 
 class RecordingRows(RecordingSection):
-    """Section of rejected rows and notes; none of files about which nothing needs to be said."""
+    """Section of rejected rows and notes, if there are any."""
 
     title = "Rows of the file"
 
@@ -257,4 +257,4 @@ class RecordingRows(RecordingSection):
             caption = f"{plural(recording.rows_rejected, 'row')} rejected{cost}; the rest is noted."
             caption += f" {left} more are not shown." if left else ""
             rows = [[str(p.line), "rejected" if p.rejected else "noted", p.what] for p in shown]
-            yield text_table(caption, ("Line", "What became of it", "Why"), rows, (0,))
+            yield text_table(caption, ("Line", "Result", "Why"), rows, (0,))

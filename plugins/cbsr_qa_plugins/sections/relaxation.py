@@ -90,8 +90,8 @@ def _together(measurements: Sequence[Measurement]) -> list[Block]:
         [m.qualifier, value_cell(m), value_cell(means.get(m.qualifier)), m.how] for m in common
     ]
     caption = (
-        "Settling of all loads together. Common: one fit to all traces, which share their time constants and differ"
-        " in size. Mean: of single loads, short where a trace does not carry both time constants. ≥: a lower bound."
+        "Settling of all loads together. Common: one fit to all traces, with common time constants and separate"
+        " sizes. Mean: of single loads; too short if a trace does not show both time constants. ≥: a lower bound."
     )
     return [text_table(caption, ("Signal, after", "Common [s]", "Mean [s]", "Common fit"), rows, (1, 2))]
 
@@ -112,8 +112,8 @@ def _agreement(compared: Sequence[DirectedAgreement], words: str) -> list[Block]
         why = "; ".join(dict.fromkeys(agreement.found.why for agreement in compared))
         return [Paragraph(f"{words}: not compared, {why}.", "note")]
     caption = (
-        f"{words}: relaxations over their change (above) and their difference (below), each with its 90 % interval."
-        f" Equivalent: that interval stays within ±{SHAPE_MARGIN:g} (shaded) throughout."
+        f"{words}: relaxations relative to their change (above) and their difference (below), with 90 % intervals."
+        f" Equivalent: the interval of the difference stays within ±{SHAPE_MARGIN:g} (shaded)."
     )
     shapes = "; ".join(
         f"{agreement.direction}: {agreement.found.why or agreement.found.shape}" for agreement in compared
@@ -167,8 +167,8 @@ def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
                 rows.append(_strain_row(signal, loading, words, [r for r in relaxations if r is not None]))
     columns = ("Signal", "After", "Strain [%]", "Settling [s]", "Settled", "Later than window", "Rejected")
     caption = (
-        "Settling by strain: mean ± standard deviation. ≥: a lower bound, as presses not settled within their window"
-        " count with it (Kaplan–Meier). No mean where more than half were rejected."
+        "Settling by strain: mean ± standard deviation (Kaplan–Meier). ≥: a lower bound, because some presses did not"
+        " settle within their window. No mean if more than half were rejected."
     )
     return text_table(caption, columns, [row for row in rows if row], (2, 3, 4, 5, 6))
 

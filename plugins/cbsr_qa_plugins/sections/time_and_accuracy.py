@@ -20,7 +20,7 @@ from cbsr_qa.report.draw import Budget, budget_figure, waiting_figure
 
 
 class TimeAndAccuracy(RunSection):
-    """Section that puts seconds beside millimetres; none where no time was recorded."""
+    """Section of the time that a run took, and the accuracy of its phases."""
 
     title = "Time, and what accuracy it bought"
 
@@ -35,7 +35,7 @@ class TimeAndAccuracy(RunSection):
             f" {duration(sum(seconds for _, seconds in result.compute_s))} until this report was rendered."
         )
         yield Paragraph(words)
-        caption = "Where the time went, largest part first. Station time is what a test costs."
+        caption = "Time by activity, largest first. The cost of a test is its station time."
         yield Figure(caption, words, budget_figure(budgets))
         if result.observation is not None:
             run = result.observation
@@ -49,8 +49,8 @@ def _named(parts: tuple[tuple[str, float], ...]) -> tuple[tuple[str, float], ...
 def _bought(result: RunResult, run: RunObservation) -> Table:
     measured = Measured(result.measurements)
     rows = [_phase_row(phase, run, measured) for phase in run.record.phases]
-    columns = ("Phase", "Time", "Presses", "Time a press", "Frames averaged", "E_CoM [mm]", "A_OL [%]")
-    caption = "What each phase cost and what it bought: mean ± standard deviation over its presses."
+    columns = ("Phase", "Time", "Presses", "Time per press", "Frames averaged", "E_CoM [mm]", "A_OL [%]")
+    caption = "Time and accuracy of each phase: mean ± standard deviation over its presses."
     return text_table(caption, columns, rows, (1, 2, 3, 4, 5, 6))
 
 
@@ -67,7 +67,7 @@ def _phase_row(phase: PhaseRecord, run: RunObservation, measured: Measured) -> l
 
 
 def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
-    """What the map of the response cost, and what fewer loads would have given; only where forces are measured."""
+    """Time and error of the response map, whole and from fewer loads; only if the recipe measures force errors."""
     if not any(m.name == "force_error_sd" for m in result.measurements):
         return []
     costs = map_costs(run, run_force(run))
@@ -77,11 +77,11 @@ def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
     for cost in costs:
         spent = (str(cost.places), str(cost.loads), duration(cost.station_s))
         rows.append([*spent, _percent(cost.stated), _seen(cost), _percent(cost.expected)])
-    columns = ("Places", "Loads", "Station time", "Stated error [%]", "Left out: error [%]", "Left out: stated [%]")
+    columns = ("Places", "Loads", "Station time", "Stated error [%]", "At places left out: error [%]", "stated [%]")
     caption = (
-        "What fewer loads would have given: standard error of the map in the calibrated area, and at places left out"
-        " its error, without the noise of their loads, beside the stated one (root mean squares, over three choices"
-        " of places)."
+        "The map learned from fewer loads: standard error in the calibrated area; at the places left out, its"
+        " error (without the noise of the loads there) beside the stated one. Root mean squares over three choices"
+        " of places."
     )
     return [Paragraph(_map_words(costs)), text_table(caption, columns, rows, (0, 1, 2, 3, 4, 5))]
 
@@ -89,21 +89,21 @@ def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
 def _map_words(costs: Sequence[MapCost]) -> str:
     whole, before = costs[-1], costs[-2]
     words = (
-        f"The map of how strongly each place answers took {duration(whole.station_s)} for"
+        f"The map of the response took {duration(whole.station_s)} for"
         f" {plural(whole.loads, 'load')} at {plural(whole.places, 'place')}; its standard error is"
         f" {_percent(whole.stated)} %."
     )
     if before.places == whole.places:
         words += (
-            f" One load at each of them would have taken {duration(before.station_s)} and left"
+            f" One load at each place would have taken {duration(before.station_s)} and given"
             f" {_percent(before.stated)} %."
         )
-    return f"{words} The table says the same of fewer places, as far apart as they can be."
+    return f"{words} The table shows the same for fewer places, as far apart as possible."
 
 
 def _seen(cost: MapCost) -> str:
-    """Error at the places left out; it cannot be told where their noise explains all of it."""
-    return "in the noise" if cost.seen == 0 else _percent(cost.seen)
+    """Error at the places left out, unless the noise of their loads explains all of it."""
+    return "below noise" if cost.seen == 0 else _percent(cost.seen)
 
 
 def _percent(value: float | None) -> str:
@@ -114,8 +114,8 @@ def _waiting(run: RunObservation) -> Iterator[Figure]:
     for timeline in run.timelines:
         mask = min(range(len(timeline.masks)), key=lambda k: abs(timeline.masks[k] - run.main_mask))
         yield Figure(
-            f"What waiting buys ({timeline.phase}): error and overlap of single frames against the time held, mean"
-            " over the presses, middle half shaded. Where the line is flat, a shorter hold costs no accuracy.",
+            f"Effect of the hold time ({timeline.phase}): error and overlap of single frames against the time held,"
+            " mean over the presses, middle half shaded. Where the line is flat, a shorter hold costs no accuracy.",
             "Error and overlap against the time a load was held.",
             waiting_figure(timeline, mask, held_loads(run, timeline.phase)),
         )

@@ -51,12 +51,12 @@ def _sensor(record: RunRecord) -> Table:
     rows = [
         ["Sheet", f"{_size(sensor)}, {sensor.thickness_mm:g} mm thick"],
         ["Electrodes", _electrodes(sensor.electrodes)],
-        ["Readings a frame", f"{drives} drive pairs × {measures} measure pairs"],
+        ["Readings per frame", f"{drives} drive pairs × {measures} measure pairs"],
         ["Indenter", f"{record.indenter.words()}, {record.indenter.area_mm2:.1f} mm²"],
         ["Configuration digest (SHA-256)", record.identity.configuration_digest],
         ["Stored rows", record.chain.words],
     ]
-    return text_table("What was tested, and with what configuration.", ("Item", "Value"), rows)
+    return text_table("Sensor and configuration.", ("Item", "Value"), rows)
 
 
 def _size(sensor: SensorType) -> str:
@@ -71,7 +71,7 @@ def _size(sensor: SensorType) -> str:
 def _electrodes(electrodes: Electrodes) -> str:
     if isinstance(electrodes, PlacedElectrodes):
         kind = "pins" if electrodes.kind is ElectrodeKind.PIN else "strips along the edge"
-        return f"{electrodes.count} {kind} of {electrodes.width_mm:g} mm, each at a place of its own"
+        return f"{electrodes.count} {kind} of {electrodes.width_mm:g} mm, placed one by one"
     turn = "counterclockwise" if electrodes.counterclockwise else "clockwise"
     return (
         f"{electrodes.count} {electrodes.kind.value}s of {electrodes.width_mm:g} mm on a ring of"
@@ -97,14 +97,14 @@ def _analysis(run: RunObservation) -> Table:
         ["Sensed region", _OUTLINES[settings.outline]],
         ["Overlap and outline", f"{settings.clipping} clipping, perimeter by {settings.perimeter}"],
     ]
-    return text_table("How images became numbers.", ("Choice", "Value"), rows)
+    return text_table("Imaging and evaluation.", ("Choice", "Value"), rows)
 
 
 def _weighting(run: RunObservation) -> str:
     if run.settings.noise_weighting == "equal":
-        return "equal: all readings count alike, largest to smallest weight 1"
+        return "equal"
     return (
-        f"measured: by the variance of each reading over {len(run.unloaded)} unloaded frames, drawn towards a common"
+        f"measured: by the variance of each reading over {len(run.unloaded)} unloaded frames, shrunk towards a common"
         f" one; largest to smallest weight {number(run.weight_ratio)}"
     )
 
@@ -114,7 +114,7 @@ def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
         [_minute(override.at), override.verdict.value, override.outcome.value, override.by, override.why]
         for override in overrides
     ]
-    caption = "Decisions against the verdict, oldest first; the latest holds, and none issues a calibration."
+    caption = "Overrides of the verdict, oldest first. The latest one is valid; overrides do not issue calibrations."
     return text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
 
 
@@ -123,10 +123,10 @@ def _changes(history: ChangeHistory) -> Block:
     since = (
         f"since this type of sensor last passed this recipe (run {history.accepted_run})"
         if history.accepted_run
-        else "as far as the database goes back; this type of sensor had never passed this recipe"
+        else "(this sensor type had not passed this recipe before)"
     )
     if not history.changes:
-        return Paragraph(f"Recipe, limits, station, sensor type and material: no change was noted {since}.")
+        return Paragraph(f"Recipe, limits, station, sensor type and material: no change is recorded {since}.")
     rows = []
     for change in history.changes:
         content = f"{change.old_digest[:12]} → {change.new_digest[:12]}"
@@ -143,7 +143,7 @@ def _phases(record: RunRecord) -> Table:
         spent = duration(phase.ended_s - phase.started_s)
         rows.append([phase.name, phase.sequence, spent, str(frames), str(presses)])
     columns = ("Phase", "Sequence", "Time", "Frames", "Presses")
-    return text_table("What was done.", columns, rows, (2, 3, 4))
+    return text_table("Phases.", columns, rows, (2, 3, 4))
 
 
 def _sessions(record: RunRecord) -> Table:

@@ -155,7 +155,7 @@ def test_refused_loads_are_counted_in_words(run):
     result = RunResult(noisy.record, noisy, taken, Verdict(Outcome.NOT_JUDGED, ""), None, "none")
     findings = {found.indenter.finding for found in estimated_loads(noisy, "run").values()}
     assert LoadFinding.LOCATED not in findings
-    assert "none of 4 loads could be placed" in Section().render(result).blocks[0].text
+    assert "None of 4 loads could be located" in Section().render(result).blocks[0].text
 
 
 def test_errors_are_lengthened_to_stay_near_the_head():

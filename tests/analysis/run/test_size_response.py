@@ -45,7 +45,7 @@ def test_an_image_much_wider_than_the_targets_is_flat_by_just_what_blurring_says
     assert centre.slope == pytest.approx(0.09, abs=0.02)
     assert all(one.flat for one in found)
     assert "flat" in in_words(found)
-    assert "grows 6.2 times in area" in in_words(found)
+    assert "area of a load grows 6.2 times" in in_words(found)
 
 
 def test_an_image_much_finer_than_the_targets_follows_their_size(blurring):

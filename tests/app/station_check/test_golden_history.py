@@ -73,7 +73,7 @@ def test_fewer_than_three_earlier_runs_are_no_verdict(earlier):
     random = np.random.default_rng(4)
     found = compared(values(random, force=100.0), history(random, here=earlier))
     assert {line.outcome for line in found.values()} == {NOT_DONE}
-    assert found["force"].said == "fewer than 3 earlier runs to hold it against"
+    assert found["force"].said == "fewer than 3 earlier runs to compare with"
     assert found["force"].value == pytest.approx(110.0, abs=1.0)
     assert "no verdict" in found["history"].remedy
 

@@ -87,7 +87,7 @@ _EDITED = {
     "two for flag": (lambda d: d["datasets"]["force/fits"]["values"].__setitem__(0, 2), "0 or 1 is expected"),
     "no base64": (lambda d: d["datasets"]["force/templates"].update(base64="?"), "force/templates is not a dataset"),
     "half a character": (lambda d: d["datasets"]["identity/serial"].update(values=["\ud800"]), "identity/serial"),
-    "not a dataset": (lambda d: d["datasets"].update({"image/mask": 3}), "image/mask is no dataset"),
+    "not a dataset": (lambda d: d["datasets"].update({"image/mask": 3}), "image/mask is not a dataset"),
 }
 
 

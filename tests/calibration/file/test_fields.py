@@ -94,7 +94,7 @@ class Table:
         (2, [[1, 2]], [0, 1], None),
         (1, [[1, 2]], [0, 1], "t/rows is 1; 2 to 9 are allowed"),
         (2, [[1, 11]], [0, 1], "t/values holds 11; 10 is allowed"),
-        (2, [[1, np.nan]], [0, 1], "t/values holds what is not a finite number"),
+        (2, [[1, np.nan]], [0, 1], "t/values holds a value that is not a finite number"),
         (2, [[1, 2, 3]], [0, 1], "t/values of (1, 3) does not fit 2 columns"),
         (2, [1, 2], [0, 1], "t/values has the shape (2,); (n, 2) is expected"),
         (2, [[1, 2]], [0, 1, 2], "t/pairs of (3,) does not fit 2 n"),

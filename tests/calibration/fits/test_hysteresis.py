@@ -237,7 +237,7 @@ def test_drift_slower_than_the_holds_is_not_called_hysteresis():
     loop = _by_hand(output=lambda k, strain: strain / 0.3)
     wander = np.concatenate([np.linspace(0, 0.05, 24) for _ in range(10)])
     loop = replace(loop, output=replace(loop.output, values=loop.output.values + wander))
-    with pytest.raises(NumericsError, match="creep cannot be told from hysteresis"):
+    with pytest.raises(NumericsError, match="creep cannot be separated from hysteresis"):
         loop_curve(loop, relaxed=True, last_s=_LAST_S)
 
 

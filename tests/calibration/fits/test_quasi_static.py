@@ -89,7 +89,7 @@ def test_a_material_that_does_not_answer_has_a_line_of_zeros():
 
 @pytest.mark.parametrize(("x", "change"), [(1.0, 1e-200), (1.0, 1e200), (1e-300, 1.0), (1e100, 1.0)])
 def test_numbers_that_cannot_be_squared_are_refused(x, change):
-    with pytest.raises(NumericsError, match="squares of such numbers are none"):
+    with pytest.raises(NumericsError, match="its square is outside the range of numbers"):
         fit_quasi_static(STRAINS, x * STRAINS, change * STRAINS)
 
 

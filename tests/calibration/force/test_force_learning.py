@@ -142,7 +142,9 @@ class TestRefused:
         loads = pressed(np.random.default_rng(9), smooth_response(9), *_somewhere_pressed(9, 4))
         rows = loads.rows.copy()
         rows[:2] *= -1
-        with pytest.raises(CalibrationError, match=r"2 of 4 loads .* 3 are needed: the place changed the other way"):
+        with pytest.raises(
+            CalibrationError, match=r"2 of 4 loads .* 3 are needed: it changed in the direction opposite"
+        ):
             learned(replace(loads, rows=rows))
 
     def test_a_line_near_zero_says_nothing(self):

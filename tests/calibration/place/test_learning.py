@@ -157,7 +157,7 @@ def test_warnings_name_what_limits_a_calibration(sheet, learned):
     assert learned.warnings == ()
     random = np.random.default_rng(6)
     noise = learn_place(random.standard_normal((40, 192)), sheet.labels_mm[:40], sheet.pairs, 16)
-    assert "readings hardly tell the place" in noise.warnings[0]
+    assert "readings hardly depend on the place" in noise.warnings[0]
     gains = 1 + np.linspace(0, 2, 60)[:, None] * random.uniform(0.2, 1, 192)
     drifting = learn_place(sheet.changes[LEARNED] * gains, sheet.labels_mm[LEARNED], sheet.pairs, 16)
     assert [warning.split(":")[0] for warning in drifting.warnings] == ["readings drift over the session"]

@@ -245,7 +245,7 @@ def test_a_calibration_without_a_model_says_why_it_gives_no_force(file):
     issued = force_calibration()
     with pytest.raises(CalibrationError, match="0193-c of sensor S-1 holds no force model: too few loads"):
         Calibration(replace(issued, force=None, no_force="too few loads"))
-    with pytest.raises(CalibrationError, match="issued before calibrations had any"):
+    with pytest.raises(CalibrationError, match="issued before calibrations held force models"):
         Calibration(replace(issued, force=None))
 
 

@@ -170,7 +170,7 @@ def test_the_fit_of_exact_sums_is_exact(calibration):
 
 @pytest.mark.parametrize("at_most", [0, -1, 2.5, "two"])
 def test_a_number_of_heads_that_counts_nothing_is_refused(calibration, at_most):
-    with pytest.raises(CalibrationError, match="heads cannot be looked for"):
+    with pytest.raises(CalibrationError, match="heads cannot be searched for"):
         calibration.forces(setting().model.unloaded(), at_most=at_most)
 
 

@@ -92,7 +92,7 @@ def test_the_error_of_the_largest_deviation_is_its_scatter(draw):
 @pytest.mark.parametrize(
     ("x", "y", "said"),
     [
-        ([1, 2], [1, 2], "needs 3 to 100 strains; this one has 2"),
+        ([1, 2], [1, 2], "needs 3 to 100 strains; there are 2"),
         ([1, 2, 2], [1, 2, 3], "same stress"),
         ([1, 2, 3], [1, 2], "do not fit together"),
         ([1, 2, float("nan")], [1, 2, 3], "not a finite number"),

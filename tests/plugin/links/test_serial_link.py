@@ -189,7 +189,7 @@ def test_two_devices_alike_must_be_told_apart(monkeypatch, terminal):
 
 @pytest.mark.parametrize("address", ["usb:printer", "usb:2C99", "usb::0002"])
 def test_a_wrong_identity_is_a_wrong_configuration(address):
-    with pytest.raises(ConfigError, match="no USB device"):
+    with pytest.raises(ConfigError, match="not a USB device"):
         SerialLink("head", address, baud=115200)
 
 

@@ -141,7 +141,7 @@ def test_a_port_nobody_listens_on_is_refused_at_the_first_question():
 
 @pytest.mark.parametrize("address", ["nonsense", "TCPIP::x::SOCKET", ""])
 def test_an_address_that_is_none_is_a_mistake_of_the_station_file(address):
-    with pytest.raises(ConfigError, match="is no VISA resource") as refused:
+    with pytest.raises(ConfigError, match="is not a VISA resource") as refused:
         VisaLink("meter", address)
     assert "5025" in refused.value.remedy
 

@@ -146,7 +146,7 @@ def test_nonsense_is_refused_and_asked_again(person, head, nonsense):
 
 def test_after_enough_nonsense_the_step_fails(person, head):
     person.answers = ["", *["no"] * 5]
-    with pytest.raises(InstrumentError, match="head at the operator: 5 answers were no number of mm"):
+    with pytest.raises(InstrumentError, match="head at the operator: 5 answers were not a number of mm"):
         head.find_surface(0.0, 0.0)
     # Nobody said that it is up again.
     with pytest.raises(InstrumentError, match="LIFT IT NOW"):
@@ -237,7 +237,7 @@ def test_a_head_that_moves_by_itself_needs_a_cell_that_samples_by_itself(person,
 
 def test_without_an_operator_they_are_refused(person):
     for opener, options in ((open_applicator, {}), (open_load_cell, {"unit": "N", "capacity": 50})):
-        with pytest.raises(ConfigError, match="worked by hand, and nobody is there to be asked") as raised:
+        with pytest.raises(ConfigError, match="operated by hand, and there is no operator to ask") as raised:
             opener(told("one", person.clock, None, **options))
         assert "terminal" in raised.value.remedy
 

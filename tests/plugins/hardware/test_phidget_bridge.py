@@ -175,7 +175,7 @@ def test_it_is_tared_at_the_opening(make):
 def test_it_is_not_tared_under_load(make):
     clock = Sending()
     clock.mass_g = -300.0
-    with pytest.raises(InstrumentError, match="is no zero"):
+    with pytest.raises(InstrumentError, match="is not a zero"):
         make(clock=clock, tare_s=1.0)
     assert not Bridge.made.opened
     clock.mass_g = 0.0

@@ -142,7 +142,7 @@ def test_a_run_without_a_force_model_says_why():
     section = Force().render(result)
     assert section.title == "Force"
     assert section.blocks[0].tone == "warning"
-    assert section.blocks[0].text.startswith("No force can be told with this sensor: ")
+    assert section.blocks[0].text.startswith("This sensor has no force model: ")
     silent = tuple(m for m in result.measurements if m.name != "force_error_sd")
     assert (
         Force().render(result.__class__(result.record, result.observation, silent, result.verdict, None, "")) is None

@@ -193,7 +193,7 @@ def test_tolerance_shares_and_cut_components():
     table = np.array([[[0.0, 2.0], [2.0, 0.0]], [[3.0, 1.0], [1.0, 3.0]], [[5.0, 3.0], [3.0, 5.0]]])
     found = gauge_anova(arranged(table), tolerance=24.0)
     assert found.appraiser_variance == 0.0
-    assert any("station variance is -" in note for note in found.notes)
+    assert any("station variance is negative" in note for note in found.notes)
     repeat = found.components.repeatability
     assert repeat.percent_tolerance == pytest.approx(100 * 6 * repeat.deviation / 24)
     interval = repeat.percent_tolerance_interval

@@ -292,10 +292,10 @@ def test_a_reference_period_is_named_by_its_days(shifted, command):
     first = identity("x").started_at.date()
     out = command(path, "--station", STATION, *NEW, "--dry-run")[1]
     said = " ".join(out.split())
-    assert f"the reference period begins with the first run of all, of {first}: see --reference-from" in said
+    assert f"the reference period begins with the station's first run ({first}); --reference-from" in said
     assert f"30 runs, {first} to {first + timedelta(days=29)} 10 signals since {first + timedelta(days=30)}" in said
     later = command(path, "--station", STATION, *NEW, "--reference-from", first + timedelta(days=5), "--dry-run")[1]
-    assert "first run of all" not in later
+    assert "first run (" not in later
     assert f"30 runs, {first + timedelta(days=5)} to" in " ".join(later.split())
 
 
@@ -303,9 +303,9 @@ def test_the_page_draws_the_charts(shifted, command, tmp_path):
     code, out, _ = command(shifted[0], "--station", STATION, *NEW, "--dry-run", "--output", tmp_path / "page.html")
     assert code == 1
     page = (tmp_path / "page.html").read_text()
-    assert "a signal stands on 1 of 1 chart of" in page
+    assert "1 of 1 chart of" in page
     assert "moving range" in page
-    assert out.startswith("✗ Out of control: a signal stands on 1 of 1 chart of station bench-a; the first: force")
+    assert out.startswith("✗ Out of control: 1 of 1 chart of station bench-a signals; the first: force")
     until = (identity("x").started_at + timedelta(days=29)).date()
     other = command(shifted[0], "--station", STATION, "--reference-until", until, "--dry-run")[1]
     assert "30 runs, " in other

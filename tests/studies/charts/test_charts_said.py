@@ -76,11 +76,11 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
     fill(path, values(shift=0.8))
     for kind in ("i-mr", "cusum"):
         command(path, *NEW, "--chart", kind)
-    assert "a signal stands on 2 of 2 charts" in command(path)[1]
+    assert "2 of 2 charts" in command(path)[1]
     code, out, err = command(path, "--retire", "cusum", "--operator", "Ada", "--why", "one chart is enough")
     assert code == 1, err
-    assert "retired by Ada: force gain, chart cusum; a new reference begins them anew" in out
-    assert "a signal stands on 1 of 1 chart" in out
+    assert "retired by Ada: force gain, chart cusum; a new reference starts them again" in out
+    assert "1 of 1 chart" in out
     with open_store(f"sqlite:///{path}") as store:
         assert [str(one.chart) for one in store.chart_references(STATION)] == ["i-mr"]
         first, _, last = store.all_chart_references(STATION)
@@ -104,7 +104,7 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
     [
         (("--retire", "cusum", "--operator", "Ada"), "no chart cusum of these metrics holds on this station"),
         (("--retire", "cusum", "--operator", "Ada"), "charts that hold are i-mr"),
-        (("--retire", "i-mr"), "nobody retires these charts"),
+        (("--retire", "i-mr"), "the operator who retires these charts is not named"),
         (("--retire", "pie", "--operator", "Ada"), "--retire 'pie' is not known allowed: i-mr, xbar-r, ewma, cusum"),
         (("--retire", "i-mr", *NEW), "--retire beside a new reference period"),
         (("--retire", "i-mr", "--operator", "Ada", "--dry-run"), "--dry-run without a new reference period"),

@@ -135,7 +135,7 @@ def test_what_all_places_share_counts_against_the_station(url):
     (station,) = (s for s in json_of(made)["stations"] if s["name"] == "registration_shift")
     assert station["low"] < 1.0 < station["high"]
     assert (
-        "it includes the shift of all places, which comes from how the station seats sensors"
+        "it includes the shift of all places, which depends on how the station places sensors"
         in metric(made)["warnings"]
     )
     assert metric(compared(url, By.STATION), "registration_shift")["difference"] == pytest.approx(1.0, abs=0.2)

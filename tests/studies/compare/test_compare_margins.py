@@ -94,7 +94,7 @@ def test_a_margin_below_the_estimate_is_shown_by_no_number_of_sensors(url):
         made = compared(url, margins={ERROR: margin}, groups=("41", "42"))
         (row,) = (line for line in printed(made) if "± " in line)
         count = differences(made, ERROR)["42"]["sensors_to_show_alike"]
-        assert row.endswith("none would do" if hopeless else str(count))
+        assert row.endswith("not possible" if hopeless else str(count))
 
 
 def test_what_is_asked_of_a_metric_that_is_not_compared_is_not_tested_and_not_known(url):

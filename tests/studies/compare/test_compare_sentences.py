@@ -102,7 +102,7 @@ def test_stations_are_compared_with_the_batches_of_materials_taken_out():
     (station,) = made.result.of_metrics[0].stations
     assert station.low <= 0.0 <= station.high
     assert station.difference == by_station.result.of_metrics[0].differences[0].difference
-    assert "differences of batches taken out" in page_of(made)
+    assert "adjusted for batches" in page_of(made)
 
 
 def test_groups_without_scatter_are_said_to_read_what_they_read_and_not_tested_for_likeness():

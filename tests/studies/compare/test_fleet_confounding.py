@@ -85,7 +85,9 @@ def test_days_at_stations_of_their_own_and_days_that_share_no_batch_at_a_station
     assert one.warnings[0].startswith("periods and stations cannot be told apart: 2026-01-06 is B only")
     plan = [("41", "A", 0), ("42", "B", 0), ("41", "B", 1), ("42", "A", 1)] * 4
     (one,) = compare(table_of(*fleet(3, plan)), DAYS, NOW).of_metrics[0].differences
-    assert one.warnings[0].startswith("periods cannot be told from batches and stations: 2026-01-06 is batch 42 at A")
+    assert one.warnings[0].startswith(
+        "periods cannot be separated from batches and stations: 2026-01-06 is batch 42 at A"
+    )
 
 
 def test_what_a_difference_of_periods_rests_on_is_said_and_stations_are_compared_beside():
@@ -100,7 +102,7 @@ def test_what_a_difference_of_periods_rests_on_is_said_and_stations_are_compared
     )
     assert station.difference == with_batches.of_metrics[0].differences[0].difference
     html = page_of(compare_outcome(made))
-    assert "What stations read above the one with most runs, differences of batches taken out" in html
+    assert "Differences of stations from the one with most runs, adjusted for batches" in html
     one_batch = [replace(run, batch="41") for run in runs]
     alone = compare(table_of(one_batch, values), DAYS, NOW)
     assert alone.of_metrics[0].differences[0].model.startswith("fixed: group and station")
@@ -200,9 +202,9 @@ def test_a_design_names_its_levels_only_where_batches_could_be_taken_for_groups(
 def test_what_was_taken_out_of_a_difference_of_periods_is_said():
     runs, values = fleet(12, crossed())
     table = table_of(runs, values + [3.0 * (run.started_at.day == 6) for run in runs])
-    assert "2026-01-06 − 2026-01-05, differences of stations and batches taken out; " in page_of_days(table)
+    assert "2026-01-06 − 2026-01-05, adjusted for stations and batches; " in page_of_days(table)
     one_batch = replace(table, runs=tuple(replace(run, batch="41") for run in runs))
-    assert "2026-01-06 − 2026-01-05, differences of stations taken out; " in page_of_days(one_batch)
+    assert "2026-01-06 − 2026-01-05, adjusted for stations; " in page_of_days(one_batch)
 
 
 def page_of_days(table):

@@ -110,7 +110,7 @@ def test_a_wish_that_nothing_meets_is_no_recommendation(sweeps, capsys, tmp_path
     assert guarded(["frontier", "--clock", "station", "--force-error", "1mN", "--json"]) == 0
     recommended = json.loads(capsys.readouterr().out)["recommended"]
     assert recommended["setting"] is None
-    assert "none of the 3 settings" in recommended["why"]  # the one that is no recipe is none of them
+    assert "no setting of 3" in recommended["why"]  # the one that is no recipe is none of them
     recipe = tmp_path / "nothing.toml"
     assert "there is no recipe to write" in refused(capsys, "--force-error", "1mN", "--recipe", str(recipe))
     assert not recipe.exists()

@@ -150,7 +150,7 @@ def test_operators_are_chosen_as_stations_are(studied):
 def test_options_beside_a_study_are_refused(studied, option):
     code, _, err = studied(STUDY, *option)
     assert code == 2
-    assert f"{option[0]} cannot be given beside it" in re.sub(r"[\s│]+", " ", err)
+    assert f"{option[0]} cannot be given together with it" in re.sub(r"[\s│]+", " ", err)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_options_beside_a_study_are_refused(studied, option):
         ("lower = 9.0", "lower = nan", "line 12: metrics[1].lower is not a finite number"),
         ("[[reference]]", '[[metrics]]\nname = "force_gain"\n[[reference]]', "metrics[2].name is 'force_gain'"),
         ('serial = "S-01"', 'serial = "S-07"', "line 16: reference[1].serial is 'S-07'"),
-        ('metric = "force_gain"', 'metric = "drift"', "line 17: reference[1].metric is 'drift', which is none of"),
+        ('metric = "force_gain"', 'metric = "drift"', "line 17: reference[1].metric is 'drift', which is not among"),
         ('name = "gain, autumn"', "", "study.name is missing"),
         ('recipe = "short"\nserials = ["S-01", "S-02", "S-03", "S-04"]', "", "has neither recipe nor serials"),
         ('name = "gain, autumn"', 'appraiser = "robot"\nname = "x"', "line 2: study.appraiser is 'robot'"),

@@ -109,7 +109,7 @@ def test_the_terminal_says_how_many_are_broken_and_why(catalogued, capsys):
     assert "an error of 0.002 where 0.001 is allowed" in said
     assert "ZeroDivisionError" in said
     assert "overflow encountered" in said
-    assert "11 cases: 2 within their bound, 1 refused as they must be, 8 broken" in said
+    assert "11 cases: 2 within their bound, 1 refused as they should be, 8 broken" in said
 
 
 def test_areas_and_names_choose_cases(catalogued):

@@ -105,6 +105,7 @@ def test_a_file_that_exists_is_not_written_over(lot_database, refused, tmp_path)
     file.write_text("mine")
     refused(lot_database, "--batch", "golden", "--output", file, said=["exists already"])
     assert file.read_text() == "mine"
+    refused(lot_database, "--batch", "golden", "--output", tmp_path / "page.html", said=["not named as a TOML file"])
     missing = tmp_path / "no folder" / "limits.toml"
     refused(lot_database, "--batch", "golden", "--output", missing, said=["cannot be written"])
 

@@ -133,7 +133,9 @@ def test_a_pulled_cable_is_said(station, homed):
     station.arm("applicator", Fault.DROP)
     with pytest.raises(InstrumentError, match="link is down"):
         homed.move_to(10.0, 0.0)
-    with pytest.raises(InstrumentError, match=r"there is no port|link is down|does not open|nobody answers"):
+    with pytest.raises(
+        InstrumentError, match=r"there is no port|link is down|does not open|no Marlin printer answers"
+    ):
         homed.safe_state()
 
 
@@ -227,7 +229,7 @@ def test_another_instrument_at_the_address_is_refused(make):
 def test_nobody_at_the_address_is_said(make):
     station = make()
     station.arm("applicator", Fault.SILENCE)
-    with pytest.raises(InstrumentError, match=r"nobody answers as a Marlin printer within 0\.5 s"):
+    with pytest.raises(InstrumentError, match=r"no Marlin printer answers within 0\.5 s"):
         station.open("applicator", open_applicator, boot_s=0.5)
 
 

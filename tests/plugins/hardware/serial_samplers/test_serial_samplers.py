@@ -134,7 +134,7 @@ def test_a_tare_makes_the_unloaded_cell_zero(make):
 def test_a_load_is_no_zero(make, one_world):
     station = make()
     one_world.presses.append(held(0, 0.0, 0.0, 0.2, start_s=-20.0))
-    with pytest.raises(InstrumentError, match=r"reads \d\.\d+ N before it is tared; more than 0\.5 N is no zero"):
+    with pytest.raises(InstrumentError, match=r"reads \d\.\d+ N before it is tared; more than 0\.5 N is not a zero"):
         station.open("cell", open_load_cell, tare_s=1.0)
 
 
