@@ -57,7 +57,7 @@ def test_an_intercept_nobody_fitted_stays_assumed():
 
 
 def test_the_range_is_that_of_the_loads_that_were_used_and_the_others_are_named():
-    why = "its amplitude is known to 40% only"
+    why = "the standard error of its amplitude is 40%"
     validity = _issued(_loads(), ("", "", "", "", "", "", why))[0].validity
     assert (validity.force_N, validity.radius_mm, validity.strain) == ((1.0, 6.0), 30.0, (0.1, 0.2))
     assert validity.reduced == (f"no force was learned from L6 at (36, 0) mm, trial 0: {why}",)
@@ -89,7 +89,7 @@ def test_loads_that_press_alike_say_nothing_of_the_intercept(strains, fitted, sa
 def test_few_places_are_a_reason():
     why = "the load does not stand out of the noise of the readings"
     reasons = _issued(_loads(), ("", "", "", why, why, why, why))[0].validity.reduced
-    assert any(reason.startswith("force was learned at 3 places only") for reason in reasons)
+    assert any(reason.startswith("force was learned at only 3 places") for reason in reasons)
 
 
 def test_without_a_model_the_reason_is_in_the_range_too():

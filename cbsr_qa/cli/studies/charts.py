@@ -88,7 +88,7 @@ def _check_stored_holds(of_new: Mapping[str, object]) -> None:
     given = [name for name, value in of_new.items() if value not in (None, "", False)]
     if given:
         raise RefusedError(
-            f"{', '.join(given)} need a new reference period; a stored reference keeps its own",
+            f"{', '.join(given)} can only be given with a new reference period",
             remedy="leave them out, or set a new one by --reference-runs N or --reference-until DATE",
         )
 

@@ -107,7 +107,10 @@ def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, comma
         (("--retire", "i-mr"), "the operator who retires these charts is not named"),
         (("--retire", "pie", "--operator", "Ada"), "--retire 'pie' is not known allowed: i-mr, xbar-r, ewma, cusum"),
         (("--retire", "i-mr", *NEW), "--retire beside a new reference period"),
-        (("--retire", "i-mr", "--operator", "Ada", "--dry-run"), "--dry-run without a new reference period"),
+        (
+            ("--retire", "i-mr", "--operator", "Ada", "--dry-run"),
+            "--dry-run can only be given with a new reference period",
+        ),
     ],
 )
 def test_what_cannot_be_retired_is_refused(tmp_path, command, arguments, words):
