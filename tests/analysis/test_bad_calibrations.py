@@ -53,7 +53,7 @@ def test_a_good_run_at_one_strain_says_that_its_intercept_is_assumed(record):
 
 def test_missing_places_are_a_reason_and_too_few_give_no_force(record):
     issued, _ = _calibrated(_of_loads(record, range(4)))
-    assert any(reason.startswith("force was learned at 4 places only") for reason in issued.validity.reduced)
+    assert any(reason.startswith("force was learned at only 4 places") for reason in issued.validity.reduced)
     wide, full = issued.force.log_response_stderr, _calibrated(record)[0].force.log_response_stderr
     assert np.median(wide) > 1.5 * np.median(full)
     none, _ = _calibrated(_of_loads(record, range(2)))

@@ -112,7 +112,7 @@ def test_a_ratio_of_sums_weighs_by_size_and_knows_its_error():
     found = [ratio_of_sums(0.3 * whole + 0.1 * rng.standard_normal(60), whole) for _ in range(2000)]
     assert np.mean([f.value for f in found]) == pytest.approx(0.3, abs=0.001)
     assert np.mean([f.stderr for f in found]) == pytest.approx(np.std([f.value for f in found]), rel=0.06)
-    for parts, wholes, said in (([], [], "nothing to be a share"), ([1], [-1], "sum to -1"), ([1], [], "1 parts")):
+    for parts, wholes, said in (([], [], "no share can be computed"), ([1], [-1], "sum to -1"), ([1], [], "1 parts")):
         with pytest.raises(NumericsError, match=said):
             ratio_of_sums(parts, wholes)
 
