@@ -159,9 +159,9 @@ def _unknown(kind: DocumentKind, name: str) -> ConfigError:
 def _read(kind: DocumentKind, path: Path) -> str:
     if not _is_file(path):
         found = "is a folder" if _is_folder(path) else "does not exist"
+        shipped = f"; or give a shipped name: {names}" if (names := ", ".join(shipped_names(kind))) else ""
         raise ConfigError(
-            f"{kind.noun} file {echo(str(path), 200)} {found}",
-            remedy=f"shipped names that can be given instead: {', '.join(shipped_names(kind)) or 'none'}",
+            f"{kind.noun} file {echo(str(path), 200)} {found}", remedy=f"check its name and folder{shipped}"
         )
     label = printable(str(path))
     try:
