@@ -57,8 +57,8 @@ def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> Answ
         return AnsweringSide(alive)
     dead, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
     words = (
-        f"{int(dead.sum())} readings whose modelled voltage is {name} hardly respond: {min(sizes) / max(sizes):.1%} of"
-        " what the others do, both compared with the modelled sheet; the front end appears to rectify"
+        f"{int(dead.sum())} readings whose modelled voltage is {name} hardly respond: {min(sizes) / max(sizes):.1%}"
+        " of what the others do, both compared with the modelled sheet; the front end appears to rectify"
     )
     return AnsweringSide(alive & ~dead, words)
 
