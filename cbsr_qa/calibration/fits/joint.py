@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from cbsr_qa.calibration.fits.separable import polished
+from cbsr_qa.calibration.fits.separable import best_fit
 from cbsr_qa.domain import Array
 
 #: (times (n,), values (n,)) of one trace.
@@ -59,12 +58,9 @@ def fit_joint(
     problem = _Joint(traces)
     lowest, highest = np.log(bounds_s)
     lower, upper = ([lowest], [highest]) if len(starts[0]) == 1 else ([lowest] * 2 + [-2.0], [highest] * 2 + [3.0])
-    fits = [
-        least_squares(problem.residual, np.clip(start, lower, upper), jac=problem.jacobian, bounds=(lower, upper))
-        for start in starts
-    ]
-    best = np.asarray(min(fits, key=lambda fit: float(fit.cost)).x, dtype=np.float64)
-    return problem.assembled(polished(problem.residual, problem.jacobian, best, (np.array(lower), np.array(upper))))
+    bounds = np.array(lower), np.array(upper)
+    begun = [np.clip(start, *bounds) for start in starts]
+    return problem.assembled(best_fit(problem.residual, problem.jacobian, begun, bounds))
 
 
 class _Joint:

@@ -322,15 +322,21 @@ def _covariance(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) 
 def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, float]:
     """Mean over places (n, 2) of the logarithm of the response, and its variance."""
     means, variances = [], []
+    kinds = {(member.smooth, member.length_mm) for member in response.members}
+    between, among = (
+        {kind: _covariance(of, places_mm, kind[1], kind[0]).mean(axis=1, keepdims=True) for kind in kinds}
+        for of in (response.places_mm, places_mm)
+    )
     for member in response.members:
-        between = _covariance(response.places_mm, places_mm, member.length_mm, member.smooth)
-        among = _covariance(places_mm, places_mm, member.length_mm, member.smooth)
-        seen = member.seen(member.deviation**2 * between.mean(axis=1, keepdims=True))[:, 0]
+        kind = member.smooth, member.length_mm
+        seen = member.seen(member.deviation**2 * between[kind])[:, 0]
         columns = np.zeros(member.drift.shape[1])
         columns[0] = 1
         spread = solve_triangular(member.mean_root, columns - member.drift.T @ seen, lower=True)
         means.append(float(columns @ member.mean + seen @ (member.data - member.drift @ member.mean)))
-        variances.append(member.deviation**2 * float(among.mean()) - float(seen @ seen) + float(spread @ spread))
+        variances.append(
+            member.deviation**2 * float(among[kind].mean()) - float(seen @ seen) + float(spread @ spread)
+        )
     mean = float(response.weights @ np.array(means))
     variance = float(response.weights @ (np.array(variances) + (np.array(means) - mean) ** 2))
     return mean, max(variance, 0.0)
