@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +16,7 @@ from cbsr_qa.domain.results import Block, Figure, Page, Paragraph, RunResult, Se
 from cbsr_qa.plugin import ReportSection, failure
 from cbsr_qa.report.draw import checked_svg
 from cbsr_qa.report.page import recording_page, run_page
-from cbsr_qa.system import writing, written_whole
+from cbsr_qa.system import side_by_side, writing, written_whole
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
@@ -152,13 +153,21 @@ def _environment() -> Environment:
 def _shown(
     sections: Sequence[ReportSection], result: RunResult | RecordingResult, failed: list[str]
 ) -> Iterator[_Shown]:
-    for number, section in enumerate(sections, start=1):
-        try:
-            content = section.render(result)
-            if content is not None:
-                yield _prepared(content, f"s{number}")
-        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
-            failed.append(f"The report section {type(section).__name__} failed and is left out: {failure(error)}")
+    tasks = [partial(_section_shown, section, result, f"s{n}") for n, section in enumerate(sections, start=1)]
+    for shown in side_by_side(tasks):
+        if isinstance(shown, str):
+            failed.append(shown)
+        elif shown is not None:
+            yield shown
+
+
+def _section_shown(section: ReportSection, result: RunResult | RecordingResult, anchor: str) -> _Shown | str | None:
+    """Render one section; return a warning where it fails."""
+    try:
+        content = section.render(result)
+        return None if content is None else _prepared(content, anchor)
+    except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+        return f"The report section {type(section).__name__} failed and is left out: {failure(error)}"
 
 
 def _prepared(section: Section, anchor: str) -> _Shown:

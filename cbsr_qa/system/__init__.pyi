@@ -1,3 +1,4 @@
+from .beside import side_by_side as side_by_side
 from .clock import (
     TICK_S as TICK_S,
     Clock as Clock,

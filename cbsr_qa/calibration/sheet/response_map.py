@@ -7,6 +7,7 @@ confident ones. Where data end the map goes back to the mean response, which, si
 field of the head itself, is the forward model's own sensitivity.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -135,19 +136,14 @@ class ResponseMap:
 
     def predict(self, places_mm: Array) -> tuple[Array, Array]:
         """Mean and variance (n,) of the logarithm of the response at places (n, 2), scatter of loads left out."""
-        means, variances = [], []
-        kinds = {(member.smooth, member.length_mm) for member in self.members}
-        kernels = {kind: _covariance(self.places_mm, places_mm, kind[1], kind[0]) for kind in kinds}
-        for member in self.members:
-            seen = member.seen(member.deviation**2 * kernels[member.smooth, member.length_mm])
-            columns = np.zeros((member.drift.shape[1], len(places_mm)))
-            columns[0] = 1
-            left = columns - member.drift.T @ seen
-            means.append(columns.T @ member.mean + seen.T @ (member.data - member.drift @ member.mean))
-            spread = solve_triangular(member.mean_root, left, lower=True)
-            variances.append(member.deviation**2 - (seen**2).sum(axis=0) + (spread**2).sum(axis=0))
-        mean: Array = self.weights @ np.array(means)
-        variance: Array = self.weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
+        means, variances = (np.empty((len(self.members), len(places_mm))) for _ in range(2))
+        kinds = [(member.smooth, member.length_mm) for member in self.members]
+        for kind in dict.fromkeys(kinds):
+            among = [number for number, other in enumerate(kinds) if other == kind]
+            kernel = _covariance(self.places_mm, places_mm, kind[1], kind[0])
+            means[among], variances[among] = _predicted([self.members[number] for number in among], kernel)
+        mean: Array = self.weights @ means
+        variance: Array = self.weights @ (variances + (means - mean) ** 2)
         return mean, np.maximum(variance, 0.0)
 
     @cached_property
@@ -164,6 +160,22 @@ class ResponseMap:
         own = np.array([_variances(member)[1] for member in self.members])
         mean = float(self.weights @ values)
         return mean, float(self.weights @ (own + (values - mean) ** 2))
+
+
+def _predicted(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
+    """Means and variances (m, n) of members with one kernel (p, n), at once: a map may have hundreds of them."""
+    deviation, root_weight, root, data, drift, mean, mean_root = (
+        np.array([getattr(member, name) for member in members])
+        for name in ("deviation", "root_weight", "root", "data", "drift", "mean", "mean_root")
+    )
+    prior = deviation[:, None] ** 2
+    seen = np.linalg.solve(root, prior[:, None] * root_weight[:, :, None] * kernel)
+    left = -np.swapaxes(drift, 1, 2) @ seen
+    left[:, 0] += 1
+    pull = data - (drift @ mean[:, :, None])[..., 0]
+    means = mean[:, :1] + (pull[:, None] @ seen)[:, 0]
+    spread = np.linalg.solve(mean_root, left)
+    return means, prior - (seen**2).sum(axis=1) + (spread**2).sum(axis=1)
 
 
 def learn_response(
