@@ -90,30 +90,35 @@ def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: Loa
     return mean_under(setting.imager.mesh, values, pressed)
 
 
-def observe_load(
-    setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow, *, over_time: bool = True
-) -> LoadObservation:
-    """Analyse one press; also relative to the other reference if earlier loads left more than the noise floor.
-
-    Parameters
-    ----------
-    over_time : whether its relaxations are fitted too.
-    """
-    imager = setting.imager
-    before = imager.images(window.before).mean(axis=0) if len(window.before) else np.zeros(len(imager.mesh.elements))
+def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow) -> LoadObservation:
+    """Analyse one press; also relative to the other reference if earlier loads left more than the noise floor."""
+    imager, before = setting.imager, _image_before(setting, window)
     residue = float(np.abs(before).max())
     absolute = imager.images(window.steady).mean(axis=0)
     values = {"run": absolute, "load": absolute - before}
     chosen = setting.settings.reference
     other = "load" if chosen == "run" else "run"
     load = _observe(setting, phase, record, window, values[chosen], residue)
-    if over_time:
-        relaxations = _relaxations_of(setting, load, window.cycle, before, phase.channel("force"))
-        load = replace(load, relaxations=relaxations)
-        load = replace(load, settled=_settled(load, window, setting.settings))
     if residue <= setting.noise_floor:
         return load
     return replace(load, alternate=_observe(setting, phase, record, window, values[other], residue))
+
+
+def relaxed(
+    load: LoadObservation,
+    window: LoadWindow,
+    relaxations: tuple[RelaxationObservation, ...],
+    settings: AnalysisSettings,
+) -> LoadObservation:
+    """Return an observed press with its relaxations, and whether its steady frames had settled."""
+    load = replace(load, relaxations=relaxations)
+    return replace(load, settled=_settled(load, window, settings))
+
+
+def _image_before(setting: LoadSetting, window: LoadWindow) -> NDArray[np.float64]:
+    """Image just before the press, (e,): what earlier loads left."""
+    imager = setting.imager
+    return imager.images(window.before).mean(axis=0) if len(window.before) else np.zeros(len(imager.mesh.elements))
 
 
 def _observe(
@@ -180,24 +185,19 @@ def _settled(load: LoadObservation, window: LoadWindow, settings: AnalysisSettin
     return not pressed.settling.censored and held_s >= needed_s
 
 
-def _relaxations_of(
-    setting: LoadSetting,
-    load: LoadObservation,
-    cycle: FrameBlock,
-    before: NDArray[np.float64],
-    force: SampleBlock | None,
+def relaxations_of(
+    setting: LoadSetting, phase: PhaseRecord, load: LoadObservation, window: LoadWindow
 ) -> tuple[RelaxationObservation, ...]:
     """Fit the relaxations of one press: up to two of the blob, two of the whole image, and that of the stress.
 
     Parameters
     ----------
     load : its main mask says which elements are the blob; without a blob there is no conductance trace.
-    before : (e,) float64, the image just before the press: what earlier loads left, and the traces' baseline.
-    force : samples of the whole phase, or None.
     """
     record, settings, area = load.record, setting.settings, setting.imager.mesh.areas_mm2
+    cycle, force = window.cycle, phase.channel("force")
     seen: list[RelaxationObservation] = []
-    images = setting.response.sign * (setting.imager.images(cycle) - before)
+    images = setting.response.sign * (setting.imager.images(cycle) - _image_before(setting, window))
     view = load.mask(settings.main_mask)
     if view is not None and view.sensed is not None:
         weights = np.zeros(len(area))

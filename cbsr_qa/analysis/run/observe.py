@@ -1,12 +1,24 @@
 """Observations from a stored run: reference, noise floor, response, every press, metrics of every frame."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.imaging import Imager, decide_response, sensed_regions
-from cbsr_qa.analysis.run.loads import LoadSetting, held_beside, load_window, mean_change_under_head, observe_load
+from cbsr_qa.analysis.run.loads import (
+    LoadSetting,
+    LoadWindow,
+    held_beside,
+    load_window,
+    mean_change_under_head,
+    observe_load,
+    relaxations_of,
+    relaxed,
+)
 from cbsr_qa.analysis.run.loops import deepest_hold, observe_loops
 from cbsr_qa.analysis.run.reference import (
     check_weighing,
@@ -24,6 +36,7 @@ from cbsr_qa.domain.sensor import Response
 from cbsr_qa.eit.imaging import noise_floor, spatial_figures
 from cbsr_qa.eit.inverse import scale_doubts, scale_of
 from cbsr_qa.plugin import Reconstruction
+from cbsr_qa.system import side_by_side
 
 
 def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
@@ -95,7 +108,10 @@ def observe_run(
     signals = [mean_change_under_head(undecided, load, window) for _, load, window in voting]
     response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
     setting = replace(undecided, response=response)
-    loads = tuple(observe_load(setting, phase, load, window, over_time=over_time) for phase, load, window in cut)
+    loads = tuple(observe_load(setting, phase, load, window) for phase, load, window in cut)
+    timelines: tuple[MetricTimeline, ...] = ()
+    if over_time:
+        loads, timelines = _over_time(setting, data.record, cut, loads)
     observation = RunObservation(
         record=record,
         reconstruction=imager.reconstruction,
@@ -111,11 +127,26 @@ def observe_run(
         usable=data.readings,
         settings=settings,
         loops=observe_loops(data.record, unloaded, data.readings, settings),
-        timelines=metric_timelines(setting, data.record) if over_time else (),
+        timelines=timelines,
     )
     remarks = _remarks(observation.tested, settings.settling_multiple if over_time else None)
     odd = scale_doubts(imager.reference, problem)
     return replace(observation, warnings=(*data.warnings, *odd, *silent, *doubts, *remarks))
+
+
+def _over_time(
+    setting: LoadSetting,
+    record: RunRecord,
+    cut: Sequence[tuple[PhaseRecord, LoadRecord, LoadWindow]],
+    loads: tuple[LoadObservation, ...],
+) -> tuple[tuple[LoadObservation, ...], tuple[MetricTimeline, ...]]:
+    """Return loads with their relaxations, and the metrics of every frame: most of the time, so it is shared."""
+    seen = [(load, phase, window) for load, (phase, _, window) in zip(loads, cut, strict=True)]
+    tasks: list[Callable[[], Any]] = [partial(metric_timelines, setting, record)]
+    tasks += [partial(relaxations_of, setting, phase, load, window) for load, phase, window in seen]
+    timelines, *each = side_by_side(tasks)
+    pairs = zip(seen, each, strict=True)
+    return tuple(relaxed(load, window, found, setting.settings) for (load, _, window), found in pairs), timelines
 
 
 def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Final
 
 import numpy as np
@@ -228,10 +229,9 @@ def two_touch_resolution(
             remedy="try larger distances, in positive steps",
         )
     tried = step_mm * np.arange(np.ceil(width / step_mm), np.floor(furthest_mm / step_mm + 1e-9) + 1)
-    seen = [_pair(reconstruction, indenter, along * distance / 2, mask).apart for distance in tried]
-    together = np.flatnonzero(~np.array(seen))
-    first = int(together[-1]) + 1 if together.size else 0
-    return TwoTouch(float(tried[first]) if first < len(tried) else None, float(tried[-1]), step_mm)
+    # From the largest distance down: nearer than where they first are one, nothing changes the answer.
+    apart = list(takewhile(lambda at: _pair(reconstruction, indenter, along * at / 2, mask).apart, tried[::-1]))
+    return TwoTouch(float(apart[-1]) if apart else None, float(tried[-1]), step_mm)
 
 
 def loads_change(problem: ImagingProblem, loads: list[Footprint]) -> Array:

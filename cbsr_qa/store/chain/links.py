@@ -6,10 +6,11 @@ The optional key that signs the links of runs: it never reaches a log, a message
 import hmac
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
-from sqlalchemy import Connection, bindparam, insert, select
+from sqlalchemy import Connection, Insert, bindparam, insert, select
 
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.store.chain.run_documents import documents, sha256
@@ -69,8 +70,13 @@ class SigningKey:
 KEY_OPTION: Final = "cbsr_signing_key"
 _PLAIN, _SIGNED = "sha256", "hmac-sha256:"
 
-# Built once: there is a link with every frame.
-_INSERT: Final = insert(LinkRow)
+
+# Statements are built once, and for the plain table: there is a row and its link with every frame.
+@cache
+def _insertion(table: Any) -> Insert:
+    return insert(table.__table__)
+
+
 _NEWEST: Final = (
     select(RunRow.chain, LinkRow.number, LinkRow.sha256)
     .outerjoin(LinkRow, LinkRow.run == RunRow.run)
@@ -114,7 +120,7 @@ def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mappin
     """
     if not rows:
         return
-    connection.execute(insert(table), rows)
+    connection.execute(_insertion(table), rows)
     kind = table.__tablename__
     add_links(connection, run, [(kind, *one) for one in documents(table.__table__, rows)])
 
@@ -138,7 +144,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
         mac = None if key is None else key.sign(run, before)
         values = {"kind": kind, "document": document, "content_sha256": content, "sha256": before, "mac": mac}
         rows.append({"run": run, "number": number, **values})
-    connection.execute(_INSERT, rows)
+    connection.execute(_insertion(LinkRow), rows)
 
 
 def chain_head(connection: Connection, run: str) -> str:
