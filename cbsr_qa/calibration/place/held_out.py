@@ -86,10 +86,7 @@ class PressedSheet:
     @property
     def visits(self) -> Indices:
         """For each press (n,) the number of the first one at its place."""
-        cells = np.round(self.places_mm / (_ONE_PLACE * self.radius_mm))
-        _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        visits: Indices = first[cell.ravel()]
-        return visits
+        return visits_of(self.places_mm)
 
     def likely(self, presses: Indices) -> PlaceScales:
         """Hyperparameters from some of the presses."""
@@ -143,6 +140,14 @@ class PressedSheet:
             templates, _ = self.templates(others)
             places[block], covariances[block], misfit[block] = match(templates, self.features[block])
         return places, covariances, misfit
+
+
+def visits_of(places_mm: Array) -> Indices:
+    """For each press (n,) at places (n, 2) about their centre the number of the first one at its place."""
+    cells = np.round(places_mm / (_ONE_PLACE * np.linalg.norm(places_mm, axis=1).max()))
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    visits: Indices = first[cell.ravel()]
+    return visits
 
 
 def coverage_of(out: LeftOut, places_mm: Array, visits: Indices) -> HeldOut:

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place import FEWEST_PRESSES
+from cbsr_qa.calibration.place import FEWEST_PRESSES, visits_of
 from cbsr_qa.calibration.presses import LabelledPresses
 from cbsr_qa.domain import Array, CalibrationError, Indices, RecordingError, RefusedError
 from cbsr_qa.report import plural
@@ -56,7 +56,8 @@ def press_frontier(
 ) -> Frontier:
     """Learn from growing numbers of presses, locate others, and recommend a number.
 
-    Presses that change no reading are left out, and counted in a note.
+    Presses that change no reading are left out, and counted in a note. No press is located at a place that was
+    learned from: presses repeated at one place are drawn or left out together.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ def numbers_of(total: int) -> list[int]:
     RefusedError
         If there are too few to learn from some and locate others.
     """
-    most = min(_MOST, total - max(_FEWEST_LOCATED, round(_LEFT_OUT * total)))
+    most = min(_MOST, total - _left_out(total))
     if most < FEWEST_PRESSES:
         raise RefusedError(
             f"{total} presses are too few to leave any out: {FEWEST_PRESSES} to learn from and {_FEWEST_LOCATED} to"
@@ -114,18 +115,36 @@ def numbers_of(total: int) -> list[int]:
 
 
 def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
-    total = len(labelled.presses.place_mm)
+    places_mm = labelled.presses.place_mm
+    visits, total = visits_of(places_mm - places_mm.mean(axis=0)), len(places_mm)
     numbers, still = numbers_of(total), in_random_order(labelled)
     for number in numbers:
         for split in range(int(np.clip(_LEARNED[quick] // number, *_DRAWS[quick]))):
-            order = np.random.default_rng([*b"presses", number, split]).permutation(total)
-            yield _Draw(AT_RANDOM, still, order[:number], order[number:][:_MOST_LOCATED])
+            random = np.random.default_rng([*b"presses", number, split])
+            located = _at_some_places(visits, _left_out(total), random)
+            others = random.permutation(np.setdiff1d(np.arange(total), located))
+            yield _Draw(AT_RANDOM, still, others[:number], located[:_MOST_LOCATED])
     time_s = labelled.presses.time_s
     session = np.arange(total) if time_s is None else np.argsort(time_s, kind="stable")
-    last = min(_MOST_LOCATED, max(_FEWEST_LOCATED, round(_LEFT_OUT * total)))
     early = [number for number in numbers if number <= total / 2]
     for number in early[-1:] if quick else early:
-        yield _Draw(IN_ORDER, labelled, session[:number], session[-last:])
+        learned, last = session[:number], session[-_left_out(total) :][-_MOST_LOCATED:]
+        last = last[~np.isin(visits[last], visits[learned])]
+        if len(last) >= _FEWEST_LOCATED:
+            yield _Draw(IN_ORDER, labelled, learned, last)
+
+
+def _left_out(total: int) -> int:
+    """How many presses are left out at least."""
+    return max(_FEWEST_LOCATED, round(_LEFT_OUT * total))
+
+
+def _at_some_places(visits: Indices, count: int, random: np.random.Generator) -> Indices:
+    """All presses at places drawn at random, of which there are ``count`` or, where places repeat, a few more."""
+    places, repeats = np.unique(visits, return_counts=True)
+    order = random.permutation(len(places))
+    drawn = int(np.searchsorted(repeats[order].cumsum(), count)) + 1
+    return random.permutation(np.flatnonzero(np.isin(visits, places[order[:drawn]])))
 
 
 def _tried(draw: _Draw) -> Trial | str:

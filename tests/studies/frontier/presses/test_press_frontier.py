@@ -91,6 +91,17 @@ def test_nothing_located_was_learned_from_and_a_session_is_cut_by_time(labelled,
     assert len({tuple(rows) for rows in first}) == len(first)
 
 
+def test_no_place_that_was_learned_from_is_located(labelled, trials):
+    """Twenty places pressed three times each, in rounds: after the first nine presses eleven places are new."""
+    rounds = np.tile(np.arange(20), 3)
+    presses = replace(labelled.presses, place_mm=labelled.presses.place_mm[rounds], time_s=np.arange(60.0))
+    swept = press_frontier(replace(labelled, presses=presses))
+    assert {point.series for point in swept.points} == {AT_RANDOM, IN_ORDER}
+    for _, learned, located in trials:
+        assert len(located) >= 5
+        assert not set(rounds[learned]) & set(rounds[located])
+
+
 def test_presses_that_change_nothing_are_left_out_and_counted(labelled, trials):
     changes = labelled.readings.changes.copy()
     changes[[3, 40]] = 0
