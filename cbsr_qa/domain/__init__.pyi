@@ -20,6 +20,12 @@ from .errors import (
     UnconcludedError as UnconcludedError,
 )
 from .filling import filled as filled, fitted as fitted, typed as typed
+from .goodness import (
+    LEAST_EXPLAINED as LEAST_EXPLAINED,
+    Goodness as Goodness,
+    explained_share as explained_share,
+    unlike_model as unlike_model,
+)
 from .kept import (
     Kept as Kept,
     KeptField as KeptField,

@@ -11,7 +11,7 @@ from cbsr_qa.analysis.recording.images import Tell
 from cbsr_qa.analysis.recording.imaging import nominal_disc
 from cbsr_qa.analysis.recording.ready import ReadyReadings, channel_report, make_ready
 from cbsr_qa.analysis.recording.scene import FEWEST_FRAMES, RecordedScene, Searched
-from cbsr_qa.domain import NumericsError, RecordingError
+from cbsr_qa.domain import LEAST_EXPLAINED, NumericsError, RecordingError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import (
     RECIPROCITY_LIMIT,
@@ -193,6 +193,19 @@ def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, 
     return noise_report(block, use, steps, busy, timed=not recording.still and recording.clock != "none")
 
 
+def _unlike_the_model(searched: Searched) -> list[str]:
+    """Say that this is not the sheet that is modelled, where most events are not those of loads on it."""
+    fits = [seen.goodness for seen in searched.sightings]
+    if sum(fit.in_model for fit in fits) * 2 >= len(fits):
+        return []
+    share = float(np.median([fit.explained for fit in fits]))
+    return [
+        f"the modelled sheet explains {share:.0%} of what the readings change by, {LEAST_EXPLAINED:.0%} is needed"
+        f" ({f'median of {len(fits)} events' if len(fits) > 1 else 'one event'}): this sheet is not what is modelled,"
+        " and places are only those that fit best"
+    ]
+
+
 def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) -> tuple[str, ...]:
     remarks: list[str] = []
     if recording.problems and recording.rows_rejected:
@@ -201,7 +214,7 @@ def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) ->
     carry_over = ready.carry_over
     if carry_over is not None and carry_over.worth_correcting and not ready.corrected:
         remarks.append(f"readings carry over {carry_over.share:.0%} of the previous one; not corrected, as requested")
-    remarks += [*ready.remarks(), *searched.remarks]
+    remarks += [*ready.remarks(), *searched.remarks, *_unlike_the_model(searched)]
     if searched.sightings and searched.why:
         remarks.append(searched.why)
     return tuple(remarks)

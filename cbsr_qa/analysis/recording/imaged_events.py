@@ -225,6 +225,7 @@ def _event(scene: RecordedScene, seen: Sighting, values: Array) -> LoadEvent:
         force_N=_peak_force(scene.recording.samples, seen.start_s, seen.end_s),
         track=seen.track,
         motion=motion_of(seen.track, scene.sheet.layout),
+        goodness=seen.goodness,
     )
 
 

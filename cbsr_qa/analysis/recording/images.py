@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model
 from cbsr_qa.analysis.recording.places import Place
-from cbsr_qa.domain import CbsrError, NumericsError, PluginError
+from cbsr_qa.domain import CbsrError, Goodness, NumericsError, PluginError
 from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction
 from cbsr_qa.plugin import Reconstruction
 
@@ -40,6 +40,7 @@ class Sighting:
     change : (m,) of the used readings, scaled to the unit model.
     frames : (k, m) changes of consecutive frames around it, scaled alike; of which ``held`` show it.
     unloaded : (m,) used readings it is compared with, in the recording's unit.
+    goodness : of the fit of this load and others that changed with it.
     track : (time_s, x, y) of an object that moves.
     """
 
@@ -52,6 +53,7 @@ class Sighting:
     frames: Array
     held: slice
     unloaded: Array
+    goodness: Goodness
     track: tuple[tuple[float, float, float], ...] = ()
 
     @property

@@ -11,9 +11,11 @@ from cbsr_qa.analysis.recording.changes import nearest_step
 from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, held_from_the_beginning, search
 from cbsr_qa.analysis.recording.images import Sighting, frames_around, nearest_frames
 from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model, sheet_for, unit_model, usable_volts
-from cbsr_qa.analysis.recording.places import Matcher, Place, matcher, robust_directions
+from cbsr_qa.analysis.recording.places import Matcher, Place, fitted, matcher, robust_directions
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fitted_tank, reciprocal_noise
+from cbsr_qa.analysis.recording.traces import difference, noise_energy
+from cbsr_qa.domain import Goodness
 from cbsr_qa.domain.readings import Recording
 from cbsr_qa.domain.sensor import SensorType
 
@@ -191,7 +193,10 @@ class RecordedScene:
         result, seen = search(white, match, self._no_loads(match))
         presses, unclear = held_from_the_beginning(result.presses, len(white))
         seen_loads = [
-            self._press_seen(press, place, times, readings, changes) for press in presses for place in press.places
+            self._press_seen(press, place, times, readings, changes, goodness)
+            for press in presses
+            for goodness in (_goodness(match, white, press),)
+            for place in press.places
         ]
         sightings = tuple(sorted(seen_loads, key=lambda load: load.start_s))
         remarks = (*_gains(result, times), *_signs(sightings, unclear, times))
@@ -221,7 +226,9 @@ class RecordedScene:
         means = readings[:whole].reshape(-1, group, readings.shape[1]).mean(axis=1)
         return times[:whole].reshape(-1, group).mean(axis=1), means
 
-    def _press_seen(self, press: Press, place: Place, times: Array, readings: Array, changes: Array) -> Sighting:
+    def _press_seen(
+        self, press: Press, place: Place, times: Array, readings: Array, changes: Array, goodness: Goodness
+    ) -> Sighting:
         index = np.arange(len(times))
         start, end = (float(np.interp(at, index, times)) for at in (press.start, press.end))
         return Sighting(
@@ -233,6 +240,7 @@ class RecordedScene:
             changes[press.held].mean(axis=0) - changes[press.before].mean(axis=0),
             *frames_around(changes, press.before, press.held),
             readings[press.before].mean(axis=0),
+            goodness,
         )
 
     def _object_seen(self, seen: Object, changes: Array, *, timed: bool) -> Sighting:
@@ -249,8 +257,15 @@ class RecordedScene:
             frames,
             slice(at, at + 1),
             self.model.reference,
+            seen.goodness,
             track if len(track) > 1 else (),
         )
+
+
+def _goodness(match: Matcher, white: Array, press: Press) -> Goodness:
+    change = difference(white, press.before, press.held)
+    variance = noise_energy(white, press.before, press.held) / white.shape[1]
+    return Goodness.of(change, fitted(change, match, press.places), match.sigma, variance)
 
 
 def _quiet(scores: Array) -> str:

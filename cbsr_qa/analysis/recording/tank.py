@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from cbsr_qa.analysis.recording.imaging import Sheet
-from cbsr_qa.analysis.recording.places import Matcher, Place, find_places
+from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fitted
+from cbsr_qa.domain import Goodness
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import DrivePattern, ElectrodeLayout
 from cbsr_qa.eit.loads import DeepTank
@@ -38,6 +39,7 @@ class Object:
     place : at its peak.
     score : at its peak, over the noise.
     track : (frame, place) of every frame it was seen in; a single one for a still image.
+    goodness : of the fit at its peak, with all objects of that frame.
     """
 
     first: int
@@ -46,6 +48,7 @@ class Object:
     place: Place
     score: float
     track: tuple[tuple[int, Place], ...]
+    goodness: Goodness
 
 
 def reciprocal_noise(changes: Array, used: Mask) -> float:
@@ -87,7 +90,8 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
             f" (at least {_EXPLAINED:.0%})"
         )
     kept = [place for place in places if abs(place.score) >= _DETECTED]
-    return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),)) for place in kept), ""
+    goodness = Goodness.of(change, fitted(change, match, places), match.sigma, 1.0)
+    return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),), goodness) for place in kept), ""
 
 
 def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
@@ -119,12 +123,13 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
         if after[0] - before[0] > _BRIDGED_FRAMES + 1:
             stretches.append([])
         stretches[-1].append(after)
-    return tuple(_object(stretch) for stretch in stretches), ""
+    return tuple(_object(stretch, changes, match) for stretch in stretches), ""
 
 
-def _object(stretch: list[tuple[int, Place]]) -> Object:
+def _object(stretch: list[tuple[int, Place]], changes: Array, match: Matcher) -> Object:
     peak, place = max(stretch, key=lambda seen: abs(seen[1].score))
-    return Object(stretch[0][0], stretch[-1][0], peak, place, abs(place.score), tuple(stretch))
+    goodness = Goodness.of(changes[peak], fitted(changes[peak], match, (place,)), match.sigma, 1.0)
+    return Object(stretch[0][0], stretch[-1][0], peak, place, abs(place.score), tuple(stretch), goodness)
 
 
 _DEPTHS: Final = (0.3, 5.0)  # in radii: shallower is a sheet, deeper looks alike

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Self
 import numpy as np
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.domain import CbsrError, RowProblem, filled
+from cbsr_qa.domain import CbsrError, Goodness, RowProblem, filled
 from cbsr_qa.domain.readings import (
     ChannelReport,
     EventImaging,
@@ -176,6 +176,7 @@ class Event:
     x_mm: Annotated[float | None, IF_GIVEN]
     y_mm: Annotated[float | None, IF_GIVEN]
     image: PlaceInImage | None
+    goodness: Goodness | None
     track: Annotated[tuple[TrackPoint, ...] | None, IF_GIVEN]
     motion: Annotated[TrackedMotion | None, IF_GIVEN]
 

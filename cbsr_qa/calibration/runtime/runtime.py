@@ -23,7 +23,7 @@ from cbsr_qa.calibration.runtime.force import (
 )
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
 from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
-from cbsr_qa.domain import Array, CalibrationError, Indices, real_numbers
+from cbsr_qa.domain import Array, CalibrationError, Indices, real_numbers, unlike_model
 from cbsr_qa.domain.results import ForceModel, calibration as record
 from cbsr_qa.domain.run import Indenter
 
@@ -31,8 +31,6 @@ from cbsr_qa.domain.run import Indenter
 _FOREIGN: Final = 0.5
 #: Detectability from which a load at a given place counts as one.
 _CLEAR: Final = 3.0
-#: Standard deviations of χ² that noise may leave besides a template.
-_ROOM: Final = 4.0
 #: Least share of a load's signal, as energy, that no head explains at all and that makes a frame another thing.
 _UNLIKE: Final = 0.04
 #: A second head weaker than this share of the first is what an earlier load left: material relaxations are down to
@@ -266,7 +264,7 @@ class Calibration:
             clear = further >= self.model.threshold**2 + self.model.misfit * gain_there
             others[looked] = np.where(clear & (ratio > _LEFT_BEHIND), ratio, 0.0)
         # What no template explains beyond noise, over what the first does.
-        unlike = left - freedom - _ROOM * np.sqrt(2 * freedom) > max(self.model.misfit, _UNLIKE) * gain
+        unlike = unlike_model(gain, left, freedom, max(self.model.misfit, _UNLIKE))
         share = np.sqrt(np.maximum(left - freedom, 0.0) / np.maximum(gain, 1.0))
         return np.where(unlike, np.maximum(others, share), others)
 

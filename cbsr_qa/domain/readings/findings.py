@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
+from cbsr_qa.domain.goodness import Goodness
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings.frames import Recording
 from cbsr_qa.domain.results import Image, ParameterChoice
@@ -211,6 +212,7 @@ class LoadEvent(_OnDisc):
     fate : beside others held at its peak, whether the image shows it ``"apart"``, ``"merged"`` with one of them, or
         it was ``"missed"``; empty where it was alone.
     imaged : where its own image shows it; None where the image shows nothing near its place.
+    goodness : of the fit of loads on the modelled sheet.
     """
 
     start_s: float
@@ -230,6 +232,7 @@ class LoadEvent(_OnDisc):
     motion: Motion | None = None
     fate: str = ""
     imaged: ImagedPlace | None = None
+    goodness: Goodness | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

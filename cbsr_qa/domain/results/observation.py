@@ -29,6 +29,7 @@ class LoadFinding(StrEnum):
     LOCATED = "located"
     NOT_DETECTED = "not detected"  #: nothing stands out of the noise of the readings
     NOT_RESOLVABLE = "not resolvable"  #: there is a load, but too weak to say where
+    NOT_AS_MODELLED = "not as modelled"  #: no round load on the modelled sheet explains the readings
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,7 @@ class LoadEstimate:
 
     Parameters
     ----------
-    finding : everything but ``detectability`` and the misfit is None unless the load was located.
+    finding : everything but ``detectability``, misfit and shares is None unless the load was located.
     why : of a refusal, and what would help; empty otherwise.
     detectability : d′, the load's signal over the readings' noise (matched filter).
     place_mm : (x, y).
@@ -67,6 +68,8 @@ class LoadEstimate:
     misfit : sum of squared residuals over their number less that of the unknowns: 1 for a round load on such a sheet.
     misfit_probability : of a misfit at least as large, were the model right.
     inflation : by which the covariance was multiplied because the misfit says that the model is wrong; else 1.
+    explained : share of the readings' signal that the load explains, weighed by their noise, which is taken off.
+    explained_unweighted : the same of the readings' squares.
     """
 
     finding: LoadFinding
@@ -81,6 +84,8 @@ class LoadEstimate:
     misfit: float
     misfit_probability: float
     inflation: float
+    explained: float
+    explained_unweighted: float
     steps: int
 
     @property

@@ -31,7 +31,8 @@ class Fits:
     ----------
     parameters : (n, 4) x [mm], y [mm], strength s [mm²], square q [mm²] (:mod:`cbsr_qa.eit.loads.round_load`).
     covariance : (n, 4, 4) inverse Fisher matrix at the estimate; rows and columns of what was given are zero.
-    misfit : (n,) sum of squared residuals of unit noise.
+    residual : (n, rows) of unit noise.
+    misfit : (n,) sum of its squares.
     empty_misfit : (n,) the same without a load.
     steps : (n,) tried.
     converged : (n,) False where the last step was not small.
@@ -41,6 +42,7 @@ class Fits:
 
     parameters: Array
     covariance: Array
+    residual: Array
     misfit: Array
     empty_misfit: Array
     steps: Indices
@@ -105,10 +107,10 @@ class _Run:
         self.free = np.tile([True, True, True, square], (count, 1))
         self.at, *_ = fitter.bounded(start, square=square)
         rows, slopes = fitter.rows(self.at)
-        residual = data - rows
-        self.misfit = (residual**2).sum(axis=1)
+        self.residual = data - rows
+        self.misfit = (self.residual**2).sum(axis=1)
         self.information = slopes.swapaxes(1, 2) @ slopes
-        self.pull = np.einsum("nrp,nr->np", slopes, residual)
+        self.pull = np.einsum("nrp,nr->np", slopes, self.residual)
         self.damping = np.full(count, 1e-3)
         self.active = np.ones(count, dtype=np.bool_)
         self.converged = np.zeros(count, dtype=np.bool_)
@@ -155,6 +157,7 @@ class _Run:
         better = misfit < self.misfit[which]
         good = which[better]
         self.at[good], self.misfit[good] = aim[better], misfit[better]
+        self.residual[good] = residual[better]
         slopes = slopes[better]
         self.information[good] = slopes.swapaxes(1, 2) @ slopes
         self.pull[good] = np.einsum("nrp,nr->np", slopes, residual[better])
@@ -172,7 +175,15 @@ class _Run:
         excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
         empty = (self.data**2).sum(axis=1)
         return Fits(
-            self.at, covariance, self.misfit, empty, self.steps, self.converged, held, np.maximum(excess, 0.0)
+            self.at,
+            covariance,
+            self.residual,
+            self.misfit,
+            empty,
+            self.steps,
+            self.converged,
+            held,
+            np.maximum(excess, 0.0),
         )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtr, ndtri
 
-from cbsr_qa.domain import Array, Indices, Mask, NumericsError
+from cbsr_qa.domain import LEAST_EXPLAINED, Array, Indices, Mask, NumericsError, explained_share, unlike_model
 from cbsr_qa.domain.results import Estimated, LoadEstimate, LoadFinding
 from cbsr_qa.eit.estimate.fit import SURE, Fits, LoadFitter, spread_covariance
 from cbsr_qa.eit.estimate.readings import MergedReadings
@@ -52,6 +52,7 @@ class LoadFits:
     place_stderr_mm : (n,) root mean square over two axes.
     has_radius : (n,) whether the radius is determined.
     inflation, probability : (n,) of the misfit.
+    explained, explained_unweighted : (n,) shares of the signal, weighed by its noise and not.
     """
 
     fits: Fits
@@ -61,6 +62,8 @@ class LoadFits:
     has_radius: Mask
     inflation: Array
     probability: Array
+    explained: Array
+    explained_unweighted: Array
 
 
 class LoadEstimator:
@@ -121,7 +124,7 @@ class LoadEstimator:
             fits = _with(fits, hopeful, fitted)
         if not self.known:
             fits = self._sized(data, fits)
-        return self._judged(fits)
+        return self._judged(data, fits)
 
     def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
         """Start from the better of the given place and the best of the grid, (n, 4); its explained share, (n,)."""
@@ -149,21 +152,30 @@ class LoadEstimator:
         sized = self._fitter.fit(data[seen], fits.parameters[seen], square=True)
         return _with(fits, seen, sized)
 
-    def _judged(self, fits: Fits) -> LoadFits:
+    def _judged(self, data: Array, fits: Fits) -> LoadFits:
         unknowns = 3 if self.known else 4
         freedom = len(self.readings.weight) - unknowns
         probability = chdtrc(freedom, fits.misfit)
         inflation = np.where(probability < _IMPROBABLE, fits.misfit / freedom, 1.0)
         gain = (fits.empty_misfit - fits.misfit) / inflation
         detectability = np.sqrt(np.maximum(gain - unknowns, 0))
-        seen = (gain >= DETECTED_GAIN) & (detectability >= LEAST_DETECTABILITY) & fits.converged
+        explained = fits.empty_misfit - fits.misfit
+        unlike = unlike_model(explained, fits.misfit, freedom)
+        seen = (gain >= DETECTED_GAIN) & (detectability >= LEAST_DETECTABILITY) & fits.converged & ~unlike
         covariance = self._covariance(fits, np.flatnonzero(seen), detectability) * inflation[:, None, None]
         place = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)
         located = seen & (place <= _SHARE * _SPARE * self.expected_radius_mm)
-        finding = np.where(gain < DETECTED_GAIN, 1, np.where(located, 0, 2))
+        finding = np.where(unlike, 3, np.where(gain < DETECTED_GAIN, 1, np.where(located, 0, 2)))
         fits = replace(fits, covariance=covariance)
         has_radius = located & (self._radius_stderr(fits, located) <= _SHARE * _SPARE * self.expected_radius_mm)
-        return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability)
+        shares = explained_share(explained, fits.misfit, freedom), self._unweighted(data, fits)
+        return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability, *shares)
+
+    def _unweighted(self, data: Array, fits: Fits) -> Array:
+        """Share (n,) of the readings' squares, each weighing alike, that the fits explain."""
+        variance = self.readings.weight**-2.0
+        left = fits.residual**2 @ variance
+        return explained_share(data**2 @ variance - left, left, float(variance.sum()))
 
     def _covariance(self, fits: Fits, seen: Indices, detectability: Array) -> Array:
         unsure = seen[detectability[seen] < SURE]
@@ -207,13 +219,19 @@ class LoadEstimator:
             misfit=float(fits.misfit[number] / freedom),
             misfit_probability=float(fitted.probability[number]),
             inflation=float(fitted.inflation[number]),
+            explained=float(fitted.explained[number]),
+            explained_unweighted=float(fitted.explained_unweighted[number]),
             steps=int(fits.steps[number]),
         )
 
     def _why(self, finding: LoadFinding, fitted: LoadFits, number: int) -> str:
+        if finding is LoadFinding.NOT_AS_MODELLED:
+            return (
+                f"one round load on the modelled sheet explains {fitted.explained[number]:.0%} of the readings'"
+                f" signal; {LEAST_EXPLAINED:.0%} is needed: the sheet is not what the sensor type describes, or"
+                " something else presses it"
+            )
         if finding is LoadFinding.NOT_DETECTED:
-            if fitted.inflation[number] > 1:
-                return "the readings changed by more than their noise, but not as one round load changes them"
             return "no load stands out of the noise of the readings"
         seen, place = float(fitted.detectability[number]), float(fitted.place_stderr_mm[number])
         if not fitted.fits.converged[number]:
@@ -296,7 +314,7 @@ def _unfitted(data: Array, start: Array, gain: Array) -> Fits:
     empty, count = (data**2).sum(axis=1), len(data)
     no = np.zeros(count, dtype=np.bool_)
     covariance, steps = np.zeros((count, 4, 4)), np.zeros(count, dtype=np.int64)
-    return Fits(start, covariance, empty - gain, empty, steps, no, no, np.zeros(count))
+    return Fits(start, covariance, data.copy(), empty - gain, empty, steps, no, no, np.zeros(count))
 
 
 def _with(fits: Fits, which: Indices, new: Fits) -> Fits:

@@ -172,4 +172,5 @@ def _seen(load: LoadObservation, placed: LoadEstimate) -> Measurement:
 
 def _fit(placed: LoadEstimate) -> str:
     widened = f", covariance × {placed.inflation:.2g} for it" if placed.inflation > 1 else ""
-    return f"{placed.finding}; residuals {placed.misfit:.2f} of the noise{widened}"
+    explained = f"{placed.explained:.1%} of the signal explained ({placed.explained_unweighted:.1%} unweighted)"
+    return f"{placed.finding}; {explained}; residuals {placed.misfit:.2f} of the noise{widened}"

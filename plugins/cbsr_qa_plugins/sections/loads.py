@@ -91,6 +91,14 @@ def _placed(load: LoadObservation, estimate: EstimatedLoad, run: RunObservation)
 
 
 def _in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Sequence[PlacedLoad]) -> str:
+    shares = [c.explained for _, e in pairs if (c := _chosen(e)) is not None]
+    explained = (
+        f" A load on the modelled sheet explains {np.median(shares):.1%} of a signal (median)." if shares else ""
+    )
+    return _errors_in_words(pairs, placed) + explained
+
+
+def _errors_in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Sequence[PlacedLoad]) -> str:
     errors = [float(np.hypot(*p.estimated_error)) for p in placed if p.estimated_error is not None]
     if not errors:
         why = next((e.why or (c.why if (c := _chosen(e)) else "") for _, e in pairs), "")

@@ -125,6 +125,7 @@ def _direction(at: LoadEvent | ImagedPlace) -> str:
 def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     named = any(event.x_mm is not None for event in events)
     columns = ["Event", "Start [s]", "Peak [s]", "End [s]", "Electrode", "r/R", "Conductance", "SNR"]
+    columns += ["Explained [%]"]
     columns += ["x [mm]", "y [mm]"] if named else []
     forced = any(event.force_N is not None for event in events)
     columns += ["Force [N]"] if forced else []
@@ -135,6 +136,7 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         times = ["–"] * 3 if still else [fixed(t, 1) for t in (event.start_s, event.peak_s, event.end_s)]
         row = [_name(rank), *times, _direction(event), fixed(event.r_over_R, 2)]
         row += ["rises" if event.sign > 0 else "falls", fixed(event.snr, 1)]
+        row.append(dashed(event.goodness, lambda fit: f"{100 * fit.explained:.0f}{'' if fit.in_model else ' !'}"))
         if named:
             row += [dashed(at, lambda mm: fixed(mm, 1)) for at in (event.x_mm, event.y_mm)]
         if forced:
@@ -145,7 +147,8 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "Conductance", "Overlapping"))
     caption = (
         "Events found in the readings. Electrode: direction as a fractional electrode number. SNR:"
-        " change over the noise of such changes in this recording."
+        " change over the noise of such changes in this recording. Explained: share of the change that loads on the"
+        " modelled sheet explain, beside noise; ! where what they leave is more than noise and the model's errors."
         + (" Overlapping: whether the image shows an event during others as a separate region." if beside else "")
     )
     return text_table(caption, columns, rows, numeric)

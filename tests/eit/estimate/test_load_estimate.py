@@ -192,14 +192,38 @@ def test_a_radius_the_readings_do_not_determine_is_refused_with_the_size_that_wo
     assert one.area_contrast_mm2 is not None
 
 
-def test_two_loads_are_no_round_load_and_widen_the_uncertainty():
+def test_two_loads_are_no_round_load_and_get_no_place():
     both = change(-20.0, 0.0, 6.5, 0.3) + change(20.0, 12.0, 6.5, 0.3)
     one = estimator(60, known=True).estimate(both[USED][None])[0]
+    assert one.finding is LoadFinding.NOT_AS_MODELLED
     assert one.misfit > 5
     assert one.misfit_probability < 1e-6
     assert one.inflation == pytest.approx(one.misfit, rel=1e-6)
+    assert one.explained < 0.8
+    assert f"explains {one.explained:.0%}" in one.why
     alone = estimator(60, known=True).estimate(change(-20.0, 0.0, 6.5, 0.3)[USED][None])[0]
     assert alone.inflation == 1
+    assert alone.explained == alone.explained_unweighted == 1
+
+
+def test_a_small_misfit_widens_the_uncertainty():
+    """Readings that a gain error of 5 % each turns into those of no round load, far above the noise."""
+    gains = 1 + 0.05 * np.random.default_rng(5).standard_normal(USED.sum())
+    data = change(-20.0, 0.0, 6.5, 0.5)[USED]
+    exact, off = estimator(80, known=True).estimate(np.stack([data, gains * data]))
+    assert off.finding is LoadFinding.LOCATED
+    assert 0.95 < off.explained < 1
+    assert off.inflation > 10
+    assert off.place_stderr_mm == pytest.approx(exact.place_stderr_mm * np.sqrt(off.inflation), rel=0.2)
+
+
+def test_shares_of_the_signal_leave_out_noise():
+    """Noise as large as the signal leaves half of the squares; without it all is explained."""
+    data = np.tile(change(10.0, -15.0, 6.5, 0.3)[USED], (400, 1))
+    found = estimator(35, known=True).fit(data + noise(35, 400, 6))
+    assert np.median(found.fits.misfit / found.fits.empty_misfit) > 0.3
+    assert np.median(found.explained) > 0.95
+    assert (found.finding == FOUND[LoadFinding.NOT_AS_MODELLED]).mean() < 0.02
 
 
 def test_masked_readings_cost_precision_and_no_bias():
