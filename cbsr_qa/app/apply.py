@@ -144,6 +144,7 @@ _SAID: Final = {
     Flag.UNREADABLE: "a reading is missing or saturated",
     Flag.OTHER_SENSOR: "not a frame of this sensor",
     Flag.OTHER_HEAD: "a head of another size than was calibrated",
+    Flag.NOT_AS_MODELLED: "not as on the modelled sheet",
 }
 
 

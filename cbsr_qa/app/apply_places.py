@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.file import read_issued
-from cbsr_qa.calibration.place import PlaceEstimator, Places
+from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places
 from cbsr_qa.calibration.presses import PressReadings, matched_readings, read_pairs, read_press_readings
 from cbsr_qa.calibration.runtime import Flag
-from cbsr_qa.domain import Array, CalibrationError
+from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError
 from cbsr_qa.domain.results import CommandOutcome, PressCalibration, Section
 from cbsr_qa.report import answer, fixed, plural, text_table
 from cbsr_qa.system import csv_text, read_untrusted
@@ -18,6 +18,23 @@ from cbsr_qa.system import csv_text, read_untrusted
 #: Rows of a table in a terminal.
 _MOST_ROWS: Final = 12
 _Covariance = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class ByTheModel:
+    """The same place by the modelled sheet alone.
+
+    Parameters
+    ----------
+    explained : share of the readings' squares that a touch there explains, noise taken off where it is known.
+    in_model : whether that is enough, and the registration trusted; else the place is not to be relied on.
+    """
+
+    x_mm: float | None
+    y_mm: float | None
+    covariance_mm2: _Covariance | None
+    explained: float
+    in_model: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +47,7 @@ class FramePlace:
     flags : what is unusual: names of :class:`~cbsr_qa.calibration.Flag`.
     in_model : whether the readings are like those that calibrated.
     force_N : None where it was not learned.
+    modelled : by the modelled sheet; None where the calibration does not hold it.
     """
 
     x_mm: float | None
@@ -38,6 +56,7 @@ class FramePlace:
     flags: tuple[str, ...]
     in_model: bool
     force_N: float | None = None
+    modelled: ByTheModel | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +103,10 @@ def apply_to_table(
         )
     read = read_press_readings(readings, read_pairs(pattern, issued.electrodes), rest)
     changes = _changes(issued, read, differences=differences)
-    estimator = PlaceEstimator(issued.place)
-    places = estimator(changes)
-    frames = tuple(_frame(places, number) for number in range(len(changes)))
+    modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
+    estimator = PlaceEstimator(issued.place, modelled)
+    places, by_model = estimator(changes), None if modelled is None else modelled(changes)
+    frames = tuple(_frame(places, by_model, number) for number in range(len(changes)))
     return AppliedPlaces(calibration, readings, float(estimator.q68), float(estimator.q95), frames)
 
 
@@ -102,27 +122,35 @@ def _changes(issued: PressCalibration, read: PressReadings, *, differences: bool
     return matched - issued.rest
 
 
-def _frame(places: Places, number: int) -> FramePlace:
-    x, y = places.place_mm[number].tolist()
-    found = bool(np.isfinite([x, y]).all())
-    (xx, xy), (yx, yy) = places.covariance_mm2[number].tolist()
+def _frame(places: Places, by_model: Places | None, number: int) -> FramePlace:
+    modelled = None
+    if by_model is not None:
+        share = 1 / (1 + ALLOWANCE * float(by_model.misfit[number]))
+        modelled = ByTheModel(*_place(by_model, number), share, bool(by_model.in_model[number]))
     return FramePlace(
-        x_mm=x if found else None,
-        y_mm=y if found else None,
-        covariance_mm2=((xx, xy), (yx, yy)) if found else None,
+        *_place(places, number),
         flags=tuple(str(flag.name).lower() for flag in Flag if flag & int(places.flags[number])),
         in_model=bool(places.in_model[number]),
+        modelled=modelled,
     )
+
+
+def _place(places: Places, number: int) -> tuple[float | None, float | None, _Covariance | None]:
+    x, y = places.place_mm[number].tolist()
+    if not np.isfinite([x, y]).all():
+        return None, None, None
+    (xx, xy), (yx, yy) = places.covariance_mm2[number].tolist()
+    return x, y, ((xx, xy), (yx, yy))
 
 
 def places_csv(applied: AppliedPlaces) -> str:
     """Return all places as a CSV table, a row a frame."""
-    names = [field.name for field in fields(FramePlace) if field.name != "covariance_mm2"]
+    names = [field.name for field in fields(FramePlace) if field.name not in ("covariance_mm2", "modelled")]
     at = names.index("flags")
     header = [*names[:2], "covariance_xx_mm2", "covariance_xy_mm2", "covariance_yy_mm2", *names[2:]]
     rows = []
     for frame in applied.frames:
-        x, y, covariance, *others = astuple(frame)
+        x, y, covariance, *others, _ = astuple(frame)
         (xx, xy), (_, yy) = covariance or ((None, None), (None, None))
         others[at - 2] = "; ".join(others[at - 2])
         rows.append((x, y, xx, xy, yy, *others))

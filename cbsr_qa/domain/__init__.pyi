@@ -21,6 +21,7 @@ from .errors import (
 )
 from .filling import filled as filled, fitted as fitted, typed as typed
 from .goodness import (
+    ALLOWANCE as ALLOWANCE,
     LEAST_EXPLAINED as LEAST_EXPLAINED,
     Goodness as Goodness,
     explained_share as explained_share,

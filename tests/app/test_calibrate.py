@@ -111,6 +111,7 @@ def test_places_are_in_the_frame_of_the_presses_whatever_the_order_and_polarity(
         frames = document["frames"]
         assert 0 < document["q68"] < document["q95"]
         assert all(frame["in_model"] for frame in frames)
+        assert all(frame["modelled"]["in_model"] and frame["modelled"]["explained"] > 0.95 for frame in frames)
         places.append([(frame["x_mm"], frame["y_mm"]) for frame in frames])
         assert np.linalg.eigvalsh([frame["covariance_mm2"] for frame in frames]).min() > 0
     np.testing.assert_allclose(places[0], places[1], atol=1e-6)

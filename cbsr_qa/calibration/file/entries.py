@@ -112,6 +112,11 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
         raise CalibrationError("registration/scale or registration/radius is not positive")
     for problem in _place_problems(calibration.place, readings):
         raise CalibrationError(problem)
+    modelled = calibration.modelled
+    if modelled is not None and (not len(modelled.node) or modelled.templates.shape[1] != readings):
+        raise CalibrationError(
+            f"modelled/templates is empty, or of {modelled.templates.shape[1]} readings, readings/pairs of {readings}"
+        )
     return calibration
 
 

@@ -1,5 +1,13 @@
-from .estimator import PlaceEstimator as PlaceEstimator, Places as Places
+from .estimator import PlaceEstimator as PlaceEstimator
 from .features import ceilings_of as ceilings_of, spikes_in as spikes_in
 from .held_out import visits_of as visits_of
 from .learning import FEWEST_PRESSES as FEWEST_PRESSES, PlaceLearned as PlaceLearned, learn_place as learn_place
 from .mixture import mahalanobis as mahalanobis
+from .modelled import (
+    ModelledEstimator as ModelledEstimator,
+    log_likelihood as log_likelihood,
+    most_alike as most_alike,
+    unit_rows as unit_rows,
+    with_variance as with_variance,
+)
+from .places import Places as Places

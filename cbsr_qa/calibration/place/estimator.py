@@ -1,12 +1,13 @@
 """Frames in, places out: a learned place in use. Needs numpy alone."""
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.place.features import features_of, spikes_in, squared_distances
 from cbsr_qa.calibration.place.mixture import mixed
+from cbsr_qa.calibration.place.modelled import ModelledEstimator
+from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.calibration.place.process import located
 from cbsr_qa.calibration.place.templates import match
 from cbsr_qa.calibration.runtime import Flag
@@ -16,41 +17,21 @@ from cbsr_qa.domain.results import LearnedPlace
 _AT_ONCE: Final = 256  # frames; what is held beside them stays small
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """Where n frames are pressed, in the frame of the presses that were learned from.
+class PlaceEstimator:
+    """Locates touches with what was learned from presses.
 
     Parameters
     ----------
-    place_mm : (n, 2); NaN where a reading is missing.
-    covariance_mm2 : (n, 2, 2) Σ; the region of 68 % is all d with dᵀΣ⁻¹d at most ``q68`` of the estimator.
-    misfit : (n,) squared misfit per reading over what a touch like those learned from has at most.
-    flags : (n,) of :class:`~cbsr_qa.calibration.Flag`.
-    """
-
-    place_mm: Array
-    covariance_mm2: Array
-    misfit: Array
-    flags: Indices
-
-    @property
-    def in_model(self) -> Mask:
-        """Whether each frame (n,) is one touch like those learned from."""
-        beside = int(Flag.NOT_DETECTED | Flag.MORE_THAN_ONE | Flag.UNREADABLE)
-        inside: Mask = (self.flags & beside) == 0
-        return inside
-
-
-class PlaceEstimator:
-    """Locates touches with what was learned from presses.
+    model : as learned.
+    modelled : takes over where it explains a touch beyond the presses.
 
     Attributes
     ----------
     q68, q95 : of dᵀΣ⁻¹d; see :class:`Places`.
     """
 
-    def __init__(self, model: LearnedPlace) -> None:
-        self._model = model
+    def __init__(self, model: LearnedPlace, modelled: ModelledEstimator | None = None) -> None:
+        self._model, self._modelled = model, modelled
         self.q68, self.q95 = model.mixture.quantiles.tolist()
 
     def __call__(self, changes: Array) -> Places:
@@ -67,7 +48,26 @@ class PlaceEstimator:
         parts = [self._located(changes[first : first + _AT_ONCE]) for first in range(0, len(changes), _AT_ONCE)]
         if not parts:
             parts = [self._located(np.zeros((0, readings)))]
-        return Places(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        places = Places(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+        return places if self._modelled is None else self._beyond(places, self._modelled(changes))
+
+    def _beyond(self, places: Places, modelled: Places) -> Places:
+        """Take what the modelled sheet says of touches that it explains and that lie beyond the presses."""
+        beyond = modelled.in_model & self._outside(modelled.place_mm)
+        silent = (places.flags & int(Flag.NOT_DETECTED | Flag.UNREADABLE)) != 0
+        taken = beyond & ~silent
+        flags = np.where(taken, int(Flag.OUTSIDE), places.flags)
+        place = np.where(taken[:, None], modelled.place_mm, places.place_mm)
+        covariance = np.where(taken[:, None, None], modelled.covariance_mm2, places.covariance_mm2)
+        return Places(place, covariance, np.where(taken, modelled.misfit, places.misfit), flags)
+
+    def _outside(self, place_mm: Array) -> Mask:
+        """Which places (n, 2) in the frame of the presses are far from all of them."""
+        model = self._model
+        about = (place_mm - model.centre_mm) @ model.axes.T
+        nearest = np.sqrt(squared_distances(about, model.process.places_mm).min(axis=1, initial=np.inf))
+        outside: Mask = np.asarray(nearest > model.reach_mm)
+        return outside
 
     def _located(self, changes: Array) -> tuple[Array, Array, Array, Indices]:
         model = self._model
@@ -81,8 +81,8 @@ class PlaceEstimator:
         flags = np.where(whole, 0, int(Flag.UNREADABLE))
         flags |= np.where(np.sqrt((changes**2).mean(axis=1)) < model.least_size, int(Flag.NOT_DETECTED), 0)
         flags |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
-        nearest = np.sqrt(squared_distances(place, model.process.places_mm).min(axis=1, initial=np.inf))
-        flags |= np.where(nearest > model.reach_mm, int(Flag.OUTSIDE), 0)
-        place = np.where(whole[:, None], place @ model.axes + model.centre_mm, np.nan)
+        place = place @ model.axes + model.centre_mm
+        flags |= np.where(self._outside(place), int(Flag.OUTSIDE), 0)
+        place = np.where(whole[:, None], place, np.nan)
         turned = model.axes.T @ covariance @ model.axes
         return place, turned, misfit / model.misfit, flags

@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.presses.likeness import alikeness, answering_side, log_likelihood
+from cbsr_qa.calibration.place import log_likelihood
+from cbsr_qa.calibration.presses.likeness import alikeness, answering_side
 from cbsr_qa.calibration.presses.registration import (
     Registered,
     evenly_spread,

@@ -7,13 +7,20 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.file import stamped
-from cbsr_qa.calibration.place import PlaceLearned, learn_place
+from cbsr_qa.calibration.place import ModelledEstimator, PlaceLearned, learn_place, with_variance
 from cbsr_qa.calibration.presses.dead_readings import find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
-from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
+from cbsr_qa.calibration.presses.likeness import answering_side
+from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain import Array, Mask, NumericsError, RecordingError
-from cbsr_qa.domain.results import LeftOutPress, PressCalibration, SheetRegistration, SourceFile
+from cbsr_qa.domain.results import (
+    LeftOutPress,
+    ModelledPlace,
+    PressCalibration,
+    SheetRegistration,
+    SourceFile,
+)
 from cbsr_qa.domain.sensor import ElectrodeLayout, SensorType
 
 #: A scale that differs from one by less is within what mounting and modelling do.
@@ -56,12 +63,14 @@ class PressesLearned:
     findings : about readings, electrodes and sheet, in words.
     used : (n,) whether each press was learned from; no reading changes in the others. Presses left out are numbered
         among those used.
+    modelled : the place by the modelled sheet alone.
     """
 
     registration: SheetRegistration
     findings: tuple[str, ...]
     used: Mask
     place: PlaceLearned
+    modelled: ModelledPlace
 
 
 def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None) -> PressesLearned:
@@ -84,7 +93,8 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     tell("finding how the sheet lies")
     dead = find_dead_readings(readings.distinct.pairs, readings.changes, presses.place_mm)
     readings = replace(readings, changes=np.where(dead.dead, 0.0, readings.changes))
-    order = _ordered(replace(labelled, readings=readings))
+    sheet = ModelledSheet(labelled.sensor_type)
+    order = _ordered(replace(labelled, readings=readings), sheet)
     registration = order.registered.registration
     if registration.trusted:
         check_inside(presses, registration)
@@ -93,7 +103,8 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     learned = _learned(labelled.sensor_type, order, readings.changes[used], presses.place_mm[used], time_s, tell)
     about_sheet = *dead.findings, *_findings(order, radius_stated=labelled.radius_stated)
     findings = *about_sheet, *learned.warnings, *([_BY_PLACE] if labelled.by_place() else [])
-    return PressesLearned(registration, findings, used, learned)
+    modelled = _modelled(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
+    return PressesLearned(registration, findings, used, learned, modelled)
 
 
 def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
@@ -123,6 +134,7 @@ def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: P
             covered_68=held_out.coverage[0],
             covered_95=held_out.coverage[1],
             place=learned.place.model,
+            modelled=learned.modelled,
         )
     )
 
@@ -144,11 +156,25 @@ def _learned(
     )
 
 
-def _ordered(labelled: LabelledPresses) -> ElectrodeOrder:
+def _modelled(
+    labelled: LabelledPresses, sheet: ModelledSheet, order: ElectrodeOrder, quantiles: Array
+) -> ModelledPlace:
+    """Templates of the registered sheet, with the errors of the presses that it was registered with."""
+    readings, registered, lattice = labelled.readings, order.registered, sheet.lattice
+    answers = answering_side(sheet, order.pairs, readings.changes).answers
+    noise = 0.0 if readings.noise is None else float(np.sqrt((readings.noise[answers] ** 2).mean()))
+    step_mm = STEP * registered.registration.radius_mm
+    templates = registered.sign * lattice.readings(order.pairs) * answers
+    model = ModelledPlace(lattice.node, step_mm, templates, 1.0, 1.0, noise)
+    found = ModelledEstimator(model, registered.registration)(readings.changes).place_mm
+    return with_variance(model, found - labelled.presses.place_mm, quantiles)
+
+
+def _ordered(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
     readings, presses = labelled.readings, labelled.presses
     try:
         return find_electrode_order(
-            ModelledSheet(labelled.sensor_type),
+            sheet,
             readings.distinct.pairs,
             readings.changes,
             presses.place_mm,

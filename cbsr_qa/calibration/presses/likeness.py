@@ -6,21 +6,15 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.place import log_likelihood, most_alike, unit_rows
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain import Array, Indices, Mask
 
-#: Readings and templates are compared as their signed powers of this exponent: of the exponents 0.3 to 1 it gives the
-#: smallest errors of place on a sheet with spikes, and next to nothing is lost on one without.
-_COMPRESSION: Final = 0.7
 #: Readings of one modelled polarity hardly answer if those of the other are larger by this factor, both over what the
 #: modelled sheet answers.
 _DEAD: Final = 3.0
-#: Independent readings that a press counts as: what is left of a template is no noise but how the sheet differs from
-#: its model, alike in many readings.
-_INDEPENDENT: Final = 7.0
 #: Log likelihood of a press off the sheet.
 _OFF_SHEET: Final = -1.0
-_MOST_ALIKE: Final = 0.9999
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,22 +59,8 @@ def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> Answ
 
 def alikeness(changes: Array, templates: Array) -> Array:
     """Cosines of changes (n, m) and templates (…, m) where the shapes broadcast, both compressed: (…)."""
-    cosines: Array = np.einsum("...m,...m->...", _unit(changes), _unit(templates))
+    cosines: Array = np.einsum("...m,...m->...", unit_rows(changes), unit_rows(templates))
     return cosines
-
-
-def _unit(rows: Array) -> Array:
-    compressed = np.sign(rows) * np.abs(rows) ** _COMPRESSION
-    length = np.linalg.norm(compressed, axis=-1, keepdims=True)
-    unit: Array = compressed / np.maximum(length, np.finfo(np.float64).tiny)
-    return unit
-
-
-def log_likelihood(alike: Array) -> Array:
-    """Log likelihood of presses by the cosines of their readings and a template, up to a constant."""
-    positive = np.clip(alike, 0.0, _MOST_ALIKE)
-    value: Array = -_INDEPENDENT / 2 * np.log1p(-(positive**2))
-    return value
 
 
 class Likeness:
@@ -95,14 +75,13 @@ class Likeness:
 
     def __init__(self, sheet: ModelledSheet, pairs: Indices, changes: Array) -> None:
         lattice = sheet.lattice
-        alike = _unit(changes) @ _unit(lattice.readings(pairs)).T
-        nodes = np.round(lattice.places / STEP).astype(np.int64)
-        self._centre = int(np.abs(nodes).max()) + 1
+        alike = unit_rows(changes) @ unit_rows(lattice.readings(pairs)).T
+        self._node = lattice.node
+        self._centre = int(np.abs(self._node).max()) + 1
         self._width = 2 * self._centre + 1
         self.maps = np.full((len(changes), self._width, self._width), _OFF_SHEET)
-        rows, columns = (nodes + self._centre).T
+        rows, columns = (self._node + self._centre).T
         self.maps[:, rows, columns] = log_likelihood(alike)
-        self._places = lattice.places
         self._alike = alike
 
     def of(self, presses: Indices) -> "Likeness":
@@ -124,16 +103,5 @@ class Likeness:
 
     def best_places(self) -> Array:
         """Most likely place (n, 2) of each press, in radii, between nodes by parabolas."""
-        best = np.argmax(self._alike, axis=1)
-        places = self._places[best].copy()
-        node = np.round(places / STEP).astype(np.int64) + self._centre
-        press, (i, j) = np.arange(len(places)), node.T
-        middle = self.maps[press, i, j]
-        for axis, (di, dj) in enumerate(((1, 0), (0, 1))):
-            below, above = self.maps[press, i - di, j - dj], self.maps[press, i + di, j + dj]
-            bend = below + above - 2 * middle
-            inside = (below >= 0) & (above >= 0) & (bend < 0)
-            move = np.where(inside, (below - above) / np.where(bend < 0, 2 * bend, -1.0), 0.0)
-            places[:, axis] += STEP * np.clip(move, -0.5, 0.5)
-        between: Array = places
+        between: Array = STEP * most_alike(self._node, self._alike)
         return between

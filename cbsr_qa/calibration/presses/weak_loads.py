@@ -35,6 +35,12 @@ class WeakLoads:
     places: Array
     changes: Array
 
+    @property
+    def node(self) -> Indices:
+        """Columns and rows (k, 2) of places on the lattice."""
+        node: Indices = np.round(self.places / STEP).astype(np.int64)
+        return node
+
     def readings(self, pairs: Indices) -> Array:
         """Changes (k, m) of readings of pairs (m, 4): source, sink, plus, minus."""
         return _readings(self.changes, pairs)

@@ -40,6 +40,7 @@ class Flag(IntFlag):
     OTHER_HEAD = (
         256  #: the head is so much larger or smaller than the calibrated one that its field is off by over 3 %
     )
+    NOT_AS_MODELLED = 512  #: no touch of the modelled sheet explains the readings
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

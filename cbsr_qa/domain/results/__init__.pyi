@@ -47,6 +47,7 @@ from .image import (
 from .learned_place import (
     FeatureScaling as FeatureScaling,
     LearnedPlace as LearnedPlace,
+    ModelledPlace as ModelledPlace,
     PatternTurns as PatternTurns,
     PlaceMixture as PlaceMixture,
     PlaceProcess as PlaceProcess,

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _LARGEST = 1e12
+#: Far more than any sheet has from its centre.
+_LARGEST_NODE = 1000
 
 _Positive = Annotated[float, Kept(least=0, most=_LARGEST)]
 
@@ -134,6 +136,28 @@ class PlaceMixture:
     share: _Positive
     spread: Annotated[Array, Kept(dims="3", least=0, most=_LARGEST)]
     quantiles: Annotated[Array, Kept(dims="2", least=0, most=_LARGEST)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelledPlace:
+    """Where the modelled sheet is touched: weak loads on a lattice of the registered sheet.
+
+    Parameters
+    ----------
+    node : (k, 2) columns and rows from the sheet's centre, in its axes.
+    step_mm : between nodes, on the sheet.
+    templates : (k, m) changes of the readings per strength; zero of those that do not answer.
+    variance_mm2 : of a place along an axis, from the presses that the sheet was registered with.
+    widening : of covariances, so that regions of the learned places' quantiles hold those presses.
+    noise : standard deviation of a reading's noise, root mean square; 0 where it is not known.
+    """
+
+    node: Annotated[Indices, Kept(dims="nodes 2", least=-_LARGEST_NODE, most=_LARGEST_NODE)]
+    step_mm: _Positive
+    templates: Annotated[Array, Kept(single=True, dims="nodes readings", most=_LARGEST)]
+    variance_mm2: Annotated[float, Kept(units="mm^2", least=0, most=_LARGEST)]
+    widening: _Positive
+    noise: Annotated[float, Kept(units="reading", least=0, most=_LARGEST)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

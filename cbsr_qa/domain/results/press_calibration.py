@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.kept import NOT_KEPT, Kept
-from cbsr_qa.domain.results.learned_place import LearnedPlace
+from cbsr_qa.domain.results.learned_place import LearnedPlace, ModelledPlace
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -54,6 +54,17 @@ class SheetRegistration:
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         axes: Array = np.array([[1.0], [-1.0 if self.mirrored else 1.0]]) * turn
         return axes
+
+    def covariance_mm2(self, labelled_mm: Array) -> Array:
+        """Covariance (n, 2, 2) that the pose's own errors give places (n, 2) in the frame of the presses."""
+        about = labelled_mm - np.array(self.shift_mm)
+        across = about @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+        stretch = np.hypot(self.scale_stderr / self.scale, self.radius_stderr_mm / self.radius_mm)
+        spread: Array = np.diag(np.square(self.shift_stderr_mm)) + sum(
+            error**2 * way[:, :, None] * way[:, None, :]
+            for error, way in ((np.radians(self.rotation_stderr_deg), across), (stretch, about))
+        )
+        return spread
 
     def on_sheet_mm(self, places_mm: Array) -> Array:
         """Places (n, 2) on the sheet, from its centre, of places in the frame of the presses."""
@@ -119,6 +130,7 @@ class PressCalibration:
         number.
     covered_68, covered_95 : share of these whose region of that probability holds the label.
     place : what turns changes into places.
+    modelled : the same by the modelled sheet alone; None in files of before.
     digest, record_digest, file : as of :class:`~cbsr_qa.domain.results.Calibration`.
     """
 
@@ -143,6 +155,7 @@ class PressCalibration:
     covered_68: Annotated[float | None, Kept("held_out/covered_68")]
     covered_95: Annotated[float | None, Kept("held_out/covered_95")]
     place: LearnedPlace
+    modelled: Annotated[ModelledPlace | None, Kept(omitted=True)] = None
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""

@@ -1,0 +1,129 @@
+"""Where the modelled sheet places a touch, and how much of the readings it explains. In use it needs numpy alone."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.place.mixture import LEVELS, quantile
+from cbsr_qa.calibration.place.places import Places
+from cbsr_qa.calibration.runtime import Flag
+from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError, Indices, Mask, unlike_model
+from cbsr_qa.domain.results import ModelledPlace, SheetRegistration
+
+#: Readings and templates are compared as their signed powers of this exponent: of the exponents 0.3 to 1 it gives the
+#: smallest errors of place on a sheet with spikes, and next to nothing is lost on one without.
+_COMPRESSION: Final = 0.7
+#: Independent readings that a press counts as: what is left of a template is no noise but how the sheet differs from
+#: its model, alike in many readings.
+_INDEPENDENT: Final = 7.0
+_MOST_ALIKE: Final = 0.9999
+#: A place and a strength.
+_UNKNOWNS: Final = 3
+#: Numbers of a pose, which were fitted to the presses' two coordinates each.
+_POSE: Final = 4
+
+
+class ModelledEstimator:
+    """Locates touches by the modelled sheet, as it was registered.
+
+    Parameters
+    ----------
+    model : templates of the sheet.
+    registration : how it lies in the frame of the presses.
+    """
+
+    def __init__(self, model: ModelledPlace, registration: SheetRegistration) -> None:
+        self._model, self._registration = model, registration
+        self._answers: Mask = model.templates.any(axis=0)
+        self._templates: Array = model.templates[:, self._answers].astype(np.float64)
+        self._bank = unit_rows(self._templates)
+
+    def __call__(self, changes: Array) -> Places:
+        """Locate the touches of changes (n, m) of the calibrated readings, in their unit.
+
+        Returns
+        -------
+        Places, of which ``misfit`` is what the model leaves beside noise over what it is allowed to, and which are
+        flagged where the model leaves more, or the registration is not trusted.
+
+        Raises
+        ------
+        CalibrationError
+            If they are of another number of readings.
+        """
+        if changes.ndim != 2 or changes.shape[1] != len(self._answers):
+            raise CalibrationError(f"changes of the shape {changes.shape}; (n, {len(self._answers)}) is expected")
+        whole: Mask = np.asarray(np.isfinite(changes).all(axis=1))
+        changes = np.where(whole[:, None], changes, 0.0)[:, self._answers]
+        alike = unit_rows(changes) @ self._bank.T
+        place = self._registration.labelled_mm(self._model.step_mm * most_alike(self._model.node, alike))
+        misfit, unlike = self._misfit(changes, self._templates[alike.argmax(axis=1)])
+        flags = np.where(whole, 0, int(Flag.UNREADABLE))
+        flags |= np.where(unlike | (not self._registration.trusted), int(Flag.NOT_AS_MODELLED), 0)
+        covariance = self._model.variance_mm2 * np.eye(2) + self._registration.covariance_mm2(place)
+        covariance *= self._model.widening
+        return Places(np.where(whole[:, None], place, np.nan), covariance, misfit, flags)
+
+    def _misfit(self, changes: Array, templates: Array) -> tuple[Array, Mask]:
+        """What the best templates leave (n,) over what they may, and where that is clearly too much."""
+        length = np.maximum((templates**2).sum(axis=1), np.finfo(np.float64).tiny)
+        gain = (changes * templates).sum(axis=1) ** 2 / length
+        left = np.maximum((changes**2).sum(axis=1) - gain, 0.0)
+        noise = self._model.noise**2
+        freedom = templates.shape[1] - _UNKNOWNS if noise else 0
+        unlike = unlike_model(gain, left, freedom) if not noise else unlike_model(gain / noise, left / noise, freedom)
+        allowed = np.maximum(ALLOWANCE * gain, np.finfo(np.float64).tiny)
+        return np.maximum(left - noise * freedom, 0.0) / allowed, unlike
+
+
+def with_variance(model: ModelledPlace, error_mm: Array, quantiles: Array) -> ModelledPlace:
+    """Return a model whose regions hold errors (n, 2) of the presses that its sheet was registered with.
+
+    Parameters
+    ----------
+    quantiles : (2,) of dᵀΣ⁻¹d that regions of 68 and 95 % go by.
+    """
+    squares = (error_mm**2).sum(axis=1) * len(error_mm) / (len(error_mm) - _POSE / 2)
+    variance = max(float(squares.mean()) / 2, np.finfo(np.float64).tiny)
+    wanted = np.array([quantile(squares / variance, level) for level in LEVELS])
+    return replace(model, variance_mm2=variance, widening=float(np.max(wanted / quantiles)))
+
+
+def unit_rows(rows: Array) -> Array:
+    """Rows (…, m), compressed and of unit length."""
+    compressed = np.sign(rows) * np.abs(rows) ** _COMPRESSION
+    length = np.linalg.norm(compressed, axis=-1, keepdims=True)
+    unit: Array = compressed / np.maximum(length, np.finfo(np.float64).tiny)
+    return unit
+
+
+def log_likelihood(alike: Array) -> Array:
+    """Log likelihood of presses by the cosines of their readings and a template, up to a constant."""
+    positive = np.clip(alike, 0.0, _MOST_ALIKE)
+    value: Array = -_INDEPENDENT / 2 * np.log1p(-(positive**2))
+    return value
+
+
+def most_alike(node: Indices, alike: Array) -> Array:
+    """Most likely place (n, 2) of each press in steps of a lattice, between nodes by parabolas.
+
+    Parameters
+    ----------
+    node : (k, 2) columns and rows of the lattice.
+    alike : (n, k) cosines of readings and templates.
+    """
+    first = node.min(axis=0) - 1
+    number = np.full(node.max(axis=0) - first + 2, -1)
+    number[tuple((node - first).T)] = np.arange(len(node))
+    best, press = alike.argmax(axis=1), np.arange(len(alike))
+    place = node[best].astype(np.float64)
+    middle = log_likelihood(alike[press, best])
+    for axis, step in enumerate(np.eye(2, dtype=np.int64)):
+        near = [number[tuple((node[best] - first + side * step).T)] for side in (-1, 1)]
+        below, above = (log_likelihood(alike[press, beside]) for beside in near)
+        bend = below + above - 2 * middle
+        inside = (near[0] >= 0) & (near[1] >= 0) & (bend < 0)
+        move = np.where(inside, (below - above) / np.where(bend < 0, 2 * bend, -1.0), 0.0)
+        place[:, axis] += np.clip(move, -0.5, 0.5)
+    return place

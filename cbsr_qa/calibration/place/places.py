@@ -1,0 +1,31 @@
+"""Places of touches in frames, with their regions and what is unusual about them."""
+
+from dataclasses import dataclass
+
+from cbsr_qa.calibration.runtime import Flag
+from cbsr_qa.domain import Array, Indices, Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Where n frames are pressed, in the frame of the presses that were learned from.
+
+    Parameters
+    ----------
+    place_mm : (n, 2); NaN where a reading is missing.
+    covariance_mm2 : (n, 2, 2) Σ; the region of 68 % is all d with dᵀΣ⁻¹d at most ``q68`` of the estimator.
+    misfit : (n,) squared misfit per reading over what a touch like those learned from has at most.
+    flags : (n,) of :class:`~cbsr_qa.calibration.Flag`.
+    """
+
+    place_mm: Array
+    covariance_mm2: Array
+    misfit: Array
+    flags: Indices
+
+    @property
+    def in_model(self) -> Mask:
+        """Whether each frame (n,) is one touch like those learned from, or of the modelled sheet."""
+        beside = int(Flag.NOT_DETECTED | Flag.MORE_THAN_ONE | Flag.UNREADABLE | Flag.NOT_AS_MODELLED)
+        inside: Mask = (self.flags & beside) == 0
+        return inside

@@ -1,0 +1,72 @@
+"""Places by the modelled sheet, registered from nine presses: right on sheets as modelled, flagged on others."""
+
+import numpy as np
+import pytest
+from pressed_sheets import adjacent_pairs, pressed_sheet, some
+
+from cbsr_qa.calibration import Flag
+from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator
+from cbsr_qa.calibration.presses import learn_presses
+
+_SIMULATED = (
+    {"noise": 0.01},
+    {"noise": 0.1, "rectified": True},
+    {"noise": 0.1, "pairs": adjacent_pairs(), "mirrored": True, "reach": 0.8},
+)
+
+
+def registered(pressed, rows):
+    """What the modelled sheet says, and what was learned, from some of the presses."""
+    learned = learn_presses(some(pressed, rows).labelled())
+    modelled = ModelledEstimator(learned.modelled, learned.registration)
+    return modelled, learned
+
+
+@pytest.mark.parametrize("kind", _SIMULATED)
+def test_presses_of_a_sheet_as_modelled_are_in_its_model(kind):
+    pressed = pressed_sheet(209, seed=31, **kind)
+    modelled, learned = registered(pressed, np.arange(9))
+    places = modelled(pressed.changes[9:])
+    assert learned.registration.trusted
+    assert places.in_model.mean() >= 0.95
+    assert np.linalg.norm(places.place_mm - pressed.labels_mm[9:], axis=1).mean() < 4
+
+
+@pytest.mark.parametrize("name", ["no_pattern", "parallel_lines"])
+def test_presses_of_a_real_skin_are_flagged_as_not_as_modelled(skins, name):
+    """The requirement is 95 %; make soak holds it with draws of nine."""
+    skin = skins(name)
+    order = np.random.default_rng(3).permutation(len(skin.labels_mm))
+    modelled, _ = registered(skin, order[:9])
+    places = modelled(skin.changes[order[9:]])
+    assert ((places.flags & Flag.NOT_AS_MODELLED) > 0).mean() >= 0.95
+    assert not places.in_model[(places.flags & Flag.NOT_AS_MODELLED) > 0].any()
+
+
+def test_the_modelled_sheet_takes_over_beyond_the_presses():
+    """Pressed in its inner half; beyond, what was learned errs by centimetres."""
+    pressed = pressed_sheet(500, seed=32, noise=0.05, reach=0.8)
+    away = np.linalg.norm(pressed.places_mm, axis=1)
+    inner, outer = np.flatnonzero(away < 29)[:40], np.flatnonzero(away > 40)[:150]
+    modelled, learned = registered(pressed, inner)
+    truth, alone = pressed.labels_mm[outer], PlaceEstimator(learned.place.model)
+    both = PlaceEstimator(learned.place.model, modelled)(pressed.changes[outer])
+    errors = [np.linalg.norm(found.place_mm - truth, axis=1) for found in (alone(pressed.changes[outer]), both)]
+    assert errors[1].mean() < 0.3 * errors[0].mean()
+    taken = both.in_model & ((both.flags & Flag.OUTSIDE) > 0)
+    assert taken.mean() > 0.6
+    error = (both.place_mm - truth)[taken]
+    ratio = np.einsum("na,na->n", error, np.linalg.solve(both.covariance_mm2[taken], error[:, :, None])[:, :, 0])
+    assert (ratio <= alone.q95).mean() > 0.8  # the pose's own error is the same for all of one draw
+
+
+def test_two_touches_and_missing_readings_are_not_in_the_model():
+    pressed = pressed_sheet(109, seed=33, noise=0.05)
+    modelled, _ = registered(pressed, np.arange(9))
+    frames, places = pressed.changes[9:], pressed.places_mm[9:]
+    far = np.linalg.norm(places[:50] - places[50:], axis=1) > 30
+    assert (~modelled((frames[:50] + frames[50:])[far]).in_model).mean() > 0.9
+    frames[0, 3] = np.nan
+    found = modelled(frames[:2])
+    assert (found.flags & Flag.UNREADABLE).astype(bool).tolist() == [True, False]
+    assert np.isnan(found.place_mm).any(axis=1).tolist() == [True, False]
