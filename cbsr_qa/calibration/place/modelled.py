@@ -35,7 +35,7 @@ class ModelledEstimator:
 
     def __init__(self, model: ModelledPlace, registration: SheetRegistration) -> None:
         self._model, self._registration = model, registration
-        self._answers: Mask = model.templates.any(axis=0)
+        self._answers: Mask = np.asarray(model.templates.any(axis=0))
         self._templates: Array = model.templates[:, self._answers].astype(np.float64)
         self._bank = unit_rows(self._templates)
 
@@ -117,7 +117,7 @@ def most_alike(node: Indices, alike: Array) -> Array:
     number = np.full(node.max(axis=0) - first + 2, -1)
     number[tuple((node - first).T)] = np.arange(len(node))
     best, press = alike.argmax(axis=1), np.arange(len(alike))
-    place = node[best].astype(np.float64)
+    place: Array = node[best].astype(np.float64)
     middle = log_likelihood(alike[press, best])
     for axis, step in enumerate(np.eye(2, dtype=np.int64)):
         near = [number[tuple((node[best] - first + side * step).T)] for side in (-1, 1)]
