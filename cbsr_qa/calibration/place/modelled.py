@@ -54,8 +54,9 @@ class ModelledEstimator:
         """
         if changes.ndim != 2 or changes.shape[1] != len(self._answers):
             raise CalibrationError(f"changes of the shape {changes.shape}; (n, {len(self._answers)}) is expected")
+        changes = changes[:, self._answers]
         whole: Mask = np.asarray(np.isfinite(changes).all(axis=1))
-        changes = np.where(whole[:, None], changes, 0.0)[:, self._answers]
+        changes = np.where(whole[:, None], changes, 0.0)
         alike = unit_rows(changes) @ self._bank.T
         place = self._registration.labelled_mm(self._model.step_mm * most_alike(self._model.node, alike))
         misfit, unlike = self._misfit(changes, self._templates[alike.argmax(axis=1)])

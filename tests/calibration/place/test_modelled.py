@@ -67,7 +67,7 @@ def test_two_touches_and_missing_readings_are_not_in_the_model():
     frames = frames / np.linalg.norm(frames, axis=1, keepdims=True)  # a touch beside a far weaker one is one touch
     far = np.linalg.norm(places[:50] - places[50:], axis=1) > 30
     assert (~modelled((frames[:50] + frames[50:])[far]).in_model).mean() > 0.65  # 0.81 ± 0.07 of 36
-    frames[0, 3] = np.nan
+    frames[0] = np.nan
     found = modelled(frames[:2])
     assert (found.flags & Flag.UNREADABLE).astype(bool).tolist() == [True, False]
     assert np.isnan(found.place_mm).any(axis=1).tolist() == [True, False]
