@@ -1,22 +1,24 @@
 """A calibration from labelled presses applied to a table of readings: a place for every row."""
 
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from cbsr_qa.calibration.file import read_issued
-from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places
+from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
 from cbsr_qa.calibration.presses import PressReadings, matched_readings, read_pairs, read_press_readings
 from cbsr_qa.calibration.runtime import Flag
 from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError
-from cbsr_qa.domain.results import CommandOutcome, PressCalibration, Section
-from cbsr_qa.report import answer, fixed, plural, text_table
+from cbsr_qa.domain.results import PRESS_QUANTITIES, CommandOutcome, PressCalibration, Section
+from cbsr_qa.report import answer, fixed, number, plural, text_table
 from cbsr_qa.system import csv_text, read_untrusted
 
 #: Rows of a table in a terminal.
 _MOST_ROWS: Final = 12
+_Interval = tuple[float, float]
 _Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 
@@ -46,7 +48,9 @@ class FramePlace:
     x_mm, y_mm, covariance_mm2 : None where there is no place.
     flags : what is unusual: names of :class:`~cbsr_qa.calibration.Flag`.
     in_model : whether the readings are like those that calibrated.
-    force_N : None where it was not learned.
+    force_N, depth_mm : None where it was not learned, or no press is detected.
+    force_68_N, force_95_N, depth_68_mm, depth_95_mm : lowest and highest of the interval that holds it with that
+        probability.
     modelled : by the modelled sheet; None where the calibration does not hold it.
     """
 
@@ -56,6 +60,11 @@ class FramePlace:
     flags: tuple[str, ...]
     in_model: bool
     force_N: float | None = None
+    force_68_N: _Interval | None = None
+    force_95_N: _Interval | None = None
+    depth_mm: float | None = None
+    depth_68_mm: _Interval | None = None
+    depth_95_mm: _Interval | None = None
     modelled: ByTheModel | None = None
 
 
@@ -106,7 +115,12 @@ def apply_to_table(
     modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
     estimator = PlaceEstimator(issued.place, modelled)
     places, by_model = estimator(changes), None if modelled is None else modelled(changes)
-    frames = tuple(_frame(places, by_model, number) for number in range(len(changes)))
+    quantities = {
+        f"{name}_{{}}{unit}": QuantityEstimator(learned)(places)
+        for name, unit in PRESS_QUANTITIES.items()
+        if (learned := getattr(issued, name)) is not None
+    }
+    frames = tuple(_frame(places, by_model, quantities, number) for number in range(len(changes)))
     return AppliedPlaces(calibration, readings, float(estimator.q68), float(estimator.q95), frames)
 
 
@@ -122,16 +136,25 @@ def _changes(issued: PressCalibration, read: PressReadings, *, differences: bool
     return matched - issued.rest
 
 
-def _frame(places: Places, by_model: Places | None, number: int) -> FramePlace:
+def _frame(places: Places, by_model: Places | None, quantities: Mapping[str, Quantities], row: int) -> FramePlace:
     modelled = None
     if by_model is not None:
-        share = 1 / (1 + ALLOWANCE * float(by_model.misfit[number]))
-        modelled = ByTheModel(*_place(by_model, number), share, bool(by_model.in_model[number]))
+        share = 1 / (1 + ALLOWANCE * float(by_model.misfit[row]))
+        modelled = ByTheModel(*_place(by_model, row), share, bool(by_model.in_model[row]))
+    flags = int(places.flags[row])
+    told: dict[str, Any] = {}
+    if not flags & (Flag.NOT_DETECTED | Flag.UNREADABLE):
+        for name, each in quantities.items():
+            told[name.format("")] = float(each.values[row])
+            for level, within in (("68_", each.within_68), ("95_", each.within_95)):
+                told[name.format(level)] = tuple(within[row].tolist())
+            flags |= Flag.BELOW_RANGE * int(each.below[row]) | Flag.ABOVE_RANGE * int(each.above[row])
     return FramePlace(
-        *_place(places, number),
-        flags=tuple(str(flag.name).lower() for flag in Flag if flag & int(places.flags[number])),
-        in_model=bool(places.in_model[number]),
+        *_place(places, row),
+        flags=tuple(str(flag.name).lower() for flag in Flag if flag & flags),
+        in_model=bool(places.in_model[row]),
         modelled=modelled,
+        **told,
     )
 
 
@@ -145,16 +168,21 @@ def _place(places: Places, number: int) -> tuple[float | None, float | None, _Co
 
 def places_csv(applied: AppliedPlaces) -> str:
     """Return all places as a CSV table, a row a frame."""
-    names = [field.name for field in fields(FramePlace) if field.name not in ("covariance_mm2", "modelled")]
-    at = names.index("flags")
-    header = [*names[:2], "covariance_xx_mm2", "covariance_xy_mm2", "covariance_yy_mm2", *names[2:]]
-    rows = []
-    for frame in applied.frames:
-        x, y, covariance, *others, _ = astuple(frame)
-        (xx, xy), (_, yy) = covariance or ((None, None), (None, None))
-        others[at - 2] = "; ".join(others[at - 2])
-        rows.append((x, y, xx, xy, yy, *others))
-    return csv_text([header, *rows])
+    rows = [dict(_cells(frame)) for frame in applied.frames]
+    return csv_text([tuple(rows[0]), *(tuple(row.values()) for row in rows)])
+
+
+def _cells(frame: FramePlace) -> Iterator[tuple[str, Any]]:
+    """Yield columns of a frame and what they hold."""
+    for name, value in asdict(frame).items():
+        before, _, unit = name.rpartition("_")
+        if name == "covariance_mm2":
+            (xx, xy), (_, yy) = value or ((None, None), (None, None))
+            yield from {"covariance_xx_mm2": xx, "covariance_xy_mm2": xy, "covariance_yy_mm2": yy}.items()
+        elif before.endswith(("_68", "_95")):
+            yield from zip((f"{before}_low_{unit}", f"{before}_high_{unit}"), value or (None, None), strict=True)
+        elif name != "modelled":
+            yield name, "; ".join(value) if name == "flags" else value
 
 
 def places_outcome(applied: AppliedPlaces, output: Path | None) -> CommandOutcome[AppliedPlaces]:
@@ -172,14 +200,22 @@ def _with_table(outcome: CommandOutcome[AppliedPlaces]) -> CommandOutcome[Applie
     count = len(applied.frames)
     chosen = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
     rows = []
-    for number in chosen:
-        frame = applied.frames[number]
-        x, y, force = ("–" if v is None else fixed(v, 1) for v in (frame.x_mm, frame.y_mm, frame.force_N))
+    for row in chosen:
+        frame = applied.frames[row]
+        x, y = ("–" if v is None else fixed(v, 1) for v in (frame.x_mm, frame.y_mm))
         ellipse = frame.covariance_mm2
         radius = "–" if ellipse is None else fixed(float(np.sqrt(applied.q68 * np.linalg.eigvalsh(ellipse)[-1])), 1)
-        rows.append((str(number + 1), x, y, radius, force, "; ".join(frame.flags)))
+        force, depth = (
+            _with_interval(frame.force_N, frame.force_68_N),
+            _with_interval(frame.depth_mm, frame.depth_68_mm),
+        )
+        rows.append((str(row + 1), x, y, radius, force, depth, "; ".join(frame.flags)))
     spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
-    caption = f"{spread}Places with the longer half-axis of their 68 % region."
-    columns = ("row", "x [mm]", "y [mm]", "68 % [mm]", "force [N]", "flags")
-    table = text_table(caption, columns, rows, (0, 1, 2, 3, 4))
+    caption = f"{spread}Places with the longer half-axis of their 68 % region, force and depth with 68 % intervals."
+    columns = ("row", "x [mm]", "y [mm]", "68 % [mm]", "force [N]", "depth [mm]", "flags")
+    table = text_table(caption, columns, rows, (0, 1, 2, 3, 4, 5))
     return CommandOutcome(applied, outcome.page, (Section(applied.readings.name, (table,)),), outcome.exit_code)
+
+
+def _with_interval(value: float | None, within: _Interval | None) -> str:
+    return "–" if value is None or within is None else f"{number(value)} ({number(within[0])} to {number(within[1])})"

@@ -11,8 +11,15 @@ from cbsr_qa.app.calibration_file import check_free
 from cbsr_qa.app.press_sections import press_sections
 from cbsr_qa.calibration.file import write_calibration
 from cbsr_qa.calibration.presses import Identity, issue_from_presses, learn_presses
-from cbsr_qa.domain.results import CommandOutcome, LeftOutPress, PressCalibration, SheetRegistration
-from cbsr_qa.report import answer, fixed, plural
+from cbsr_qa.domain.results import (
+    PRESS_QUANTITIES,
+    CommandOutcome,
+    LearnedQuantity,
+    LeftOutPress,
+    PressCalibration,
+    SheetRegistration,
+)
+from cbsr_qa.report import answer, fixed, plural, with_uncertainty
 from cbsr_qa.store import IdSource
 
 #: Rows left out that a terminal shows.
@@ -29,16 +36,49 @@ class HeldOutPlaces:
 
 
 @dataclass(frozen=True, slots=True)
+class HeldOutQuantity:
+    """Absolute error of force [N] or depth [mm] of presses left out: mean, its standard error, and their number.
+
+    Parameters
+    ----------
+    coverage : share of them whose interval of 68 and 95 % holds the label.
+    """
+
+    mean: float
+    stderr: float
+    n: int
+    coverage: dict[str, float]
+
+    @classmethod
+    def of(cls, learned: LearnedQuantity | None) -> "HeldOutQuantity | None":
+        """What presses left out say of a quantity."""
+        if learned is None:
+            return None
+        coverage = dict(zip(("68", "95"), learned.covered.tolist(), strict=True))
+        return cls(learned.error, learned.error_stderr, len(learned.values), coverage)
+
+
+@dataclass(frozen=True, slots=True)
 class HeldOut:
     """What presses left out say of the errors.
 
     Parameters
     ----------
     coverage : share of the presses left out whose region of 68 and 95 % holds the label.
+    force_N, depth_mm : None where presses had none.
     """
 
     place_mm: HeldOutPlaces
     coverage: dict[str, float | None]
+    force_N: HeldOutQuantity | None
+    depth_mm: HeldOutQuantity | None
+
+    @classmethod
+    def of(cls, issued: PressCalibration) -> "HeldOut":
+        """What presses left out say of a calibration."""
+        places = HeldOutPlaces(issued.held_out_mm, issued.held_out_stderr_mm, issued.held_out)
+        coverage = {"68": issued.covered_68, "95": issued.covered_95}
+        return cls(places, coverage, HeldOutQuantity.of(issued.force), HeldOutQuantity.of(issued.depth))
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,17 +132,13 @@ def calibrate_from_presses(
 
 
 def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCalibrated]:
-    held_out = HeldOut(
-        HeldOutPlaces(issued.held_out_mm, issued.held_out_stderr_mm, issued.held_out),
-        {"68": issued.covered_68, "95": issued.covered_95},
-    )
     result = PressesCalibrated(
         calibration=file,
         used=issued.used,
         left_out=issued.left_out,
         explained=issued.registration.signal_share,
         registration=issued.registration,
-        held_out=held_out,
+        held_out=HeldOut.of(issued),
         warnings=issued.findings,
         digest=issued.digest,
         size_bytes=file.stat().st_size,
@@ -122,11 +158,20 @@ def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
             ("Error of place", f"{error} mm, mean of {plural(issued.held_out, 'press', 'presses')} left out")
         )
     if issued.covered_68 is not None and issued.covered_95 is not None:
-        held = f"{issued.covered_68:.0%} (asked 68 %), {issued.covered_95:.0%} (asked 95 %)"
-        facts.append(("Regions hold the place", held))
+        facts.append(("Regions hold the place", _held(issued.covered_68, issued.covered_95)))
+    for name, unit in PRESS_QUANTITIES.items():
+        learned: LearnedQuantity | None = getattr(issued, name)
+        if learned is not None:
+            error = f"{with_uncertainty(learned.error, learned.error_stderr)} {unit}"
+            facts.append((f"Error of {name}", f"{error}, mean of {len(learned.values)} presses left out"))
+            facts.append((f"Intervals hold the {name}", _held(*learned.covered.tolist())))
     facts.append(("Explained by the model", f"{issued.registration.signal_share:.0%} of the readings' changes"))
     facts.append(("Sheet", _pose_words(issued.registration)))
     return facts + [(f"Row {each.row} left out", each.why) for each in issued.left_out[:_MOST_ROWS]]
+
+
+def _held(low: float, high: float) -> str:
+    return f"{low:.0%} (asked 68 %), {high:.0%} (asked 95 %)"
 
 
 def _pose_words(pose: SheetRegistration) -> str:

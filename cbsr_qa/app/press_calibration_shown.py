@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cbsr_qa.app.calibrate import HeldOut, HeldOutPlaces, press_facts
+from cbsr_qa.app.calibrate import HeldOut, press_facts
 from cbsr_qa.domain import filled
 from cbsr_qa.domain.results import (
     Banner,
@@ -46,14 +46,13 @@ class ShownPressCalibration:
 
 def shown_presses(path: Path, held: PressCalibration) -> CommandOutcome[ShownPressCalibration]:
     """Return the contents of a calibration from labelled presses."""
-    places = HeldOutPlaces(held.held_out_mm, held.held_out_stderr_mm, held.held_out)
     shown = filled(
         ShownPressCalibration,
         held,
         file=path,
         readings=len(held.pairs),
         registration=held.registration,
-        held_out=HeldOut(places, {"68": held.covered_68, "95": held.covered_95}),
+        held_out=HeldOut.of(held),
     )
     facts = [
         ("Issued at", held.issued_at),

@@ -46,7 +46,8 @@ def calibrate(
 ) -> int:
     """Learn a sensor's places from presses at known places, made by a robot, another rig or by hand.
 
-    Finds how the sheet lies in the frame of the places, and says how far presses that were left out are missed.
+    Finds how the sheet lies in the frame of the places, learns force and depth where they are known, and says how far
+    presses that were left out are missed.
     """
     from cbsr_qa.analysis.recording import PressFiles
     from cbsr_qa.app import calibrate_from_presses

@@ -83,6 +83,9 @@ def test_what_scripts_read_is_printed(folder, pressed):
     assert printed["registration"]["shift_mm"] == pytest.approx([46, -408], abs=2)
     assert printed["held_out"]["place_mm"].keys() == {"mean", "stderr", "n"}
     assert printed["held_out"]["coverage"].keys() == {"68", "95"}
+    assert printed["held_out"]["force_N"].keys() == {"mean", "stderr", "n", "coverage"}
+    assert printed["held_out"]["force_N"]["mean"] < 0.3  # of 1 to 5 N
+    assert printed["held_out"]["depth_mm"] is None
     assert 0 < printed["explained"] <= 1
     assert any("mirrored" in words for words in printed["warnings"])
 
@@ -112,11 +115,31 @@ def test_places_are_in_the_frame_of_the_presses_whatever_the_order_and_polarity(
         assert 0 < document["q68"] < document["q95"]
         assert all(frame["in_model"] for frame in frames)
         assert all(frame["modelled"]["in_model"] and frame["modelled"]["explained"] > 0.95 for frame in frames)
-        places.append([(frame["x_mm"], frame["y_mm"]) for frame in frames])
+        places.append([(frame["x_mm"], frame["y_mm"], frame["force_N"]) for frame in frames])
+        assert all(frame["depth_mm"] is None for frame in frames)
+        assert all(frame["force_95_N"][0] < frame["force_68_N"][0] < frame["force_N"] for frame in frames)
         assert np.linalg.eigvalsh([frame["covariance_mm2"] for frame in frames]).min() > 0
     np.testing.assert_allclose(places[0], places[1], atol=1e-6)
-    error = np.linalg.norm(np.array(places[0]) - pressed.labels_mm[rows], axis=1)
-    assert error.mean() < 4
+    found = np.array(places[0])
+    assert np.linalg.norm(found[:, :2] - pressed.labels_mm[rows], axis=1).mean() < 4
+    assert np.abs(found[:, 2] - pressed.force_N[rows]).mean() < 0.3
+
+
+def test_where_nothing_is_pressed_there_is_no_force(pressed, folder, tmp_path):
+    files = some(replace(pressed, changes=1e-3 * pressed.changes), [0, 1]).write(tmp_path)
+    arguments = [
+        "calibration",
+        "apply",
+        folder / "OUT.h5",
+        files[0],
+        "--pattern",
+        files[2],
+        "--differences",
+        "--json",
+    ]
+    for frame in json.loads(run(*arguments).stdout)["frames"]:
+        assert "not_detected" in frame["flags"]
+        assert frame["force_N"] is None
 
 
 def test_places_are_written_as_a_table(folder, tmp_path):
@@ -134,7 +157,9 @@ def test_places_are_written_as_a_table(folder, tmp_path):
     assert not run(*arguments, "--differences", "--output", out).exception
     header, *rows = out.read_text().splitlines()
     assert header.startswith("x_mm,y_mm,covariance_xx_mm2")
+    assert "force_N,force_68_low_N,force_68_high_N" in header
     assert len(rows) == 60
+    assert len(rows[0].split(",")) == len(header.split(","))
 
 
 def test_whole_frames_are_taken_against_frames_at_rest(pressed, folder, tmp_path):
@@ -217,6 +242,7 @@ def _nan(pressed):
         (lambda p: _place(p, 3, (46.0, 0.0)), {}, "row 4, columns x_mm and y_mm: (46, 0) mm"),
         (lambda p: _place(p, slice(None), (46.0, 0.0)), {}, "columns x_mm and y_mm: all 60 presses are at one place"),
         (lambda p: p, {"depth_mm": np.full(60, 2.0)}, "column depth_mm: all 60 rows hold 2"),
+        (lambda p: p, {"force_N": np.arange(60.0) - 1}, "row 1, column force_N: -1; a force is positive"),
         (lambda p: p, {"depth": np.arange(60.0)}, "column 'depth' has no unit"),
     ],
 )  # fmt: skip

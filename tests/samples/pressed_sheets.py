@@ -103,12 +103,14 @@ def pressed_sheet(
     scale=1.0,
     shift_mm=(46.0, -408.0),
     noise=0.02,
+    uneven=0.0,
     rectified=False,
     wired=None,
 ):
     """Press a simulated sheet.
 
-    ``noise``: of a reading over the median change; ``wired``: electrode that each number of the pattern is wired to.
+    ``noise``: of a reading over the median change; ``uneven``: standard deviation of the logarithm of what places
+    answer per force, over some 20 mm; ``wired``: electrode that each number of the pattern is wired to.
     """
     random = np.random.default_rng(seed)
     sensor, pairs = round_sensor(radius_mm), opposite_pairs() if pairs is None else pairs
@@ -116,7 +118,9 @@ def pressed_sheet(
     places = np.column_stack([far * np.cos(angle), far * np.sin(angle)])
     force = random.uniform(1.0, 5.0, count)
     true_pairs = pairs if wired is None else np.asarray(wired)[pairs]
-    loaded, unloaded = readings(sensor, true_pairs, places, contrast=0.1 * force)
+    loaded, unloaded = readings(
+        sensor, true_pairs, places, contrast=0.1 * force * np.exp(uneven * _relief(places, seed))
+    )
     if rectified:
         loaded, unloaded = np.maximum(loaded, 0), np.maximum(unloaded, 0)
     changes = loaded - unloaded
@@ -125,6 +129,13 @@ def pressed_sheet(
     z = scale * np.exp(1j * np.radians(rotation_deg)) * z
     labels = np.column_stack([z.real, z.imag]) + shift_mm
     return Pressed(sensor, pairs, places, labels, 1e3 * changes, 1e3 * unloaded, force)
+
+
+def _relief(places, seed):
+    """A random function of places (n, 2), normal with a deviation of one and a length of 20 mm."""
+    random = np.random.default_rng([seed, 20])
+    waves, phases = random.standard_normal((80, 2)) / 20, random.uniform(0, 2 * np.pi, 80)
+    return np.cos(places @ waves.T + phases).sum(axis=1) / 40**0.5
 
 
 def skin(folder, name):

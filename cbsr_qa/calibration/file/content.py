@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, tabulated
-from cbsr_qa.domain.results import Calibration
+from cbsr_qa.domain.results import Calibration, PressCalibration
 
 #: What a value may be: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
 Value = Array | NDArray[np.float32] | Indices | Mask | str | tuple[str, ...]
@@ -159,8 +159,6 @@ class Reading:
 
 #: Of what a run issued, and of what was learned from labelled presses.
 FORMAT, PRESS_FORMAT = "cbsr-qa calibration", "cbsr-qa press calibration"
-#: Latest version of the latter.
-_PRESS_VERSION: Final = 1
 #: What only the latter has.
 _OF_PRESSES: Final = "readings/pairs"
 #: Version of what holds matrix and Jacobian in single precision; in double precision they are written as before.
@@ -169,9 +167,12 @@ _SINGLE_MATRIX: Final = 3
 _TABLE: Final = tuple(tabulated(Calibration))
 #: Paths, or beginnings of paths, of what is prepared again from the rest.
 PREPARED: Final = tuple(path for path, field in _TABLE if field.kept.prepared)
-#: The same of what later versions added, with the version.
-_SINCE: Final = tuple((path, field.kept.since) for path, field in _TABLE if field.kept.since > 1)
-SCHEMA_VERSION: Final = max([_SINGLE_MATRIX, *(since for _, since in _SINCE)])
+#: The same of what later versions of a format added, with the version.
+_SINCE: Final = {
+    format_: tuple((path, field.kept.since) for path, field in tabulated(of) if field.kept.since > 1)
+    for format_, of in ((FORMAT, Calibration), (PRESS_FORMAT, PressCalibration))
+}
+SCHEMA_VERSION: Final = max([_SINGLE_MATRIX, *(since for _, since in _SINCE[FORMAT])])
 
 
 def format_of(entries: Mapping[str, Entry]) -> str:
@@ -181,13 +182,11 @@ def format_of(entries: Mapping[str, Entry]) -> str:
 
 def latest_version(format_: str) -> int:
     """Return the latest schema version of a format."""
-    return _PRESS_VERSION if format_ == PRESS_FORMAT else SCHEMA_VERSION
+    return SCHEMA_VERSION if format_ == FORMAT else max(since for _, since in _SINCE[format_])
 
 
 def schema_version(entries: Mapping[str, Entry]) -> int:
     """Return the lowest schema version that has all of some entries: what was issued before keeps its digests."""
-    if format_of(entries) == PRESS_FORMAT:
-        return _PRESS_VERSION
     for path in ("reconstruction/matrix", "reconstruction/jacobian"):
         value = entries[path].value if path in entries else None
         if isinstance(value, np.ndarray) and value.dtype == np.float32:
@@ -197,7 +196,8 @@ def schema_version(entries: Mapping[str, Entry]) -> int:
 
 def _record_version(entries: Mapping[str, Entry]) -> int:
     """Return the version of what is not prepared again: how that is kept says nothing of the record."""
-    return max([1, *(since for part, since in _SINCE if any(path.startswith(part) for path in entries))])
+    since = _SINCE[format_of(entries)]
+    return max([1, *(version for part, version in since if any(path.startswith(part) for path in entries))])
 
 
 def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> str:

@@ -19,6 +19,7 @@ from cbsr_qa.domain.results import (
     Calibration,
     ForceModel,
     LearnedPlace,
+    LearnedQuantity,
     LoadRelaxation,
     PressCalibration,
     RelaxationKernel,
@@ -117,6 +118,10 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
         raise CalibrationError(
             f"modelled/templates is empty, or of {modelled.templates.shape[1]} readings, readings/pairs of {readings}"
         )
+    for name in ("force", "depth"):
+        quantity = getattr(calibration, name)
+        if quantity is not None and (why := _quantity_problem(quantity)):
+            raise CalibrationError(f"{name}/{why}")
     return calibration
 
 
@@ -142,6 +147,18 @@ def _place_problems(place: LearnedPlace, readings: int) -> Iterator[str]:
     low, high = place.mixture.quantiles.tolist()
     if not 0 < low <= high:
         yield "place/mixture/quantiles are not positive and rising"
+
+
+def _quantity_problem(quantity: LearnedQuantity) -> str:
+    """Say what no force and no depth could be worked out from; empty if there is nothing."""
+    values, (low, high) = quantity.values, quantity.quantiles.tolist()
+    if not (len(values) > 1 and np.ptp(values) > 0):
+        return "values are all alike"
+    if quantity.logarithmic and not values.min() > 0:
+        return "values are not all positive, and their logarithms are said to be told"
+    if not (quantity.strength.min() > 0 and quantity.scales.length_mm > 0):
+        return "strength or scales/length is not positive"
+    return "" if 0 < low <= high else "quantiles are not positive and rising"
 
 
 def _calibration(entries: Mapping[str, Entry]) -> Calibration:

@@ -11,3 +11,8 @@ from .modelled import (
     with_variance as with_variance,
 )
 from .places import Places as Places
+from .quantity import (
+    Quantities as Quantities,
+    QuantityEstimator as QuantityEstimator,
+    learn_quantity as learn_quantity,
+)

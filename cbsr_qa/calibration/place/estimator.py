@@ -4,12 +4,12 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place.features import features_of, spikes_in, squared_distances
+from cbsr_qa.calibration.place.features import features_of, spikes_in, squared_distances, strengths
 from cbsr_qa.calibration.place.mixture import mixed
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.calibration.place.process import located
-from cbsr_qa.calibration.place.templates import match
+from cbsr_qa.calibration.place.templates import at_places, expected_features, likeness, match
 from cbsr_qa.calibration.runtime import Flag
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import LearnedPlace
@@ -32,6 +32,7 @@ class PlaceEstimator:
 
     def __init__(self, model: LearnedPlace, modelled: ModelledEstimator | None = None) -> None:
         self._model, self._modelled = model, modelled
+        self._expected = expected_features(model.templates)
         self.q68, self.q95 = model.mixture.quantiles.tolist()
 
     def __call__(self, changes: Array) -> Places:
@@ -59,7 +60,7 @@ class PlaceEstimator:
         flags = np.where(taken, int(Flag.OUTSIDE), places.flags)
         place = np.where(taken[:, None], modelled.place_mm, places.place_mm)
         covariance = np.where(taken[:, None, None], modelled.covariance_mm2, places.covariance_mm2)
-        return Places(place, covariance, np.where(taken, modelled.misfit, places.misfit), flags)
+        return Places(place, covariance, np.where(taken, modelled.misfit, places.misfit), places.strength, flags)
 
     def _outside(self, place_mm: Array) -> Mask:
         """Which places (n, 2) in the frame of the presses are far from all of them."""
@@ -69,7 +70,7 @@ class PlaceEstimator:
         outside: Mask = np.asarray(nearest > model.reach_mm)
         return outside
 
-    def _located(self, changes: Array) -> tuple[Array, Array, Array, Indices]:
+    def _located(self, changes: Array) -> tuple[Array, Array, Array, Array, Indices]:
         model = self._model
         used = model.scaling.ceiling > 0
         whole: Mask = np.asarray(np.isfinite(changes[:, used]).all(axis=1))
@@ -81,8 +82,9 @@ class PlaceEstimator:
         flags = np.where(whole, 0, int(Flag.UNREADABLE))
         flags |= np.where(np.sqrt((changes**2).mean(axis=1)) < model.least_size, int(Flag.NOT_DETECTED), 0)
         flags |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
+        like = at_places(model.templates.grid_mm, likeness(self._expected, features), place)
         place = place @ model.axes + model.centre_mm
         flags |= np.where(self._outside(place), int(Flag.OUTSIDE), 0)
         place = np.where(whole[:, None], place, np.nan)
         turned = model.axes.T @ covariance @ model.axes
-        return place, turned, misfit / model.misfit, flags
+        return place, turned, misfit / model.misfit, strengths(changes, like, model.scaling), flags

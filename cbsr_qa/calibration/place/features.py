@@ -1,10 +1,14 @@
 """Readings as features, the pattern's symmetry, and the covariance both estimates are made of."""
 
+from typing import Final
+
 import numpy as np
 
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import FeatureScaling, PatternTurns
 
+#: Features that spikes turn against their template are taken for so much of it.
+_LEAST_LIKENESS: Final = 0.05
 #: A reading's ceiling, in 90 % quantiles of its size; and what is taken for a spike, in ceilings: one reading of a
 #: thousand on two real skins, and with adjacent pairs of a simulated one whose presses reach the electrodes.
 _CEILING, _SPIKE = 3.0, 3.5
@@ -30,10 +34,27 @@ def features_of(readings: Array, scaling: FeatureScaling) -> Array:
     The exponent brings large readings closer to small ones, whose relative errors are alike; the damping takes out a
     part of a frame's size, which varies with force and drifts; the ceiling takes the weight off spikes.
     """
-    roots = np.sign(readings) * np.minimum(np.abs(readings), scaling.ceiling) ** scaling.exponent
+    roots = _roots(readings, scaling)
     size = np.linalg.norm(roots, axis=1, keepdims=True)
     features: Array = roots / np.where(size > 0, size, 1.0) ** scaling.damping
     return features
+
+
+def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Array:
+    """Strengths (n,) of readings (n, m): in proportion to them, about one where they are those of their template.
+
+    Parameters
+    ----------
+    likeness : (n,) of their features to the template, by least squares.
+    """
+    size = np.linalg.norm(_roots(readings, scaling), axis=1)
+    strength: Array = (np.maximum(likeness, _LEAST_LIKENESS) * size**scaling.damping) ** (1 / scaling.exponent)
+    return strength
+
+
+def _roots(readings: Array, scaling: FeatureScaling) -> Array:
+    roots: Array = np.sign(readings) * np.minimum(np.abs(readings), scaling.ceiling) ** scaling.exponent
+    return roots
 
 
 def pattern_turns(pairs: Indices, electrodes: int) -> PatternTurns:

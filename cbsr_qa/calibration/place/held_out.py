@@ -9,7 +9,7 @@ import numpy as np
 from cbsr_qa.calibration.place.drift import SESSIONS
 from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mixed
 from cbsr_qa.calibration.place.process import given_presses, left_out, likely_scales
-from cbsr_qa.calibration.place.templates import learn_templates, match
+from cbsr_qa.calibration.place.templates import expected_features, learn_templates, likeness, match
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PatternTurns, PlaceScales, PlaceTemplates
 
@@ -58,12 +58,16 @@ class HeldOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeftOut:
-    """Both estimates (n, 2) of every press from others, and the second's covariance (n, 2, 2) and misfit (n,)."""
+    """Both estimates (n, 2) of every press from others.
+
+    Of the second also its covariance (n, 2, 2), misfit (n,), and the likeness (n, k) to templates over the grid.
+    """
 
     process: Array
     templates: Array
     templates_covariance: Array
     misfit: Array
+    likeness: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,14 +136,16 @@ class PressedSheet:
         blocks = np.array_split(np.arange(count), _BLOCKS_WITH_SCALES)
         return [(np.setdiff1d(np.arange(count), block), block) for block in blocks if len(block)]
 
-    def _from_templates(self, blocks: Sequence[Indices]) -> tuple[Array, Array, Array]:
-        count = len(self.places_mm)
-        places, covariances, misfit = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty(count)
+    def _from_templates(self, blocks: Sequence[Indices]) -> tuple[Array, Array, Array, Array]:
+        found: list[tuple[Array, Array, Array, Array]] = []
         for block in blocks:
-            others = np.setdiff1d(np.arange(count), block)
+            others = np.setdiff1d(np.arange(len(self.places_mm)), block)
             templates, _ = self.templates(others)
-            places[block], covariances[block], misfit[block] = match(templates, self.features[block])
-        return places, covariances, misfit
+            features = self.features[block]
+            found.append((*match(templates, features), likeness(expected_features(templates), features)))
+        order = np.argsort(np.concatenate(blocks))
+        place, covariance, misfit, like = (np.concatenate(part)[order] for part in zip(*found, strict=True))
+        return place, covariance, misfit, like
 
 
 def visits_of(places_mm: Array) -> Indices:

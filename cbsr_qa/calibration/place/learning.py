@@ -8,7 +8,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cbsr_qa.calibration.place.drift import SESSIONS
-from cbsr_qa.calibration.place.features import ceilings_of, features_of, pattern_turns, spikes_in, turn_by
+from cbsr_qa.calibration.place.features import (
+    ceilings_of,
+    features_of,
+    pattern_turns,
+    spikes_in,
+    strengths,
+    turn_by,
+)
 from cbsr_qa.calibration.place.held_out import HeldOut, PressedSheet, coverage_of, evenly
 from cbsr_qa.calibration.place.mixture import drifted, learn_mixture
 from cbsr_qa.calibration.place.process import (
@@ -19,7 +26,7 @@ from cbsr_qa.calibration.place.process import (
     located,
     start_scales,
 )
-from cbsr_qa.calibration.place.templates import match
+from cbsr_qa.calibration.place.templates import at_places, match
 from cbsr_qa.domain import Array, CalibrationError, Indices
 from cbsr_qa.domain.results import (
     FeatureScaling,
@@ -62,10 +69,16 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceLearned:
-    """What was learned, how well it does on presses left out, and what to be told about it."""
+    """What was learned, how well it does on presses left out, and what to be told about it.
+
+    Parameters
+    ----------
+    strength : (count,) of the changes by presses left out; see :class:`~cbsr_qa.calibration.place.Places`.
+    """
 
     model: LearnedPlace
     held_out: HeldOut
+    strength: Array
     warnings: tuple[str, ...] = ()
 
 
@@ -132,9 +145,12 @@ def learn_place(
         reach_mm=_reach(about[np.unique(sheet.visits)]),
     )
     held_out = coverage_of(out, sheet.places_mm, sheet.visits)
+    strength = strengths(changes, at_places(templates.grid_mm, out.likeness, held_out.found_mm), scaling)
     found_mm = held_out.found_mm @ axes + centre
     held_out = replace(held_out, presses=order[held_out.presses], found_mm=found_mm)
-    return PlaceLearned(model, held_out, tuple(_warnings(held_out, sheet, scales, drifts=bool(later.any()))))
+    return PlaceLearned(
+        model, held_out, strength, tuple(_warnings(held_out, sheet, scales, drifts=bool(later.any())))
+    )
 
 
 def _check(changes: Array, places_mm: Array) -> None:

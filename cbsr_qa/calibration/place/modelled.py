@@ -64,7 +64,7 @@ class ModelledEstimator:
         flags |= np.where(unlike | (not self._registration.trusted), int(Flag.NOT_AS_MODELLED), 0)
         covariance = self._model.variance_mm2 * np.eye(2) + self._registration.covariance_mm2(place)
         covariance *= self._model.widening
-        return Places(np.where(whole[:, None], place, np.nan), covariance, misfit, flags)
+        return Places(np.where(whole[:, None], place, np.nan), covariance, misfit, np.ones_like(misfit), flags)
 
     def _misfit(self, changes: Array, templates: Array) -> tuple[Array, Mask]:
         """What the best templates leave (n,) over what they may, and where that is clearly too much."""

@@ -15,12 +15,14 @@ class Places:
     place_mm : (n, 2); NaN where a reading is missing.
     covariance_mm2 : (n, 2, 2) Σ; the region of 68 % is all d with dᵀΣ⁻¹d at most ``q68`` of the estimator.
     misfit : (n,) squared misfit per reading over what a touch like those learned from has at most.
+    strength : (n,) of the changes, relative to what was learned of the place; one by the modelled sheet.
     flags : (n,) of :class:`~cbsr_qa.calibration.Flag`.
     """
 
     place_mm: Array
     covariance_mm2: Array
     misfit: Array
+    strength: Array
     flags: Indices
 
     @property

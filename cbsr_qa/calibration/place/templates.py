@@ -29,6 +29,8 @@ _LENGTHS: Final = (0.35, 0.5, 0.65, 1.0)
 _SHARED_LENGTH: Final = 0.65
 _RATIOS: Final = np.exp(np.linspace(-5, 5, 21))  # of noise to signal, as variances
 _MARGIN: Final = 1.05
+#: Standard deviation of the weights of places beside one, in spacings of the grid.
+_SMOOTH: Final = 0.6
 #: Presses that lengths and ratios are found with; all are used for the templates.
 _FOR_LENGTHS: Final = 400
 
@@ -50,6 +52,27 @@ def match(templates: PlaceTemplates, features: Array) -> tuple[Array, Array, Arr
     mean = likely @ grid
     second = np.einsum("nk,ka,kb->nab", likely, grid, grid)
     return mean, second - mean[:, :, None] * mean[:, None, :], squared.min(axis=1) / readings
+
+
+def expected_features(templates: PlaceTemplates) -> Array:
+    """Expected features (k, m) over the grid."""
+    expected: Array = solve_triangular(templates.whitening, templates.templates.T, trans="T", lower=True).T
+    return expected
+
+
+def likeness(expected: Array, features: Array) -> Array:
+    """How many times expected features (k, m) features (n, m) are, by least squares: (n, k)."""
+    times: Array = features @ expected.T / np.maximum((expected**2).sum(axis=1), np.finfo(float).tiny)
+    return times
+
+
+def at_places(grid_mm: Array, values: Array, places_mm: Array) -> Array:
+    """Values (n, k) over a grid at a place (n, 2) each: a mean with Gaussian weights."""
+    spacing_mm = float(np.diff(np.unique(grid_mm[:, 0])).min())
+    apart = squared_distances(places_mm, grid_mm) / (2 * (_SMOOTH * spacing_mm) ** 2)
+    near = np.exp(apart.min(axis=1, keepdims=True) - apart)
+    mean: Array = (near * values).sum(axis=1) / near.sum(axis=1)
+    return mean
 
 
 def learn_templates(

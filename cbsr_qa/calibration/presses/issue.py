@@ -1,20 +1,22 @@
 """What labelled presses teach of a sheet and its places, and the calibration that is issued from it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.file import stamped
-from cbsr_qa.calibration.place import ModelledEstimator, PlaceLearned, learn_place, with_variance
+from cbsr_qa.calibration.place import ModelledEstimator, PlaceLearned, learn_place, learn_quantity, with_variance
 from cbsr_qa.calibration.presses.dead_readings import find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
 from cbsr_qa.calibration.presses.likeness import answering_side
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
-from cbsr_qa.domain import Array, Mask, NumericsError, RecordingError
+from cbsr_qa.domain import Array, CalibrationError, Mask, NumericsError, RecordingError
 from cbsr_qa.domain.results import (
+    PRESS_QUANTITIES,
+    LearnedQuantity,
     LeftOutPress,
     ModelledPlace,
     PressCalibration,
@@ -25,6 +27,10 @@ from cbsr_qa.domain.sensor import ElectrodeLayout, SensorType
 
 #: A scale that differs from one by less is within what mounting and modelling do.
 _SCALE_OFF: Final = 0.1
+#: Standard deviations that a frame's mean square is above that of its noise by chance at most.
+_NOISE_ROOM: Final = 3.3
+#: Errors above this share of those of always guessing the middle say that readings tell little.
+_POOR: Final = 0.6
 _MADE_BY: Final = "labelled presses; no station made this calibration"
 _MIRRORED: Final = (
     "the sheet is mirrored against its sensor type: it is seen from below, or its electrodes are numbered the other"
@@ -64,6 +70,7 @@ class PressesLearned:
     used : (n,) whether each press was learned from; no reading changes in the others. Presses left out are numbered
         among those used.
     modelled : the place by the modelled sheet alone.
+    quantities : force and depth by their names, where the presses have them.
     """
 
     registration: SheetRegistration
@@ -71,10 +78,11 @@ class PressesLearned:
     used: Mask
     place: PlaceLearned
     modelled: ModelledPlace
+    quantities: Mapping[str, LearnedQuantity]
 
 
 def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None) -> PressesLearned:
-    """Register a sheet to its labelled presses, and learn the place from them.
+    """Register a sheet to its labelled presses, and learn place, force and depth from them.
 
     Parameters
     ----------
@@ -101,10 +109,19 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     used = np.any(readings.changes != 0, axis=1)
     time_s = None if presses.time_s is None else presses.time_s[used]
     learned = _learned(labelled.sensor_type, order, readings.changes[used], presses.place_mm[used], time_s, tell)
+    if readings.noise is not None:
+        least = max(learned.model.least_size, noise_size(readings.noise))
+        learned = replace(learned, model=replace(learned.model, least_size=least))
+    quantities = {
+        name: _quantity(name, values[used], learned, tell)
+        for name, unit in PRESS_QUANTITIES.items()
+        if (values := getattr(presses, f"{name}_{unit}")) is not None
+    }
+    hardly = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
     about_sheet = *dead.findings, *_findings(order, radius_stated=labelled.radius_stated)
-    findings = *about_sheet, *learned.warnings, *([_BY_PLACE] if labelled.by_place() else [])
+    findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.by_place() else [])
     modelled = _modelled(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
-    return PressesLearned(registration, findings, used, learned, modelled)
+    return PressesLearned(registration, findings, used, learned, modelled, quantities)
 
 
 def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
@@ -135,8 +152,16 @@ def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: P
             covered_95=held_out.coverage[1],
             place=learned.place.model,
             modelled=learned.modelled,
+            force=learned.quantities.get("force"),
+            depth=learned.quantities.get("depth"),
         )
     )
+
+
+def noise_size(noise: Array) -> float:
+    """Root mean square of readings that a frame of noise (m,) alone exceeds in about one case of a thousand."""
+    variance = noise**2
+    return float(np.sqrt(variance.mean() + _NOISE_ROOM * np.sqrt(2 * (variance**2).sum()) / len(noise)))
 
 
 def _learned(
@@ -168,6 +193,25 @@ def _modelled(
     model = ModelledPlace(lattice.node, step_mm, templates, 1.0, 1.0, noise)
     found = ModelledEstimator(model, registered.registration)(readings.changes).place_mm
     return with_variance(model, found - labelled.presses.place_mm, quantiles)
+
+
+def _quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> LearnedQuantity:
+    if not np.ptp(values):
+        raise CalibrationError(f"every press that changes a reading has the same {name}: {values[0]:g}")
+    tell(f"learning the {name}")
+    found = learned.held_out
+    return learn_quantity(values[found.presses], learned.strength, found.found_mm, learned.model.centre_mm)
+
+
+def _hardly_told(name: str, quantity: LearnedQuantity) -> Iterator[str]:
+    """What is to be said of a quantity that is told hardly better than by always guessing its middle."""
+    guessed = float(np.abs(quantity.values - np.median(quantity.values)).mean())
+    if quantity.error > _POOR * guessed:
+        unit = PRESS_QUANTITIES[name]
+        yield (
+            f"the readings hardly tell the {name}: presses left out are missed by {quantity.error:.2g} {unit}, where"
+            f" the middle of all presses misses them by {guessed:.2g} {unit}"
+        )
 
 
 def _ordered(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:

@@ -136,7 +136,7 @@ def read_presses(path: Path) -> PressTable:
     ------
     RecordingError
         As of :func:`read_table`; if a column lacks its unit, is named otherwise or is missing, or a cell is not a
-        finite number; if all depths, all forces or all times are equal.
+        finite number; if all depths, all forces or all times are equal, or a force is not positive.
     """
     table = read_table(path)
     table.refuse(
@@ -155,8 +155,17 @@ def read_presses(path: Path) -> PressTable:
                 ],
                 remedy=f"leave column {name} out; the place is learned without it",
             )
+    force_N = by_name.get("force_N")
+    if force_N is not None:
+        table.refuse(
+            [
+                f"row {row + 1}, column force_N: {force_N[row]:g}; a force is positive"
+                for row in np.flatnonzero(force_N <= 0)
+            ],
+            remedy="leave out those presses in both tables, or column force_N; the place is learned without it",
+        )
     time_s = by_name.get("time_s")
-    return PressTable(table, values[:, :2], by_name.get("depth_mm"), by_name.get("force_N"), time_s)
+    return PressTable(table, values[:, :2], by_name.get("depth_mm"), force_N, time_s)
 
 
 def read_pairs(path: Path, electrodes: int | None) -> Indices:

@@ -54,6 +54,7 @@ from .learned_place import (
     PlaceScales as PlaceScales,
     PlaceTemplates as PlaceTemplates,
 )
+from .learned_quantity import LearnedQuantity as LearnedQuantity, QuantityScales as QuantityScales
 from .measurement import (
     SEVERITY as SEVERITY,
     Bound as Bound,
@@ -82,6 +83,7 @@ from .observation import (
     Trace as Trace,
 )
 from .press_calibration import (
+    PRESS_QUANTITIES as PRESS_QUANTITIES,
     LeftOutPress as LeftOutPress,
     PressCalibration as PressCalibration,
     SheetRegistration as SheetRegistration,

@@ -1,13 +1,17 @@
-"""What is issued from labelled presses: where they came from, how the sheet lies, and the place learned from them."""
+"""What is issued from labelled presses: where they came from, how the sheet lies, and what was learned from them."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.kept import NOT_KEPT, Kept
 from cbsr_qa.domain.results.learned_place import LearnedPlace, ModelledPlace
+from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
+
+#: What presses may be labelled with beside their places, and in which unit.
+PRESS_QUANTITIES: Final = {"force": "N", "depth": "mm"}
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -131,6 +135,7 @@ class PressCalibration:
     covered_68, covered_95 : share of these whose region of that probability holds the label.
     place : what turns changes into places.
     modelled : the same by the modelled sheet alone; None in files of before.
+    force, depth : what turns located changes into newtons and millimetres; None where presses had none.
     digest, record_digest, file : as of :class:`~cbsr_qa.domain.results.Calibration`.
     """
 
@@ -156,6 +161,8 @@ class PressCalibration:
     covered_95: Annotated[float | None, Kept("held_out/covered_95")]
     place: LearnedPlace
     modelled: Annotated[ModelledPlace | None, Kept(omitted=True)] = None
+    force: Annotated[LearnedQuantity | None, Kept(units="N", since=2)] = None
+    depth: Annotated[LearnedQuantity | None, Kept(units="mm", since=2)] = None
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""

@@ -6,14 +6,25 @@ import numpy as np
 import pytest
 from pressed_sheets import pressed_sheet
 
-from cbsr_qa.calibration.file import decode, encode, read_calibration, read_issued, write_calibration
+from cbsr_qa.calibration.file import (
+    decode,
+    encode,
+    read_calibration,
+    read_issued,
+    stamped,
+    verify_calibration_file,
+    write_calibration,
+)
 from cbsr_qa.calibration.presses import Identity, issue_from_presses, learn_presses
+from cbsr_qa.calibration.presses.issue import noise_size
 from cbsr_qa.domain import CalibrationError
 
 
 @pytest.fixture(scope="module")
 def issued():
-    labelled = pressed_sheet(12, noise=0.05).labelled()
+    sheet = pressed_sheet(12, noise=0.05)
+    labelled = sheet.labelled()
+    labelled = replace(labelled, presses=replace(labelled.presses, force_N=sheet.force_N))
     return issue_from_presses(Identity("id", "now", ()), labelled, learn_presses(labelled))
 
 
@@ -31,6 +42,26 @@ def test_what_is_written_is_read(issued, tmp_path):
         write_calibration(tmp_path / "other.h5", replace(issued, used=11))
 
 
+def test_what_knows_no_force_is_a_file_of_the_first_version(issued, tmp_path):
+    """So that programs of before open it, and it keeps its digest."""
+    versions = []
+    for name, each in (("force", issued), ("none", stamped(replace(issued, force=None)))):
+        write_calibration(tmp_path / f"{name}.h5", each)
+        versions.append(verify_calibration_file(tmp_path / f"{name}.h5").schema_version)
+    assert versions == [2, 1]
+    assert read_issued(tmp_path / "none.h5").force is None
+    back = read_issued(tmp_path / "force.h5").force
+    assert back.error == issued.force.error
+    np.testing.assert_array_equal(back.strength, issued.force.strength)
+
+
+def test_frames_without_a_load_are_not_larger_than_the_noise_of_one():
+    random, noise = np.random.default_rng(5), np.linspace(0.1, 2.0, 192)
+    sizes = np.sqrt(((noise * random.standard_normal((4000, 192))) ** 2).mean(axis=1))
+    assert (sizes > noise_size(noise)).mean() < 0.005
+    assert np.median(sizes) > 0.8 * noise_size(noise)
+
+
 @pytest.mark.parametrize(
     ("path", "change", "why"),
     [
@@ -40,6 +71,10 @@ def test_what_is_written_is_read(issued, tmp_path):
         ("place/turns/permuted", lambda value: value + 1, "names a reading other than 0 to 191"),
         ("place/mixture/quantiles", lambda value: value[::-1].copy(), "are not positive and rising"),
         ("place/templates/whitening", lambda value: value * np.nan, "not a finite number"),
+        ("force/values", lambda value: -value, "force/values are not all positive"),
+        ("force/values", lambda value: 0 * value + 1, "force/values are all alike"),
+        ("force/strength", lambda value: value[1:], "does not fit 11 presses"),
+        ("force/quantiles", lambda value: 0 * value, "force/quantiles are not positive and rising"),
         ("place/axes", lambda value: value + 5, "-1 to 1 are allowed"),
     ],
 )

@@ -1,0 +1,220 @@
+"""How hard a sheet is pressed, its force or depth, from the strength of a change and the place found for it.
+
+The strength of a press is its change over the template at its place, by least squares. y is the quantity or, where
+all presses are positive, its logarithm; u is the logarithm of the strength. Both are taken about their middle, y in
+units of its spread. y is a Gaussian process of the covariance
+
+    c (1 + u u') + v₁ k(|r − r'|/l) + v₂ k(|p − p'|/l) + v₃ k(|u − u'|),
+
+with a place p at the distance r from the centre, k Matérn's of smoothness 5/2 and noise of the variance
+s₁ + s₂ exp(−2u): a straight line of any slope, places that answer more or less, alike around the centre or not, and a
+bend. Hyperparameters are those of largest marginal likelihood. Places are those found for presses left out, as
+uncertain as those of later presses. Errors of presses left out, in closed form, say how wide an interval is.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+from scipy.optimize import Bounds, minimize
+from scipy.stats import t as student
+
+from cbsr_qa.calibration.place.features import matern, squared_distances
+from cbsr_qa.calibration.place.held_out import evenly
+from cbsr_qa.calibration.place.mixture import LEVELS
+from cbsr_qa.calibration.place.places import Places
+from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.domain.results import LearnedQuantity, QuantityScales
+
+#: Presses that are kept, and those that hyperparameters are found with: what the process is of is smooth.
+_KEPT: Final = 400
+_FOR_SCALES: Final = 150
+_ITERATIONS: Final = 30  # L-BFGS
+#: Variance of the line, in units of the spread: any line is likely.
+_LINE: Final = 30.0
+#: Log-normal priors of ring, relief, curve, noise, weak noise and length: medians, the last in radii of what is
+#: pressed, and standard deviations of the logarithms.
+_MEDIANS: Final = np.array([1.0, 0.2, 0.05, 0.01, 0.01, 0.5])
+_DEVIATIONS: Final = np.array([2.0, 2.0, 2.0, 3.0, 3.0, 0.7])
+_FURTHEST: Final = 4.0  # in those deviations
+#: Added to a diagonal, in units of the spread: presses without any noise leave a covariance that can be inverted.
+_LEAST_NOISE: Final = 1e-8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quantities:
+    """A quantity of n presses.
+
+    Parameters
+    ----------
+    values : (n,) in the unit it was learned in; NaN where there is no place.
+    within_68, within_95 : (n, 2) lowest and highest of the interval of that probability.
+    below, above : (n,) whether a value is beyond all presses that were learned from. Each of its intervals then
+        reaches back to them, and as far the other way: how steeply it goes on is not known.
+    """
+
+    values: Array
+    within_68: Array
+    within_95: Array
+    below: Mask
+    above: Mask
+
+
+class QuantityEstimator:
+    """Tells a quantity of presses that were located.
+
+    Parameters
+    ----------
+    learned : the quantity.
+    """
+
+    def __init__(self, learned: LearnedQuantity) -> None:
+        self._quantiles, self._process = learned.quantiles, _Process.given(learned)
+
+    def __call__(self, places: Places) -> Quantities:
+        """Return the quantity of presses at places."""
+        process = self._process
+        y, stderr = process.expected(places.strength, places.place_mm)
+        least, most = process.y.min(), process.y.max()
+        beyond = np.maximum(np.maximum(least - y, y - most), 0.0)
+        half = self._quantiles[:, None] * stderr + beyond
+        inner, outer = (process.unscaled(np.stack([y - each, y + each], axis=1)) for each in half)
+        return Quantities(process.unscaled(y), inner, outer, below=y < least, above=y > most)
+
+
+def learn_quantity(values: Array, strength: Array, places_mm: Array, centre_mm: Array) -> LearnedQuantity:
+    """Learn a quantity from its values (n,) for presses.
+
+    Parameters
+    ----------
+    strength, places_mm : (n,) and (n, 2) as found for each press when it was left out.
+    centre_mm : (2,) the sheet's, in the frame of the presses.
+    """
+    some = evenly(len(values), _KEPT)
+    values = values[some]
+    data = bool((values > 0).all()), centre_mm, strength[some], places_mm[some], values
+    errors = np.empty(len(some))
+    for half in (0, 1):  # with hyperparameters of the other half
+        others = _Process(_likely_scales(*data, np.arange(1 - half, len(some), 2)), *data)
+        errors[half::2] = others.left_out()[0][half::2]
+    scales = _likely_scales(*data, np.arange(len(some)))
+    process = _Process(scales, *data)
+    stderr = process.left_out()[1]
+    ratio, missed = np.abs(errors) / stderr, np.abs(values - process.unscaled(process.y - errors))
+    covered = [
+        np.mean([(ratio[one::2] <= _quantile(ratio[1 - one :: 2], level)).mean() for one in (0, 1)])
+        for level in LEVELS
+    ]
+    return LearnedQuantity(
+        *data[:1],
+        scales,
+        *data[1:],
+        quantiles=np.array([_quantile(ratio, level) for level in LEVELS]),
+        error=float(missed.mean()),
+        error_stderr=float(missed.std(ddof=1) / np.sqrt(len(missed))),
+        covered=np.array(covered),
+    )
+
+
+class _Process:
+    """The Gaussian process given presses, as of :class:`~cbsr_qa.domain.results.LearnedQuantity`."""
+
+    def __init__(
+        self,
+        scales: QuantityScales,
+        logarithmic: bool,
+        centre_mm: Array,
+        strength: Array,
+        places_mm: Array,
+        values: Array,
+    ) -> None:
+        self._scales, self._logarithmic, self._centre_mm = scales, logarithmic, centre_mm
+        self._log_strength = float(np.log(np.median(strength)))
+        transformed = np.log(values) if logarithmic else values
+        self._middle, self._spread = float(np.median(transformed)), float(transformed.std())
+        self.y: Array = (transformed - self._middle) / self._spread
+        self._u, self._about = self._scaled(strength, places_mm)
+        covariance = _covariance(scales, self._u, self._about, self._u, self._about)
+        covariance[np.diag_indices(len(values))] += _noise(scales, self._u)
+        factor = cholesky(covariance, lower=True, check_finite=False)
+        self._inverse: Array = cho_solve((factor, True), np.eye(len(factor)), check_finite=False)
+        self._weights: Array = self._inverse @ self.y
+        self.log_likelihood = -0.5 * float(self.y @ self._weights) - float(np.log(np.diag(factor)).sum())
+
+    @classmethod
+    def given(cls, learned: LearnedQuantity) -> "_Process":
+        """The process of what was learned."""
+        data = learned.centre_mm, learned.strength, learned.places_mm, learned.values
+        return cls(learned.scales, learned.logarithmic, *data)
+
+    def expected(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
+        """Scaled values (k,) and their standard errors."""
+        u, about = self._scaled(strength, places_mm)
+        near = _covariance(self._scales, u, about, self._u, self._about)
+        alone = _LINE * (1 + u**2) + self._scales.ring + self._scales.relief + self._scales.curve
+        known = np.einsum("kn,kn->k", near @ self._inverse, near)
+        return near @ self._weights, np.sqrt(np.maximum(alone - known, 0.0) + _noise(self._scales, u))
+
+    def left_out(self) -> tuple[Array, Array]:
+        """Errors (n,) of presses told from all others, and stated ones (Rasmussen & Williams 2006, Eq. 5.12)."""
+        diagonal = np.diag(self._inverse)
+        return self._weights / diagonal, 1 / np.sqrt(diagonal)
+
+    def unscaled(self, y: Array) -> Array:
+        """Values in their unit."""
+        transformed: Array = self._middle + self._spread * y
+        return np.exp(transformed) if self._logarithmic else transformed
+
+    def _scaled(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
+        least = np.finfo(float).tiny
+        return np.log(np.maximum(strength, least)) - self._log_strength, places_mm - self._centre_mm
+
+
+def _covariance(scales: QuantityScales, u: Array, about: Array, v: Array, others: Array) -> Array:
+    r, s = np.linalg.norm(about, axis=1), np.linalg.norm(others, axis=1)
+    covariance: Array = _LINE * (1 + np.outer(u, v)) + scales.curve * matern((u[:, None] - v) ** 2)
+    covariance += scales.ring * matern((r[:, None] - s) ** 2 / scales.length_mm**2)
+    covariance += scales.relief * matern(squared_distances(about, others) / scales.length_mm**2)
+    return covariance
+
+
+def _noise(scales: QuantityScales, u: Array) -> Array:
+    variance: Array = _LEAST_NOISE + scales.noise + scales.weak_noise * np.exp(-2 * u)
+    return variance
+
+
+def _likely_scales(
+    logarithmic: bool, centre_mm: Array, strength: Array, places_mm: Array, values: Array, presses: Indices
+) -> QuantityScales:
+    """Hyperparameters from some presses: of largest marginal likelihood times their priors."""
+    some = presses[evenly(len(presses), _FOR_SCALES)]
+    start = np.log(_MEDIANS)
+    start[-1] += np.log(np.linalg.norm(places_mm - centre_mm, axis=1).max())
+
+    def surprise(logs: Array) -> float:
+        process = _Process(
+            QuantityScales(*np.exp(logs).tolist()),
+            logarithmic,
+            centre_mm,
+            strength[some],
+            places_mm[some],
+            values[some],
+        )
+        return 0.5 * float((((logs - start) / _DEVIATIONS) ** 2).sum()) - process.log_likelihood
+
+    bounds = Bounds(start - _FURTHEST * _DEVIATIONS, start + _FURTHEST * _DEVIATIONS)
+    best = minimize(surprise, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS})
+    return QuantityScales(*np.exp(best.x).tolist())
+
+
+def _quantile(ratio: Array, level: float) -> float:
+    """Quantile of errors in stated standard errors that holds the next press with a probability of ``level``.
+
+    Split conformal (Lei et al. 2018, Eq. 3), between order statistics; of too few presses for that by Student's t.
+    """
+    rank = level * (len(ratio) + 1) - 1
+    if rank <= len(ratio) - 1.5:
+        return float(np.interp(max(rank, 0.0), np.arange(len(ratio)), np.sort(ratio)))
+    normal = float(np.sqrt((ratio**2).mean()) * student.ppf((1 + level) / 2, len(ratio)))
+    return max(normal, float(ratio.max()))

@@ -1,0 +1,88 @@
+"""Force and depth learned from presses of simulated sheets, held against the true ones of presses not seen."""
+
+import numpy as np
+import pytest
+from pressed_sheets import pressed_sheet
+
+from cbsr_qa.calibration.place import PlaceEstimator, Places, QuantityEstimator, learn_place, learn_quantity
+
+CENTRE = np.zeros(2)
+
+
+def located(sheet, rows, *, seed=0, error_mm=0.5):
+    """Presses found beside where they are, as strong as the root mean square of their readings."""
+    shift = error_mm * np.random.default_rng([seed, 1]).standard_normal((len(sheet.force_N), 2))
+    strength = np.sqrt((sheet.changes**2).mean(axis=1))
+    return strength[rows], (sheet.places_mm + shift)[rows]
+
+
+def told(learned, strength, places_mm):
+    """What is told of presses that were located."""
+    count, nothing = len(strength), np.zeros(len(strength))
+    return QuantityEstimator(learned)(
+        Places(places_mm, np.zeros((count, 2, 2)), nothing, strength, np.zeros(count, int))
+    )
+
+
+def inside(truth, within):
+    return float(((within[:, 0] <= truth) & (truth <= within[:, 1])).mean())
+
+
+@pytest.mark.parametrize(("count", "limit_N"), [(39, 0.2), (150, 0.1)])
+def test_intervals_hold_what_they_state_over_a_fleet(count, limit_N):
+    shares, errors, stated = [], [], []
+    for seed in range(8):
+        sheet = pressed_sheet(count + 300, seed=seed, noise=0.1, uneven=0.2, rectified=seed % 2 == 1)
+        some, rest = np.arange(count), np.arange(count, count + 300)
+        learned = learn_quantity(sheet.force_N[some], *located(sheet, some, seed=seed), CENTRE)
+        found, truth = told(learned, *located(sheet, rest, seed=seed)), sheet.force_N[rest]
+        shares.append([inside(truth, found.within_68), inside(truth, found.within_95)])
+        errors.append(np.abs(found.values - truth).mean())
+        stated.append(learned.error)
+    low, high = np.mean(shares, axis=0)
+    assert 0.63 <= low <= 0.73
+    assert 0.92 <= high <= 0.98
+    assert np.mean(errors) < limit_N  # of 1 to 5 N; always guessing the middle errs by 1 N
+    assert np.mean(stated) == pytest.approx(np.mean(errors), rel=0.3)
+
+
+def test_forces_beyond_those_pressed_are_flagged_and_their_intervals_reach_back():
+    sheet = pressed_sheet(200, seed=3, uneven=0.1)
+    middle = np.flatnonzero((sheet.force_N > 2) & (sheet.force_N < 4))
+    learned = learn_quantity(sheet.force_N[middle], *located(sheet, middle), CENTRE)
+    beyond = np.flatnonzero((sheet.force_N < 1.8) | (sheet.force_N > 4.4))
+    found, truth = told(learned, *located(sheet, beyond)), sheet.force_N[beyond]
+    assert (found.below == (truth < 2)).mean() > 0.95
+    assert (found.above == (truth > 4)).mean() > 0.95
+    assert (found.within_68[found.above, 0] <= sheet.force_N[middle].max()).all()
+    assert (found.within_68[found.below, 1] >= sheet.force_N[middle].min()).all()
+    assert inside(truth, found.within_68) > 0.95
+
+
+def test_a_depth_may_be_counted_from_anywhere_and_upwards():
+    """A robot's z in place of a depth: another origin and direction change nothing but the numbers."""
+    sheet = pressed_sheet(200, seed=4, uneven=0.1)
+    some, rest = np.arange(100), np.arange(100, 200)
+    depth = -2 + 0.4 * np.log(sheet.force_N)
+    there, here = (
+        told(learn_quantity(values[some], *located(sheet, some), CENTRE), *located(sheet, rest))
+        for values in (7 - depth, depth)
+    )
+    assert np.abs(here.values - depth[rest]).mean() < 0.03
+    assert 7 - there.values == pytest.approx(here.values, abs=0.01)
+    assert 0.55 < inside(depth[rest], here.within_68) < 0.8
+
+
+def test_strengths_of_a_learned_place_tell_the_force():
+    sheet = pressed_sheet(160, seed=7, noise=0.05, uneven=0.2)
+    some, rest = np.arange(60), np.arange(60, 160)
+    place = learn_place(sheet.changes[some], sheet.labels_mm[some], sheet.pairs, 16)
+    learned = learn_quantity(
+        sheet.force_N[place.held_out.presses], place.strength, place.held_out.found_mm, place.model.centre_mm
+    )
+    places = PlaceEstimator(place.model)(sheet.changes[rest])
+    found = QuantityEstimator(learned)(places)
+    error = np.abs(found.values - sheet.force_N[rest])
+    assert error.mean() < 0.15
+    assert error.mean() == pytest.approx(learned.error, rel=0.5)
+    assert inside(sheet.force_N[rest], found.within_95) > 0.85
