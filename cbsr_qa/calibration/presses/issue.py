@@ -110,7 +110,8 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     time_s = None if presses.time_s is None else presses.time_s[used]
     learned = _learned(labelled.sensor_type, order, readings.changes[used], presses.place_mm[used], time_s, tell)
     if readings.noise is not None:
-        least = max(learned.model.least_size, noise_size(readings.noise))
+        noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of readings that are used
+        least = max(learned.model.least_size, noise_size(noise))
         learned = replace(learned, model=replace(learned.model, least_size=least))
     quantities = {
         name: _quantity(name, values[used], learned, tell)
