@@ -145,6 +145,7 @@ _SAID: Final = {
     Flag.OTHER_SENSOR: "not a frame of this sensor",
     Flag.OTHER_HEAD: "a head of another size than was calibrated",
     Flag.NOT_AS_MODELLED: "not as on the modelled sheet",
+    Flag.SPIKE: "a reading stood out alone: its reciprocal counts for both",
 }
 
 

@@ -132,7 +132,6 @@ def test_electrodes_that_do_not_fit_are_refused_with_their_key(refused, electrod
     [
         ("drive = 5", "pattern.drive is 5; it must be the name of a rule or an array of pairs"),
         ("drive = [[0, 1.5]]", "it must be the name of a rule or an array of pairs"),
-        ("drive = [[0, 1], [1, 2], [0, 1]]", "pattern.drive[3] repeats pair 1"),
         ("measure = [[0, 0]]", "pattern.measure[1] pairs electrode 0 with itself"),
         ("measure = [[0, 8]]", "pattern.measure[1] names electrode 8; allowed: 0 to 7"),
         ("measure = []", "pattern.measure has no pairs"),

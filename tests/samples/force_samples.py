@@ -16,6 +16,7 @@ from cbsr_qa.domain.sensor import QuasiStatic
 from cbsr_qa.eit.estimate import MergedReadings, load_model, merged_readings
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
 
+SENSOR_TYPE = load_sensor_type("disc-100mm").value
 HEAD = Indenter(13.0)
 #: Noise of a reading [V/A at unit sheet conductance], of the order of the simulated 8 wt% sensor's.
 NOISE = 2.4e-5
@@ -41,10 +42,9 @@ class Setting:
 
 @lru_cache
 def setting() -> Setting:
-    sensor_type = load_sensor_type("disc-100mm").value
-    model = load_model(sensor_type)
-    used = sensor_type.pattern.usable()
-    readings = merged_readings(sensor_type.pattern, used, np.full(sensor_type.pattern.shape, NOISE**2))
+    pattern = SENSOR_TYPE.pattern
+    model, used = load_model(SENSOR_TYPE), pattern.usable()
+    readings = merged_readings(pattern, used, np.full(pattern.shape, NOISE**2))
     return Setting(model, readings, template_bank(model, readings, HEAD), used)
 
 
@@ -111,6 +111,6 @@ def in_use(model: ForceModel, against_stress: QuasiStatic) -> Calibration:
         indenter=HEAD,
         against_stress=against_stress,
         validity=Validity((0.5, 6.0), (0.05, 0.3), None, 40.0),
-        reconstruction=SimpleNamespace(problem=SimpleNamespace(used=here.used)),
+        reconstruction=SimpleNamespace(problem=SimpleNamespace(used=here.used, sensor_type=SENSOR_TYPE)),
     )
     return Calibration(issued)

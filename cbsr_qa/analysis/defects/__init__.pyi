@@ -1,5 +1,10 @@
 from .channels import ChannelFaults as ChannelFaults, find_faults as find_faults
-from .contacts import Suspect as Suspect, suspect_in as suspect_in, suspects_of as suspects_of
+from .contacts import (
+    Suspect as Suspect,
+    open_electrodes as open_electrodes,
+    suspect_in as suspect_in,
+    suspects_of as suspects_of,
+)
 from .drives import DeadDrive as DeadDrive, find_dead_drives as find_dead_drives
 from .load_cell import limit_N as limit_N, stood_at_limit as stood_at_limit
 from .noise import (

@@ -21,6 +21,9 @@ _INSIDE = 0.9
 _SEEN_OUTSIDE = 0.5
 #: … by so many standard errors.
 _SIGMAS = 2.0
+#: Readings of an open pair differ by less than this share of what those of a live one do, whatever their offset.
+_SILENT = 0.05
+_LIVE = 0.75  #: quantile of the pairs that is live: with fewer than a quarter of them nothing is left to image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +40,29 @@ class Suspect:
     name: str
     electrodes: tuple[int, ...]
     readings: Mask
+
+
+def open_electrodes(frame: Array, used: Mask, pattern: DrivePattern) -> tuple[int, ...]:
+    """Electrodes without contact: nothing comes through any pair they drive or measure.
+
+    Parameters
+    ----------
+    frame : (drives, measures), the typical one. used : same shape, sound readings that touch no driven electrode.
+    """
+    silent = []
+    for readings, sound in ((frame, used), (frame.T, used.T)):
+        spread = np.array(
+            [row[there].std() if there.sum() > 1 else np.nan for row, there in zip(readings, sound, strict=True)]
+        )
+        known = np.isfinite(spread)
+        live = float(np.quantile(spread[known], _LIVE)) if known.any() else 0.0
+        silent.append(known & (spread < _SILENT * live))
+    pairs = ((pattern.drive, silent[0]), (pattern.measure, silent[1]))
+    of_each = [
+        [bool(quiet[k]) for of_kind, quiet in pairs for k, pair in enumerate(of_kind) if electrode in pair]
+        for electrode in range(pattern.electrode_count)
+    ]
+    return tuple(electrode for electrode, quiet in enumerate(of_each) if quiet and all(quiet))
 
 
 def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:

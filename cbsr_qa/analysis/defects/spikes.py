@@ -1,9 +1,8 @@
 """Spikes: single readings that jump for a frame or so.
 
 A converter, a multiplexer or a cable now and then delivers one reading that has nothing to do with the sheet. It
-stands out of its own neighbours in time, as a short press does. But a passive sheet is reciprocal: whatever a load
-does to V_ij it does to V_ji in the same frame. A reading is a spike only if the one with drive and measurement
-exchanged did not go along.
+stands out of its own neighbours in time, as a short press does; what tells them apart is the reciprocal reading
+(:mod:`cbsr_qa.domain.readings.spikes`).
 
 Source: Hampel's identifier (distance from the running median over the noise); F. R. Hampel, "The influence curve and
 its role in robust estimation", J. Am. Stat. Assoc. 69 (1974) 383–393. Departure: the scale is the channel's noise
@@ -15,14 +14,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA, channel_noise
+from cbsr_qa.domain.readings import MOST_SPIKES, SPIKE_SIGMA, left_alone
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _HALF_WINDOW = 3  #: frames on either side: spikes of up to three frames are seen
-_SIGMA = 7.0  #: distance from the running median, over the noise
-_GOES_ALONG = 0.25  #: a reciprocal reading that moves by this share of it goes along: no spike
-_FEW = 0.05  #: where there is no reciprocal reading, at most this share of a frame may be spikes
 
 
 def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mask]:
@@ -48,7 +45,7 @@ def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mas
     apart = voltages - level
     # Where most readings of a frame are far from their neighbours in time, the noise has grown, or the sheet moved.
     unrest = MAD_TO_SIGMA * np.median(np.abs(apart[:, usable]) / sigma[usable], axis=1)
-    far = (np.abs(apart) > _SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
+    far = (np.abs(apart) > SPIKE_SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
     spikes = far & _alone(apart, far, usable)
     return np.where(spikes, level, voltages), spikes
 
@@ -57,9 +54,8 @@ def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
     """Whether the reciprocal of a reading did not change with it."""
     square = usable.shape[0] == usable.shape[1]
     partner = usable & usable.T if square else np.zeros_like(usable)
-    few = (far.sum(axis=(1, 2)) <= _FEW * usable.sum())[:, None, None]
+    few = (far.sum(axis=(1, 2)) <= MOST_SPIKES * usable.sum())[:, None, None]
     alone: Mask = np.broadcast_to(few, far.shape)
     if square:
-        along = apart.swapaxes(1, 2) * np.sign(apart)
-        alone = np.where(partner, along < _GOES_ALONG * np.abs(apart), alone)
+        alone = np.where(partner, left_alone(apart, apart.swapaxes(1, 2)), alone)
     return alone

@@ -10,6 +10,7 @@ from cbsr_qa.analysis.recording.imaged_events import Imaged, image_events
 from cbsr_qa.analysis.recording.images import Tell
 from cbsr_qa.analysis.recording.imaging import nominal_disc
 from cbsr_qa.analysis.recording.ready import ReadyReadings, channel_report, make_ready
+from cbsr_qa.analysis.recording.repeats import without_repeats
 from cbsr_qa.analysis.recording.scene import FEWEST_FRAMES, RecordedScene, Searched
 from cbsr_qa.domain import LEAST_EXPLAINED, NumericsError, RecordingError
 from cbsr_qa.domain.plan import PluginChoice
@@ -25,6 +26,7 @@ from cbsr_qa.domain.readings import (
     VoltageUnit,
 )
 from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.eit.inverse import masking_effect
 from cbsr_qa.plugin import Reconstruction
 from cbsr_qa.system import Stages
 
@@ -72,6 +74,9 @@ def analyse_recording(
     """
     choices = choices or AnalysisChoices()
     stages = Stages()
+    if choices.sensor_type is not None:
+        recording, single = without_repeats(recording, choices.sensor_type)
+        choices = replace(choices, sensor_type=single)
     pattern = None if choices.sensor_type is None else choices.sensor_type.pattern
     with stages.stage("channels"):
         ready = make_ready(recording, choices.correct_carry_over, pattern)
@@ -85,7 +90,9 @@ def analyse_recording(
     return RecordingResult(
         recording=recording,
         frame_rate_hz=rate_hz,
-        channels=replace(channel_report(ready), suspect_electrodes=searched.suspect_electrodes),
+        channels=replace(
+            channel_report(ready), suspect_electrodes=(*ready.open_electrodes, *searched.suspect_electrodes)
+        ),
         noise=noise,
         events=imaged.events,
         events_why="" if imaged.events else searched.why,
@@ -215,6 +222,10 @@ def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) ->
     if carry_over is not None and carry_over.worth_correcting and not ready.corrected:
         remarks.append(f"readings carry over {carry_over.share:.0%} of the previous one; not corrected, as requested")
     remarks += [*ready.remarks(), *searched.remarks, *_unlike_the_model(searched)]
+    if scene := searched.scene:
+        effect = masking_effect(scene.sheet.problem)
+        if effect is not None and effect.electrodes:
+            remarks.append(effect.words(None if scene.named else scene.sheet.radius_mm))
     if searched.sightings and searched.why:
         remarks.append(searched.why)
     return tuple(remarks)

@@ -211,8 +211,8 @@ class _Search:
     def _loads(self, frame: int, before: slice, held: slice) -> tuple[Place, ...]:
         """Return the loads that explain a change, or none and the reason."""
         change = difference(self.white, before, held)
-        places, explained = find_places(change, self.match)
         noise = noise_energy(self.white, before, held) / self.white.shape[1]
+        places, explained = find_places(change, self.match, noise=noise)
         load = fitted(change, self.match, places)
         if suspect := suspect_in(change, load, self.match.nuisance, noise, self.no_loads.suspects):
             self.found.suspects.append((frame, suspect))

@@ -13,6 +13,7 @@ from cbsr_qa.analysis.defects import (
     find_dead_drives,
     find_faults,
     find_offsets,
+    open_electrodes,
     without_offsets,
 )
 from cbsr_qa.domain.readings import (
@@ -33,6 +34,8 @@ from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+#: One electrode that loses contact is told from loads by its change; several at once by the parts without them.
+_PARTS, _PART_FRAMES = 4, 8
 _MOST_LISTED = 6  #: channels named in a remark
 
 
@@ -51,7 +54,7 @@ class ReadyReadings:
     error : reciprocity error of ``block``; None for one-row scans.
     offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
     offsets : frame and size of every sudden change that was one offset on all readings.
-    dead_drives : whose readings are left out.
+    dead_drives, open_electrodes : whose readings are left out.
     spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`despiked`.
     """
 
@@ -65,6 +68,7 @@ class ReadyReadings:
     offset: bool
     offsets: tuple[tuple[int, float], ...] = ()
     dead_drives: tuple[DeadDrive, ...] = ()
+    open_electrodes: tuple[int, ...] = ()
     spikes: int = 0
     spiky_frames: int = 0
 
@@ -75,6 +79,10 @@ class ReadyReadings:
             unit = self.block.unit.value
             listed = ", ".join(f"{size:+.3g} {unit} at {self.block.time_s[at]:.1f} s" for at, size in self.offsets)
             remarks.append(f"all readings changed by one offset, not by a load: {listed}; it was taken out")
+        if self.open_electrodes:
+            named = ", ".join(map(str, self.open_electrodes))
+            kind = "electrodes" if len(self.open_electrodes) > 1 else "electrode"
+            remarks.append(f"no contact, nothing comes through: {kind} {named}; these readings were left out")
         remarks += [dead.words(self.block.unit.value) for dead in self.dead_drives]
         if self.spikes:
             remarks.append(
@@ -129,6 +137,11 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     block = recording.frames
     faults = find_faults(block, recording.scan)
     used = _usable(recording, pattern) & ~faults.bad
+    opened: tuple[int, ...] = ()
+    if recording.scan is ScanKind.FULL and used.any():
+        full = pattern or adjacent_pattern(used.shape[0])
+        opened = _opened(block.voltages, used, full)
+        used &= ~full.touching(opened)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
     scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
@@ -171,9 +184,20 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         offset,
         offsets,
         dead_drives,
+        opened,
         int(spikes.sum()),
         int(spikes.any(axis=(1, 2)).sum()),
     )
+
+
+def _opened(voltages: Array, used: Mask, pattern: DrivePattern) -> tuple[int, ...]:
+    """Electrodes without contact for most of the recording, or in a part of it if those are several."""
+    found = open_electrodes(np.median(voltages, axis=0), used, pattern)
+    for part in np.array_split(voltages, _PARTS) if len(voltages) >= _PARTS * _PART_FRAMES else ():
+        several = open_electrodes(np.median(part, axis=0), used, pattern)
+        if len(several) > max(1, len(found)):
+            found = several
+    return found
 
 
 def channel_report(ready: ReadyReadings) -> ChannelReport:

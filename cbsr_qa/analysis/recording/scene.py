@@ -15,6 +15,7 @@ from cbsr_qa.analysis.recording.places import Matcher, Place, fitted, matcher, r
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fitted_tank, reciprocal_noise
 from cbsr_qa.analysis.recording.traces import difference, noise_energy
+from cbsr_qa.calibration.presses import AnsweringSide, compared_sides
 from cbsr_qa.domain import Goodness
 from cbsr_qa.domain.readings import Recording
 from cbsr_qa.domain.sensor import SensorType
@@ -29,6 +30,7 @@ _MOST_CONTACTS = 4  #: searches are repeated without a suspect's readings at mos
 _SAME_CHANGE_S = 1.0  #: changes this close in time are one
 _FIRST_BALL = 0.1  #: radius of a ball in a tank, of the tank's, before one is known
 _BALL_ROUNDS = 3  #: of finding places and sizes of balls in turn
+_LEAST_SIDE = 0.2  #: a polarity with this share of the readings is one that a front end may lose
 _LEAST_LEFT = 0.5  #: and only as long as this share of the readings is left
 
 
@@ -53,14 +55,20 @@ class Searched:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedScene:
-    """A recording with its model, ready to be searched."""
+    """A recording with its model, ready to be searched.
+
+    Parameters
+    ----------
+    readings : (n, m). remarks : why some were left out. named : whether lengths may be given in millimetres.
+    """
 
     recording: Recording
     ready: ReadyReadings
     sheet: Sheet
     model: UnitModel
-    readings: Array  # (n, m)
+    readings: Array
     named: bool
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -75,10 +83,14 @@ class RecordedScene:
 
         Parameters
         ----------
-        named : whether a user named the sensor type, so that lengths may be given in millimetres.
+        named : whether a user named the sensor type.
         """
         block, used = ready.block, ready.used
         frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference
+        side = None if recording.magnitudes_only else _answering(frame, used, sensor_type)
+        if side is not None and side.words:
+            used = used.copy()
+            used[used] = side.answers
         if not ready.offset:
             noise = None
             if ready.reference is None:
@@ -87,7 +99,8 @@ class RecordedScene:
             used = usable_volts(frame, used, noise)
         sheet = sheet_for(sensor_type, used)
         model = unit_model(frame[used], sheet.problem, offset=ready.offset)
-        return cls(recording, ready, sheet, model, block.voltages[:, used], named)
+        remarks = (f"{side.words}; they were left out",) if side is not None and side.words else ()
+        return cls(recording, ready, sheet, model, block.voltages[:, used], named, remarks)
 
     def without(self, readings: NDArray[np.bool_]) -> Self:
         """Return the scene without some readings, (m,) bool."""
@@ -111,7 +124,7 @@ class RecordedScene:
             objects, why, remarks = self._still(changes, sigma)
             objects = self._turned(objects)
         sightings = tuple(self._object_seen(seen, changes, timed=rate_hz is not None) for seen in objects)
-        return Searched(sightings, why, remarks, scene=self)
+        return Searched(sightings, why, (*self.remarks, *remarks), scene=self)
 
     def _matched(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
         match = matcher(sheet.patterns, sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
@@ -179,7 +192,10 @@ class RecordedScene:
             "" if searched.sightings else "no change is a load: " + "; ".join([*remarks, *searched.remarks])
         )
         return replace(
-            searched, why=why, remarks=(*remarks, *searched.remarks), suspect_electrodes=tuple(sorted(electrodes))
+            searched,
+            why=why,
+            remarks=(*self.remarks, *remarks, *searched.remarks),
+            suspect_electrodes=tuple(sorted(electrodes)),
         )
 
     def _search(self, rate_hz: float | None) -> tuple[Searched, list[tuple[float, Suspect]]]:
@@ -266,6 +282,19 @@ def _goodness(match: Matcher, white: Array, press: Press) -> Goodness:
     change = difference(white, press.before, press.held)
     variance = noise_energy(white, press.before, press.held) / white.shape[1]
     return Goodness.of(change, fitted(change, match, press.places), match.sigma, variance)
+
+
+def _answering(frame: Array, used: NDArray[np.bool_], sensor_type: SensorType) -> AnsweringSide | None:
+    """Tell by levels which polarity answers; each about its own middle, which takes out an offset."""
+    model = sheet_for(sensor_type, used).problem.reference
+    positive = model > 0
+    if not _LEAST_SIDE <= positive.mean() <= 1 - _LEAST_SIDE:
+        return None
+    levels = frame[used].astype(np.float64)
+    for side in (positive, ~positive):
+        usual = np.median(np.abs(model[side] - np.median(model[side])))
+        levels[side] = (levels[side] - np.median(levels[side])) / usual
+    return compared_sides(np.abs(levels), positive)
 
 
 def _quiet(scores: Array) -> str:

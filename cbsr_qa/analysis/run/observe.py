@@ -34,7 +34,7 @@ from cbsr_qa.domain.results import ImagingProblem, LoadObservation, MetricTimeli
 from cbsr_qa.domain.run import LoadRecord, PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor import Response
 from cbsr_qa.eit.imaging import noise_floor, spatial_figures
-from cbsr_qa.eit.inverse import scale_doubts, scale_of
+from cbsr_qa.eit.inverse import masking_effect, scale_doubts, scale_of
 from cbsr_qa.plugin import Reconstruction
 from cbsr_qa.system import side_by_side
 
@@ -131,7 +131,9 @@ def observe_run(
     )
     remarks = _remarks(observation.tested, settings.settling_multiple if over_time else None)
     odd = scale_doubts(imager.reference, problem)
-    return replace(observation, warnings=(*data.warnings, *odd, *silent, *doubts, *remarks))
+    effect = masking_effect(problem)
+    lost = () if effect is None else (effect.words(),)
+    return replace(observation, warnings=(*data.warnings, *lost, *odd, *silent, *doubts, *remarks))
 
 
 def _over_time(

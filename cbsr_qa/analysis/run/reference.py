@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.defects import despiked, find_dead_drives, find_faults, open_electrodes
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, join_frames
+from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, ScanKind, join_frames
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor import DrivePattern
 from cbsr_qa.eit.inverse import imaging_problem, reading_noise
 from cbsr_qa.plugin import Reconstruction
 
@@ -55,7 +57,7 @@ class UsableData:
 
     Parameters
     ----------
-    record : the run without the frames that were lost.
+    record : the run without the frames that were lost, spikes replaced by their neighbours in time.
     readings : (drives, measures) bool, fit for imaging in every frame that is left.
     warnings : a sentence for every kind of reading or frame left out beyond the pattern's own.
     """
@@ -71,8 +73,9 @@ def usable_data(record: RunRecord) -> UsableData:
     A frame most of which is flagged is lost: one bad frame must not cost a run, nor its readings in all others. Of
     what is flagged then, channels go first, the worst before others, until at most 1 % of the frames are still
     touched; those frames go. So a channel that saturates throughout a press is left out, and a watchdog dump in
-    one frame costs that frame. A reading that never changes while others do is stuck; where nothing changes at all
-    (a noiseless simulated sheet nobody presses) no reading is.
+    one frame costs that frame. What is left is judged as in recordings: stuck readings, electrodes without contact
+    and dead drives are left out, spikes replaced. A reading that never changes while others do is stuck in a
+    noiseless simulation too; where nothing changes at all (a sheet nobody presses) no reading is.
     """
     frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
     pattern = record.sensor_type.pattern.usable()
@@ -80,18 +83,57 @@ def usable_data(record: RunRecord) -> UsableData:
     lost = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
     left_out = _flagged_channels(flagged[~lost])
     lost |= (flagged & ~left_out).any(axis=(1, 2))
-    kept = frames.voltages[~lost]
-    constant = np.ptp(kept, axis=0) == 0 if len(kept) else np.zeros_like(pattern)
-    stuck = constant & pattern & ~left_out if not constant[pattern].all() else np.zeros_like(pattern)
+    kept = frames.select(~lost)
+    stuck = _stuck(kept, pattern) & pattern & ~left_out
+    silent, said = _without_current(kept, pattern & ~left_out & ~stuck, record.sensor_type.pattern)
+    readings = pattern & ~left_out & ~stuck & ~silent
+    voltages, spikes = kept.voltages, np.zeros(kept.voltages.shape, dtype=bool)
+    if record.sensor_type.pattern.drive == record.sensor_type.pattern.measure:
+        voltages, spikes = despiked(voltages, readings, counts=False)
     words = [
         f"{int(channels.sum())} readings are excluded from all images because they are {why}:"
         f" {named_readings(channels)}"
         for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
         if channels.any()
     ]
+    words += said
+    if spikes.any():
+        spiky = int(spikes.any(axis=(1, 2)).sum())
+        words.append(
+            f"{int(spikes.sum())} readings in {spiky} frames jumped and their reciprocals did not: they were replaced"
+            " by their neighbours in time"
+        )
     if lost.any():
         words.append(f"{int(lost.sum())} of {len(frames)} frames are excluded: they have missing readings")
-    return UsableData(_without(record, frames.time_s[lost]), pattern & ~left_out & ~stuck, tuple(words))
+    if spikes.any() or lost.any():
+        record = _with(record, replace(kept, voltages=voltages), frames.time_s[lost])
+    return UsableData(record, readings, tuple(words))
+
+
+def _stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    if not len(kept):
+        return np.zeros_like(pattern)
+    constant = np.ptp(kept.voltages, axis=0) == 0
+    still = constant if not constant[pattern].all() else np.zeros_like(pattern)
+    stuck: NDArray[np.bool_] = still | find_faults(kept, ScanKind.FULL).stuck
+    return stuck
+
+
+def _without_current(
+    kept: FrameBlock, sound: NDArray[np.bool_], pattern: DrivePattern
+) -> tuple[NDArray[np.bool_], list[str]]:
+    """Readings (drives, measures) through electrodes without contact and by dead drives, and what is said of them."""
+    if not len(kept):
+        return np.zeros_like(sound), []
+    frame = np.median(kept.voltages, axis=0)
+    opened = open_electrodes(frame, sound, pattern)
+    silent = pattern.touching(opened)
+    words = [f"electrodes {', '.join(map(str, opened))} have no contact: nothing comes through"] if opened else []
+    if pattern.drive == pattern.measure:
+        dead = find_dead_drives(frame, sound & ~silent)
+        silent[[each.drive for each in dead]] = True
+        words += [each.words(kept.unit.value) for each in dead]
+    return silent, words
 
 
 def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -104,16 +146,18 @@ def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return left_out
 
 
-def _without(record: RunRecord, lost_s: NDArray[np.float64]) -> RunRecord:
-    if not len(lost_s):
-        return record
-    phases = tuple(
-        phase
-        if phase.frames is None
-        else replace(phase, frames=phase.frames.select(~np.isin(phase.frames.time_s, lost_s)))
-        for phase in record.phases
-    )
-    return replace(record, phases=phases)
+def _with(record: RunRecord, kept: FrameBlock, lost_s: NDArray[np.float64]) -> RunRecord:
+    """Return the run with its kept frames, mended, instead of all."""
+    phases, first = list[PhaseRecord](), 0
+    for phase in record.phases:
+        if phase.frames is None:
+            phases.append(phase)
+            continue
+        frames = phase.frames.select(~np.isin(phase.frames.time_s, lost_s))
+        last = first + len(frames)
+        phases.append(replace(phase, frames=replace(frames, voltages=kept.voltages[first:last])))
+        first = last
+    return replace(record, phases=tuple(phases))
 
 
 def _unloaded_of(phase: PhaseRecord) -> FrameBlock | None:

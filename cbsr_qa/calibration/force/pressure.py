@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-from cbsr_qa.calibration.runtime import Calibration, volts
+from cbsr_qa.calibration.runtime import Calibration, Flag
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.sensor import Mesh
@@ -36,7 +36,6 @@ class PressureMap:
                 remedy="calibrate again; the report says why no location has a baseline conductance",
             )
         self._calibration = calibration
-        self._used = issued.reconstruction.problem.used
         self.mesh: Mesh = issued.reconstruction.problem.mesh
         at = np.array(places)
         homogeneous = _Homogeneous(calibration)
@@ -46,14 +45,11 @@ class PressureMap:
 
     def stress_kPa(self, frames: ArrayLike, *, current_A: float | None = None) -> Array:
         """Stress (n, elements) in each frame (n, drives, measures) [V]; NaN in frames that cannot be used."""
-        _, bad = self._calibration.rows(frames, current_A=current_A)
+        changes, flags = self._calibration.changes(frames, current_A=current_A)
         issued = self._calibration.issued
-        factor = 1.0 if current_A is None else issued.current_A / current_A
-        readings = volts(frames).reshape(-1, *issued.reference.shape)[:, self._used]
-        changes = np.where(bad[:, None] != 0, 0.0, readings * factor - issued.reference[self._used])
         images = changes @ issued.reconstruction.matrix.T / issued.scale
         stress = self._stress(issued.response.sign * images)
-        stress[bad != 0] = np.nan
+        stress[flags & (Flag.UNREADABLE | Flag.OTHER_SENSOR) != 0] = np.nan
         return stress
 
     @property

@@ -10,6 +10,7 @@ from .issue import (
     issue_from_presses as issue_from_presses,
     learn_presses as learn_presses,
 )
+from .likeness import AnsweringSide as AnsweringSide, compared_sides as compared_sides
 from .pairs import DistinctPairs as DistinctPairs, matched_readings as matched_readings
 from .tables import (
     NumberTable as NumberTable,

@@ -41,20 +41,31 @@ def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> Answ
     changes : (n, m) of the presses, any unit.
     """
     alive: Mask = np.any(changes != 0, axis=0)
-    positive = sheet.unloaded(pairs) > 0
-    if positive.all() or not positive.any():
-        return AnsweringSide(alive)
     modelled = np.median(np.abs(sheet.lattice.readings(pairs)), axis=0)
     answer = np.median(np.abs(changes), axis=0) / np.maximum(modelled, np.finfo(np.float64).tiny)
+    side = compared_sides(answer, sheet.unloaded(pairs) > 0)
+    return AnsweringSide(alive & side.answers, side.words)
+
+
+def compared_sides(answer: Array, positive: Mask) -> AnsweringSide:
+    """Compare readings of both modelled polarities.
+
+    Parameters
+    ----------
+    answer : (m,) size of each reading over what is modelled, any unit.
+    positive : (m,) whether its modelled voltage is.
+    """
+    if positive.all() or not positive.any():
+        return AnsweringSide(np.ones_like(positive))
     sizes = [float(np.median(answer[side])) for side in (positive, ~positive)]
     if max(sizes) <= _DEAD * min(sizes):
-        return AnsweringSide(alive)
+        return AnsweringSide(np.ones_like(positive))
     dead, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
     words = (
         f"{int(dead.sum())} readings whose modelled voltage is {name} hardly respond: {min(sizes) / max(sizes):.1%}"
         " of what the others do, both compared with the modelled sheet; the front end appears to rectify"
     )
-    return AnsweringSide(alive & ~dead, words)
+    return AnsweringSide(~dead, words)
 
 
 def alikeness(changes: Array, templates: Array) -> Array:

@@ -5,7 +5,7 @@ from .force import (
     map_tables as map_tables,
 )
 from .interpolation import interpolated as interpolated
-from .runtime import Calibration as Calibration, volts as volts
+from .runtime import Calibration as Calibration
 from .template_matching import (
     Matches as Matches,
     TemplateFilter as TemplateFilter,

@@ -41,6 +41,11 @@ class Flag(IntFlag):
         256  #: the head is so much larger or smaller than the calibrated one that its field is off by over 3 %
     )
     NOT_AS_MODELLED = 512  #: no touch of the modelled sheet explains the readings
+    SPIKE = 1024  #: a reading stood out alone, and its reciprocal counts for both
+
+
+#: Frames with one of these have no force.
+NO_FORCE: Final = int(Flag.UNREADABLE | Flag.OTHER_SENSOR)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -100,7 +105,7 @@ class SeveralForces:
     total_N, total_stderr_N : sum of all forces; 0 and the least force that shows where no head was found, NaN in
         frames that cannot be used.
     flags : of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE where heads were
-        not told apart or there are more of them than were looked for; else none.
+        not told apart or there are more of them than were looked for, SPIKE; else none.
     """
 
     loads: Forces

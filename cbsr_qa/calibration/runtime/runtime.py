@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from cbsr_qa.calibration.file import read_calibration
 from cbsr_qa.calibration.runtime.force import (
     LARGEST,
+    NO_FORCE,
     Flag,
     ForceInverse,
     Forces,
@@ -22,6 +23,7 @@ from cbsr_qa.calibration.runtime.force import (
     range_flags,
 )
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
+from cbsr_qa.calibration.runtime.spikes import SpikeFilter
 from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
 from cbsr_qa.domain import Array, CalibrationError, Indices, real_numbers, unlike_model
 from cbsr_qa.domain.results import ForceModel, calibration as record
@@ -66,6 +68,8 @@ class Calibration:
         self.model: ForceModel = issued.force
         self._used = issued.reconstruction.problem.used
         self._reference: Array = issued.reference[self._used]
+        pattern = issued.reconstruction.problem.sensor_type.pattern
+        self._without_spikes = SpikeFilter(pattern, self._used, self.model.merging)
         self._merging: Array = np.ascontiguousarray(self.model.merging.T)
         self._size_error = SizeError(self.model, issued.indenter.radius_mm)
         self._filters: dict[float, TemplateFilter] = {}
@@ -160,7 +164,7 @@ class Calibration:
         )
         several_forces = []
         for frame, flag in enumerate(bad.tolist()):
-            if flag:
+            if flag & NO_FORCE:
                 several_forces.append(nothing_together(np.nan, np.nan, Flag(flag)))
             elif matches.gain[frame] < least and not several[frame]:
                 several_forces.append(nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED))
@@ -168,7 +172,10 @@ class Calibration:
                 most = at_most if several[frame] else 1
                 heads, further = counter.heads(rows[frame], matches.place_mm[frame], most)
                 several_forces.append(self._together(heads, further if several[frame] else 0.0, finder, head))
-        return tuple(several_forces)
+        return tuple(
+            replace(several, flags=several.flags | Flag(flag))
+            for several, flag in zip(several_forces, bad.tolist(), strict=True)
+        )
 
     def _together(
         self, heads: Heads | None, unexplained: float, finder: TemplateFilter, head: Indenter
@@ -188,9 +195,15 @@ class Calibration:
         )
 
     def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, Indices]:
-        """Changes of frames as rows (n, r) of unit noise, and flags (n,) of frames that cannot be used.
+        """Changes of frames as rows (n, r) of unit noise, and flags (n,), as of :meth:`changes`."""
+        changes, flags = self.changes(frames, current_A=current_A)
+        rows: Array = changes @ self._merging
+        return rows, flags
 
-        Rows of such frames are zero. Parameters and errors as of :meth:`force`.
+    def changes(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, Indices]:
+        """Changes of frames (n, m) in the used readings [V], spikes replaced, and flags (n,).
+
+        Changes of frames that cannot be used are zero. Parameters and errors as of :meth:`force`.
         """
         voltages = volts(frames)
         shape = self.issued.reference.shape
@@ -204,20 +217,17 @@ class Calibration:
             if not (isinstance(current_A, int | float | np.number) and np.isfinite(current_A) and current_A > 0):
                 raise CalibrationError(f"a drive current of {current_A} A is not a positive number")
             readings = readings * (self.issued.current_A / current_A)
-        return self._rows(readings)
-
-    def _rows(self, readings: Array) -> tuple[Array, Indices]:
         changes = readings - self._reference
         flags = np.zeros(len(changes), dtype=np.int64)
-        squares = np.einsum("nm,nm->n", changes, changes)
-        whole = np.isfinite(squares)
+        whole = np.isfinite(changes).all(axis=1)
         flags[~whole] |= Flag.UNREADABLE
-        foreign = whole & (squares > _FOREIGN**2 * float(self._reference @ self._reference))
+        changes[~whole] = 0
+        flags[self._without_spikes(changes)] |= Flag.SPIKE
+        squares = np.einsum("nm,nm->n", changes, changes)
+        foreign = ~(squares <= _FOREIGN**2 * float(self._reference @ self._reference))
         flags[foreign] |= Flag.OTHER_SENSOR
-        if flags.any():
-            changes[flags != 0] = 0
-        rows: Array = changes @ self._merging
-        return rows, flags
+        changes[flags & NO_FORCE != 0] = 0
+        return changes, flags
 
     def _filter(self, head: Indenter) -> TemplateFilter:
         size = self._size(head)
@@ -281,8 +291,8 @@ class Calibration:
         matches.covariance[:, 0, 0] += (error * matches.strength) ** 2
         force, stderr = self._inverse(head).force(matches)
         detectability = np.sqrt(matches.gain)
-        usable = bad == 0
-        flags = np.where(usable, self._flags(matches, detectability, searched=searched), bad)
+        usable = bad & NO_FORCE == 0
+        flags = np.where(usable, self._flags(matches, detectability, searched=searched) | bad, bad)
         silent = (flags & int(Flag.NOT_DETECTED)) != 0
         if searched:
             # Nobody knows where a load would be that does not show: it may be where the sheet shows least.

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.runtime.force import Flag, range_flags
+from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag, range_flags
 from cbsr_qa.calibration.runtime.runtime import Calibration
 from cbsr_qa.calibration.runtime.template_matching import Matches, scattered
 from cbsr_qa.calibration.runtime.track import KEPT, Track
@@ -110,10 +110,9 @@ class ForceStream:
             self._since_last_s = time_s - self._time_s
             self._frame_s = min(self._frame_s or np.inf, self._since_last_s)
         self._time_s = time_s
-        if bad[0]:
-            return tuple(self._told(track, Flag(int(bad[0]))) for track in self._tracks)
-        self._follow(rows[0])
-        return tuple(self._told(track, Flag(0)) for track in self._tracks)
+        if not bad[0] & NO_FORCE:
+            self._follow(rows[0])
+        return tuple(self._told(track, Flag(int(bad[0]))) for track in self._tracks)
 
     def _follow(self, rows: Array) -> None:
         left = self._place_anew(self._explain(rows), rows)

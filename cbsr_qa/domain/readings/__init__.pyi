@@ -30,3 +30,4 @@ from .frames import (
     join_frames as join_frames,
     join_samples as join_samples,
 )
+from .spikes import MOST_SPIKES as MOST_SPIKES, SPIKE_SIGMA as SPIKE_SIGMA, left_alone as left_alone

@@ -69,8 +69,8 @@ FEWEST_INDEPENDENT: Final = 8
 class DrivePattern:
     """Drive and measure pairs. Frames are stored as (drive, measure), independent of the scan order.
 
-    A pair may also be there reversed: rigs turn the current round to tell offsets from signal, and each of the two
-    readings has noise of its own. It adds no independent reading.
+    A pair may be there again, or reversed: rigs repeat injections against noise and turn the current round to tell
+    offsets from signal. Each of the readings has noise of its own; it adds no independent reading.
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ class DrivePattern:
     Raises
     ------
     RefusedError
-        If there are no pairs, or a pair repeats, joins an electrode with itself, or names an electrode that is not
-        there, or not by a whole number.
+        If there are no pairs, or a pair joins an electrode with itself, or names an electrode that is not there, or
+        not by a whole number.
     """
 
     electrode_count: int
@@ -131,6 +131,14 @@ class DrivePattern:
         touched = driven.T.astype(np.float64) @ measured.astype(np.float64)
         usable: NDArray[np.bool_] = touched == 0
         return usable
+
+    def touching(self, electrodes: Sequence[int]) -> NDArray[np.bool_]:
+        """Readings (drive pairs, measure pairs) bool that drive or measure with some electrodes."""
+        chosen = list(electrodes)
+        driven = (self.drive_currents()[chosen] != 0).any(axis=0)
+        measured = (self.measure_matrix()[chosen] != 0).any(axis=0)
+        touching: NDArray[np.bool_] = driven[:, None] | measured
+        return touching
 
     def reading_groups(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Groups of readings that are equal, up to sign, on every sheet that obeys Ohm's law.
@@ -243,7 +251,6 @@ def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Itera
     """Yield problems of drive or measure pairs: the pair (from 0; None for all) and a description."""
     if not len(pairs):
         yield None, "has no pairs"
-    seen: dict[tuple[int, ...], int] = {}
     for index, pair in enumerate(pairs):
         uncounted = [electrode for electrode in pair if not is_whole(electrode)]
         if uncounted:
@@ -256,9 +263,6 @@ def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Itera
             yield index, f"names electrode {missing[0]}; allowed: 0 to {electrode_count - 1}"
         elif pair[0] == pair[1]:
             yield index, f"pairs electrode {pair[0]} with itself"
-        first = seen.setdefault(tuple(pair), index)
-        if first != index:
-            yield index, f"repeats pair {first + 1}"
 
 
 def imaging_problems(pattern: DrivePattern) -> Iterator[str]:

@@ -64,9 +64,6 @@ NOMINAL_CONTACT_MM = 0.5
 _FORWARD_SIZE = 0.1  # edge length of the forward mesh far from electrodes, of the radius (5 mm on a 100 mm disc)
 _MOST_UNEQUAL: Final = 1e12  # largest over smallest noise variance; beyond, rounding decides what a reading says
 
-#: Whole electrodes that may be left out; with more, too much of the sheet lies between the others.
-MOST_MASKED: Final = 3
-
 
 def imaging_problem(
     sensor_type: SensorType,
@@ -83,8 +80,9 @@ def imaging_problem(
 
     Parameters
     ----------
-    used : (drives, measures) bool, readings to image from; by default those that touch no driven electrode. Up to
-        three whole electrodes may be missing.
+    used : (drives, measures) bool, readings to image from; by default those that touch no driven electrode. Any
+        electrodes may be missing while :data:`FEWEST_INDEPENDENT` independent readings are left; what that costs is
+        said by :func:`masking_effect`.
     noise_variance : (drives, measures) or (m,) float64, variances of the readings in any common unit; None for equal
         noise. Kept relative to their harmonic mean. The largest used one is at most 1e12 times the smallest.
     image_size_mm : edge length of the image's elements [mm].
@@ -94,7 +92,7 @@ def imaging_problem(
     Raises
     ------
     NumericsError
-        If the mask has another shape, too few independent readings or electrodes are left, a variance is not a
+        If the mask has another shape, too few independent readings are left, a variance is not a
         positive finite number or too far from the others, or a sample or measured frame does not fit or is not
         finite.
     """
@@ -192,13 +190,6 @@ def _check_used(pattern: DrivePattern, used: Mask) -> None:
             remedy="give one boolean for each drive and measure pair",
         )
     _check_number(pattern, used)
-    masked = masked_electrodes(pattern, used)
-    if len(masked) > MOST_MASKED:
-        raise NumericsError(
-            f"electrodes {', '.join(map(str, masked))} are masked, {len(masked)} of {pattern.electrode_count};"
-            f" at most {MOST_MASKED} may be: the area between the others would be guessed",
-            remedy="repair their contacts",
-        )
 
 
 def _check_number(pattern: DrivePattern, used: Mask) -> None:

@@ -13,6 +13,9 @@ from cbsr_qa.eit.inverse.problem import masked_electrodes
 #: Places further out than this, of the radius, are the electrodes' own neighbourhood.
 _OUTERMOST: Final = 0.8
 _PLACES: Final = 150
+#: A place whose standard error grows by this is hardly seen: of a load so strong that all readings together place it
+#: within 1 mm.
+_HARDLY: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +28,7 @@ class MaskingEffect:
     left, of : readings.
     typical, worst : median and largest ratio of the place's standard error to that with all readings.
     worst_x_mm, worst_y_mm : where the largest is.
+    hardly_seen : share of the places where the ratio is above 10.
     """
 
     electrodes: tuple[int, ...]
@@ -34,16 +38,20 @@ class MaskingEffect:
     worst: float
     worst_x_mm: float
     worst_y_mm: float
+    hardly_seen: float
 
-    def words(self) -> str:
-        """One sentence for a report."""
+    def words(self, radius_mm: float | None = None) -> str:
+        """One sentence for a report; in units of the radius where it is given, since nobody knows the sheet's."""
+        unit_mm, unit = (1.0, "mm") if radius_mm is None else (radius_mm, "radii")
+        x, y = self.worst_x_mm / unit_mm, self.worst_y_mm / unit_mm
         numbers = [str(number) for number in self.electrodes]
         listed = ", ".join(numbers[:-1]) + f" and {numbers[-1]}" if len(numbers) > 1 else "".join(numbers)
         named = f"electrode{'s' if len(numbers) > 1 else ''} {listed}" if numbers else "some readings"
         return (
             f"images are made without {named}, from {self.left} of {self.of} readings: the place of a load is"
             f" {self.typical:.1f} times as uncertain as with all of them (median over the sheet), at"
-            f" ({self.worst_x_mm:.0f}, {self.worst_y_mm:.0f}) mm {self.worst:.1f} times"
+            f" ({x:.2g}, {y:.2g}) {unit} {self.worst:.1f} times"
+            + (f"; {self.hardly_seen:.0%} of the sheet is hardly seen" if self.hardly_seen else "")
         )
 
 
@@ -69,6 +77,7 @@ def masking_effect(problem: ImagingProblem) -> MaskingEffect | None:
         float(ratio[worst]),
         float(places[worst, 0]),
         float(places[worst, 1]),
+        float((ratio > _HARDLY).mean()),
     )
 
 

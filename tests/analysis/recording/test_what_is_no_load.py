@@ -1,15 +1,21 @@
 """Whole recordings with known presses, loose contacts, gains and glitches: what is called a load, and what is not."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cbsr_qa.analysis.defects import channel_noise, find_faults
-from cbsr_qa.analysis.recording.analysis import analyse_recording
+from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
-from cbsr_qa.domain.readings import CarryOver, FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.analysis.recording.repeats import without_repeats
+from cbsr_qa.domain.readings import CarryOver, FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.eit.forward import disc_coverage
+from cbsr_qa.eit.inverse import nominal_model
+from cbsr_qa.eit.loads import LocalUpdate
 from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 
 DISC = nominal_disc(None, 16)
@@ -44,19 +50,23 @@ def block(voltages, unit=VoltageUnit.COUNT):
     return FrameBlock(np.arange(len(voltages)) / RATE_HZ, voltages, np.zeros(voltages.shape, np.uint8), unit, None)
 
 
-def analysed(voltages, unit=VoltageUnit.COUNT):
-    recording = Recording(
+def analysed(voltages, unit=VoltageUnit.COUNT, sensor_type=None):
+    choices = AnalysisChoices(sensor_type=sensor_type)
+    return analyse_recording(made(block(voltages, unit)), GaussNewtonNoser(), choices)
+
+
+def made(frames):
+    return Recording(
         Path("made.csv"),
         "made",
         "",
         ScanKind.FULL,
-        block(voltages, unit),
+        frames,
         None,
         still=False,
         magnitudes_only=False,
         clock="board",
     )
-    return analyse_recording(recording, GaussNewtonNoser())
 
 
 def loosened(voltages, electrode, begin, end=FRAMES):
@@ -83,6 +93,24 @@ def test_a_press_after_an_electrode_came_loose_is_still_found():
     assert (event.start_s, event.end_s) == pytest.approx((25.0, 32.5), abs=0.8)
     assert np.hypot(event.x_over_R + 0.4, event.y_over_R - 0.3) < 0.15
     assert result.channels.suspect_electrodes == (13,)
+
+
+@pytest.mark.parametrize("missing", [(3,), (3, 8, 13), (4, 5, 6, 7), (2, 7, 8, 12)])
+@pytest.mark.parametrize("begin", [0, 45])
+def test_electrodes_without_contact_are_named_and_a_press_is_found_with_the_others(missing, begin):
+    voltages = counts(press(-0.4, 0.3, -60, 100, 130))
+    for electrode in missing:
+        loosened(voltages, electrode, begin)
+    result = analysed(voltages)
+    assert result.channels.suspect_electrodes == missing
+    (event,) = result.events
+    assert np.hypot(event.x_over_R + 0.4, event.y_over_R - 0.3) < 0.2
+    if len(missing) > 1:
+        assert any(
+            f"no contact, nothing comes through: electrodes {', '.join(map(str, missing))};" in w
+            for w in result.warnings
+        )
+        assert any("times as uncertain as with all of them" in w for w in result.warnings)
 
 
 @pytest.mark.parametrize("r", [0.7, 0.8, 0.88])
@@ -311,3 +339,54 @@ def test_noise_of_counts_is_not_quantised(sigma):
 def test_a_correction_that_leaves_the_readings_hardly_reciprocal_is_not_worth_it():
     assert not CarryOver(0.006, 0.001, 1.62, 0.998).worth_correcting
     assert CarryOver(0.12, 0.001, 0.9, 0.51).worth_correcting
+
+
+OPPOSITE = DrivePattern(16, tuple((k, (k + 8) % 16) for k in range(16)), tuple(((k + 1) % 16, k) for k in range(16)))
+
+
+@pytest.mark.parametrize("unit", [VoltageUnit.COUNT, VoltageUnit.VOLT])
+@pytest.mark.parametrize("share", [1.0, 0.2, 0.0])
+def test_a_front_end_that_rectifies_is_named_and_its_dead_side_left_out(share, unit):
+    """Negative voltages come through by a share; the offset of counts is added behind the front end."""
+    sensor = replace(DISC, pattern=OPPOSITE)
+    model = LocalUpdate(nominal_model(sensor))
+    empty = model.model.voltages()
+    elements, covered = disc_coverage(model.model.mesh, 15.0, 20.0, 7.5)
+    loaded = model.voltages(elements, -0.3 * covered)
+    held = (np.arange(FRAMES) // 50 == 1)[:, None, None]
+    voltages = np.where(held, loaded, empty)
+    voltages = 2500 / np.abs(empty[OPPOSITE.usable()]).max() * np.where(voltages < 0, share * voltages, voltages)
+    voltages += np.random.default_rng([30, int(10 * share)]).normal(0, NOISE, voltages.shape)
+    voltages = np.round(voltages + OFFSET) if unit is VoltageUnit.COUNT else 1e-5 * voltages
+    result = analysed(voltages, unit, sensor)
+    (event,) = result.events
+    assert np.hypot(event.x_over_R - 0.3, event.y_over_R - 0.4) < 0.1
+    said = [w for w in result.warnings if "the front end appears to rectify" in w]
+    assert len(said) == (share < 1)
+    assert all("96 readings whose modelled voltage is negative hardly respond" in w for w in said)
+
+
+@pytest.mark.parametrize("times", [1, 2, 4])
+def test_repeated_injections_are_averaged_without_what_is_flagged(times):
+    """The first eight drives are injected several times, the others once."""
+    drives = np.concatenate([np.repeat(np.arange(8), times), np.arange(8, 16)])
+    sensor = replace(
+        DISC, pattern=DrivePattern(16, tuple(DISC.pattern.drive[k] for k in drives), DISC.pattern.measure)
+    )
+    voltages = counts(press(0.3, 0.4, -40, 60, 100))[:, drives]
+    voltages = np.round(voltages + np.random.default_rng([31, times]).normal(0, 40, voltages.shape))
+    flags = np.zeros(voltages.shape, np.uint8)
+    if times > 1:
+        flags[60:100, 0, 5], voltages[60:100, 0, 5] = ReadingFlag.MISSING, 0.0
+    recording = made(replace(block(voltages), flags=flags))
+    frames = without_repeats(recording, sensor)[0].frames
+    assert frames.voltages.shape == (FRAMES, 16, 16)
+    assert not frames.flags.any()
+    first, others = (
+        np.diff(frames.voltages[:50, rows], axis=0).std() / np.sqrt(2) for rows in (slice(8), slice(8, 16))
+    )
+    # The noise that all repeats share is in ``counts`` already.
+    assert first**2 == pytest.approx(NOISE**2 + 40**2 / times, rel=0.06)
+    assert others**2 == pytest.approx(NOISE**2 + 40**2, rel=0.06)
+    (event,) = analyse_recording(recording, GaussNewtonNoser(), AnalysisChoices(sensor_type=sensor)).events
+    assert np.hypot(event.x_over_R - 0.3, event.y_over_R - 0.4) < 0.15

@@ -116,6 +116,27 @@ def test_flagged_and_stuck_readings_are_left_out_and_named(run):
         assert centre_of_mass_error_mm(blob, load.indenter.at(load.record.load.x_mm, load.record.load.y_mm)) < 2.0
 
 
+def test_faults_that_recordings_are_rid_of_are_named_and_left_out_of_runs_too(run, observation):
+    frames, pattern = run.phases[0].frames, run.sensor_type.pattern
+    random = np.random.default_rng(8)
+    noise = random.normal(0, 1e-7, frames.voltages.shape)
+    voltages = np.where(pattern.touching([7]), noise, frames.voltages)
+    voltages[:, 2] /= 5
+    spikes = (random.random(voltages.shape) < 2e-4) & (frames.time_s > frames.time_s[8])[:, None, None]
+    voltages[spikes] += 0.5
+    seen = observed_run(_with_phase(run, frames=replace(frames, voltages=voltages)), over_time=False)
+    said = " ".join(seen.warnings)
+    assert "electrodes 7 have no contact" in said
+    assert "drive pair 2 is dead" in said
+    assert "their reciprocals did not" in said
+    assert "images are made without electrode 7" in said
+    assert seen.usable.sum() == 156 - 11
+    for load in seen.loads:
+        blob = load.mask(0.85).sensed
+        assert centre_of_mass_error_mm(blob, load.indenter.at(load.record.load.x_mm, load.record.load.y_mm)) < 4.0
+    assert not any(word in " ".join(observation.warnings) for word in ("contact", "dead", "reciprocals", "stuck"))
+
+
 def test_a_lost_frame_costs_that_frame_and_nothing_else(run, observation):
     frames = run.phases[0].frames
     flags, voltages = frames.flags.copy(), frames.voltages.copy()

@@ -118,7 +118,6 @@ def test_a_rule_that_does_not_suit_is_refused_with_one_that_does(rule, count, re
 @pytest.mark.parametrize(
     ("drive", "said"),
     [
-        (((0, 1), (1, 2), (0, 1)), "pair 3 (0, 1) of the drive pattern repeats pair 1"),
         (((2, 2),), "pairs electrode 2 with itself"),
         (((0, 4),), "names electrode 4; allowed: 0 to 3"),
         (((-1, 0),), "names electrode -1"),

@@ -1,0 +1,53 @@
+"""Spikes in single frames: readings far from their reciprocals, which then count for both. Numpy alone."""
+
+import numpy as np
+
+from cbsr_qa.domain import Array, Mask
+from cbsr_qa.domain.readings import MOST_SPIKES, SPIKE_SIGMA, left_alone
+from cbsr_qa.domain.sensor import DrivePattern
+
+_MAD_TO_SIGMA = 1.4826
+
+
+class SpikeFilter:
+    """Replaces spikes.
+
+    Parameters
+    ----------
+    pattern : of the frames.
+    used : (drives, measures) bool with m True entries.
+    merging : (rows, m) of the force model, which tells the readings' noise: of readings of precision pᵢ that are
+        merged, their entries are pᵢ/√Σp.
+    """
+
+    def __init__(self, pattern: DrivePattern, used: Mask, merging: Array) -> None:
+        pairs, sign = pattern.reciprocal_pairs()
+        both = used.ravel()[pairs].all(axis=1)
+        number = np.cumsum(used.ravel()) - 1
+        self._first, self._other = number[pairs[both]].T
+        self._sign = sign[both]
+        weight = np.abs(merging)
+        precision = (weight * weight.sum(axis=1, keepdims=True)).sum(axis=0)
+        variance = 1 / np.maximum(precision, np.finfo(np.float64).tiny)
+        self._noise = np.sqrt(variance[self._first] + variance[self._other])
+
+    def __call__(self, changes: Array) -> Mask:
+        """Replace spikes in changes (n, m), in place; whether there were any in each frame (n,).
+
+        Frames of which more than 5 % of the pairs disagree stay as they are: that is no matter of single readings.
+        """
+        first, other = changes[:, self._first], self._sign * changes[:, self._other]
+        apart = np.abs(first - other) / self._noise
+        far = apart > SPIKE_SIGMA
+        if not far.any():
+            return np.zeros(len(changes), dtype=np.bool_)
+        unrest = np.maximum(_MAD_TO_SIGMA * np.median(apart, axis=1), 1.0)
+        larger = np.abs(first) > np.abs(other)
+        large, small = np.where(larger, first, other), np.where(larger, other, first)
+        spikes = (apart > SPIKE_SIGMA * unrest[:, None]) & left_alone(large, small)
+        spikes[spikes.mean(axis=1) > MOST_SPIKES] = False
+        frame, pair = np.nonzero(spikes)
+        changes[frame, self._first[pair]] = small[frame, pair]
+        changes[frame, self._other[pair]] = self._sign[pair] * small[frame, pair]
+        found: Mask = spikes.any(axis=1)
+        return found
