@@ -6,7 +6,7 @@ import re
 import sys
 import traceback
 from collections.abc import Callable
-from functools import cache, partial, wraps
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -65,8 +65,8 @@ def _add_commands(root: typer.Typer) -> None:
         add(_supervised(command))
 
 
-#: Adds the commands, which ``--version`` does without: that is a third of its time.
-load_commands = cache(partial(_add_commands, app))
+if sys.argv[1:] != ["--version"]:  # that needs no command, and they are a third of its time
+    _add_commands(app)
 
 
 def _version(wanted: bool) -> None:
@@ -146,8 +146,6 @@ def _ended(arguments: list[str]) -> int:
     _asked_for_json.clear()
     try:
         with Redelivery():
-            if arguments != ["--version"]:
-                load_commands()
             result: object = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
         if result == _INTERRUPTED:
             raise KeyboardInterrupt
