@@ -1,8 +1,8 @@
 """Control charts: individuals and moving range, means and ranges, EWMA, CUSUM.
 
-Limits come from a reference period (phase I), or from known values; later points (phase II) are judged by them. Sums
-that remember, EWMA and CUSUM, start anew where phase II begins. Sources: NIST/SEMATECH e-Handbook 6.3.2; Montgomery,
-Introduction to Statistical Quality Control, chapters 6 and 9.
+Limits come from a reference period (phase I), or from known values; later points (phase II) are judged by them. EWMA
+and CUSUM restart where phase II begins. Sources: NIST/SEMATECH e-Handbook 6.3.2; Montgomery, Introduction to
+Statistical Quality Control, chapters 6 and 9.
 
     individuals          x̄ ± 3 MR̄/d₂(2);   moving range up to MR̄ (1 + 3 d₃/d₂)
     means of n           x̿ ± 3 R̄/(d₂ √n);  ranges R̄ (1 ± 3 d₃/d₂), not below 0
@@ -22,9 +22,9 @@ from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.stats.nelson import ALL_RULES, Rule, d2_d3, nelson
 from cbsr_qa.stats.samples import centred, constant, sample
 
-#: Name of the signal of charts to which Nelson's tests do not apply.
+#: Name of the moving-range signal; Nelson's tests do not apply to such charts.
 OUTSIDE = "beyond the limit"
-#: What the names of both cumulative sums begin with.
+#: Prefix of the names of both cumulative sums.
 SUM = "CUSUM"
 
 
@@ -43,7 +43,7 @@ class Standard:
     deviation: float
 
 
-#: How many of the first points (subgroups) are the reference period, None for all; or known values.
+#: Number of points (subgroups) at the start that form the reference period, None for all; or known values.
 Reference = int | Standard | None
 
 
@@ -62,8 +62,7 @@ class Chart:
 
     Parameters
     ----------
-    name : of the chart.
-    centre : the line.
+    centre : centre line.
     deviation : σ of single values that the limits follow from.
     reference : number of points in phase I; 0 for known values.
     signals : in the order of points.
@@ -100,12 +99,12 @@ def individuals(
     Parameters
     ----------
     values : (n,) in their order; σ is the reference's mean moving range over d₂.
-    rules : Nelson's tests to make.
+    rules : Nelson's tests to apply.
 
     Raises
     ------
     NumericsError
-        Missing values, fewer than two in the reference period, or none that differ in it.
+        Missing values, fewer than two in the reference period, or equal values throughout it.
     """
     array = sample(values, what)
     standard, count = _standard(array, reference, what)
@@ -163,7 +162,7 @@ def ewma(values: Iterable[float], *, weight: float = 0.2, width: float = 3.0, re
     Raises
     ------
     NumericsError
-        A weight or width out of range, or as :func:`individuals`.
+        A weight or width out of range, or as for :func:`individuals`.
     """
     if not (0 < weight <= 1 and width > 0):
         raise NumericsError(f"EWMA: weight {weight:g} and width {width:g}; allowed are 0 < weight ≤ 1 and width > 0")
@@ -187,12 +186,12 @@ def cusum(
 ) -> tuple[Chart, Chart]:
     """Return the tabular cumulative sums above and below the mean, the lower one drawn downwards.
 
-    ``slack``: k, half the shift that is to be found; ``threshold``: h; both in deviations.
+    ``slack``: k, half the shift to detect; ``threshold``: h; both in deviations.
 
     Raises
     ------
     NumericsError
-        A slack or threshold out of range, or as :func:`individuals`.
+        A slack or threshold out of range, or as for :func:`individuals`.
     """
     if not (slack >= 0 and threshold > 0):
         raise NumericsError(f"{SUM}: slack {slack:g}, threshold {threshold:g}; allowed: slack ≥ 0, threshold > 0")
@@ -244,7 +243,6 @@ def _check_deviation(deviation: float, what: str) -> None:
 def _judged(
     name: str, points: Array, centre: float, error: float, deviation: float, count: int, rules: Collection[Rule]
 ) -> Chart:
-    """Chart with limits of three errors and Nelson's tests."""
     found = nelson((points - centre) / error, rules)
     pairs = [(int(index), rule) for rule, flags in found.items() for index in np.flatnonzero(flags)]
     signals = tuple(Signal(rule.value, index, _phase(index, count)) for index, rule in sorted(pairs))

@@ -1,7 +1,7 @@
 """Designs of groups and stations: which differences the runs can estimate.
 
 Groups and stations are the two sides of a graph; every run joins its group to its station. Differences between
-groups, with the stations' taken out, exist within a connected part of the graph only (Searle 1971, section 7.4).
+groups, adjusted for stations, can be estimated only within a connected part of the graph (Searle 1971, section 7.4).
 """
 
 from collections.abc import Sequence
@@ -69,7 +69,8 @@ class Crossing:
     def columns(self) -> SparseArray:
         """Return the (N, p) model matrix: one column per group, and per station but the first of each part.
 
-        Its rank is p: the groups' and stations' columns of one connected part have one dependence, their sums.
+        Its rank is p: within a connected part the only dependence is that group and station columns have the same
+        sum.
         """
         runs, width = len(self.group), len(self.groups) + len(self.stations)
         places = np.concatenate([self.group, len(self.groups) + self.station])
@@ -103,7 +104,7 @@ class Crossing:
             )
 
     def index(self, kind: str, name: str) -> int:
-        """Return the index of a ``"group"`` or ``"station"``; refuse an unknown name."""
+        """Return the index of a ``"group"`` or ``"station"``; NumericsError if unknown."""
         names = self.groups if kind == "group" else self.stations
         if name not in names:
             raise NumericsError(f"no used run has {kind} {name!r}; used are {_listed(names)}")

@@ -1,11 +1,11 @@
 """Difference of two group means, with tests of difference and equivalence; p values of many tests.
 
-Welch 1947 (deviations may differ; ν by Welch–Satterthwaite), which knows of no stations:
+Welch 1947 (deviations may differ; ν by Welch–Satterthwaite), which ignores stations:
 
     Δ = x̄₁ − x̄₂,  SE² = s₁²/n₁ + s₂²/n₂,  ν = SE⁴ / (Σ (s_g²/n_g)² / (n_g − 1)).
 
-Two one-sided tests (Schuirmann 1987) call a difference Δ equivalent to none where both Δ ≤ −m and Δ ≥ m are refuted
-at level α, which is the same as the 1 − 2α interval lying within ± m.
+Two one-sided tests (Schuirmann 1987) show that a difference Δ is negligible if both Δ ≤ −m and Δ ≥ m are rejected at
+level α; equivalently, if the 1 − 2α interval lies within ± m.
 
 Holm 1979 (family-wise error); Benjamini & Hochberg 1995 (false discovery rate), as adjusted values, capped at 1.
 """
@@ -42,7 +42,7 @@ class Equivalence:
 
 @dataclass(frozen=True, slots=True)
 class Contrast(Judged):
-    """An estimate that is t-distributed about its true value in units of its standard error.
+    """An estimate whose error over its standard error has Student's t distribution.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def hedges(
 
 
 def unbiasing(freedom: float) -> float:
-    """Return J of this many degrees of freedom, at least 2."""
+    """Return J for this many degrees of freedom, at least 2."""
     return exp(lgamma(freedom / 2) - lgamma((freedom - 1) / 2) - 0.5 * log(freedom / 2))
 
 

@@ -1,7 +1,7 @@
 """Tolerance limits from a golden lot: share of good sensors within a limit, with stated confidence.
 
-Sensors are the unit. A run fails by its worst value, so each run of a sensor counts with its worst value, and a bound
-is asked to hold the worst value of a stated share of good sensors.
+Sensors are the unit. A run fails by its worst value, so each run counts with its worst value, and a bound must hold
+the worst value of a stated share of good sensors.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from cbsr_qa.stats.intervals import count_needed, spacings_outside
 from cbsr_qa.stats.variance_components import Components, components, telling_runs
 from cbsr_qa.stats.worst_value import worst_of
 
-#: Modified z-score beyond which a value is named an outlier (Iglewicz & Hoaglin 1993).
+#: Values with a larger modified z-score are named as outliers (Iglewicz & Hoaglin 1993).
 FAR_OUT = 3.5
 _NORMAL_MAD = 0.6745  #: median absolute deviation of a standard normal number
 _MOST_TESTED = 2500  #: the test's p-value is trustworthy up to 5000 values
 
 
 class Distribution(StrEnum):
-    """What single values are taken for."""
+    """Assumed distribution of single values."""
 
     NORMAL = "normal"
     LOG_NORMAL = "log-normal"
@@ -38,7 +38,7 @@ class Fit:
     Parameters
     ----------
     p_value : of the Shapiro–Wilk test.
-    refuted : whether it is below the level asked for.
+    refuted : whether it is below the requested level.
     distribution : of single values.
     """
 
@@ -69,15 +69,15 @@ def far_out(values: Sequence[float]) -> tuple[int, ...]:
     return tuple(int(index) for index in np.flatnonzero(_NORMAL_MAD * away / spread > FAR_OUT))
 
 
-#: Fewer sensors have no distribution that could be looked at.
+#: With fewer sensors no distribution is tested.
 FEWEST_SENSORS = 3
-#: A normal or log-normal distribution is given up below this p-value: of a recipe's dozen limits on a lot that is
-#: normal, one would be refused in every second lot at 0.05.
+#: A normal or log-normal distribution is rejected below this p-value: at 0.05 one of a recipe's dozen limits would be
+#: refused for every second lot that is normal.
 LEVEL = 0.01
 _LARGEST = 1e150
 _LEAST_SPREAD = 1e-12  #: of the mean; less is rounding
 _MOST_DECIMALS = 300
-_LARGEST_LOG = 690.0  #: its exponential is still a number
+_LARGEST_LOG = 690.0  #: its exponential is still finite
 
 #: Values of a lot: one sequence per sensor, one number per run.
 Runs = Sequence[Sequence[float]]
@@ -90,8 +90,8 @@ class Ask:
     Parameters
     ----------
     coverage, confidence : shares between 0 and 1.
-    lower, upper : the bounds wanted; at least one.
-    distribution : taken unless the lot refutes it; None for the widest bound of those it does not refute.
+    lower, upper : whether each bound is required; at least one is.
+    distribution : used unless the lot rejects it; None for the widest bound of those it does not reject.
     """
 
     coverage: float
@@ -124,7 +124,7 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Narrower:
-    """What another distribution that is not refuted either would give."""
+    """Bound from another distribution that is not rejected either."""
 
     distribution: Distribution
     limit: float
@@ -138,10 +138,9 @@ class Bound:
     ----------
     limit : rounded outwards to a hundredth of its distance from the mean.
     distribution : of single values.
-    independent_values : the sensors' worst values are taken for the largest of this many independent ones: all a run
-        has, or 1 where that is refuted and worst values are themselves normal, as where values of a sensor go
-        together.
-    tests : of the distributions that were looked at, in order.
+    independent_values : the sensors' worst values are modelled as the largest of this many independent ones: all of a
+    run, or 1 if that is rejected and worst values are themselves normal, as when values of a sensor are correlated.
+    tests : of the distributions tried, in order.
     scale : of ``parts``.
     parts : of the sensors' worst values on that scale.
     factor : k of mean + k deviation on that scale; None for order statistics.
@@ -166,8 +165,8 @@ class LotLimits:
 
     Parameters
     ----------
-    lower, upper : None where not asked for, or refused.
-    why : the reason of a refusal; empty where there are bounds.
+    lower, upper : None if not requested, or refused.
+    why : reason for a refusal; empty if there are bounds.
     far_out : indices of sensors far from the others, on the scale used.
     """
 
@@ -180,14 +179,14 @@ class LotLimits:
 def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimits:
     """Propose bounds for a measurement.
 
-    Where fewer than four runs repeat a sensor only first runs count. Two bounds of one value a run are mean ± k s; of
-    several values they are two one-sided bounds, each with half of what may lie outside and half of the doubt
+    Where fewer than four runs repeat a sensor only first runs count. With one value per run, two bounds are mean ± k
+    s; with several, they are two one-sided bounds, each with half the share outside and half the error probability
     (Bonferroni).
 
     Parameters
     ----------
     smallest, largest : of each run of each sensor: the smallest and the largest of its values.
-    values : how many a run has; 1 where both are the same.
+    values : how many a run has; 1 if both are the same.
     """
     smallest, largest, count = telling_runs(smallest), telling_runs(largest), len(largest)
     if count < FEWEST_SENSORS:
@@ -221,7 +220,7 @@ def _nothing_to_go_by(runs: Runs) -> str:
 
 
 def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
-    """Return the widest bound of the distributions that are not refuted, or the reason for none."""
+    """Return the widest bound of the distributions that are not rejected, or the reason for none."""
     candidates: list[Bound] = []
     fits: list[Fit] = []
     for distribution in looked_at:
@@ -272,7 +271,7 @@ def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[Fit]) -> Bound | str:
 
 
 def _why_ordered(fits: list[Fit]) -> str:
-    """Describe the refuted distributions, each with the better of its tests."""
+    """Describe the rejected distributions, each with the better of its tests."""
     best: dict[Distribution, float] = {}
     for fit in fits:
         best[fit.distribution] = max(fit.p_value, best.get(fit.distribution, 0.0))

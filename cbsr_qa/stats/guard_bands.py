@@ -23,7 +23,7 @@ from cbsr_qa.stats.worst_value import worst_of
 Density = Callable[[Array], Array]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(400)
-_REACH = 8.0  #: standard uncertainties beyond which a measurement misleads nobody
+_REACH = 8.0  #: standard uncertainties beyond which a measurement does not mislead
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Risks:
     producer: float
 
     def __add__(self, other: "Risks") -> "Risks":
-        """Add the risks of the other bound; a sensor that risks both counts twice, so this is a cautious sum."""
+        """Add the risks of the other bound; conservative, since a sensor at risk from both counts twice."""
         return Risks(self.consumer + other.consumer, self.producer + other.producer)
 
 
@@ -61,9 +61,9 @@ def _panel(low: float, high: float) -> tuple[Array, Array]:
     return low + half * (_NODES + 1), half * _WEIGHTS
 
 
-#: An expanded uncertainty covers what ± 2 standard deviations of a normal distribution do.
+#: An expanded uncertainty has the coverage of ± 2 standard deviations of a normal distribution.
 EXPANDED_SHARE = 0.9545
-#: Spread of true values, in standard uncertainties, below which the lot says nothing about them.
+#: Spread of true values, in standard uncertainties, below which the lot cannot determine their density.
 _LEAST_SPREAD = 0.1
 
 
@@ -74,7 +74,7 @@ class Uncertainty:
     Parameters
     ----------
     standard : u, one standard deviation in the measurement's unit; above 0.
-    freedom : degrees of freedom; None where it was stated and not found from repeats.
+    freedom : degrees of freedom; None if it was stated rather than found from repeats.
     source : in words.
     """
 
@@ -112,9 +112,9 @@ def repeatability(runs: Runs, source: str) -> Uncertainty | None:
 def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
     """Return consumer's and producer's risk of one bound; None if the lot cannot determine them.
 
-    The density of true worst values has the fitted shape, and the variance of the lot without that of the
+    The density of true worst values has the fitted shape; its variance is that of the lot less that of the
     measurement. On a logarithmic scale the uncertainty is relative to the geometric mean. ``guard``: width of the
-    band that is not accepted.
+    rejected band.
     """
     if bound.distribution is Distribution.ANY:
         return None

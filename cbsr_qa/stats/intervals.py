@@ -6,7 +6,7 @@ uncertainty narrow intervals of few readings; here u always widens them, and cov
 
 Tolerance limits: NIST/SEMATECH e-Handbook 7.2.6.3 (normal, one-sided by the noncentral t), Krishnamoorthy & Mathew
 2009, chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. The number of values behind the mean and the
-degrees of freedom of the standard deviation are given apart; for a plain sample of n they are n and n − 1.
+degrees of freedom of the standard deviation are separate arguments; for a plain sample of n they are n and n − 1.
 
 Prediction intervals: Hahn & Meeker 1991, section 4.7: mean ± t s √(1 + 1/n), exact for normal values.
 """
@@ -25,7 +25,8 @@ from scipy.optimize import brentq
 from cbsr_qa.domain import Array
 from cbsr_qa.stats.samples import Estimate, Interval, largest_rank, sample, share, smallest
 
-#: Beyond it the normal part of a noncentral t is nothing beside its χ part (1e-8), and its series no longer converge.
+#: Beyond it the normal part of a noncentral t is negligible beside its χ part (1e-8), and its series no longer
+#: converges.
 _LARGE = 1e4
 _TAIL: Final = 1e-16  #: share of χ² beyond each end of the integral
 _NODES: Final = 400
@@ -75,7 +76,7 @@ def _legendre() -> tuple[Array, Array]:
 
 
 _NODES_TOLERANCE, _WEIGHTS = np.polynomial.legendre.leggauss(64)
-_FAR = 8.5  #: standard deviations beyond which a normal density is nothing
+_FAR = 8.5  #: standard deviations beyond which a normal density is negligible
 
 
 def one_sided_factor(coverage: float, confidence: float, mean_size: float, freedom: float) -> float:
@@ -125,13 +126,13 @@ def _held(k: float, coverage: float, mean_size: float, freedom: float) -> float:
 def spacings_outside(count: int, coverage: float, confidence: float) -> int:
     """Return how many spacings between ordered values may lie outside a distribution-free tolerance interval.
 
-    Shared between both ends for two bounds; 0 where ``count`` values are too few even for their extremes.
+    Shared between both ends for two bounds; 0 if even the extremes of ``count`` values do not suffice.
     """
     return largest_rank(count, 1 - coverage, 1 - confidence)
 
 
 def count_needed(coverage: float, confidence: float, sides: int) -> int:
-    """Return how many values make their extremes a tolerance interval of 1 or 2 sides for any distribution."""
+    """Return the number of values whose extremes are a distribution-free tolerance interval of 1 or 2 sides."""
 
     def enough(count: int) -> bool:
         return spacings_outside(count, coverage, confidence) >= sides
@@ -141,7 +142,7 @@ def count_needed(coverage: float, confidence: float, sides: int) -> int:
     return fewer if enough(fewer) else smallest(enough, fewer, _MOST_NEEDED, beyond)
 
 
-#: With fewer a spread of two values stands for everything: no interval is given.
+#: No interval with fewer: two values alone would have to determine the spread.
 FEWEST_VALUES = 3
 
 
@@ -172,7 +173,7 @@ def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
     Raises
     ------
     NumericsError
-        If there are fewer than three, one is not finite, or the confidence is no share.
+        If there are fewer than three, one is not finite, or the confidence is not between 0 and 1.
     """
     given = sample(values, "values to predict the next from", least=FEWEST_VALUES)
     share(confidence, "confidence")
@@ -182,12 +183,12 @@ def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
     return Prediction(count, mean, deviation, mean - reach, mean + reach)
 
 
-#: Tails below it are zero: quantiles of smaller ones are no numbers.
+#: Smaller tails are zero: their quantiles are not finite.
 _LEAST_TAIL = 1e-300
 
 
 class Judged(ABC):
-    """An estimate with a standard error: its statistic and interval follow from ``_half``."""
+    """An estimate with a standard error; subclasses give the half width."""
 
     __slots__ = ()
 
@@ -200,7 +201,7 @@ class Judged(ABC):
 
     @abstractmethod
     def _half(self, tail: float) -> float:
-        """Half width that leaves this much on each side."""
+        """Half width that leaves this probability on each side."""
 
     def statistic(self, null: float = 0.0) -> float:
         """Return the distance of the estimate above ``null`` in standard errors."""
@@ -233,7 +234,7 @@ class Referenced(Judged):
     value : in the unit of all that follows.
     scatter : standard error of the readings, above 0.
     freedom : its degrees of freedom, above 0.
-    known : what references' standard uncertainties add, at least 0; 0 gives Student's t interval.
+    known : contribution of the references' standard uncertainties, at least 0; 0 gives Student's t interval.
     """
 
     value: float

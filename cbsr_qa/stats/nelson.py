@@ -24,7 +24,7 @@ from cbsr_qa.domain import Array, NumericsError
 
 _FAR = 9.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(200)
-MOST = 1000  #: values of which a range is taken; more have no range chart
+MOST = 1000  #: largest subgroup with a range chart
 
 
 @lru_cache(maxsize=64)
@@ -70,7 +70,7 @@ ALL_RULES = tuple(Rule)
 
 
 def nelson(standard: Array, rules: Collection[Rule] = ALL_RULES) -> dict[Rule, Flags]:
-    """Return the points (n,) at which each rule asked for signals, of (point − centre)/σ (n,)."""
+    """Return the points (n,) at which each requested rule signals, of (point − centre)/σ (n,)."""
     return {rule: _TESTS[rule](standard) for rule in Rule if rule in rules}
 
 
@@ -93,7 +93,6 @@ def _steps(z: Array) -> Array:
 
 
 def _turns(z: Array) -> Flags:
-    """Where a rise follows a fall, or a fall a rise."""
     steps = _steps(z)
     return np.concatenate([[False], steps[1:] * steps[:-1] < 0])[: len(z)]
 
@@ -108,7 +107,7 @@ def _most_beyond(z: Array, line: float, least: int, window: int) -> Flags:
     return found
 
 
-#: With the probability of a false alarm at a point.
+#: The tests, each with its probability of a false alarm at a point.
 _TESTS: Final[dict[Rule, Callable[[Array], Flags]]] = {
     Rule.BEYOND: lambda z: np.abs(z) > 3,  # 0.0027
     Rule.SAME_SIDE: _either(lambda z: _lasting(z > 0, 9)),  # 2/2⁹ = 0.0039

@@ -19,9 +19,9 @@ from scipy import special, stats
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.stats.samples import share, smallest
 
-_MOST = 10**9  #: sensors a group; more is no plan
-_SURE = 40.0  #: δ beyond which a test of this level cannot miss, and the noncentral t need not be summed
-_ONE_SIDED: Final = 10.0  #: δ beyond which nothing (10⁻²³) is found on the wrong side; scipy's tail there may be NaN
+_MOST = 10**9  #: sensors per group; more is not a practical plan
+_SURE = 40.0  #: δ beyond which a test of this level cannot miss, so that the noncentral t need not be summed
+_ONE_SIDED: Final = 10.0  #: δ beyond which the wrong side has negligible probability; scipy's tail there may be NaN
 _TAIL: Final = 1e-14  #: of the estimated deviation's distribution, left out at either end
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(128)
 
@@ -32,7 +32,7 @@ def power(size: float, first: int, second: int, *, level: float = 0.05) -> float
     Raises
     ------
     NumericsError
-        Groups that have no test (fewer than three sensors in all), or a level that is not between 0 and 1.
+        Fewer than three sensors in all, or a level that is not between 0 and 1.
     """
     freedom, shift = _test(size, first, second, level)
     critical = float(stats.t.isf(level / 2, freedom))
@@ -47,7 +47,7 @@ def power(size: float, first: int, second: int, *, level: float = 0.05) -> float
 def power_of_equivalence(margin: float, first: int, second: int, *, level: float = 0.05) -> float:
     """Return the probability of showing equivalence within ± ``margin`` deviations for two equal groups.
 
-    Raises as :func:`power`.
+    Raises as :func:`power` does.
     """
     freedom, shift = _test(max(margin, 0.0), first, second, level)
     critical = float(stats.t.isf(level, freedom))
@@ -67,7 +67,7 @@ def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> 
     Raises
     ------
     NumericsError
-        No difference is asked for, more than 10⁹ sensors would be needed, or a share is not between 0 and 1.
+        The difference is zero, more than 10⁹ sensors would be needed, or a share is not between 0 and 1.
     """
     _check_wanted(wanted, level)
     if not abs(size) > 0:

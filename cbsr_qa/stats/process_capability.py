@@ -7,7 +7,7 @@ With the deviation σ̂ within subgroups (short term, ν = N − k degrees of fr
 Intervals, for normal values: Cp exact by χ² (e-Handbook 7.1.6); an index of one limit exact by the noncentral t,
 3√N Ĉ ~ t'_ν(3√N C); Cpk of two limits by Bissell 1990, Ĉ ± z √(1/9N + Ĉ²/2ν).
 
-Where limits on both sides judge several values of a run, the lower one judges its least value l and the upper one its
+With two limits and several values per run, the lower limit judges a run's least value l and the upper one its
 greatest g, with joint (Bonferroni) intervals:
 
     Cpk = min((U − ḡ)/3σ_g, (l̄ − L)/3σ_l),  Cp = (U − L − (ḡ − l̄))/(3σ_g + 3σ_l).
@@ -80,7 +80,7 @@ def capability(
 
     Parameters
     ----------
-    groups : values of each subgroup made under like conditions (batch, day), in the unit of the limits.
+    groups : values of each subgroup made under the same conditions (batch, day), in the unit of the limits.
     lower, upper : limits; at least one.
     what : the metric, for messages.
 
@@ -119,7 +119,7 @@ def capability_of_extremes(
 ) -> Capability:
     """Return the indices of runs of several values each, judged by two limits.
 
-    Mean and deviations are the middle of both sides'; intervals hold at least the stated share of samples.
+    Mean and deviations are averages of both sides; coverage of the intervals is at least as stated.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def capability_of_extremes(
     Raises
     ------
     NumericsError
-        As of :func:`capability`, of either side.
+        As for :func:`capability`, on either side.
     """
     _check_limits(lower, upper, what)
     share(confidence, "confidence")
@@ -188,7 +188,7 @@ def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | N
 
 
 def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence: float) -> Index:
-    """Return the lesser of both sides' indices; both intervals hold jointly, and so does the lesser of their ends."""
+    """Return the lesser of both sides' indices; its interval ends are the lesser of the joint intervals' ends."""
     each = 1 - (1 - confidence) / 2
     values = [below / (3 * low.deviation), above / (3 * high.deviation)]
     ends = [_exact(value, spread, each) for value, spread in zip(values, (low, high), strict=True)]
@@ -197,7 +197,7 @@ def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence:
 
 
 def _room_of_both(low: _Spread, high: _Spread, apart: Array, width: float, confidence: float) -> Index:
-    """Return Cp of both sides, with the interval that follows from those of three: both deviations, and ḡ − l̄."""
+    """Return Cp of both sides, with an interval from those of both deviations and of ḡ − l̄."""
     tail = (1 - confidence) / 6
     error = float(apart.std(ddof=1)) / sqrt(len(apart))
     half = float(stats.t.isf(tail, len(apart) - 1)) * error

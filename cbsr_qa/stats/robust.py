@@ -1,10 +1,10 @@
 """Two groups without assuming normality: shift of medians, rank tests, probability of superiority.
 
 Mann & Whitney 1947 with Hodges & Lehmann's 1963 shift, the median of all x_i − y_j, and its interval from ordered
-differences (Hollander & Wolfe 1999, sections 4.1 to 4.3); both suppose that the distributions differ by a shift only.
-Brunner & Munzel 2000 does not, and judges P(x < y) + ½ P(x = y).
+differences (Hollander & Wolfe 1999, sections 4.1 to 4.3); both assume that the distributions differ only by a shift.
+Brunner & Munzel 2000 do not, and test P(x < y) + ½ P(x = y).
 
-Ordered differences x_i − y_j of two groups, without making all of them where they are many.
+Ordered differences x_i − y_j of large groups are found without computing all of them.
 """
 
 from collections.abc import Iterable, Sequence
@@ -36,9 +36,9 @@ def ordered_differences(x: Array, y: Array, ranks: Sequence[int]) -> list[float]
 
     Notes
     -----
-    A million and more are not made: how many are up to a value is counted by binary search in the sorted groups, and
-    the value is closed in on by interpolation and bisection until those few that are left can be made. What they
-    round to when they are counted, value + y, decides on which side of it they are.
+    From a million pairs on, differences up to a value are counted by binary search in the sorted groups, and the
+    value is narrowed down by interpolation and bisection until the few that remain can be computed. The rounded sum
+    value + y, as used in counting, decides on which side of the value a difference lies.
     """
     if len(x) * len(y) <= _MOST_MADE:
         return _of_ranks(np.subtract.outer(x, y).ravel(), ranks)
@@ -53,7 +53,7 @@ def _of_ranks(values: Array, ranks: Sequence[int]) -> list[float]:
 
 
 def _by_counting(x: Array, y: Array, rank: int) -> float:
-    """Close in on a rank: ``below`` differences are up to ``low``, and ``upto`` ≥ rank up to ``high``."""
+    """Narrow down a rank: ``below`` differences are up to ``low``, and ``upto`` ≥ rank up to ``high``."""
     low, high = np.nextafter(x[0] - y[-1], -np.inf), x[-1] - y[0]
     first, last = np.zeros(len(y), dtype=np.intp), np.full(len(y), len(x), dtype=np.intp)
     bisect = False
@@ -81,7 +81,7 @@ def _between(x: Array, y: Array, first: IntArray, last: IntArray) -> Array:
     return differences
 
 
-#: Without ties and up to this many pairs the distribution of U is counted, beyond it is normal to three digits.
+#: Without ties and up to this many pairs the distribution of U is counted; beyond, it is normal to three digits.
 MOST_COUNTED = 2500
 
 
@@ -95,7 +95,7 @@ class Shift:
     interval : None where the groups are too small for the confidence.
     statistic : U, number of pairs in which the first exceeds the second (ties half).
     p_value : two-sided, of Mann & Whitney's test.
-    exact : whether U was counted; else its normal approximation with ties and continuity allowed for.
+    exact : whether the distribution of U was counted; else normal with corrections for ties and continuity.
     """
 
     value: float
@@ -132,7 +132,7 @@ def shift(
     Raises
     ------
     NumericsError
-        An empty group, missing values, or no value that differs from any other.
+        An empty group, missing values, or values that are all equal.
     """
     share(confidence, "confidence")
     x, y = (sample(values, name) for values, name in zip((first, second), names, strict=True))
@@ -165,7 +165,7 @@ def brunner_munzel(
     Raises
     ------
     NumericsError
-        Fewer than two values each, missing ones, or groups that do not overlap: the test has no variance then.
+        Fewer than two values each, missing ones, or groups that do not overlap (the test then has no variance).
     """
     share(confidence, "confidence")
     x, y = (sample(values, name, least=2) for values, name in zip((first, second), names, strict=True))

@@ -4,7 +4,7 @@ With d_i = x_i − m for m near the mean (subtraction of close numbers is exact)
 
     mean = m + Σd/n,    s² = (Σd² − (Σd)²/n) / (n − 1),    r₁ = Σ e_i e_(i+1) / Σ e_i²,  e = d − Σd/n
 
-with sums that are rounded once (NIST StRD, univariate summary statistics; Chan, Golub & LeVeque 1983).
+with sums rounded once (NIST StRD, univariate summary statistics; Chan, Golub & LeVeque 1983).
 """
 
 from collections.abc import Callable, Iterable
@@ -18,7 +18,7 @@ from scipy import special
 
 from cbsr_qa.domain import Array, NumericsError
 
-#: Beyond it squares and their sums are no numbers.
+#: Beyond it squares and their sums overflow.
 LARGEST = 1e150
 #: Spread, relative to the largest magnitude, below which values differ by rounding only.
 LEAST_SPREAD = 1e-13
@@ -39,7 +39,7 @@ class Interval:
     confidence: float
 
     def holds(self, value: float) -> bool:
-        """Say whether a value lies inside, ends included."""
+        """Return whether a value lies inside, ends included."""
         return self.low <= value <= self.high
 
     def scaled(self, factor: float, shift: float = 0.0) -> "Interval":
@@ -52,7 +52,7 @@ class Interval:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
-        """Write an interval as both ends, null where one is open, in JSON documents."""
+        """Serialise an interval to JSON as both ends, null for an open one."""
         from pydantic_core import core_schema as core  # there, and nowhere else
 
         end = core.nullable_schema(core.float_schema())
@@ -62,7 +62,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """An estimate with its interval, of a stated confidence, and the p value of zero."""
+    """An estimate with its interval at a stated confidence, and the p value of zero."""
 
     value: float
     standard_error: float
@@ -77,19 +77,19 @@ class Estimate:
 
 
 def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool = False) -> Array:
-    """Return values as an array (n,) that statistics can be made of.
+    """Return validated values as an array (n,).
 
     Parameters
     ----------
     values : finite numbers below 1e150 in magnitude.
     what : whose they are, for messages.
-    least : fewest values that will do.
+    least : smallest number of values.
     spread : whether they must differ.
 
     Raises
     ------
     NumericsError
-        Too few values, missing or infinite ones, too large ones, or (where asked for) none that differ.
+        Too few values, missing or infinite ones, too large ones, or (if ``spread``) values that are all equal.
     """
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=float)
     if array.ndim != 1 or len(array) < least:
@@ -114,7 +114,7 @@ def constant(array: Array) -> bool:
 
 
 def share(value: float, what: str) -> float:
-    """Return a confidence, level or power; NumericsError unless it lies between 0 and 1."""
+    """Return a confidence, level or power; NumericsError if it is not between 0 and 1."""
     if not 0 < value < 1:
         raise NumericsError(f"{what} is {value:g}; it must lie between 0 and 1, both excluded")
     return value
@@ -122,14 +122,14 @@ def share(value: float, what: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What one sample says at first.
+    """Summary statistics of one sample.
 
     Parameters
     ----------
     count : n, at least 1.
     mean : in the values' unit.
     deviation : s with n − 1, in the values' unit; None for one value, 0 for equal ones.
-    autocorrelation : r₁ of values in their order; None where they do not differ or are fewer than three.
+    autocorrelation : r₁ of values in their order; None for equal values or fewer than three.
     """
 
     count: int
@@ -139,20 +139,20 @@ class Summary:
 
     @property
     def standard_error(self) -> float | None:
-        """S/√n, of values that are independent; None for one value."""
+        """S/√n for independent values; None for one value."""
         return None if self.deviation is None else self.deviation / sqrt(self.count)
 
 
 @dataclass(frozen=True, slots=True)
 class Quantile:
-    """A quantile and what the sample leaves open about it.
+    """A quantile with a distribution-free interval.
 
     Parameters
     ----------
     share : of the population below it.
     value : by linear interpolation between ordered values (Hyndman & Fan 1996, type 7, as numpy and R).
     interval : from two ordered values, whatever the distribution; None where the sample is too small for it.
-    needed : number of values from which there is an interval.
+    needed : number of values needed for an interval.
     """
 
     share: float
@@ -184,7 +184,7 @@ def summary(values: Iterable[float], what: str = "values") -> Summary:
 
 
 def centred(array: Array) -> tuple[float, Array]:
-    """Return the mean of (n,) values and the deviations from it, the mean's own rounding taken out of them."""
+    """Return the mean of (n,) values and the deviations from it, corrected for the mean's rounding."""
     near = fsum(array) / len(array)
     away = array - near
     correction = fsum(away) / len(array)
@@ -194,8 +194,8 @@ def centred(array: Array) -> tuple[float, Array]:
 def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95, what: str = "values") -> Quantile:
     """Return a quantile with a distribution-free interval (x_(l), x_(u)) (Conover 1999, section 3.2).
 
-    x_(k) lies above the quantile with probability P(B < k), B binomial with n and the share, and each end may miss
-    with (1 − confidence)/2 at most.
+    x_(k) lies above the quantile with probability P(B < k), B binomial with n and the share, and each end misses with
+    probability (1 − confidence)/2 at most.
 
     Raises
     ------
@@ -212,14 +212,14 @@ def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95,
     return Quantile(below, float(np.quantile(array, below)), interval, _needed(below, tail))
 
 
-@lru_cache(maxsize=1024)  # many metrics have as many values each
+@lru_cache(maxsize=1024)  # many metrics have equally many values
 def largest_rank(count: int, below: float, tail: float) -> int:
     """Return the largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 if none."""
 
-    def most(rank: int) -> float:  # P(B ≤ rank), of 10¹² values too
+    def most(rank: int) -> float:  # P(B ≤ rank), also for 10¹² values
         return 1.0 if rank >= count else float(special.betaincc(rank + 1, count - rank, below))
 
-    rank = int(max(np.nan_to_num(special.bdtrik(tail, count, below)), 0.0))  # near it; the sum decides
+    rank = int(max(np.nan_to_num(special.bdtrik(tail, count, below)), 0.0))  # approximate; the sum decides
     while rank and most(rank - 1) > tail:
         rank -= 1
     while most(rank) <= tail:
@@ -228,7 +228,7 @@ def largest_rank(count: int, below: float, tail: float) -> int:
 
 
 def _needed(below: float, tail: float) -> int:
-    """Values whose smallest and largest enclose the quantile: the rarer side's share of missing ones^n ≤ tail."""
+    """Values needed for smallest and largest to enclose the quantile: (larger side's share)^n ≤ tail."""
     rarer = min(below, 1 - below)
     count = ceil(log(tail) / log(1 - rarer))
     if count > 10**12:
@@ -237,9 +237,9 @@ def _needed(below: float, tail: float) -> int:
 
 
 def smallest(enough: Callable[[int], bool], above: int, most: int, beyond: str) -> int:
-    """Return the smallest count that is enough, above one that is not, by doubling and bisection.
+    """Return the smallest sufficient count above an insufficient one, by doubling and bisection.
 
-    NumericsError in the words of ``beyond`` if more than ``most`` would be needed.
+    NumericsError with the message ``beyond`` if more than ``most`` would be needed.
     """
     fewer, count = above, 2 * above
     while not enough(count):

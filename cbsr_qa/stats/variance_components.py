@@ -11,8 +11,8 @@ from cbsr_qa.domain import Array
 from cbsr_qa.stats.intervals import factor_of_quantile, two_sided_factor
 from cbsr_qa.stats.worst_value import raised_for_skewness, worst_of
 
-#: Fewer repeated runs say too little of how runs of one sensor differ: allowing for that doubt would widen limits
-#: (by half for one repeat) more than the repeats tell.
+#: Fewer repeated runs hardly determine how runs of one sensor differ: allowing for their uncertainty would widen
+#: limits (by half for one repeat) more than the repeats help.
 FEWEST_REPEATS = 4
 
 _DRAWS = 20_000
@@ -21,14 +21,14 @@ _NODES = 257
 
 @dataclass(frozen=True, slots=True)
 class Components:
-    """What one run of one more sensor may be expected to give, after x = μ + sensor + run.
+    """Expected value and spread of one run of one more sensor, in the model x = μ + sensor + run.
 
     Parameters
     ----------
     sensors : how many.
-    mean : of the sensors' means: every sensor counts alike, however often it was run.
+    mean : of the sensors' means, each with equal weight however often it was run.
     between : variance of the sensors' means.
-    within : variance between runs of one sensor; None where none was run twice.
+    within : variance between runs of one sensor; None if no sensor was run twice.
     repeats : its degrees of freedom.
     share : of ``within`` that the sensors' means average away, 1 − 1/r̃ with r̃ the harmonic mean of runs a sensor.
     """
@@ -48,9 +48,8 @@ class Components:
     def bound_factor(self, coverage: float, confidence: float, values: int = 1) -> float:
         """Return k of mean + k deviation, below which this share of single runs of single sensors lies.
 
-        Exact for one run a sensor and one value. With repeated runs by the generalised pivotal quantity of
-        Krishnamoorthy & Mathew 2009, chapter 5 (unweighted means), which holds the share in at least the stated share
-        of lots.
+        Exact for one run per sensor and one value. Repeated runs use the generalised pivotal quantity of
+        Krishnamoorthy & Mathew 2009, chapter 5 (unweighted means); confidence is then at least as stated.
 
         Parameters
         ----------
@@ -67,18 +66,18 @@ class Components:
     def interval_factor(self, coverage: float, confidence: float) -> float:
         """Return k of mean ± k deviation, within which this share of single runs of single sensors lies.
 
-        See :meth:`bound_factor`; for one normal value a run.
+        See :meth:`bound_factor`; for one normal value per run.
         """
         if not self.repeats:
             return two_sided_factor(coverage, confidence, self.sensors, self.sensors - 1)
         offset, deviation = self._draws()
         away = np.abs(offset) / deviation
-        nodes = np.linspace(0.0, float(away.max()), _NODES)  # smooth in between, and slow to work out for every draw
+        nodes = np.linspace(0.0, float(away.max()), _NODES)  # smooth in between, and slow to compute for every draw
         half = deviation * np.interp(away, nodes, np.sqrt(stats.ncx2.ppf(coverage, 1, nodes**2)))
         return float(np.quantile(half, confidence)) / self.deviation
 
     def _draws(self) -> tuple[Array, Array]:
-        """Fiducial draws of the mean's error and of the deviation, from a fixed seed: one lot has one limit."""
+        """Fiducial draws of the mean's error and of the deviation; the seed is fixed, so that a lot has one limit."""
         random, freedom = np.random.default_rng(20090502), self.sensors - 1
         between = freedom * self.between / random.chisquare(freedom, _DRAWS)
         within = self.repeats * (self.within or 0.0) / random.chisquare(self.repeats, _DRAWS)
@@ -87,7 +86,7 @@ class Components:
 
 
 def telling_runs(runs: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
-    """Return the runs statistics are made of: all, or the first of each sensor where few were repeated."""
+    """Return the runs used in statistics: all, or the first of each sensor if few were repeated."""
     repeats = sum(len(values) - 1 for values in runs)
     return runs if repeats >= FEWEST_REPEATS else [values[:1] for values in runs]
 

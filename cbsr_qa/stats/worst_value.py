@@ -1,7 +1,7 @@
-"""Distribution of the largest of m normal values: a sensor's worst value, which a limit has to hold.
+"""Distribution of the largest of m normal values: a sensor's worst value, which a limit must bound.
 
 Its upper tail is longer than a normal one (the 99 % point of the largest of nine is 2.63 of its own standard
-deviations above its mean, not 2.33). m independent values are the cautious end.
+deviations above its mean, not 2.33). Independence of the m values is the conservative case.
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class WorstOf:
         return dense
 
     def normal_scores(self, x: Array) -> Array:
-        """Return what ``x`` would be as standard normal numbers of the same ranks; keeps far tails finite."""
+        """Map ``x`` to standard normal numbers of the same probability; keeps far tails finite."""
         log_share = self.values * special.log_ndtr(self.raw_mean + self.raw_deviation * x)
         scores: Array = np.clip(special.ndtri_exp(log_share), -_GRID[-1], _GRID[-1])
         return scores
@@ -57,16 +57,16 @@ def worst_of(values: int) -> WorstOf:
 
 @lru_cache(maxsize=64)
 def raised_for_skewness(coverage: float, confidence: float, values: int, sensors: int) -> float:
-    """Return what the factor of a normal sample must be raised by for worst values; 1 for one value.
+    """Return the ratio by which worst values raise the factor of a normal sample; 1 for one value.
 
-    The noncentral t with the right quantile knows nothing of skewness. The ratio is that of 40 000 simulated lots,
-    from a fixed seed.
+    The noncentral t with the right quantile ignores skewness. The ratio comes from 40 000 simulated lots with a fixed
+    seed.
 
     Parameters
     ----------
     coverage, confidence : of the bound mean + k s.
     values : of each sensor.
-    sensors : that mean and s are taken over.
+    sensors : behind the mean and s.
     """
     if values == 1:
         return 1.0
@@ -78,7 +78,7 @@ def raised_for_skewness(coverage: float, confidence: float, values: int, sensors
 
 
 def _pivots(random: np.random.Generator, shape: WorstOf, coverage: float, sensors: int) -> Array:
-    """(quantile − mean) / s of simulated lots: what k must exceed for a lot's bound to hold the share."""
+    """(quantile − mean) / s of simulated lots: k must exceed it for a lot's bound to hold the share."""
     largest = special.ndtri(random.random((_DRAWS // 10, sensors)) ** (1 / shape.values))
     lots = (largest - shape.raw_mean) / shape.raw_deviation
     pivots: Array = (shape.quantile(coverage) - lots.mean(axis=1)) / lots.std(axis=1, ddof=1)

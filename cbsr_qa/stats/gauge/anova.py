@@ -110,7 +110,7 @@ def pivot_interval(squares: Sequence[MeanSquare], function: Callable[[Array], Ar
     return Interval(float(low), float(high), confidence)
 
 
-#: AIAG's level: an interaction that is less significant is taken for repeatability.
+#: AIAG's level: a less significant interaction is pooled with repeatability.
 POOLING_LEVEL = 0.25
 
 
@@ -142,7 +142,7 @@ class GaugeAnova(Variation):
     Parameters
     ----------
     table : before pooling, F of sensor and appraiser against the interaction.
-    interaction_pooled : whether the interaction went into repeatability.
+    interaction_pooled : whether the interaction is part of repeatability.
     appraiser_variance, interaction_variance : the two parts of reproducibility; the second is None where pooled.
     gauge_percent_contribution_interval : of the gauge's share of the total variance [%].
     categories_interval : of the uncut number of categories.
@@ -158,7 +158,7 @@ class GaugeAnova(Variation):
 
 @dataclass(frozen=True, slots=True)
 class _Squares:
-    """Mean squares that components are made of; ``inner`` is the interaction, or the pooled trials."""
+    """Mean squares behind the components; ``inner`` is the interaction, or the pooled trials."""
 
     sensor: MeanSquare
     station: MeanSquare
@@ -168,7 +168,6 @@ class _Squares:
     pooled: bool
 
     def parts(self, *factors: float) -> list[MeanSquare]:
-        """Sensor, station, inner and trial times their factors; pooled, the last two are one source."""
         sources = [self.sensor, self.station, self.inner, self.trial]
         if self.pooled:
             sources, factors = sources[:3], (*factors[:2], factors[2] + factors[3])

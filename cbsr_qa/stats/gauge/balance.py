@@ -1,4 +1,4 @@
-"""What a crossed gauge study lacks, and its largest balanced part: most runs, each cell at least twice."""
+"""Missing runs of a crossed gauge study, and its largest balanced part: most runs, at least two per cell."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -7,19 +7,19 @@ from typing import Final
 
 from cbsr_qa.stats.gauge.crossed_study import on, usual_trials
 
-#: Stations of which every choice is tried (2¹² of them); of more only the best of each number.
+#: Up to this many stations every choice is tried (2¹² of them); beyond it, only the best choice of each size.
 _MOST_TRIED: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
 class BalancedPart:
-    """A whole crossing.
+    """A balanced crossed part.
 
     Parameters
     ----------
-    sensors, stations : names, sorted; empty where there is no whole crossing of two by two by two.
+    sensors, stations : names, sorted; empty if no two sensors have two runs each on two stations.
     trials : runs of each sensor on each station.
-    kept : indices of the runs that belong to it, ascending: of each cell the first ones.
+    kept : indices of its runs, ascending; the first ones of each cell.
     """
 
     sensors: tuple[str, ...]
@@ -28,13 +28,13 @@ class BalancedPart:
     kept: tuple[int, ...]
 
     def words(self, part: str = "sensors", appraiser: str = "stations") -> str:
-        """Return its size as a reader would say it."""
+        """Describe its size for a reader."""
         size = f"{len(self.sensors)} {part} × {len(self.stations)} {appraiser} × {self.trials} runs"
         return f"{size} = {len(self.kept)} runs"
 
 
 def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str = "station") -> tuple[str, ...]:
-    """Return which runs a balanced study lacks or has too many of, in words; none where it is whole.
+    """Describe missing and surplus runs, one sentence each; empty for a balanced study.
 
     ``appraiser``: what the stations are: "station", or "operator" where people are compared.
     """
@@ -53,7 +53,7 @@ def _runs(count: int) -> str:
 
 
 def largest_balanced(sensors: Sequence[str], stations: Sequence[str]) -> BalancedPart:
-    """Return the balanced part with the most runs; of equal ones that with more sensors, then more stations.
+    """Return the balanced part with the most runs; ties go to more sensors, then more stations.
 
     Parameters
     ----------

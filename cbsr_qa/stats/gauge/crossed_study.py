@@ -23,9 +23,9 @@ from cbsr_qa.domain import Array, NumericsError, of_kind
 from cbsr_qa.stats.nelson import d2_d3, d2_star
 from cbsr_qa.stats.samples import Interval, constant, sample
 
-#: AIAG counts six deviations for all of a process's or a gauge's variation.
+#: AIAG takes six deviations as the full variation of a process or a gauge.
 SIX = 6.0
-#: √2 as AIAG rounds it, so that numbers of categories are theirs.
+#: √2 as rounded by AIAG, so that numbers of categories match theirs.
 CATEGORY_FACTOR = 1.41
 
 
@@ -107,8 +107,8 @@ class Variation:
     Parameters
     ----------
     categories : distinct ones, 1.41 × sensor / gauge deviation cut to a whole number, at least 1; None where the
-        gauge does not vary. ``categories_uncut`` is not cut.
-    notes : what was done to the numbers, in sentences.
+        gauge does not vary. ``categories_uncut`` is the value before that.
+    notes : adjustments made, in sentences.
     """
 
     components: Components
@@ -177,7 +177,7 @@ def study(
 def usual_trials(counts: Iterable[int]) -> int:
     """Return the most common number of runs per cell (of equally common numbers the larger).
 
-    Cells without runs do not count: none is what they have too few of, however many they are.
+    Empty cells do not count, however many they are.
     """
     found = Counter(count for count in counts if count)
     return max(found, key=lambda count: (found[count], count), default=0)
@@ -212,7 +212,7 @@ def _check_balance(
 
 
 def clipped(estimate: float, interval: Interval | None = None) -> Variance:
-    """Return a component whose estimate, and the interval with it, is cut at zero."""
+    """Return a component with its estimate and interval cut at zero."""
     if interval is not None:
         interval = Interval(max(interval.low, 0.0), max(interval.high, 0.0), interval.confidence)
     return Variance(max(estimate, 0.0), estimate, interval)

@@ -1,11 +1,11 @@
-"""A gauge against known values: bias, linearity of the bias over the range, and stability over time.
+"""A gauge compared with known values: bias, linearity of the bias over the range, and stability over time.
 
 Source: AIAG MSA 4th edition, chapter III, sections B. Reference values are exact unless their uncertainty is stated:
-one of a reference moves all its readings' biases together (:mod:`cbsr_qa.stats.intervals`).
+that of one reference shifts the biases of all its readings together (:mod:`cbsr_qa.stats.intervals`).
 
     y = a + b (x − x̄),  b = Σ(x − x̄)(y − ȳ)/S_xx,  a = ȳ,  s² = Σ(y − ŷ)²/(n − 2)
 
-About x̄, a and b are independent, and a large origin costs no digits.
+Centred on x̄, a and b are independent, and a large offset of x loses no digits.
 """
 
 from collections.abc import Iterable, Sequence
@@ -62,7 +62,7 @@ def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") ->
     Raises
     ------
     NumericsError
-        Too few points, all at one x, missing values, or points exactly on a line: they leave no variance.
+        Too few points, all at one x, missing values, or points exactly on a line (no residual variance).
     """
     xs, ys = sample(x, f"{what}, x", least=3), sample(y, f"{what}, y", least=3)
     if len(xs) != len(ys):
@@ -101,11 +101,11 @@ class Linearity:
         return self.at(0.0)
 
     def rise(self) -> Referenced:
-        """Return the slope of the bias, the references' uncertainties in its standard error."""
+        """Return the slope of the bias; its standard error includes the references' uncertainties."""
         return self._widened(self.line.rise(), 0.0, 1 / self.line.squares)
 
     def at(self, reference: float) -> Referenced:
-        """Return the bias at a reference value, the references' uncertainties in its standard error."""
+        """Return the bias at a reference value; its standard error includes the references' uncertainties."""
         line = self.line
         return self._widened(line.at(reference), 1 / line.count, (reference - line.centre) / line.squares)
 
@@ -123,7 +123,7 @@ class Linearity:
         return all(self.at(reference).interval(confidence).holds(0.0) for reference in self.references)
 
 
-#: Readings below which a chart says nothing: its limits come of the same few, so that it hardly ever signals.
+#: With fewer readings a chart is not informative: its limits come from the same few, so that it hardly ever signals.
 FEWEST_CHARTED: Final = 8
 
 
@@ -175,7 +175,7 @@ def linearity(
 
     Parameters
     ----------
-    references, readings : (n,) of each reading the value of its reference, of two references at least.
+    references, readings : (n,) reference value and reading; at least two distinct references.
     known : (readings, value, standard uncertainty) of references that are not exact.
 
     Raises

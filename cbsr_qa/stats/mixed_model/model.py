@@ -3,7 +3,8 @@
     y = group (fixed) + station (fixed) + sensor (random, σ²θ) + run (σ²)
 
 by restricted maximum likelihood (:mod:`.reml`), intervals by Kenward & Roger's covariance and degrees of freedom. The
-model is additive. Where no sensor has more than one run, ordinary least squares says the same with exact t intervals.
+model is additive. Where no sensor has more than one run, ordinary least squares gives the same estimates with exact t
+intervals.
 """
 
 from dataclasses import dataclass
@@ -41,17 +42,16 @@ class Fit:
 
     Parameters
     ----------
-    model : which.
-    design : of the runs it was fitted to.
-    effects : (groups + stations,) of every group, and of every station against the first of its connected part.
+    design : of the fitted runs.
+    effects : (groups + stations,) of every group, and of every station relative to the first of its connected part.
     run_deviation : σ; of sensor and run together where the model is fixed.
     sensor_deviation : σ√θ; None where the model is fixed.
     ratio : interval of θ; None where the model is fixed.
     criterion : minus twice the restricted log likelihood; None where the model is fixed.
-    notes : weaknesses of design and fit, in sentences.
+    notes : weaknesses of the design and the fit, in sentences.
     covariance : (p, p) ndarray of the columns that :meth:`Crossing.kept` names, in the square of the values' unit.
     freedom : of σ where the model is fixed, of the sensors' variance where it is mixed.
-    small : what degrees of freedom follow from; None where the model is fixed.
+    small : basis of the degrees of freedom; None where the model is fixed.
     """
 
     model: Model
@@ -116,13 +116,13 @@ def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
 
     Parameters
     ----------
-    values : (N,), one of each run; leave missing ones out with :meth:`Crossing.only`.
+    values : (N,), one per run; leave missing ones out with :meth:`Crossing.only`.
     what : the metric, for messages.
 
     Raises
     ------
     NumericsError
-        Missing values, no variance, or no more sensors than effects to tell.
+        Missing values, no variance, or no more sensors than effects to estimate.
     """
     array = sample(values, what)
     if len(array) != len(design.group):
@@ -238,7 +238,7 @@ def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
 
 
 def _repeats(sums: RandomEffectSums) -> int:
-    """Degrees of freedom of repeated runs, stations' differences subtracted."""
+    """Degrees of freedom of repeated runs, less those of stations' differences."""
     return sums.runs - sums.total_sensors - sums.within_rank()
 
 
@@ -252,7 +252,7 @@ def _notes(ratio: Ratio, repeats: int) -> tuple[str, ...]:
 
 
 def _weaknesses(design: Crossing) -> tuple[str, ...]:
-    """Name comparisons that depend more on the model than on the design."""
+    """List comparisons that depend more on the model than on the design."""
     notes = []
     for part in design.parts if len(design.parts) > 1 else ():
         notes.append(

@@ -44,7 +44,7 @@ class RandomEffectSums:
     ----------
     runs : N.
     sizes : (m,) distinct numbers n of runs a sensor.
-    sensors : (m,) how many sensors have as many.
+    sensors : (m,) number of sensors with so many runs.
     within : (p + 1, p + 1), W.
     between : (m, p + 1, p + 1), B_n.
     """
@@ -63,7 +63,7 @@ class RandomEffectSums:
     def products(self, ratio: Array | float, power: int = 1, times: int = 0) -> Array:
         """Return the between part Σ_n n^(1 + times) h_n^power B_n, without W: (…, p + 1, p + 1) for θ of any shape.
 
-        ``times``: how often ZZᵀ, the sensors' covariance, stands in the product.
+        ``times``: number of factors ZZᵀ, the sensors' covariance, in the product.
         """
         h = 1 / (1 + np.multiply.outer(np.asarray(ratio, dtype=float), self.sizes))
         summed: Array = np.tensordot(h**power * self.sizes ** (1 + times), self.between, axes=1)
@@ -128,7 +128,7 @@ def _cross(matrix: SparseArray, response: Array) -> Array:
     return whole
 
 
-#: θ that are tried before the minimum is refined; the likelihood may have two.
+#: θ tried before the minimum is refined; the likelihood may have two minima.
 _GRID = np.concatenate([[0.0], np.logspace(-7, 12, 77)])
 _FARTHEST = 1e14
 _CONFIDENCE = 0.95
@@ -172,7 +172,7 @@ class Likelihood:
         return logs
 
     def _blocks(self, count: int) -> int:
-        """Number of blocks in which θ are tried; hundreds of groups at once would fill the memory."""
+        """Number of blocks in which θ are tried: hundreds of groups at once would exhaust the memory."""
         return max(1, min(count, count * self.sums.within.size // _MOST_ELEMENTS))
 
     def slope(self, ratio: float) -> float:
