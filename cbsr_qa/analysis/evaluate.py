@@ -1,6 +1,6 @@
 """Evaluation of a stored run: observations, judged measurements, verdict, calibration.
 
-What a metric answers is looked at where it is asked: nothing else can be stored, judged and shown.
+A metric's answer is validated as soon as it is called, so that nothing else can be stored, judged and shown.
 """
 
 import math
@@ -37,13 +37,13 @@ from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.plugin import Kind, LoadMetric, Plugins, RunMetric, create_plugin, failure
 from cbsr_qa.system import Stages
 
-#: More measurements of one question are refused: a generator may have no end.
+#: More measurements from one call are refused: a generator may never end.
 MOST_ANSWERS: Final = 10_000
 #: Longest text of a measurement [characters].
 LONGEST_TEXT: Final = 2_000
 #: Control characters, which databases and pages do not take, and halves of characters.
 _UNWRITABLE: Final = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
-#: Largest whole number that every database takes.
+#: Largest whole number that every database accepts.
 _LARGEST: Final = 2**31 - 1
 
 
@@ -53,10 +53,9 @@ class Conclusion:
 
     Parameters
     ----------
-    observation : None where the run could not be analysed; the verdict then says why.
-    measurements : judged.
-    warnings : in plain words, those of the observation included.
-    characterisation : of a material, where the recipe is for that: nothing was imaged then.
+    observation : None if the run could not be analysed; the verdict then gives the reason.
+    warnings : including those of the observation.
+    characterisation : of a material, if the recipe requests it; nothing was imaged then.
     """
 
     observation: RunObservation | None
@@ -71,13 +70,13 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
 
     Parameters
     ----------
-    record : as loaded from the store; nothing else is looked at.
+    record : as loaded from the store; no other input.
     recipe : says how to image, what to measure and what is allowed.
-    stages : told and timed.
+    stages : progress and timing.
 
     Returns
     -------
-    A conclusion whatever the run was: one that did not finish, or cannot be imaged, is "not measured" and why.
+    A conclusion in any case: a run that did not finish, or cannot be imaged, is "not measured", with the reason.
 
     Raises
     ------
@@ -94,7 +93,7 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
     try:
         with stages.stage("imaging"):
             observation = observe_run(record, reconstruction, recipe.analysis)
-    except BaseException as error:  # noqa: BLE001 - a stranger's reconstruction may raise anything, and the run is stored
+    except BaseException as error:  # noqa: BLE001 - a plugin may raise anything, and the run is stored
         remedy = error.remedy if isinstance(error, CbsrError) else ""
         return _not_measured(f"the frames cannot be imaged: {failure(error)}", remedy)
     with stages.stage("metrics"):
@@ -128,10 +127,6 @@ def calibrated(
     Parameters
     ----------
     calibration, issued_at : identity and time of issue.
-
-    Returns
-    -------
-    The calibration and an empty reason, or None and why there is none.
     """
     if recipe.characterisation is not None:
         return None, "a material strip gets no calibration"
@@ -162,7 +157,7 @@ def calibrated(
 def _overlap_threshold(recipe: Recipe) -> float:
     """Lowest area overlap that the recipe accepts where it calibrates, with its mask.
 
-    A recipe without such a limit accepts what its bands do not call their worst; with one band, anything.
+    Without such a limit, all but the worst of the recipe's bands are accepted; with one band, anything.
     """
     given = [
         limit.lower
@@ -183,12 +178,12 @@ def _measured(conclusion: Conclusion, name: str) -> float | None:
 def answered(answer: Iterable[Measurement]) -> list[Measurement]:
     """Validate a metric's answer as plain measurements.
 
-    Numpy's numbers, and whole ones, become floats; fields that were set after construction are looked at too.
+    Numpy's and whole numbers become floats; fields set after construction are checked too.
 
     Raises
     ------
     PluginError
-        Naming measurement, field, what was found and what is allowed. What the metric's own code raises passes.
+        Names measurement, field, what was found and what is allowed. Exceptions of the metric itself propagate.
     """
     if isinstance(answer, Measurement) or not isinstance(answer, Iterable):
         raise PluginError(f"it returned {with_type(answer)}; it must return a tuple of Measurement")
@@ -211,12 +206,12 @@ def _checked(number: int, measurement: object) -> Measurement:
     return replace(measurement, **plain)
 
 
-#: What a check returns for a value that is not allowed.
+#: Returned by a check for a value that is not allowed.
 _WRONG: Final = object()
 
 
 def _number(value: object) -> object:
-    # Not bool: a metric that answers True has compared something, and says no quantity.
+    # Not bool: a metric that answers True has compared something and gives no quantity.
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, Real):
@@ -255,7 +250,7 @@ _NAMED: Final = (
 _NUMBER: Final = (_number, "a finite real number that a float holds exactly, or None")
 _WHOLE: Final = (_whole, f"a whole number from 0 to {_LARGEST}, or None")
 
-#: Field → what makes it plain, and what is allowed in words.
+#: Field → conversion to a plain value, and what is allowed in words.
 _FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {
     **dict.fromkeys(("name", "unit"), _NAMED),
     **dict.fromkeys(("phase", "location", "qualifier", "how"), _TEXT),
@@ -278,15 +273,15 @@ def measure_run(
 
     Returns
     -------
-    The measurements in that order, and a warning for every metric that failed: one that raises, or answers with what
-    is no measurement, takes nothing else down, and a limit on it then finds nothing measured.
+    The measurements in that order, and a warning for every metric that raised or returned anything but measurements;
+    the others are unaffected, and a limit on it finds nothing measured.
     """
     taken: list[Measurement] = []
     warnings: list[str] = []
     for name, metric in metrics.items():
         try:
             taken += ask(metric, observation)
-        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+        except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             warnings.append(f"metric {name} failed and measured nothing: {failure(error)}")
     return tuple(taken), tuple(warnings)
 
@@ -296,8 +291,8 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
     Returns
     -------
-    Every measurement, judged where a limit fits, and one without value for each limit that found nothing to judge,
-    or only in another unit: a limit in µm says nothing about millimetres, and the run is kept all the same.
+    Every measurement, judged if a limit fits, and one without value for each limit that found nothing to judge, or
+    only another unit (a limit in µm does not judge millimetres).
     """
     judged = list(measurements)
     for limit in limits:
@@ -314,7 +309,7 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
 
 def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
-    """Call one metric for every load and the whole run; errors as of :func:`answered` and the metric's own."""
+    """Call one metric for every load and the whole run; raises what :func:`answered` and the metric raise."""
     taken: list[Measurement] = []
     if isinstance(metric, LoadMetric):
         for load in observation.loads:
@@ -327,7 +322,7 @@ def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Mea
 
 
 def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
-    """Measure a load against the reference that the recipe did not choose; reported, never judged."""
+    """Measure a load relative to the reference that the recipe did not choose; reported, never judged."""
     other = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [
         replace(m, qualifier=", ".join(filter(None, (m.qualifier, Dimensions(reference=other).text))))

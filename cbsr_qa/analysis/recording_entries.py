@@ -1,7 +1,7 @@
 """Validated entries of a recording file: presence, kind, type, shape, length.
 
-Whoever wrote the file may have put anything under any name. Refusals name the entry, what was found and what is
-expected; whoever opened the file puts its name before them.
+A file may contain anything under any name. Refusals name the entry, what was found and what is expected; the caller
+adds the name of the file.
 """
 
 import json
@@ -17,7 +17,7 @@ from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.plugin import CheckedTable, check, printable, shown
 
-#: Characters of one text: names have some tens, notes some hundreds.
+#: Most characters of a text: names have some tens, notes some hundreds.
 _LONGEST_TEXT: Final = 1000
 _LONGEST_NOTE: Final = 2**14
 _LONGEST_JSON: Final = 2**24
@@ -41,8 +41,8 @@ def numbers(
 
     Parameters
     ----------
-    kinds : numpy's letters of the types it may have.
-    shape : the one it must have; None for any.
+    kinds : numpy's letters of the allowed types.
+    shape : required shape; None for any.
     """
     dataset = _dataset(parent, name)
     if dataset.dtype.kind not in kinds:
@@ -73,7 +73,7 @@ def real_of(item: h5py.Group, name: str, what: str) -> float | None:
 
     Parameters
     ----------
-    what : how messages name it.
+    what : its name in messages.
     """
     if name not in item.attrs:
         return None
@@ -89,7 +89,7 @@ def json_of(item: h5py.Group, name: str) -> Any:
     text = text_of(item, name, _LONGEST_JSON)
     try:
         value = json.loads(text, parse_constant=_no_constant)
-        json.dumps(value, ensure_ascii=False).encode()  # JSON can spell halves of characters, which are no text
+        json.dumps(value, ensure_ascii=False).encode()  # JSON can encode lone surrogates, which are not text
     except (ValueError, RecursionError) as error:
         raise RefusedError(f"attribute {name} of {item.name} is not JSON") from error
     return value

@@ -1,7 +1,7 @@
 """The recording file: HDF5 with a schema version, units on every dataset, and a digest.
 
-Frames, reading flags, times, samples of other channels, and the presses that are documented. Nothing in it can
-execute; datasets are plain numbers and UTF-8 text, readable from MATLAB, LabVIEW, C and Python.
+It holds frames, reading flags, times, samples of other channels, and documented presses. Nothing in it is executable;
+datasets are plain numbers and UTF-8 text, readable from MATLAB, LabVIEW, C and Python.
 """
 
 import hashlib
@@ -38,13 +38,13 @@ FORMAT: Final = "cbsr-recording"
 SCHEMA_VERSION: Final = 1
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 
-#: In bytes, of a file whose content is our own.
+#: Size of a file with our own content [bytes].
 _ANY_SIZE: Final = 2**40
 
-#: How notes of files that have no ``simulated`` of their own begin.
+#: Prefix of notes in files without their own ``simulated``.
 _SIMULATED_NOTE: Final = "simulated: "
 
-#: Fields of a recording that the attribute ``description`` holds as they are.
+#: Fields of a recording stored in the attribute ``description``.
 _DESCRIBED: Final = ("dataset", "still", "magnitudes_only", "clock", "sensor_type")
 
 _LOAD_COLUMNS: Final = (
@@ -64,7 +64,6 @@ def write_recording(path: Path, recording: Recording) -> None:
 
     Parameters
     ----------
-    path : of the HDF5 file.
     recording : problems of the file it was read from are not written; its notes are.
 
     Raises
@@ -106,7 +105,7 @@ def read_recording(path: Path) -> Recording:
     Raises
     ------
     RecordingError
-        If the file is no recording of ours, cut, edited (its digest does not fit), or of a later version.
+        If the file is not a recording file, truncated, edited (its digest does not match), or of a later version.
     """
     try:
         with h5py.File(path, "r") as file:
@@ -248,7 +247,7 @@ def _read_channels(group: h5py.Group) -> tuple[SampleBlock, ...]:
 def _read_samples(group: h5py.Group) -> SampleBlock:
     times_s = numbers(group, "time_s")
     held = numbers(group, "values", shape=times_s.shape)
-    known = np.isfinite(times_s) & np.isfinite(held)  # a sample that was lost is no sample
+    known = np.isfinite(times_s) & np.isfinite(held)  # a lost sample is left out
     return SampleBlock(text_of(group, "channel"), unit_of(group, "values"), times_s[known], held[known])
 
 
@@ -259,7 +258,7 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
     index, trial = (numbers(group, name, "iu", shape) for name in ("index", "trial"))
     for name, unit in _LOAD_COLUMNS:
         _check_finite(group, name, columns[name], unit, labels)
-    # Absent where nobody noted it, as in files of earlier versions; NaN for single presses without it.
+    # Missing if not recorded, as in files of earlier versions; NaN for single presses without it.
     cleared = numbers(group, "clear_s", shape=shape).tolist() if "clear_s" in group else [np.nan] * len(labels)
     _check_finite(group, "clear_s", np.nan_to_num(np.array(cleared), posinf=np.inf, neginf=-np.inf), "s", labels)
     rows: list[dict[str, Any]] = [
@@ -289,7 +288,7 @@ def _check_finite(
 def _digest(file: h5py.File, size_bytes: int = _ANY_SIZE) -> str:
     """SHA-256 over names, shapes, types, values and attributes in sorted order, however HDF5 packs them.
 
-    All of a file is looked at (see :func:`~cbsr_qa.calibration.file.members`) before any value is read.
+    The whole file is checked (see :func:`~cbsr_qa.calibration.file.members`) before any value is read.
     """
     sha = hashlib.sha256()
     held = dict(members(file, size_bytes))

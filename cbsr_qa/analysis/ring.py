@@ -1,4 +1,4 @@
-"""Frames of a reference ring against its closed form: gain, offset, leads and residuals, reported line by line."""
+"""Frames of a reference ring compared with its closed form: gain, offset, leads and residuals, one line each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from cbsr_qa.eit.forward import lead_readings, ring_impedance, ring_readings
 
 Array = NDArray[np.float64]
 
-#: Readings that ought to be smaller than this share of the largest are held against it instead of themselves.
+#: Readings expected below this share of the largest are compared with that share instead of themselves.
 _SMALLEST: Final = 1e-3
 
 
@@ -25,20 +25,20 @@ _SMALLEST: Final = 1e-3
 class RingFit:
     """Fit of a ring's frames.
 
-    A mean reading is (1 + gain error) × closed form × current + offset + what the leads add + its residual; fitted by
-    least squares over all readings without a flag, each relative to its size.
+    A mean reading is (1 + gain error) × closed form × current + offset + leads + residual; fitted by least squares
+    over all readings without a flag, each relative to its size.
 
     Parameters
     ----------
     expected, mean, noise : (drives, measures) the closed form, the mean over the frames, and the standard deviation
-        over them, in the frames' unit. Where that is no volt or the current is not known, the closed form is scaled
-        to the readings.
-    used : (drives, measures) bool; readings without a flag in any frame.
-    flags : (drives, measures) uint8; what was flagged in any frame.
-    gain_error : as a fraction; None where nobody knows volts or current.
-    offset : common to all readings, in their unit; None where the pattern cannot tell it from the gain.
-    lead_ohm : (electrodes,) as the station reads them, gain error and all; None where the pattern cannot tell them,
-        or nobody knows volts or current.
+        over them, in the frames' unit. If that is not volts or the current is unknown, the closed form is scaled to
+        the readings.
+    used : (drives, measures) bool; never flagged.
+    flags : (drives, measures) uint8; flags of all frames combined.
+    gain_error : as a fraction; None if volts or current are unknown.
+    offset : common to all readings, in their unit; None if the pattern cannot distinguish it from the gain.
+    lead_ohm : (electrodes,) as the station reads them, including its gain error; None if the pattern cannot determine
+    them, or volts or current are unknown.
     residual : (drives, measures) as a fraction of the expected reading.
     """
 
@@ -63,8 +63,8 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     Raises
     ------
     NumericsError
-        If the ring does not fit the pattern, there are fewer than two frames or no current, or hardly a reading is
-        without a flag.
+        If the ring does not fit the pattern, there are fewer than two frames or no current, or too few readings are
+        never flagged.
     """
     frames = ring.frames
     if len(frames) < 2:
@@ -99,7 +99,7 @@ def exchanged(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tu
 
     Parameters
     ----------
-    within : the largest residual that counts as explained, as a fraction.
+    within : largest residual after the exchange, as a fraction.
     """
     impedance = ring_impedance(ring.resistances_ohm)
     driven, measured = pattern.drive_currents(), pattern.measure_matrix()
@@ -125,7 +125,7 @@ def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) ->
 
     Returns
     -------
-    (2 + electrodes,) the fit, and whether leads and offset are part of it.
+    (2 + electrodes,) the fit, and whether it includes leads and offset.
     """
     size = _sizes(closed)[used]
     columns = np.column_stack([closed[used], np.ones(size.size), leads[used]]) / size[:, None]
@@ -158,7 +158,7 @@ def pair_words(pattern: DrivePattern, reading: Sequence[int]) -> str:
 
 #: Subject of these lines.
 RING: Final = "reference ring"
-#: How much more than elsewhere readings across one pair must be off for the pair to be named.
+#: How much more readings across one pair must deviate than elsewhere for the pair to be named.
 _STANDS_OUT: Final = 3.0
 _UNKNOWN: Final = "the frames are not in volts, or their current is not known"
 
@@ -168,7 +168,7 @@ def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing
 
     Parameters
     ----------
-    ring : the frames and the resistors they are of.
+    ring : the frames and the ring's resistors.
     pattern : of the sensor type the station is set up for.
     allowed : limits of the station file.
     """
@@ -187,7 +187,7 @@ def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing
 
 
 def _line(name: str, ok: bool, value: float, unit: str, allowed: str, finding: str, remedy: str) -> CheckResult:
-    """One judged line; its remedy is given where it failed."""
+    """One judged line, with its remedy if it failed."""
     outcome = CheckOutcome.OK if ok else CheckOutcome.FAILED
     return CheckResult(name, outcome, value, unit, allowed, "" if ok else remedy, finding, RING)
 
@@ -255,7 +255,7 @@ def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float
     if swapped is not None:
         first, second = swapped
         return f"electrodes {first} and {second} are exchanged: swapping them fits all readings; correct their leads"
-    # Half of what is driven across a bad resistor is off by far more than what is driven elsewhere.
+    # Half of the drives across a bad resistor deviate far more than the others.
     off = np.abs(np.median(fit.residual, axis=1))
     worst = int(np.argmax(off))
     if off[worst] > max(limit, _STANDS_OUT * float(np.median(off))):
@@ -277,7 +277,7 @@ def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> Check
 
 
 def _less_noise(rms: float, allowed: ReferenceRing) -> str:
-    """Advice on noise: small readings make relative noise large if it is constant in volts."""
+    """Advice on noise that is constant in volts, where small readings make relative noise large."""
     enough_ohm = float(f"{1.05 * float(np.mean(allowed.resistance_ohm)) * rms / allowed.noise:.1e}")
     return (
         "look for loose plugs and mains hum; average longer; with a ring of"

@@ -1,4 +1,4 @@
-"""Press cycles of a strip run: resistance between the pins, stress as far as the cell followed, exclusions."""
+"""Press cycles of a strip run: resistance between the pins, stress within the cell's range, exclusions."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,7 +20,7 @@ from cbsr_qa.eit.loads import StripModel
 
 Array = NDArray[np.float64]
 
-#: Samples are averaged into this many points a hold: ten times fewer than the load cell's, and enough for seconds.
+#: Samples are averaged into this many points per hold: ten times fewer than the load cell's, and enough for seconds.
 _POINTS: Final = 60
 _FEWEST: Final = 8
 
@@ -40,9 +40,9 @@ class StripForce:
 
     Parameters
     ----------
-    samples : of the load cell; None where there is none.
-    area_mm2 : that is pressed.
-    limit_N : force at which the load cell ends; None where it never did.
+    samples : of the load cell, or None.
+    area_mm2 : pressed area.
+    limit_N : force at which the load cell saturated; None if it never did.
     """
 
     samples: SampleBlock | None
@@ -57,8 +57,8 @@ class StripForce:
     def stress(self, load: LoadRecord) -> HeldStress:
         """Stress through the hold of one press.
 
-        Samples at the cell's limit are left out; a hold whose second half has any, or most of whose samples are
-        there, tells nothing of the relaxed stress.
+        Samples at the cell's limit are left out; a hold with any in its second half, or with most of its samples
+        there, gives no relaxed stress.
         """
         nothing = np.zeros(0)
         if self.samples is None:
@@ -80,13 +80,13 @@ class StripForce:
 
 
 def strip_force(phase: PhaseRecord, area_mm2: float) -> StripForce:
-    """Force of a phase, and whether its load cell was flat at a limit."""
+    """Force of a phase, with the load cell's limit if it was reached."""
     samples = phase.channel("force")
     return StripForce(samples, area_mm2, None if samples is None else limit_N(samples, phase.loads))
 
 
 _BEFORE: Final = 4  # readings before a press
-_DEAD_SHARE: Final = 0.5  # of all readings; a pin without contact shows in most of them
+_DEAD_SHARE: Final = 0.5  # of all readings; a pin without contact is saturated in most of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,8 +114,7 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
 
     Parameters
     ----------
-    record : the run as stored; nothing else is looked at. Cycles are taken from its phases whose role is
-        CHARACTERISATION.
+    record : the run as stored, the only input. Cycles come from its phases with the role CHARACTERISATION.
 
     Raises
     ------
@@ -176,7 +175,6 @@ def _place_mm(phases: list[PhaseRecord]) -> tuple[float, float]:
 
 
 def _pins(frames: FrameBlock | None) -> _Pins:
-    """Usable resistances between the pins."""
     if frames is None:
         return _Pins(np.zeros(0), np.zeros(0))
     if frames.unit is not VoltageUnit.VOLT or not frames.current_A:
@@ -243,7 +241,7 @@ def _cycle(load: LoadRecord, number: int, pins: _Pins, resistance_ohm: float, fo
         cycle=number,
         hold_start_s=load.hold_start_s,
         rest_start_s=load.unloaded_s,
-        press_ramp_s=ramp_s,  # the head goes down as fast as it comes up
+        press_ramp_s=ramp_s,  # the head moves down as fast as up
         release_ramp_s=ramp_s,
         held_s=held.time_s - load.hold_start_s,
         held=resistance_ohm / held.ohm - 1,

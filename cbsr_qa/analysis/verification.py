@@ -17,20 +17,19 @@ from cbsr_qa.domain.results import FitStatus, LoadObservation, LoadRelaxation, R
 
 Array = NDArray[np.float64]
 
-#: Force samples before this are of a head that still comes to rest [s].
+#: Earlier force samples are of a head still coming to rest [s].
 _SETTLED_S: Final = 1.0
 _NO_RELAXATION: Final = (FitStatus.REJECTED, FitStatus.DRIFTING)
 
 
 @dataclass(frozen=True, slots=True)
 class VerifiedLoad:
-    """Force of one load by the calibration, beside the load cell's.
+    """Force of one load by the calibration and by the load cell.
 
     Parameters
     ----------
-    load : of the run.
-    measured_N : by the load cell, carried on to the hold of the calibration.
-    estimated_N, stderr_N : by the calibration, from the hold as far as it went.
+    measured_N : by the load cell, extrapolated to the hold of the calibration.
+    estimated_N, stderr_N : by the calibration, from the hold so far.
     """
 
     load: LoadObservation
@@ -45,8 +44,7 @@ class Verification:
 
     Parameters
     ----------
-    loads : single loads.
-    sensitivity, sensitivity_stderr : estimated over measured force, of all loads together; 1 where nothing changed.
+    sensitivity, sensitivity_stderr : estimated over measured force, all loads combined; 1 if nothing changed.
     reference_change : of the unloaded readings since the calibration, root mean square over that of the readings.
     noise_ratio : noise of a reading over that of the calibration.
     """
@@ -61,16 +59,15 @@ class Verification:
 def verify_calibration(run: RunObservation, calibration: Calibration) -> Verification:
     """Compare a run's loads with a calibration of the same sensor.
 
-    A sheet that lies otherwise than it should is read where it lies. The run's own unloaded frames are the
-    reference: what the unloaded sheet has drifted by since is reported and does not reach the forces. Holds may be
-    far shorter than the calibration's: where they would have come to is predicted by the sensor's own relaxation, of
-    the readings as of the force.
+    The sheet's current position is used. The run's own unloaded frames are the reference, so that drift of the
+    unloaded sheet is reported but does not affect forces. Holds may be far shorter than the calibration's: their end
+    values are predicted from the sensor's own relaxation, for readings and force alike.
 
     Raises
     ------
     CalibrationError
         If the calibration is another sensor's or of another geometry, a reading it needs is gone, or no load of the
-        run was pressed alone, with its force, where the calibration reaches.
+        run was a single press, with its force, within the calibrated range.
     """
     _check(run, calibration)
     reader = _Reader(run, calibration)
@@ -100,8 +97,6 @@ def _check(run: RunObservation, calibration: Calibration) -> None:
 
 
 class _Reader:
-    """Evaluates the loads of a run with a calibration."""
-
     def __init__(self, run: RunObservation, calibration: Calibration) -> None:
         self._run, self._calibration = run, calibration
         self._used = calibration.issued.reconstruction.problem.used
@@ -125,19 +120,19 @@ class _Reader:
         return sheet_pose_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
 
     def reference_change(self) -> float:
-        """Of the unloaded readings, relative."""
+        """Relative change of the unloaded readings."""
         before = self._calibration.issued.reference[self._used]
         now = self._run.reference[self._used] * self._per_A
         return float(np.linalg.norm(now - before) / np.linalg.norm(before))
 
     def noise_ratio(self) -> float:
-        """Of the unloaded frames, about a straight line in time; rows are of unit noise in the calibration."""
+        """Noise of the unloaded frames about a straight line in time; rows have unit noise in the calibration."""
         rows, time_s = self._rows(self._run.unloaded.voltages), self._run.unloaded.time_s
         left = off_the_line(rows, time_s)
         return float(np.sqrt((left**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
 
     def load(self, load: LoadObservation) -> VerifiedLoad | None:
-        """Evaluate one load; None if it was not alone, has no force, or is out of reach."""
+        """Evaluate one load; None if it was not alone, has no force, or is out of range."""
         record, model = load.record, self._calibration.model
         phase = self._run.record.phase(load.phase)
         cell = phase.channel("force")
@@ -179,7 +174,7 @@ class _Reader:
         return float(prediction.values[0]), float(prediction.stderr[0])
 
     def _relaxed_N(self, samples: SampleBlock, load: LoadObservation) -> float:
-        """Force at the hold of the calibration, by how stress relaxed in it."""
+        """Force at the hold of the calibration, from the relaxation of stress there."""
         held_s = samples.time_s - load.record.hold_start_s
         shapes = [relaxation.fit for relaxation in self._calibration.issued.relaxations if _of_stress(relaxation)]
         if not shapes or not len(samples):
@@ -197,7 +192,7 @@ def _of_stress(relaxation: LoadRelaxation) -> bool:
 
 
 def _sensitivity(loads: tuple[VerifiedLoad, ...]) -> tuple[float, float]:
-    """Slope through zero of estimated against measured force; not surer than the loads agree."""
+    """Slope through zero of estimated over measured force; its error is at least the scatter of the loads."""
     measured = np.array([load.measured_N for load in loads])
     estimated = np.array([load.estimated_N for load in loads])
     weight = 1 / np.array([load.stderr_N for load in loads]) ** 2

@@ -11,26 +11,26 @@ from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUn
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: A channel is at a rail if this share of its readings are exactly there, and flagged if so many are flagged.
+#: A channel is at a rail if this share of its readings is exactly there, and flagged if this share is flagged.
 _AT_RAIL = 0.5
 _FLAGGED = 0.01
-#: A channel is stuck if this share of its readings are one and the same value while the others vary.
+#: A channel is stuck if this share of its readings equals one value while the others vary.
 _CONSTANT = 0.98
-#: Stuck from some frame on: a run of repeats this improbable, given how often channels repeat themselves by chance.
+#: Stuck from some frame on: a run of repeats this improbable, given how often the channel repeats by chance.
 _FALSE_RUNS = 1e-4
 _LEAST_REPEATS = 0.05
-#: More repeats than this, and nothing can be said.
+#: With a larger share of repeats, a run of them proves nothing.
 _SELDOM = 0.25
 _FEWEST_FRAMES = 8
-#: A channel of counts hardly varies if its noise is below this share of what is usual in its row and in its column.
+#: A channel of counts hardly varies if its noise is below this share of the usual in its row and its column.
 _HARDLY = 0.05
-#: Largest share of the previous reading that a clipped reading may show, and how well the channels must agree on it.
+#: Largest share of the previous reading in a clipped reading, and how well the channels must agree on it.
 _LARGEST_MEMORY = 0.25
 _MEMORY_SPREAD = 0.03
-#: Readings within one count of each other, everywhere and always: nothing is connected.
+#: Readings always within one count of each other: nothing is connected.
 _SILENT_COUNTS = 2.0
 _CONVERTER_ENDS = (2**16 - 1, -(2**15))
-#: A ceiling: at least this share of the pairs are at it, and no reading goes above it by so many times the noise.
+#: A ceiling: at least this share of the pairs is at it, and no reading exceeds it by so many times the noise.
 _CEILING_SHARE = 0.25
 _CEILING_SIGMA = 6.0
 
@@ -42,11 +42,11 @@ class ChannelFaults:
     Parameters
     ----------
     saturated : at the end of the converter's range, or with the source at its limit.
-    stuck : never or hardly changes, or no more from some frame on, or for a stretch no noise explains.
+    stuck : hardly ever changes, stops changing, or repeats for longer than noise explains.
     missing : not recorded.
     not_connected : whether no reading differs from any other.
-    frozen : whether every frame is the same although there are several: the board repeats itself.
-    stuck_from : (drives, measures) int64, first frame of the stretch in which a channel is stuck; −1 for the others.
+    frozen : whether several frames are all the same: the board repeats itself.
+    stuck_from : (drives, measures) int64, first frame of the stretch in which a channel is stuck; −1 otherwise.
     """
 
     saturated: Mask
@@ -64,7 +64,7 @@ class ChannelFaults:
 
     @property
     def all_saturated(self) -> bool:
-        """Whether no recorded reading is free of saturation."""
+        """Return whether every recorded reading is saturated."""
         return bool(self.saturated.any() and (self.saturated | self.missing).all())
 
 
@@ -73,7 +73,7 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
 
     Parameters
     ----------
-    block : (n, drives, measures), raw: carry-over not taken out.
+    block : (n, drives, measures), raw, with carry-over.
     """
     missing = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
     present = block.voltages[:, ~missing]
@@ -93,10 +93,7 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
 
 
 def _at_converter_end(present: Array, unit: VoltageUnit) -> bool:
-    """Whether silent counts stand at the end of 16 bits, unsigned or signed.
-
-    The middle, 0 and 32 767, is what a board reads of nothing.
-    """
+    """Whether silent counts are at an end of 16 bits; 0 and 32 767, the middle, are readings without input."""
     level = float(np.median(present))
     return unit is VoltageUnit.COUNT and min(abs(level - end) for end in _CONVERTER_ENDS) <= _SILENT_COUNTS
 
@@ -116,7 +113,7 @@ def _at_rails(block: FrameBlock, missing: Mask) -> Mask:
 def _remembering_rail(level: Array, rail: float) -> Mask:
     """Channels clipped at a rail that show a share of the reading before them: level = rail + m (previous − rail).
 
-    Looked for among readings at the same distance from the driven pair (m is common to them and nothing else is).
+    Sought among readings at the same distance from the driven pair, which share m and nothing else.
     """
     rows, columns = level.shape
     clipped = np.zeros(level.shape, dtype=bool)
@@ -124,7 +121,7 @@ def _remembering_rail(level: Array, rail: float) -> Mask:
         return clipped
     previous = np.roll(level.ravel(), 1).reshape(level.shape)
     k = np.arange(rows)
-    # A single far reading at a rail says nothing of the large ones: one of those must have got there.
+    # A single far reading at a rail does not explain the large ones: one of those must be there too.
     if not any((level[k, (k + distance) % rows] == rail).any() for distance in (-1, 0, 1)):
         return clipped
     for distance in (-1, 0, 1):
@@ -140,7 +137,7 @@ def _remembering_rail(level: Array, rail: float) -> Mask:
 def _at_ceiling(voltages: Array) -> Mask:
     """Pairs clipped at a common level that no reading exceeds: the source's voltage limit.
 
-    Only for one-row scans, where equal levels are not a matter of symmetry.
+    Only for one-row scans, where symmetry does not cause equal levels.
     """
     rows = voltages[:, 0, :]
     level = np.median(rows, axis=0)
@@ -150,7 +147,7 @@ def _at_ceiling(voltages: Array) -> Mask:
     together = np.abs(level - top) <= 2 * noise
     if together.mean() < _CEILING_SHARE or float(rows.max()) > top + _CEILING_SIGMA * noise:
         return np.zeros(voltages.shape[1:], dtype=bool)
-    # Pairs that have not quite reached the ceiling when they are read (they follow a low one) are at it as well.
+    # Pairs that have not quite settled at the ceiling (they follow a low reading) are at it as well.
     at: Mask = (top - level <= max(_CEILING_SIGMA * 2 * noise, 0.002 * abs(top)))[None]
     return at
 
@@ -163,7 +160,7 @@ def _stuck_from(block: FrameBlock) -> NDArray[np.int64]:
         return begin
     same = (block.voltages == np.median(block.voltages, axis=0)).mean(axis=0)
     repeats = block.voltages[1:] == block.voltages[:-1]
-    # Counts with less than a count of noise stand still without being stuck: only judge where most channels move.
+    # Counts with less than a count of noise stay constant without being stuck: only judge where most channels move.
     if float(np.median(same)) > _SELDOM or float(np.median(repeats.mean(axis=0))) > _SELDOM:
         return begin
     longest, at = _longest_run(repeats)
@@ -175,10 +172,9 @@ def _stuck_from(block: FrameBlock) -> NDArray[np.int64]:
 
 
 def _hardly_varying(voltages: Array) -> Mask:
-    """Channels of counts that are next to silent where others of the same drive and of the same measure pair are not.
+    """Channels of counts that are nearly silent while others of the same drive and of the same measure pair are not.
 
-    Their noise includes rounding, so only counts that are noisy elsewhere can tell. Quiet drives or pairs are no
-    fault.
+    Noise includes rounding, so only counts that are noisy elsewhere qualify. Quiet drives or pairs are no fault.
     """
     noise = channel_noise(voltages, counts=True)
     usual = np.minimum(np.median(noise, axis=0)[None], np.median(noise, axis=1)[:, None])
@@ -189,7 +185,7 @@ def _hardly_varying(voltages: Array) -> Mask:
 def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:
     """Number of repeats in a row that noise alone reaches in one of ten thousand recordings.
 
-    A channel's noise is told from how often it repeats itself besides its longest run; quiet ones often do.
+    A channel's noise is judged by its repeats outside its longest run; quiet ones often repeat.
     """
     besides = (repeats.sum(axis=0) - longest) / np.maximum(len(repeats) - longest, 1)
     chance = np.maximum(besides, max(float(np.median(repeats.mean(axis=0))), _LEAST_REPEATS))
@@ -199,7 +195,6 @@ def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:
 
 
 def _longest_run(repeats: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Length and first frame of the longest run of repeats of each channel."""
     run = np.zeros(repeats.shape[1:], dtype=np.int64)
     longest, end = np.zeros_like(run), np.zeros_like(run)
     for k, repeated in enumerate(repeats):

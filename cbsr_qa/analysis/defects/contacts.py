@@ -1,8 +1,7 @@
 """Contacts and pairs whose readings change together: faults of an electrode, not loads.
 
 A lost, shorted or changed contact changes the readings that touch its electrode and leaves the others alone. A load
-at the rim near that electrode changes the same readings most, but not only them: its pattern reaches all over the
-sheet.
+at the rim near that electrode changes the same readings most, but its pattern extends over the whole sheet.
 """
 
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ Mask = NDArray[np.bool_]
 
 #: Least share of a change's energy, above noise, that lies in the readings of one electrode.
 _INSIDE = 0.9
-#: A load whose pattern is seen at less than this share of its size in all other readings is not there …
+#: A load whose pattern shows at less than this share of its size in all other readings is rejected …
 _SEEN_OUTSIDE = 0.5
 #: … by so many standard errors.
 _SIGMAS = 2.0
@@ -32,8 +31,8 @@ class Suspect:
 
     Parameters
     ----------
-    name : in words, "electrode 5".
-    electrodes : whose contacts are suspected.
+    name : for messages, "electrode 5".
+    electrodes : with suspected contacts.
     readings : (m,) bool, of the used readings.
     """
 
@@ -96,7 +95,7 @@ def suspect_in(
     Parameters
     ----------
     change : (m,) whitened, ``hidden`` projected out.
-    load : (m,) what the best places make of the change, treated alike.
+    load : (m,) change explained by the best places, treated alike.
     hidden : (m,) whitened nuisance, unit length.
     noise : variance of each reading of the change.
 
@@ -117,7 +116,7 @@ def suspect_in(
 
 
 def _seen(load: Array, outside: Array, hidden: Array, readings: Mask, noise: float) -> bool:
-    """Whether a load may explain it: its pattern must show in readings that do not touch the contact."""
+    """Whether a load may explain the change: its pattern must show in readings that do not touch the contact."""
     expected = _parts(load, hidden, readings)[1]
     power = float(expected @ expected)
     if power == 0:
@@ -127,7 +126,7 @@ def _seen(load: Array, outside: Array, hidden: Array, readings: Mask, noise: flo
 
 
 def _parts(change: Array, hidden: Array, readings: Mask) -> tuple[Array, Array]:
-    """Split a change, taking the nuisance out by the readings outside alone: inside it may be part of the fault."""
+    """Split a change; the nuisance is fitted only to the readings outside, as inside it may be part of the fault."""
     out = ~readings
     power = float(hidden[out] @ hidden[out])
     share = float(hidden[out] @ change[out]) / power if power > 0 else 0.0

@@ -14,8 +14,8 @@ Mask = NDArray[np.bool_]
 
 _DEAD = 0.4  #: a drive whose readings follow their reciprocals with less than this slope is dead …
 _SMALL = 0.6  #: … if they are also below this share of those of the typical drive, and their reciprocals are not …
-_SOUND = 0.7  #: … where those of most drives follow with at least this one
-_FOLLOWS = 0.8  #: correlation that a slope needs to mean anything, of the typical drive
+_SOUND = 0.7  #: … if those of most drives follow with at least this slope
+_FOLLOWS = 0.8  #: correlation of the typical drive below which slopes mean nothing
 _FEWEST = 6  #: reciprocal readings of a drive
 _AWAY = 0.5  #: a dead drive's own reading is wrapped if it differs by this share of the typical one
 
@@ -26,9 +26,8 @@ class DeadDrive:
 
     Parameters
     ----------
-    drive : its number.
     share : of the current that reaches the sheet, from its readings over their reciprocals.
-    own, usual_own : reading of the pair while it is driven itself, and what is usual of the others, as recorded.
+    own, usual_own : reading of the pair while it is driven itself, and the usual value of the others, as recorded.
     """
 
     drive: int
@@ -38,11 +37,11 @@ class DeadDrive:
 
     @property
     def wrapped(self) -> bool:
-        """Whether its own reading is far from that of the other drives."""
+        """Return whether its own reading is far from that of the other drives."""
         return abs(self.own - self.usual_own) > _AWAY * abs(self.usual_own)
 
     def words(self, unit: str) -> str:
-        """Name the drive and what was seen; readings in ``unit``."""
+        """Name the drive and what was observed; readings in ``unit``."""
         own = f", and its own is {self.own:.5g} {unit} where {self.usual_own:.5g} is usual" if self.wrapped else ""
         return (
             f"drive pair {self.drive} is dead: its readings are {self.share:.0%} of those with drive and measurement"
@@ -61,7 +60,7 @@ def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
 
     Returns
     -------
-    None where the readings are not reciprocal enough to tell: noise, or a board that remembers.
+    None if the readings are not reciprocal enough to decide, because of noise or carry-over.
     """
     both = used & used.T
     drives = np.flatnonzero(both.sum(axis=1) >= _FEWEST)
@@ -71,7 +70,7 @@ def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
     if np.median(slopes) < _SOUND or np.median(follow) < _FOLLOWS:
         return ()
     own = np.diag(frame)
-    # Of a measure pair that reads too much the row is as large as others; of a lost contact the column is small too.
+    # A measure pair that reads too much has a row as large as others; a lost contact has a small column too.
     rows, columns = (np.array([each[k, both[k]].std() for k in drives]) for each in (frame, frame.T))
     dead = drives[(slopes < _DEAD) & (rows < _SMALL * np.median(rows)) & (columns > _SMALL * np.median(columns))]
     usual = float(np.median(np.delete(own, dead)))

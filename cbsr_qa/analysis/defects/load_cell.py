@@ -1,4 +1,4 @@
-"""Load cells that read the same, highest force while the press goes on: at their limit."""
+"""Load cells at their limit: they read the same, highest force while the press continues."""
 
 from typing import Final
 
@@ -8,20 +8,20 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import LoadRecord
 
-#: A hold of fewer samples does not say that a cell stands still.
+#: A hold with fewer samples does not show that a cell is stuck.
 _FEWEST: Final = 8
-#: Share of a hold's samples that are the highest reading of the phase, to the last digit: noise and relaxation would
-#: lead away from it.
+#: Share of a hold's samples that equal the highest reading of the phase exactly: noise and relaxation would move away
+#: from it.
 _SHARE: Final = 0.9
-#: Samples in a row at exactly the highest force that no noise leaves there: a second of the rig's cell.
+#: Samples in a row at exactly the highest force that noise cannot explain: a second of the rig's cell.
 _FLAT: Final = 8
 
 
 def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     """Report that the cell stayed at its highest reading throughout a hold; empty otherwise.
 
-    A cell whose readings never differ while nothing presses has no noise (a simulated world without any), and nothing
-    can be told from its standing still.
+    A cell whose unloaded readings never differ has no noise (as in some simulations); its constant readings prove
+    nothing.
     """
     if samples is None:
         return ""
@@ -40,7 +40,7 @@ def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
 def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None:
     """Highest force, if many samples in a row equal it while the others vary.
 
-    Without noise a held force is flat too: it is then a limit only if holds of several strains end there.
+    Without noise a held force is constant too: it is then a limit only if holds of several strains end there.
     """
     if not len(samples):
         return None

@@ -13,7 +13,7 @@ Mask = NDArray[np.bool_]
 
 #: Standard deviation of a Gaussian over its median absolute deviation.
 MAD_TO_SIGMA = 1.4826
-#: Share of the largest steps that noise is not judged by, and the mean of |N(0, 1)| without it: 2 (φ(0) − φ(q)) / 0.8
+#: Share of the largest steps excluded from the noise, and the mean of |N(0, 1)| without it: 2 (φ(0) − φ(q)) / 0.8
 #: with q = 1.2816 the normal distribution's 90 % point.
 _TRIMMED = 0.2
 _TRIMMED_MEAN = 0.5586
@@ -28,7 +28,7 @@ _NOISE_FRAMES = 12
 _NOISE_T = 8.0
 _OUTLIER = 6.0
 _FEWEST = 4
-_AS_LONG = 0.9  #: stretches of this share of the longest are about as long
+_AS_LONG = 0.9  #: stretches at least this share of the longest count as equally long
 
 
 def channel_noise(readings: Array, *, counts: bool) -> Array:
@@ -37,7 +37,7 @@ def channel_noise(readings: Array, *, counts: bool) -> Array:
     Parameters
     ----------
     readings : (n, channels), n at least 2.
-    counts : whether the values are whole counts; rounding is then the least noise there can be.
+    counts : whether the values are whole counts; their noise is at least that of rounding.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def channel_noise(readings: Array, *, counts: bool) -> Array:
     """
     steps = np.diff(readings, axis=0)
     steps = np.sort(np.abs(steps - np.median(steps, axis=0)), axis=0)
-    # Not the median: of counts it takes few distinct values, and the noise with it.
+    # Not the median: for counts it takes few distinct values, and so would the noise.
     kept = steps[: max(1, round((1 - _TRIMMED) * len(steps)))]
     sigma = kept.mean(axis=0) / _TRIMMED_MEAN / np.sqrt(2)
     level = float(np.median(np.abs(readings))) if readings.size else 0.0
@@ -79,7 +79,7 @@ def _level_steps(time_s: Array, readings: Array, sigma: Array) -> list[NoiseStep
             middle = float(time_s[at - 1] + time_s[at]) / 2
             step = NoiseStep(middle, "level", float(np.median(before)), float(np.median(after)))
             if steps and at - last < _STAY_FRAMES:
-                # One step in the middle of a frame: its readings jump in two frames that follow each other.
+                # A step in the middle of a frame shows in two successive frames, and counts once.
                 step = replace(step, before=steps.pop().before)
             steps.append(step)
             last = int(at)
@@ -133,7 +133,7 @@ def noise_report(
     ----------
     use : (drives, measures) bool, readings to judge by.
     busy_s : (start, end) of loads.
-    timed : whether the times mean anything; without, no drift is given.
+    timed : whether the times are meaningful; otherwise no drift is given.
     """
     readings = block.voltages[:, use]
     unit = block.unit.value
@@ -178,7 +178,7 @@ def _longest_quiet(
     if not stretches:
         return None
     longest = max(len(members) for members in stretches)
-    # Where several are about as long, the quietest says what the instrument can do.
+    # Among stretches about as long, the quietest shows what the instrument can do.
     alike = [members for members in stretches if len(members) >= _AS_LONG * longest]
     best = min(alike, key=lambda members: _spread_of(readings[members]) if len(alike) > 1 else 0.0)
     return slice(int(best[0]), int(best[-1]) + 1)

@@ -1,6 +1,6 @@
-"""Offsets: a change that is one and the same on all readings, as of an amplifier or a reference voltage.
+"""Offsets: the same change on all readings, for example by an amplifier or a reference voltage.
 
-No load does that: its pattern differs from reading to reading, and so does a change of gain.
+No load causes one: its pattern differs from reading to reading, as does a change of gain.
 """
 
 import numpy as np
@@ -10,15 +10,15 @@ from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
-_STAY_FRAMES = 8  #: at most so many frames on either side give an offset's size
+_STAY_FRAMES = 8  #: at most so many frames on either side determine an offset
 _SUDDEN = 6.0  #: the typical reading jumps by so many times the noise of such jumps
-_UNEVEN = 0.2  #: beyond noise, readings agree on the size within this share of it
-_SIZEABLE = 1.0  #: times the noise of one reading: smaller offsets are no matter
+_UNEVEN = 0.2  #: beyond noise, readings agree on the offset within this share of it
+_SIZEABLE = 1.0  #: times the noise of one reading: smaller offsets do not matter
 _MEDIAN_NOISE = 1.2533  #: standard error of a median over that of a mean
 
 
 def find_offsets(readings: Array, sigma: Array) -> tuple[tuple[int, float], ...]:
-    """Find every sudden change that is one offset on all readings.
+    """Find sudden changes that are the same offset on all readings.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def find_offsets(readings: Array, sigma: Array) -> tuple[tuple[int, float], ...]
     found: list[tuple[int, float]] = []
     last = 0
     for at in sudden.tolist():
-        # An offset that comes in the middle of a frame is seen in two frames, and is one.
+        # An offset in the middle of a frame shows in two frames, and counts once.
         later = sudden[sudden > at + 1]
         until = min(at + _STAY_FRAMES, int(later[0]) if len(later) else len(readings))
         begin = max(at - _STAY_FRAMES, last)
@@ -51,7 +51,7 @@ def find_offsets(readings: Array, sigma: Array) -> tuple[tuple[int, float], ...]
 
 
 def _common(before: Array, after: Array, sigma: Array) -> tuple[float, float]:
-    """Typical change of all readings, and how far they disagree about it beyond their noise."""
+    """Typical change of all readings, and their disagreement about it beyond noise."""
     change = np.median(after, axis=0) - np.median(before, axis=0)
     size = float(np.median(change))
     spread = MAD_TO_SIGMA * float(np.median(np.abs(change - size)))
@@ -60,7 +60,7 @@ def _common(before: Array, after: Array, sigma: Array) -> tuple[float, float]:
 
 
 def without_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> Array:
-    """Take offsets out of (n, drives, measures) readings, so that all have that of the first frame."""
+    """Take offsets out of (n, drives, measures) readings, relative to the first frame."""
     added = np.zeros(len(voltages))
     for frame, size in offsets:
         added[frame:] += size

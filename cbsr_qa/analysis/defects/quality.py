@@ -10,20 +10,19 @@ from cbsr_qa.domain.sensor import DrivePattern
 
 Array = NDArray[np.float64]
 
-#: Frames below which a scatter about a straight line says nothing.
+#: With fewer frames scatter about a straight line is meaningless.
 FEWEST_FRAMES: Final = 3
-_ROUNDING: Final = 1e-13  # of the largest level: less is no noise
+_ROUNDING: Final = 1e-13  # of the largest level: less is rounding
 
 
 def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
     """Return the signal-to-noise ratio of every reading [dB], (drives, measures).
 
-    A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
-    once, as drift.
+    The ratio is |mean| over the rms deviation from a straight line in time; drift does not count as noise.
 
     Returns
     -------
-    +∞ where a reading never left its line, −∞ where one is noise about zero alone; None with fewer than three frames.
+    +∞ for a reading exactly on its line, −∞ for one that is only noise about zero; None with fewer than three frames.
     """
     if len(frames) < FEWEST_FRAMES:
         return None
@@ -46,12 +45,13 @@ def reciprocity_errors(
     Parameters
     ----------
     frame : (drives, measures) float64.
-    usable : (drives, measures); pairs with a reading that is not usable are left out.
+    usable : (drives, measures); pairs with an unusable reading are left out.
 
     Returns
     -------
-    pairs : (k, 2) int64, readings by their place in C order.
-    errors : (k,) float64, |V_ij ∓ V_ji| over the rms of all these readings; empty where there is none, or all are 0.
+    pairs : (k, 2) int64, indices of readings in C order.
+    errors : (k,) float64, |V_ij ∓ V_ji| over the rms of all these readings; empty without pairs, or if all readings
+    are 0.
     """
     pairs, sign = pattern.reciprocal_pairs()
     both = usable.ravel()[pairs].all(axis=1)
@@ -64,9 +64,9 @@ def reciprocity_errors(
 
 
 def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int, int]) -> Array:
-    """Return the largest error of the pairs each reading belongs to, (drives, measures); −1 where it is in none."""
+    """Return the largest error of the pairs each reading belongs to, (drives, measures); −1 without any."""
     largest = np.full(shape[0] * shape[1], -1.0)
-    # Column by column: numpy's ufunc.at reads beyond operands that it has to broadcast.
+    # Column by column: numpy's ufunc.at reads beyond operands that it must broadcast.
     for reading in pairs.T:
         np.maximum.at(largest, reading, errors)
     return largest.reshape(shape)

@@ -33,7 +33,7 @@ def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mas
 
     Returns
     -------
-    The readings, and (n, drives, measures) bool, which of them were replaced.
+    The readings, and which of them were replaced, (n, drives, measures) bool.
     """
     n = len(voltages)
     if n < 2 * _HALF_WINDOW + 2 or not usable.any():

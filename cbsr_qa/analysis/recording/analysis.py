@@ -30,7 +30,7 @@ from cbsr_qa.eit.inverse import masking_effect
 from cbsr_qa.plugin import Reconstruction
 from cbsr_qa.system import Stages
 
-#: What images events where nobody chose.
+#: Default reconstruction of events.
 DEFAULT_RECONSTRUCTION: Final = "gauss-newton-noser"
 
 
@@ -41,8 +41,8 @@ class AnalysisChoices:
     Parameters
     ----------
     correct_carry_over : None to correct where the estimate is significant and makes reciprocity better.
-    sensor_type : what was measured; None for the nominal disc, and then nothing is said in millimetres.
-    reconstruction : name and options of what images the events; they are said with the result.
+    sensor_type : what was measured; None for the nominal disc, without any lengths in millimetres.
+    reconstruction : name and options of the reconstruction of events, which are part of the result.
     """
 
     correct_carry_over: bool | None = None
@@ -61,16 +61,15 @@ def analyse_recording(
 
     Parameters
     ----------
-    recording : as its format read it.
-    reconstruction : images the events, which are found without it.
-    tell : told of each image that takes its time.
+    reconstruction : images the events, which are detected without it.
+    tell : receives the progress of slow images.
 
     Raises
     ------
     RecordingError
-        If a single image has nothing to be compared with, or the named sensor type does not fit the frames.
+        If a single image has no reference, or the named sensor type does not fit the frames.
     NumericsError, PluginError
-        If the reconstruction cannot image the events; names it.
+        If the reconstruction, which the message names, cannot image the events.
     """
     choices = choices or AnalysisChoices()
     stages = Stages()
@@ -104,11 +103,11 @@ def analyse_recording(
 
 
 def frame_rate_hz(recording: Recording) -> float | None:
-    """Frames a second: from the typical step on the board's clock, from the whole length on the computer's.
+    """Frames per second: from the typical step on the board's clock, from the whole length on the computer's.
 
-    None for still images and where the file says nothing about time. Steps a tenth longer than the median (a
-    watchdog dump inside a frame, lost frames) are left out; a computer's steps are those of its serial buffer, so
-    there only the whole counts.
+    None for still images and files without times. Steps a tenth longer than the median (a watchdog dump inside a
+    frame, lost frames) are left out; a computer's steps are those of its serial buffer, so only the whole length
+    counts.
     """
     times = recording.frames.time_s
     if recording.still or recording.clock == "none" or len(times) < 2 or times[-1] <= times[0]:
@@ -148,7 +147,7 @@ def _imaged(searched: Searched, reconstruction: Reconstruction, chosen: PluginCh
 
 
 def _no_signal(recording: Recording, ready: ReadyReadings) -> str:
-    """Why the readings say nothing of the sensor; empty if they do."""
+    """Why the readings carry no signal of the sensor; empty if they do."""
     if ready.faults.not_connected:
         return "no signal: all readings are equal; nothing is connected"
     if ready.faults.all_saturated:
@@ -159,7 +158,7 @@ def _no_signal(recording: Recording, ready: ReadyReadings) -> str:
 
 
 def _no_image(recording: Recording, ready: ReadyReadings) -> str:
-    """Why readings that do say something cannot be imaged; empty if they can."""
+    """Why readings with a signal cannot be imaged; empty if they can."""
     if recording.scan is ScanKind.DRIVEN_PAIRS:
         return "one-row scans measure each pair only while it drives, which is not enough for an image"
     if ready.error is not None and ready.error > RECIPROCITY_LIMIT and not recording.still:
@@ -180,7 +179,7 @@ def _no_image(recording: Recording, ready: ReadyReadings) -> str:
 
 
 def _saturation(recording: Recording) -> str:
-    """Say at which level a recording stands whose every reading is saturated."""
+    """Describe the level of a recording whose readings are all saturated."""
     level, unit = np.median(recording.frames.voltages, axis=0), recording.frames.unit.value
     low, high = float(level.min()), float(level.max())
     at = f"{high:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"

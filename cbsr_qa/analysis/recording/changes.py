@@ -1,9 +1,9 @@
 """Change detection: steps of the matched patterns, at a controlled false alarm rate.
 
-For each candidate place the series of scores is scanned with windows before and after each moment, at several
-widths. The noise of such a step is not taken from theory but, per place and width, from all moments of the same
-recording (the median absolute deviation), so slow drift, relaxation and coloured noise raise the threshold by
-themselves (a constant-false-alarm-rate detector). Steps already found are kept out of that estimate.
+For each candidate place the series of scores is scanned with windows before and after each moment, at several widths.
+The noise of such a step is estimated per place and width from all moments of the same recording (median absolute
+deviation), so slow drift, relaxation and coloured noise raise the threshold (a constant-false-alarm-rate detector).
+Steps already found are excluded from that estimate.
 """
 
 from dataclasses import dataclass, replace
@@ -15,11 +15,11 @@ from cbsr_qa.analysis.defects import MAD_TO_SIGMA
 
 Array = NDArray[np.float64]
 
-#: Frames before and after a moment that are compared; wider windows find weaker and slower presses.
+#: Frames compared before and after a moment; wider windows find weaker and slower presses.
 WINDOWS = (2, 4, 8)
-#: A step counts from this many times its noise, and more where few moments make a poor noise estimate: by the share
-#: window / moments. With 200 frames about one recording in 200 of pure noise has one; see
-#: tests/analysis/recording/test_event_detection.py, which measures it.
+#: Threshold of a step over its noise; it is raised by the share window / moments, as few moments make a poor noise
+#: estimate. With 200 frames about one recording in 200 of pure noise has a step
+#: (tests/analysis/recording/test_event_detection.py).
 THRESHOLD = 5.5
 _MOST_CHANGES = 400
 
@@ -31,8 +31,8 @@ class Change:
     Parameters
     ----------
     frame : the first frame after it.
-    window : frames on either side it was seen with.
-    place : index of the candidate place where it is largest.
+    window : frames on either side used to detect it.
+    place : index of the candidate place with the largest step.
     sign : +1 where the place conducts more afterwards.
     score : step over its noise.
     """
@@ -64,7 +64,7 @@ def find_changes(scores: Array) -> tuple[Change, ...]:
 def nearest_step(scores: Array) -> tuple[float, float]:
     """Return the step closest to the threshold, over its noise, and that threshold.
 
-    Each window has its own threshold. Where there are too few frames for any, the step is 0.
+    Each window has its own threshold. With too few frames for any window the step is 0.
     """
     steps = [(0.0, threshold_for(len(scores), WINDOWS[0]))]
     for window in WINDOWS:
@@ -102,7 +102,7 @@ def _reach(window: int, change: Change) -> int:
 
 
 def _steps(scores: Array, window: int, known: list[Change]) -> tuple[NDArray[np.int64], Array]:
-    """Moments whose windows hold no step found before, and each place's step over its noise there."""
+    """Moments whose windows contain no step found before, and each place's step over its noise there."""
     at = _quiet(len(scores), window, known)
     if len(at) < _enough(window):
         return at, np.empty((0, scores.shape[1]))
@@ -112,7 +112,6 @@ def _steps(scores: Array, window: int, known: list[Change]) -> tuple[NDArray[np.
 
 
 def _quiet(frames: int, window: int, known: list[Change]) -> NDArray[np.int64]:
-    """Moments whose windows hold none of the steps."""
     at = np.arange(window, frames - window + 1, dtype=np.int64)
     for change in known:
         at = at[np.abs(at - change.frame) > _reach(window, change)]
@@ -137,7 +136,7 @@ def _spread(step: Array) -> tuple[Array, Array]:
 
 
 def _rescored(scores: Array, changes: list[Change]) -> list[Change]:
-    """Score all steps again against the noise estimated without them."""
+    """Score all steps again relative to the noise estimated without them."""
     out: list[Change] = []
     for window in WINDOWS:
         own = [change for change in changes if change.window == window]

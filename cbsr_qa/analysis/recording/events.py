@@ -1,14 +1,13 @@
 """Presses in an unannotated recording: one event per press.
 
-The sheet is slow: it creeps while it is held, keeps much of the change after the release (two thirds, two seconds
-later, on the lab's recordings), and relaxes for long. So a press is looked for as a *step* (:mod:`changes`)
-and everything after it is read off the trace of its own pattern: where the step began, where the trace was largest,
-where its final decline set in (:mod:`traces`). Each press has its own sign, and what happens elsewhere
-meanwhile does not end it. Each is imaged against the frames just before it, so residues of earlier ones do
+The sheet is slow: it creeps while held, keeps much of the change after the release (two thirds, two seconds later, on
+the lab's recordings), and relaxes for long. So a press is detected as a *step* (:mod:`changes`), and its start,
+maximum and final decline are read from the trace of its own pattern (:mod:`traces`). Each press has its own sign, and
+changes elsewhere do not end it. It is imaged relative to the frames just before it, so residues of earlier presses do
 not matter.
 
-Not every step is a load: one that is proportional to the frame itself is a change of gain, one in the readings of a
-single contact is that contact (:mod:`cbsr_qa.analysis.defects`), and one no place explains is neither.
+Not every step is a load: one proportional to the frame itself is a change of gain, one confined to the readings of a
+single contact is a contact fault (:mod:`cbsr_qa.analysis.defects`), and others may fit no place.
 """
 
 from collections.abc import Sequence
@@ -46,10 +45,10 @@ from cbsr_qa.analysis.recording.traces import (
 Array = NDArray[np.float64]
 
 _CLOSE = 3  #: frames: a pulse this close to a press at its place is part of it
-_RESIDUE = 0.6  #: a sheet keeps no more of a short press than this share
-_FAINT = 2.0  #: a pattern whose signal is under so many times its noise, in energy, is too faint to follow its rise
+_RESIDUE = 0.6  #: a sheet keeps at most this share of a short press
+_FAINT = 2.0  #: a pattern whose signal energy is below so many times that of noise is too faint to follow its rise
 _EXPLAINED = 0.5  #: least share of a change that the loads must explain …
-_EXPLAINED_SIGMA = 3.0  #: … unless noise may be the reason it is less
+_EXPLAINED_SIGMA = 3.0  #: … unless noise may explain the rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,9 +60,8 @@ class Press:
     start : fractional frame at which the change passed a fifth of its plateau.
     peak : frame of the largest change.
     end : fractional frame of the release, or the last frame.
-    before, held : frames of the reference and of the hold; for a load held from the beginning the former is later.
-    places : its loads (several where more than one thing was pressed at once).
-    score : of its strongest step.
+    before, held : frames of the reference and of the hold; for a load held from the beginning the reference is later.
+    places : of its loads, several if pressed simultaneously.
     slow : whether only its release was a step.
     """
 
@@ -83,9 +81,9 @@ class Found:
 
     Parameters
     ----------
-    rejected : frame, and why in words.
-    gains : frame, and by which share all readings grew.
-    suspects : frame, and the contact.
+    rejected : frame and reason.
+    gains : frame and relative growth of all readings.
+    suspects : frame and contact.
     """
 
     presses: list[Press] = field(default_factory=list)
@@ -100,7 +98,8 @@ class NoLoads:
 
     Parameters
     ----------
-    frame : (m,) whitened change that doubles every reading; zeros where a common gain cannot be told or is no matter.
+    frame : (m,) whitened change that doubles every reading; zeros if a common gain cannot be determined or does not
+    matter.
     suspects : contacts.
     """
 
@@ -115,7 +114,7 @@ def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loa
     ----------
     white : (n, m) whitened readings, see :meth:`Matcher.whiten`.
     changes : in time order, of :func:`changes.find_changes`.
-    no_loads : what is not to be taken for a load.
+    no_loads : patterns not to be mistaken for loads.
     """
     no_loads = no_loads or NoLoads(np.zeros(white.shape[1]))
     search = _Search(white, match, no_loads, group_changes(white, match, tuple(changes)))
@@ -133,7 +132,7 @@ def search(white: Array, match: Matcher, no_loads: NoLoads) -> tuple[Found, tupl
 
     Returns
     -------
-    What was found, and the steps and pulses it was found from.
+    The presses, and the steps and pulses behind them.
     """
     pulses = find_pulses(white @ match.patterns)
     changes = find_changes(white @ match.patterns)
@@ -158,7 +157,7 @@ def search(white: Array, match: Matcher, no_loads: NoLoads) -> tuple[Found, tupl
 def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
     """Whether a pulse belongs to a held press or its release.
 
-    A press known by its release alone may be no more than the end of the pulse itself.
+    A press known only by its release may be just the end of the pulse.
     """
     if press.slow:
         return False
@@ -175,7 +174,7 @@ def _add_short(short: Press, presses: Found) -> None:
             continue
         kept = abs(press.places[0].score) < _RESIDUE * abs(short.places[0].score)
         if kept and abs(press.start - short.start) < short.end - short.start + _CLOSE:
-            # What lasts is what the sheet keeps of the short press.
+            # The lasting part is what the sheet keeps of the short press.
             presses.presses.remove(press)
             break
         return
@@ -209,7 +208,7 @@ class _Search:
             self.found.presses.append(Press(start, peak, end, before, held, places, pulse.score))
 
     def _loads(self, frame: int, before: slice, held: slice) -> tuple[Place, ...]:
-        """Return the loads that explain a change, or none and the reason."""
+        """Return the loads that explain a change, or an empty list and the reason."""
         change = difference(self.white, before, held)
         noise = noise_energy(self.white, before, held) / self.white.shape[1]
         places, explained = find_places(change, self.match, noise=noise)
@@ -261,7 +260,7 @@ class _Search:
         return [*limits, len(self.white)]
 
     def _end(self, group: Group, before: slice, held: slice, window: int, limits: list[int]) -> tuple[float, Array]:
-        """Find the end of a press: before the next step elsewhere, or beyond it with that pattern fitted too."""
+        """Find the end of a press: before the next step elsewhere, or after it with that pattern fitted too."""
         along = smooth(trace(self.white, before, held), window)
         end = end_of(along, group.frame, limits[0])
         for before_it, limit in pairwise(limits):
@@ -278,7 +277,7 @@ class _Search:
         )
 
     def _gain(self, change: Array) -> float:
-        """Return the common factor of all readings, if it explains a change as well as any place does."""
+        """Return the common factor of all readings, if it explains a change as well as the best place."""
         power = float(self.no_loads.frame @ self.no_loads.frame)
         if power == 0:
             return 0.0
@@ -290,8 +289,8 @@ class _Search:
 def held_from_the_beginning(presses: Sequence[Press], n: int) -> tuple[list[Press], list[Press]]:
     """Distinguish releases of initial loads from loads that stay to the end.
 
-    Both are one step that is never taken back. Where every press that ends has one sign, such a step of the other
-    sign is a release: a sheet answers alike to all its loads.
+    Both are a single step that is never reversed. If every press that ends has one sign, such a step of the other
+    sign is a release, as a sheet responds alike to all loads.
 
     Parameters
     ----------
@@ -299,7 +298,7 @@ def held_from_the_beginning(presses: Sequence[Press], n: int) -> tuple[list[Pres
 
     Returns
     -------
-    All presses, those steps turned into loads from frame 0 on; and the presses of which it cannot be said.
+    All presses, with those steps as loads from frame 0 on, and the presses that remain undecided.
     """
     stays = [press.end >= n - 1 for press in presses]
     signs = {_sign(press) for press, to_the_end in zip(presses, stays, strict=True) if not to_the_end}
@@ -322,7 +321,7 @@ def _sign(press: Press) -> int:
 
 
 def _unlike_a_load(white: Array, explained: float, before: slice, held: slice) -> str:
-    """Say why a change is not a load, if even the best places explain too little of it; empty otherwise."""
+    """Explain why a change is not a load if even the best places explain too little of it; empty otherwise."""
     noise, signal = noise_energy(white, before, held), signal_energy(white, before, held)
     per_reading = noise / white.shape[1]
     doubt = _EXPLAINED_SIGMA * per_reading * np.sqrt(2 * white.shape[1] + 4 * signal / per_reading)

@@ -1,13 +1,12 @@
 """Steps grouped into presses, and pulses: presses of one to three frames.
 
-A step at the place of an earlier one and of its sign goes on with that press, unless the press had lost much of its
-trace by then; one of the other sign takes it back. A step elsewhere begins a press of its own sign if it leads away
-from the state the recording began in. One that leads back to that state, though no press seen before explains it,
-releases a load that came too slowly to be a step.
+A step at the place of an earlier one and of its sign continues that press, unless its trace has largely decayed by
+then; one of the other sign reverses it. A step elsewhere begins a press if it leads away from the initial state of
+the recording. One that leads back to that state without an earlier press releases a load that rose too slowly to be a
+step.
 
-The windows of a step hold the beginning and the end of a short press at once. So pulses are looked for by themselves:
-a few frames that stand out of those before *and* after them, to the same side. As with steps, the noise of that
-comparison is estimated per place from all moments of the same recording.
+The windows of a step contain both ends of a short press. So pulses are detected separately: a few frames that differ
+in the same direction from those before *and* after them. Their noise is estimated as for steps.
 """
 
 from dataclasses import dataclass, field
@@ -22,10 +21,10 @@ from cbsr_qa.analysis.recording.traces import BEFORE_FRAMES, difference, rough, 
 
 Array = NDArray[np.float64]
 
-SAME_PLACE = 0.4  #: of the radius: two steps nearer than this are at the same place
+SAME_PLACE = 0.4  #: of the radius: two steps closer than this are at the same place
 _NEW_PRESS_LOSS = 0.4  #: a step at the same place is a new press if the trace had lost this share before it
-_CROSSED = 0.5  #: a step of the other sign that goes beyond the state before the press by this share is a new one
-_TAKEN_BACK = 0.5  #: a step is a release if an earlier press explains this share of what the best place does
+_CROSSED = 0.5  #: a step of the other sign that overshoots the state before the press by this share is a new one
+_TAKEN_BACK = 0.5  #: a step is a release if an earlier press explains this share of what the best place explains
 
 
 @dataclass(slots=True)
@@ -34,10 +33,10 @@ class Group:
 
     Parameters
     ----------
-    changes : of the press's sign, in time order; for a press that came slowly only its release.
+    changes : of the press's sign, in time order; for a slow press only its release.
     sign : +1 where the place conducts more.
-    releases : steps that take it back.
-    slow : whether it came too slowly for its beginning to be a step.
+    releases : steps that reverse it.
+    slow : whether it rose too slowly to be detected as a step.
     """
 
     changes: list[Change]
@@ -69,7 +68,7 @@ def group_changes(white: Array, match: Matcher, changes: tuple[Change, ...]) -> 
         if any(_taken(change, group, white, match) for group in reversed(groups)):
             continue
         group = Group([change], change.sign)
-        # Drift leads away as well: a step that a later one takes back is a press, whatever it led back to.
+        # Drift also leads away: a step that a later one reverses is a press, whatever it led back to.
         undone = any(c.sign != change.sign and _apart(c, group, match) <= SAME_PLACE for c in changes[k + 1 :])
         if not undone and _leads_back(change, white, match):
             if not any(_explains(group, change, white, match) for group in groups):
@@ -80,7 +79,7 @@ def group_changes(white: Array, match: Matcher, changes: tuple[Change, ...]) -> 
 
 
 def same_place(earlier: Group, other: Group, match: Matcher) -> bool:
-    """Whether two presses are at one place, so the later one ends the earlier."""
+    """Whether two presses are at the same place, so that the later one ends the earlier."""
     return min(_apart(change, other, match) for change in earlier.changes) <= SAME_PLACE
 
 
@@ -132,7 +131,7 @@ def _leads_back(change: Change, white: Array, match: Matcher) -> bool:
 
 
 def _explains(group: Group, change: Change, white: Array, match: Matcher) -> bool:
-    """Whether a step may release a press: one still held, or with its pattern if its place is a little off."""
+    """Whether a step may release a press: one still held, or one of the same pattern if its place is slightly off."""
     if group.slow or change.sign == group.sign:
         return False
     if not group.releases:

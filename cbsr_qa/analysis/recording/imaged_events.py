@@ -1,4 +1,4 @@
-"""Events of a recording with their images: where images show them, what overlaps merge, and which objects move."""
+"""Events of a recording with their images: places in images, merged events, and moving objects."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -20,28 +20,27 @@ from cbsr_qa.plugin import Reconstruction
 
 Array = NDArray[np.float64]
 
-#: Nobody says what pressed: a head of this radius, of the sheet's (13 mm on a 100 mm disc).
+#: Assumed radius of an unknown head, of the sheet's (13 mm on a 100 mm disc).
 _HEAD: Final = 0.13
-#: Loads differ in strength: a mask that keeps those of a quarter, parted where a valley of 5 % lies between.
+#: Loads differ in strength: a mask that keeps those of a quarter, split where a valley of 5 % lies between.
 _MASK: Final = 0.25
 _VALLEY: Final = 0.05
-_LARGEST: Final = 0.5  #: a region above half its peak over more than this share of the sheet says no place
+_LARGEST: Final = 0.5  #: a region above half its peak over more than this share of the sheet gives no place
 
 
-#: Makes one image (e,) of what several events, by number, change together.
+#: Images (e,) what several events, by index, change together.
 Together = Callable[[Sequence[int]], Array]
 
 
 def with_fates(events: Sequence[LoadEvent], radius_mm: float, together: Together) -> tuple[LoadEvent, ...]:
-    """Report of simultaneous events whether their images are separate, merged or missing.
+    """Report whether the images of simultaneous events are separate, merged or missing.
 
-    The image is that of the changes of the events that last at this one's peak, each once; a region is one of its
-    25 % mask, parted at valleys. It belongs to an event whose place it covers, or whose centre is a head's diameter
-    away at most.
+    The image combines the changes of all events present at this one's peak; its regions are those of the 25 % mask,
+    split at valleys. A region belongs to an event whose place it covers, or within a head's diameter of its centre.
 
     Parameters
     ----------
-    radius_mm : of the sheet the images are of.
+    radius_mm : of the imaged sheet.
     together : images the changes of several events at once.
     """
     fates = [_fate(number, events, radius_mm, together) for number in range(len(events))]
@@ -49,9 +48,9 @@ def with_fates(events: Sequence[LoadEvent], radius_mm: float, together: Together
 
 
 def with_imaged_places(events: Sequence[LoadEvent], radius_mm: float, layout: Electrodes) -> tuple[LoadEvent, ...]:
-    """Add to every event its place in its own image; none if no region smaller than half the sheet is found.
+    """Add to every event its place in its image; None if no region is smaller than half the sheet.
 
-    Regions are found and assigned as for fates; what was pressed at once shares an image.
+    Regions are found and assigned as for fates; simultaneous events share an image.
     """
     return tuple(replace(event, imaged=_imaged(event, events, radius_mm, layout)) for event in events)
 
@@ -97,8 +96,8 @@ def _assigned(image: Image, events: Sequence[LoadEvent], radius_mm: float) -> tu
     return regions, assign_regions(regions, places, gate_mm=2 * head_mm)
 
 
-_LEAST_R: Final = 0.1  #: of the radius: what stays within it has not moved
-_JITTERS: Final = 4.0  #: and so many times the scatter from frame to frame
+_LEAST_R: Final = 0.1  #: of the radius: an object that stays within it has not moved
+_JITTERS: Final = 4.0  #: and so many times the scatter between frames
 _FEWEST: Final = 5  #: frames
 _SMOOTHED: Final = 8  #: a track is smoothed over this share of its frames, or three
 
@@ -109,13 +108,13 @@ def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes)
     Parameters
     ----------
     track : (time_s, x_over_R, y_over_R) per frame.
-    layout : numbers directions.
+    layout : gives the numbering of directions.
 
     Returns
     -------
-    None where it stays, or where there are fewer than five frames to tell that from scatter. It moves if, smoothed
-    by a running median, it is ever further from where it began than a tenth of the radius and than four times the
-    scatter; scatter is that of second differences, which a steady motion leaves at zero.
+    None if it stays, or with fewer than five frames. It moves if, after a running median, its distance from the start
+    ever exceeds a tenth of the radius and four times the scatter; the scatter is that of second differences, which
+    are zero for steady motion.
     """
     places = np.array([place[1:] for place in track], dtype=np.float64).reshape(-1, 2)
     if len(places) < _FEWEST:
@@ -150,7 +149,7 @@ class Imaged:
     Parameters
     ----------
     imaging : how the images were made.
-    remarks : what a reader must know about them, in words.
+    remarks : notes on them for a reader.
     """
 
     events: tuple[LoadEvent, ...]
@@ -170,13 +169,13 @@ def image_events(
     Parameters
     ----------
     sightings : of this scene, at least one.
-    chosen : what ``reconstruction`` was made from.
-    tell : told of each image that takes its time.
+    chosen : name and options of ``reconstruction``.
+    tell : receives the progress of slow images.
 
     Raises
     ------
     NumericsError, PluginError
-        If the reconstruction cannot image them; names it, and the event.
+        If the reconstruction cannot image them; the message names it and the event.
     """
     sheet, offset = scene.sheet, scene.ready.offset
     images = prepare_for_events(reconstruction, chosen.name, sheet, scene.model, sightings, offset=offset)
@@ -238,7 +237,7 @@ def _peak_force(samples: tuple[SampleBlock, ...], start_s: float, end_s: float) 
 
 
 def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
-    """Describe what a method could not be given."""
+    """Describe which data a method could not be given."""
     remarks = []
     if alone:
         remarks.append(f"{name} needs consecutive frames; this recording has none, so each event is imaged alone")
@@ -251,7 +250,7 @@ def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
 
 
 def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImages) -> list[str]:
-    """Name events that the method's own image does not show, so nobody searches the image for them."""
+    """Name events that the method's own image does not show."""
     return [
         f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: no region lies"
         f" near its place ({event.place}), and regions elsewhere are not"

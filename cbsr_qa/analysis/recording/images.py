@@ -1,9 +1,9 @@
 """Images of a recording's events, by the chosen reconstruction.
 
-Events are found without images: the patterns loads leave in the readings are matched (:mod:`places`). What
-is imaged is each event's change alone, never every frame, so that methods that take a second an image can be used.
-A method gets what it asks for (:class:`~cbsr_qa.plugin.Reconstruction`): changes by default, the frames around an
-event where its images depend on their neighbours, the unloaded readings where its images are absolute.
+Events are detected without images, by matching the patterns of loads in the readings (:mod:`places`). Only the change
+of each event is imaged, not every frame, so that a method may take a second per image. A method receives what it
+requests (:class:`~cbsr_qa.plugin.Reconstruction`): changes by default, the frames around an event if its images
+depend on their neighbours, the unloaded readings if its images are absolute.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,11 +22,11 @@ from cbsr_qa.plugin import Reconstruction
 
 Array = NDArray[np.float64]
 
-#: Told of each step, in words.
+#: Receives each step, in words.
 Tell = Callable[[str], None]
 
 _REMEDY: Final = "use other options or another reconstruction; the default is gauss-newton-noser"
-_MOST_FRAMES: Final = 256  #: of a hold, and of what is before it, that a method of sequences is handed
+_MOST_FRAMES: Final = 256  #: frames of a hold, and before it, that a method for sequences receives
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Sighting:
     start_s, peak_s, end_s : on the recording's clock [s].
     score : detection statistic over its noise.
     change : (m,) of the used readings, scaled to the unit model.
-    frames : (k, m) changes of consecutive frames around it, scaled alike; of which ``held`` show it.
+    frames : (k, m) changes of consecutive frames around it, scaled alike; ``held`` marks those that show it.
     unloaded : (m,) used readings it is compared with, in the recording's unit.
     goodness : of the fit of this load and others that changed with it.
     track : (time_s, x, y) of an object that moves.
@@ -72,18 +72,18 @@ def frames_around(changes: Array, before: slice, held: slice) -> tuple[Array, sl
 
     Returns
     -------
-    (k, m) at most some 1000 consecutive frames (those next to the step), and which of them are of the hold.
+    (k, m) at most some 1000 consecutive frames next to the step, and which of them belong to the hold.
     """
     first, last = sorted((before, held), key=lambda part: part.start)
     begin, end = max(first.start, first.stop - _MOST_FRAMES), min(last.stop, last.start + _MOST_FRAMES)
-    if end - begin > 4 * _MOST_FRAMES:  # a press that took that long to come
+    if end - begin > 4 * _MOST_FRAMES:  # a press that took that long to rise
         begin, end = held.start, min(held.stop, held.start + _MOST_FRAMES)
     frames = changes[begin:end] - changes[before].mean(axis=0)
     return frames, slice(max(held.start - begin, 0), min(held.stop, end) - begin)
 
 
 def nearest_frames(changes: Array, frame: int) -> tuple[Array, int]:
-    """Frames around one of (n, m): at most 513, and the index of that one among them."""
+    """Frames around one of (n, m): at most 513, and its index among them."""
     begin = max(frame - _MOST_FRAMES, 0)
     return changes[begin : frame + _MOST_FRAMES + 1], frame - begin
 
@@ -94,10 +94,10 @@ class EventImages:
 
     Parameters
     ----------
-    name : of the reconstruction, for whoever reads a refusal.
-    gain : (m,) from the unit model's changes to those the method was prepared for.
-    sequences : whether it is handed the frames around an event.
-    remarks : what a reader must know of how it was prepared, in words.
+    name : of the reconstruction, for messages.
+    gain : (m,) from the unit model's changes to those that the method was prepared for.
+    sequences : whether it receives the frames around an event.
+    remarks : notes on its preparation for a reader.
     """
 
     name: str
@@ -108,12 +108,7 @@ class EventImages:
     _made: dict[bytes, Array] = field(default_factory=dict)
 
     def of(self, sighting: Sighting, name: str = "an event") -> Array:
-        """Image (e,) of an event's change.
-
-        Parameters
-        ----------
-        name : of the event, for a refusal.
-        """
+        """Image (e,) of an event's change; messages name the event ``name``."""
         where = f"{self.name} cannot image {name}"
         if self.sequences:
             image: Array = self._images(where, sighting.frames)[sighting.held].mean(axis=0)
@@ -158,15 +153,16 @@ def prepare_for_events(
 
     Parameters
     ----------
-    sightings : at least one; the clearest come first in the sample that criteria look at.
-    offset : whether an unstated offset is part of the readings, so that nobody knows the unloaded ones.
+    sightings : at least one; the clearest come first in the sample used by criteria.
+    offset : whether the readings include an unknown offset, so that the unloaded readings are unknown.
 
     Raises
     ------
     NumericsError
-        If the method cannot be prepared, or needs readings that one scale does not take to the model's; names it.
+        If the method, which the message names, cannot be prepared, or if no single scale maps the readings to the
+        model's.
     PluginError
-        If it fails in a way no method should.
+        If it fails with any other exception.
     """
     clearest = {seen.change.tobytes(): seen.change for seen in sorted(sightings, key=lambda seen: -seen.score)}
     problem = replace(
@@ -183,7 +179,7 @@ def prepare_for_events(
 def _prepared(
     reconstruction: Reconstruction, name: str, problem: ImagingProblem
 ) -> tuple[PreparedReconstruction, tuple[str, ...]]:
-    """Prepare on the recording's own changes, or without them, with a note, if they settle no parameter."""
+    """Prepare on the recording's own changes, or without them, with a note, if they do not determine a parameter."""
     try:
         return reconstruction.prepare(problem), ()
     except NumericsError as refused:

@@ -1,12 +1,12 @@
 """Readings of a recording as changes of the unit model, and the patterns of loads in them.
 
-Nobody says what a stranger's recording was measured on, so it is imaged on a nominal unit disc unless a sensor type
-is named; lengths are then in units of its radius. Readings become changes of the unit model in one of two ways:
+Unless a sensor type is named, a recording is imaged on a nominal unit disc, with lengths in units of its radius.
+Readings become changes of the unit model in one of two ways:
 
-- volts, and magnitudes of tanks: each channel against its own reference value, (V/V_ref − 1) · model. This takes out
-  channel gains, the sign that magnitudes lack, and that far readings of a deep tank are smaller than a disc's.
-- counts with an offset nobody states: (V − V_ref)/s, with s the slope of the reference frame over the model's
-  (negative where the board turns the polarity). What the board adds to all readings alike is projected out later.
+- volts, and magnitudes of tanks: each channel against its own reference value, (V/V_ref − 1) · model. This cancels
+channel gains, the missing sign of magnitudes, and the faster decay of a deep tank's far readings.
+- counts with an unknown offset: (V − V_ref)/s, with s the slope of the reference frame over the model's (negative if
+the board reverses the polarity). The board's common offset is projected out later.
 """
 
 from dataclasses import dataclass
@@ -26,20 +26,20 @@ Mask = NDArray[np.bool_]
 _NOMINAL_RADIUS_MM = 50.0
 _ARC = 0.1  # length of a nominal electrode, of the radius
 _IMAGE_SIZE = 0.06  # of the radius: 3 mm on a 100 mm disc
-#: A load is looked for as a bump of this width (one standard deviation, of the radius): the head and the blur.
+#: A load is modelled as a bump of this width (one standard deviation, of the radius): the head and the blur.
 _BUMP = 0.11
-#: Places further out than this (nearer to the edge of another sheet than what is left of the radius) are the
-#: electrodes' own neighbourhood, where contact changes look like loads.
+#: Places further out (nearer to the edge of another sheet than the rest of the radius) are too close to electrodes:
+#: contact changes there look like loads.
 _OUTERMOST = 0.9
 #: The reference frame must follow the model this well (correlation) before counts are imaged.
 _LEAST_CORRELATION = 0.5
-#: One scale for all channels is good enough if the reference follows the model this closely (cosine).
+#: One scale for all channels suffices if the reference follows the model this closely (cosine).
 _CLOSE_COSINE = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet:
-    """Model that a recording is imaged on.
+    """Model used to image a recording.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ class Sheet:
 
     @property
     def radius_mm(self) -> float:
-        """Radius of the sheet; of the nominal disc if no sensor type was given."""
+        """Radius of the sheet; of the nominal disc without a sensor type."""
         return self.problem.sensor_type.radius_mm
 
     @property
     def layout(self) -> Electrodes:
-        """Where the electrodes are."""
+        """Layout of the electrodes."""
         return self.problem.sensor_type.electrodes
 
 
@@ -68,8 +68,8 @@ def nominal_disc(layout: Electrodes | None, electrode_count: int) -> SensorType:
 
     Parameters
     ----------
-    layout : numbering the recording's format documents; electrode 0 on +x, counterclockwise, where it documents none
-        or the electrodes are on no ring.
+    layout : numbering documented by the recording's format; electrode 0 on +x, counterclockwise, if it documents none
+    or the electrodes are not on a ring.
     """
     ring = layout if isinstance(layout, ElectrodeLayout) else None
     first_deg = 0.0 if ring is None else ring.first_angle_deg
@@ -83,13 +83,7 @@ def nominal_disc(layout: Electrodes | None, electrode_count: int) -> SensorType:
 
 
 def sheet_for(sensor_type: SensorType, used: Mask) -> Sheet:
-    """Prepare the patterns of the used readings.
-
-    Raises
-    ------
-    NumericsError
-        If too few readings are left.
-    """
+    """Prepare the patterns of the used readings; NumericsError if too few are left."""
     size_mm = _IMAGE_SIZE * sensor_type.radius_mm
     problem = imaging_problem(sensor_type, used=used, image_size_mm=size_mm)
     inner, bumps = _bumps(sensor_type)
@@ -113,7 +107,7 @@ def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
 
 
 def _thinned(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Thin out places to half a bump's distance: closer ones add nothing."""
+    """Thin out places to half a bump's distance; closer ones add nothing."""
     kept: list[int] = []
     for candidate in candidates[np.argsort(np.hypot(*places[candidates].T), kind="stable")]:
         apart = np.hypot(*(places[kept] - places[candidate]).T)
@@ -130,7 +124,7 @@ class UnitModel:
     ----------
     reference : (m,) used readings of the unloaded sheet, in the recording's unit.
     gain : (m,) unit-model volts per recorded unit.
-    nuisance : (m,) pattern that says nothing about place: an offset common to all counts, or a common gain of volts.
+    nuisance : (m,) pattern without information on places: a common offset of counts, or a common gain of volts.
     """
 
     reference: Array
@@ -138,7 +132,7 @@ class UnitModel:
     nuisance: Array
 
     def changes(self, readings: Array) -> Array:
-        """Changes of used readings (n, m) against the reference, in the unit model's volts."""
+        """Changes of used readings (n, m) relative to the reference, in the unit model's volts."""
         changed: Array = (readings - self.reference) * self.gain
         return changed
 
@@ -149,7 +143,7 @@ def unit_model(reference: Array, problem: ImagingProblem, *, offset: bool) -> Un
     Parameters
     ----------
     reference : (m,) used readings of the unloaded sheet.
-    offset : whether an unstated offset is part of them.
+    offset : whether they include an unknown offset.
     """
     model = problem.reference
     if not offset:
@@ -174,7 +168,7 @@ def plain_model(reference: Array, problem: ImagingProblem) -> UnitModel | None:
 
     Returns
     -------
-    UnitModel, or None where the reference, given the model's signs, does not follow the model closely.
+    UnitModel, or None if the reference, given the model's signs, does not follow the model closely.
     """
     model = problem.reference
     signed = np.abs(reference) * np.sign(model)
@@ -186,11 +180,11 @@ def plain_model(reference: Array, problem: ImagingProblem) -> UnitModel | None:
 
 
 def usable_volts(reference: Array, used: Mask, noise: Array | None) -> Mask:
-    """Used readings whose reference value is clear of its noise, so a relative change is meaningful.
+    """Used readings whose reference value clearly exceeds its noise, so that relative changes are meaningful.
 
     Parameters
     ----------
-    reference : (drives, measures). noise : same shape, or None where there is no estimate.
+    reference : (drives, measures). noise : same shape, or None without an estimate.
     """
     size = np.abs(reference)
     least = 1e-3 * float(np.median(size[used])) if used.any() else 0.0

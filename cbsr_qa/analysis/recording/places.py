@@ -1,9 +1,9 @@
 """Template matching: the place whose small-load pattern fits a change best.
 
 For one small load in Gaussian noise the place whose unit-length whitened pattern has the largest product with the
-whitened change is the maximum-likelihood estimate; unlike the maximum of a regularised image it is not drawn
-outward by the prior. Several loads are found one after the other (orthogonal matching pursuit) and then moved in
-turn, each against what the others leave over.
+whitened change is the maximum-likelihood estimate; unlike the maximum of a regularised image it is not drawn outward
+by the prior. Several loads are found one after the other (orthogonal matching pursuit), then refined in turn on the
+residual of the others.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 #: A further load must explain this share of the whole change, and of what the first one explains.
 _FURTHER_SHARE = 0.15
 _FURTHER_OF_FIRST = 0.35
-#: One far from the others explains nothing that they leave over because the model is not exact: less is enough there.
+#: A load far from the others does not explain their model error, so that less suffices there.
 _FAR = 0.8
 _FAR_SHARE = 0.1
 _MOST_LOADS = 4
@@ -158,20 +158,20 @@ def _surroundings(match: Matcher, index: int) -> Array:
 
 
 def fitted(change: Array, match: Matcher, places: tuple[Place, ...]) -> Array:
-    """Return the least-squares fit of loads at these places to a change: (m,)."""
+    """Return the least-squares fit (m,) of loads at these places to a change."""
     return change - _left(change, match, [place.index for place in places])
 
 
 def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) -> tuple[Place, ...]:
     """Turn places towards a robust fit, keeping their distance from the centre.
 
-    Iteratively reweighted least squares with Huber's weights: the readings of a corroded or misplaced electrode do
-    not decide the direction.
+    Iteratively reweighted least squares with Huber's weights: a corroded or misplaced electrode does not decide the
+    direction.
 
     Parameters
     ----------
-    places : found in the changes each channel makes against its own reference value, where far readings count as
-        they should for the distance, but so do their faults.
+    places : found from each channel's change relative to its own reference value, which weights far readings
+    correctly for the distance, but also their faults.
     change : (m,) in one scale for all channels, unwhitened. match : prepared for it with equal noise.
     """
     sigma = np.ones_like(change)
@@ -195,7 +195,7 @@ def _turned(place: Place, seen: list[Place]) -> Place:
     nearest = min(seen, key=lambda other: float(np.hypot(other.x - place.x, other.y - place.y)))
     distance = float(np.hypot(nearest.x, nearest.y))
     radius = float(np.hypot(place.x, place.y))
-    # Near the centre there is no direction to correct, and a fit that went elsewhere is not about this place.
+    # Near the centre there is no direction to correct, and a fit that moved far is not about this place.
     if radius < _SEPARATE or np.hypot(nearest.x - place.x, nearest.y - place.y) > _SEPARATE:
         return place
     return replace(place, x=nearest.x / distance * radius, y=nearest.y / distance * radius)

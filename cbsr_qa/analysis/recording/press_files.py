@@ -1,4 +1,4 @@
-"""Files of labelled presses: readings in a table or a recording, a row or a frame a press, and a table of labels."""
+"""Files of labelled presses: readings in a table (row per press) or a recording (frame per press), and labels."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,13 +25,13 @@ from cbsr_qa.plugin import discover
 
 @dataclass(frozen=True, slots=True)
 class PressFiles:
-    """What is learned from; see the options of ``cbsr-qa calibrate``.
+    """Input of learning; see the options of ``cbsr-qa calibrate``.
 
     Parameters
     ----------
-    readings : table, or a recording whose frames are of one press each.
+    readings : table, or a recording with one frame per press.
     sensor_type : name or file.
-    pattern : of the tables' columns; None where the readings are a recording.
+    pattern : of the tables' columns; None if the readings are a recording.
     differences : whether the readings are changes.
     rest : frames of the unloaded sheet, in the form of the readings.
     """
@@ -45,12 +45,12 @@ class PressFiles:
 
 
 def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[SourceFile, ...]]:
-    """Read presses, and name the files that they are from.
+    """Read presses, with the names of their files.
 
     Raises
     ------
     RefusedError
-        If anything about the tables, the pattern or the sensor type cannot be used; see
+        If the tables, the pattern or the sensor type cannot be used; see
         :func:`~cbsr_qa.calibration.presses.read_press_readings`.
     """
     if files.differences == (files.rest is not None):
@@ -89,7 +89,7 @@ def _readings(files: PressFiles, sensor_type: SensorType) -> PressReadings:
 
 
 def _frames(path: Path, pattern: DrivePattern) -> Array:
-    """Usable readings (n, m) of a recording, a frame a press. RecordingError if it is of another pattern."""
+    """Usable readings (n, m) of a recording, one frame per press; RecordingError if its pattern differs."""
     try:
         recording = read_recording_file(path, discover(), format_=None, dataset=None)
     except RecordingError as error:

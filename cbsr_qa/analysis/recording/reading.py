@@ -26,7 +26,7 @@ def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, da
     Raises
     ------
     RecordingError, PluginError
-        If the file cannot be read, nothing in it can be used, or its format is unknown.
+        If the file cannot be read, contains nothing usable, or has an unknown format.
     """
     reader, name = recognised(path, format_, plugins)
     return guarded(path, name, lambda: reader.read(path, ReadOptions(dataset)))
@@ -37,12 +37,12 @@ def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[R
 
     Parameters
     ----------
-    format_name : a format by name; None to let each plugin look at the file's name and beginning.
+    format_name : a format by name; None to let each plugin check the file's name and beginning.
 
     Raises
     ------
     RecordingError
-        If there is no such file, it is empty or cannot be read, or no format knows it.
+        If the file does not exist, is empty or cannot be read, or no format recognises it.
     PluginError
         If the named format is unknown.
     """
@@ -57,7 +57,7 @@ def recognised(path: Path, format_name: str | None, plugins: Plugins) -> tuple[R
                 return format_, name
         except PluginError as error:
             failed.append(error.reason)
-        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+        except Exception as error:  # noqa: BLE001 - a plugin's code may raise anything
             failed.append(f"{name}: {type(error).__name__}: {error}")
     known = ", ".join(plugins.names(Kind.RECORDING))
     raise RecordingError(
@@ -82,7 +82,7 @@ def _head(path: Path) -> bytes:
 
 
 def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
-    """Run a format's code on a file in a limited child process; any exception becomes one clear refusal."""
+    """Run a format's code on a file in a limited child process; exceptions become clear refusals."""
     return read_untrusted(path, lambda: _refusing(path, name, work), refusal=RecordingError)
 
 
@@ -92,7 +92,7 @@ def _refusing(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
     except CbsrError as error:
         if type(error) is not RefusedError:
             raise
-        # Of frames or samples, which know no file.
+        # Errors about frames or samples do not know the file.
         raise RecordingError(f"{path.name}: {error.reason}", remedy=error.remedy) from error
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error

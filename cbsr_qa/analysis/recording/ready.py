@@ -46,15 +46,15 @@ class ReadyReadings:
     Parameters
     ----------
     block : frames, sudden offsets taken out, carry-over too where ``corrected``, spikes replaced.
-    reference : (drives, measures) mean of the reference frames, treated alike; None where there are none.
+    reference : (drives, measures) mean of the reference frames, treated alike; None without any.
     faults : of the raw frames.
     used : (drives, measures) bool, sound readings that touch no driven electrode.
-    carry_over : estimate; None where none was made.
-    corrected : whether it was taken out of ``block``.
+    carry_over : estimate, or None.
+    corrected : whether it was removed from ``block``.
     error : reciprocity error of ``block``; None for one-row scans.
-    offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
-    offsets : frame and size of every sudden change that was one offset on all readings.
-    dead_drives, open_electrodes : whose readings are left out.
+    offset : whether the readings include an unknown offset, see :func:`has_offset`.
+    offsets : frame and size of every sudden offset of all readings.
+    dead_drives, open_electrodes : left out.
     spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`despiked`.
     """
 
@@ -98,13 +98,12 @@ class ReadyReadings:
         return remarks
 
     def noise_use(self) -> Mask:
-        """Readings for the noise estimate: the used ones, or all that are not bad if none is used."""
+        """Readings for the noise estimate: the used ones, or without any, all that are not bad."""
         use = self.used if self.used.any() else ~self.faults.bad
         return use if use.any() else np.ones_like(use)
 
 
 def _listed(channels: Mask) -> str:
-    """List the first few channels as [drive, measure]."""
     more = int(channels.sum()) - _MOST_LISTED
     return ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(channels)[:_MOST_LISTED]) + (
         f" and {more} more" if more > 0 else ""
@@ -130,9 +129,9 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
 
     Parameters
     ----------
-    wanted : whether to correct carry-over; None to do it where the estimate is worth it.
-    pattern : of the named sensor type; None for the same adjacent pairs driven and measured. Where other pairs are
-        measured than driven no two readings are reciprocal, and what is judged by that is left out.
+    wanted : whether to correct carry-over; None to correct it if that improves the readings.
+    pattern : of the named sensor type; None if the same adjacent pairs are driven and measured. Otherwise no readings
+    are reciprocal, and checks of reciprocity are skipped.
     """
     block = recording.frames
     faults = find_faults(block, recording.scan)
@@ -153,7 +152,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         offsets = find_offsets(voltages[:, used], channel_noise(voltages[:, used], counts=offset))
         voltages = without_offsets(voltages, offsets)
     if scanned:
-        # One absurd reading must not decide how the whole frame is corrected.
+        # One absurd reading must not decide the correction of the whole frame.
         calm = despiked(voltages, used, counts=offset)[0] if mending else voltages
         carry_over = estimate_carry_over(replace(block, voltages=calm), used)
     apply = (
@@ -222,7 +221,7 @@ def _pairs(mask: Mask) -> tuple[tuple[int, int], ...]:
 
 
 def _snr_db(ready: ReadyReadings) -> float | None:
-    """Median over channels of level over noise; offsets of counts are taken off full scans."""
+    """Median over channels of level over noise; offsets of counts are subtracted for full scans."""
     use = ready.noise_use()
     block = ready.block
     if len(block) < 3 or ready.faults.not_connected:

@@ -22,16 +22,16 @@ from cbsr_qa.domain.sensor import SensorType
 
 Array = NDArray[np.float64]
 
-#: Faster recordings are averaged to about this rate before presses are looked for; nobody presses faster.
+#: Faster recordings are averaged to about this rate before detection; presses are slower.
 _DETECTION_RATE_HZ = 8.0
-FEWEST_FRAMES = 8  #: fewer cannot tell a press from noise
+FEWEST_FRAMES = 8  #: fewer frames cannot distinguish a press from noise
 _MOST_LISTED = 5  #: changes named in a reason
-_MOST_CONTACTS = 4  #: searches are repeated without a suspect's readings at most so often
+_MOST_CONTACTS = 4  #: maximum number of repeated searches without a suspect's readings
 _SAME_CHANGE_S = 1.0  #: changes this close in time are one
-_FIRST_BALL = 0.1  #: radius of a ball in a tank, of the tank's, before one is known
-_BALL_ROUNDS = 3  #: of finding places and sizes of balls in turn
-_LEAST_SIDE = 0.2  #: a polarity with this share of the readings is one that a front end may lose
-_LEAST_LEFT = 0.5  #: and only as long as this share of the readings is left
+_FIRST_BALL = 0.1  #: initial radius of a ball in a tank, of the tank's
+_BALL_ROUNDS = 3  #: iterations over places and sizes of balls
+_LEAST_SIDE = 0.2  #: a front end may lose a polarity with at least this share of the readings
+_LEAST_LEFT = 0.5  #: searches are repeated only while this share of the readings remains
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +40,9 @@ class Searched:
 
     Parameters
     ----------
-    scene : in which they were found, without the readings of suspect contacts; None where nothing was searched.
-    why : why there is no event, where there is none; else what was not taken for one.
-    remarks : what a reader must know about the recording, in words.
+    scene : in which they were found, without the readings of suspect contacts; None if nothing was searched.
+    why : why there is no event, or which changes were not events.
+    remarks : notes on the recording for a reader.
     suspect_electrodes : whose readings were left out.
     """
 
@@ -167,7 +167,7 @@ class RecordedScene:
     def presses(self, rate_hz: float | None) -> Searched:
         """Search for presses, each relative to the frames before it.
 
-        Where readings that share one contact changed together they are left out, and all the others searched again.
+        Readings that share one contact and changed together are left out, and the others searched again.
         """
         scene, remarks, times, electrodes = self, list[str](), list[float](), set[int]()
         for _ in range(_MOST_CONTACTS):
@@ -175,7 +175,7 @@ class RecordedScene:
             bad = np.zeros(scene.readings.shape[1], dtype=bool)
             for time_s, suspect in suspects:
                 bad |= suspect.readings
-                # What is left of the same change, where readings remember the one before, is no further contact.
+                # With carry-over, the rest of the same change does not indicate a further contact.
                 if any(abs(time_s - known) < _SAME_CHANGE_S for known in times):
                     continue
                 times.append(time_s)
@@ -227,7 +227,7 @@ class RecordedScene:
         problem = self.sheet.problem
         frame = self.model.reference * self.model.gain
         white = match.whiten(frame[None])[0]
-        # Where a common gain is the nuisance itself nothing of it is left but rounding.
+        # If a common gain is the nuisance itself, only its rounding remains.
         if float(np.linalg.norm(white)) < 1e-6 * float(np.linalg.norm(frame / match.sigma)):
             white = np.zeros_like(white)
         return NoLoads(white, suspects_of(problem.sensor_type.pattern, problem.used))

@@ -1,8 +1,8 @@
 """Objects in a tank against a frame of the empty tank: still or moving, with the tank's depth and patterns of balls.
 
-In a tank readings fall off faster with distance than on a sheet, and a large ball is not a small one: the parts of it
-that are near an electrode are seen by it alone. In a tank as deep as it is wide a sheet's patterns put balls of 0.15
-radii up to 0.04 radii too far out; those of balls of the right size, in the tank, are right within 0.01 up to 0.6.
+In a tank readings decrease faster with distance than on a sheet, and large balls differ from small ones, because each
+electrode senses mainly the nearest part. In a tank as deep as it is wide a sheet's patterns put balls of 0.15 radii
+up to 0.04 radii too far out; those of balls of the right size, in the tank, are right within 0.01 up to 0.6.
 """
 
 from dataclasses import dataclass, replace
@@ -23,10 +23,10 @@ from cbsr_qa.eit.loads import DeepTank
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_DETECTED = 6.0  #: product of pattern and change over the noise from which an object counts
+_DETECTED = 6.0  #: product of pattern and change, over the noise, from which an object counts
 _EXPLAINED = 0.25  #: and the share of the change it must explain
-_EXPLAINED_MOVING = 0.15  #: the same where an object is followed: frames support each other
-_BRIDGED_FRAMES = 2  #: frames in which an object was not seen that do not end it
+_EXPLAINED_MOVING = 0.15  #: the same while an object is tracked: frames support each other
+_BRIDGED_FRAMES = 2  #: frames without the object that do not end its track
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Object:
 
     Parameters
     ----------
-    first, last, peak : frames; ``peak`` is where it shows most.
+    first, last, peak : frames; ``peak`` is where it is clearest.
     place : at its peak.
     score : at its peak, over the noise.
     track : (frame, place) of every frame it was seen in; a single one for a still image.
@@ -60,7 +60,7 @@ def reciprocal_noise(changes: Array, used: Mask) -> float:
 
     Returns
     -------
-    Rms over pairs of (y_ij − y_ji)/√2, in the changes' unit; 0 where no reading has its counterpart.
+    Rms over pairs of (y_ij − y_ji)/√2, in the changes' unit; 0 without reciprocal pairs.
     """
     full = np.zeros((len(changes), *used.shape))
     full[:, used] = changes
@@ -79,7 +79,7 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
 
     Returns
     -------
-    The objects, and why there is none where there is none.
+    The objects, or why there is none.
     """
     places, explained = find_places(change, match)
     if not places or abs(places[0].score) < _DETECTED or explained < _EXPLAINED:
@@ -103,7 +103,7 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
 
     Returns
     -------
-    One object per stretch in which it is seen, and why there is none where there is none.
+    One object per stretch in which it is seen, or why there is none.
     """
     seen: list[tuple[int, Place]] = []
     best = 0.0
@@ -132,11 +132,11 @@ def _object(stretch: list[tuple[int, Place]], changes: Array, match: Matcher) ->
     return Object(stretch[0][0], stretch[-1][0], peak, place, abs(place.score), tuple(stretch), goodness)
 
 
-_DEPTHS: Final = (0.3, 5.0)  # in radii: shallower is a sheet, deeper looks alike
-_THIN: Final = 0.05  # depth that stands for a sheet
+_DEPTHS: Final = (0.3, 5.0)  # in radii: shallower is a sheet, deeper makes no difference
+_THIN: Final = 0.05  # depth that represents a sheet
 _ELECTRODE: Final = 0.1  # width and height of a nominal electrode, of the radius
-_EXPLAINED_BY_TANK: Final = 0.05  # deviation of log readings over distances that a tank may leave,
-_OF_SHEET: Final = 0.25  # and of what a sheet leaves
+_EXPLAINED_BY_TANK: Final = 0.05  # deviation of log readings over distances allowed in a tank,
+_OF_SHEET: Final = 0.25  # and on a sheet
 _FEWEST: Final = 5  # distances between drive and measurement
 _SIZES: Final = (0.02, 0.3)  # radii of balls, of the tank's
 
@@ -148,14 +148,13 @@ class Tank:
     Parameters
     ----------
     depth : in units of the radius.
-    field : of it.
     """
 
     depth: float
     field: DeepTank
 
     def sheet(self, sheet: Sheet, *, ball: float, conducts: bool) -> Sheet:
-        """Replace a sheet's patterns by those of balls of a radius (in units of the tank's).
+        """Replace a sheet's patterns with those of balls of a radius (in units of the tank's).
 
         Signs stay as they are on a sheet: positive for what conducts more.
         """
@@ -166,9 +165,9 @@ class Tank:
         return replace(sheet, patterns=patterns)
 
     def ball_of(self, objects: tuple[Object, ...], sheet: Sheet, change: Array) -> tuple[float, bool]:
-        """Radius of the balls, and whether they conduct, that the found places and the size of a change call for.
+        """Radius of the balls, and whether they conduct, from the places and the size of a change.
 
-        Nothing changes readings more than a perfect insulator or conductor, so that no smaller ball explains them.
+        They are perfect insulators or conductors, which gives the smallest balls that explain the change.
 
         Parameters
         ----------
@@ -189,7 +188,7 @@ def fitted_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
 
     Returns
     -------
-    Tank, or None where a sheet explains the readings as well, or a tank does not (channels of unequal gain).
+    Tank, or None if a sheet explains the readings as well, or a tank does not (channels of unequal gain).
     """
     electrodes, pattern, used = problem.sensor_type.electrodes, problem.sensor_type.pattern, problem.used
     if not isinstance(electrodes, ElectrodeLayout) or pattern.shape[0] != pattern.shape[1]:

@@ -1,7 +1,7 @@
 """Traces of presses: strength of one pattern from frame to frame.
 
-The trace is 0 before a press and 1 on the mean of its hold. Where it rises, the press began; where its final decline
-sets in, the press ended (the sheet keeps much of a change, so it need not come back to 0).
+The trace is 0 before a press and 1 on the mean of its hold. The press begins at its rise and ends when its final
+decline sets in (the sheet keeps much of a change, so the trace may not return to 0).
 """
 
 from collections.abc import Sequence
@@ -18,16 +18,16 @@ Array = NDArray[np.float64]
 BEFORE_FRAMES = 8  #: at most so many frames before a press are its reference
 _ROUGH_AFTER_FRAMES = 24  #: and so many after the step give its first, rough pattern
 _BEGUN, _REACHED = 0.2, 0.8  #: shares of the plateau at which a press has begun, and is down
-_RELEASED = 0.15  #: least share of the trace that a release takes back
-_SUDDEN = 0.5  #: a release that takes back this share of its drop within three frames is that step
-_STAYED = 0.5  #: what keeps this share of its top, and fades from there on, was not released
-_HELD = 0.15  #: what was held first lies above the straight line from top to end by this share of the decline
+_RELEASED = 0.15  #: least share of the trace that a release reverses
+_SUDDEN = 0.5  #: a release that reverses this share of its drop within three frames is that step
+_STAYED = 0.5  #: a trace that keeps this share of its top, and decays from there on, was not released
+_HELD = 0.15  #: a trace held first lies above the straight line from top to end by this share of the decline
 _SMOOTH_SHARE = 10  #: averaged over this part of the time, against noise
-_DECLINED = 0.25  #: otherwise it is where this share of the drop is passed
+_DECLINED = 0.25  #: otherwise the end is where this share of the drop is passed
 
 
 def rough(change: Change, limit: int, n: int) -> tuple[slice, slice]:
-    """Frames before a step, and after it up to ``limit``, to take its first pattern from."""
+    """Frames before a step, and after it up to ``limit``, for its first pattern."""
     before_end = max(change.frame - change.window, 1)
     after = min(change.frame + max(1, change.window // 2), max(limit - 1, change.frame), n - 1)
     return (
@@ -47,7 +47,7 @@ def trace(white: Array, before: slice, held: slice, besides: Sequence[Array] = (
 
     Parameters
     ----------
-    besides : (m,) patterns of what else happens meanwhile, fitted along.
+    besides : (m,) patterns of simultaneous changes, fitted too.
     """
     base = white[before].mean(axis=0)
     basis = np.column_stack([white[held].mean(axis=0) - base, *besides])
@@ -56,7 +56,7 @@ def trace(white: Array, before: slice, held: slice, besides: Sequence[Array] = (
 
 
 def smooth(along: Array, window: int = 2) -> Array:
-    """Running median of the odd number of frames above a window: weak presses are seen with wide windows only."""
+    """Running median over the odd number of frames above a window: weak presses are only seen with wide windows."""
     half = window // 2
     if len(along) < 2 * half + 1:
         return along
@@ -95,13 +95,13 @@ def noise_energy(white: Array, before: slice, held: slice) -> float:
 
 
 def signal_energy(white: Array, before: slice, held: slice) -> float:
-    """Energy of the difference of two means above what noise gives it."""
+    """Energy of the difference of two means in excess of noise."""
     change = difference(white, before, held)
     return max(float(change @ change) - noise_energy(white, before, held), 1e-12)
 
 
 def end_of(along: Array, begin: int, limit: int) -> float:
-    """Start of a trace's final decline; the last frame if it does not decline, or only fades."""
+    """Start of a trace's final decline; the last frame if it does not decline, or only decays."""
     part = along[begin:limit]
     if len(part) < 4:
         return float(limit - 1)
@@ -124,7 +124,7 @@ def end_of(along: Array, begin: int, limit: int) -> float:
 
 
 def _fades(part: Array, drop: float, noise: float) -> bool:
-    """Whether a trace declines all the time, ever slower or evenly, as creep does; a release follows a hold."""
+    """Whether a trace declines throughout, evenly or ever slower, as in creep; a release follows a hold."""
     window = max(len(part) // _SMOOTH_SHARE, 1)
     calm = np.convolve(part, np.full(window, 1 / window), "valid")
     straight = np.linspace(calm[0], calm[-1], len(calm))

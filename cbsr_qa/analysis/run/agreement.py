@@ -31,9 +31,9 @@ class DirectedAgreement:
     Parameters
     ----------
     loading : after presses; else after releases.
-    first, second : what was compared, in words.
-    loads : how many the second was taken from.
-    found : what they are to each other.
+    first, second : names of the compared traces.
+    loads : number behind the second.
+    found : the comparison.
     """
 
     loading: bool
@@ -49,11 +49,11 @@ class DirectedAgreement:
 
 
 def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
-    """Compare the relaxation of the whole image with the blobs', over all loads that show both.
+    """Compare the relaxation of the whole image with the blobs', over all loads with both.
 
     Returns
     -------
-    Loading and unloading, as far as there are such loads. The result is kept with the run.
+    Loading and unloading, if there are such loads. The result is cached with the run.
     """
     return run.derived(_image_against_blobs)
 
@@ -72,13 +72,13 @@ def _image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
 def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     """Compare the relaxation of the sheet's response with a strip of its material.
 
-    The sheet's are the kernels of a unit step that all loads of its calibration share: strength at the place of the
-    head, by the force model. The strip's are those its material file carries; after releases, as they show on a sheet
-    whose holds were as long as these.
+    The sheet's relaxations are the kernels of a unit step common to all calibration loads: strength at the place of
+    the head, by the force model. The strip's come from its material file; after releases, as expected on a sheet with
+    holds of the same length.
 
     Returns
     -------
-    Loading and unloading; with the reason where they cannot be compared. The result is kept with the run.
+    Loading and unloading, or the reason why they cannot be compared. The result is cached with the run.
     """
     return run.derived(_sheet_against_strip)
 
@@ -157,6 +157,5 @@ def _of(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservat
 
 
 def _end(load: LoadObservation, signal: str) -> float:
-    """Level at the end of the hold."""
     held = load.relaxation(signal, loading=True)
     return 0.0 if held is None else held.trace.end_level

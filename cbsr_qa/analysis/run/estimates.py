@@ -19,9 +19,9 @@ from cbsr_qa.eit.loads import RoundLoadModel
 Array = NDArray[np.float64]
 Key = tuple[str, int]  # phase, index of the load within it
 
-#: Fewer unloaded frames do not say how noisy a single reading is.
+#: With fewer unloaded frames the noise of a single reading is unknown.
 FEWEST_FRAMES: Final = 6
-#: A reading quieter than this share of the median is quantised, not that good.
+#: A quieter reading, relative to the median, is quantised rather than that good.
 _QUIETEST: Final = 1e-2
 
 
@@ -31,9 +31,9 @@ class EstimatedLoad:
 
     Parameters
     ----------
-    indenter : with the radius of the head given; None where the head is not round, or nothing could be estimated.
-    size : with the radius among the unknowns; None where nothing could be estimated.
-    why : nothing could be estimated; empty otherwise.
+    indenter : with the radius of the head given; None if the head is not round, or the estimate failed.
+    size : with an unknown radius; None if the estimate failed.
+    why : reason of a failed estimate; empty otherwise.
     """
 
     indenter: LoadEstimate | None
@@ -42,11 +42,11 @@ class EstimatedLoad:
 
 
 def estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
-    """Return an estimate of every load of a run; it is kept with the run.
+    """Return an estimate of every load of a run; it is cached with the run.
 
     Parameters
     ----------
-    reference : ``"run"`` or ``"load"``: what changes are counted against, as in the recipe's settings.
+    reference : ``"run"`` or ``"load"``: what changes are relative to, as in the recipe's settings.
 
     Returns
     -------
@@ -73,13 +73,13 @@ def _estimated_loads(run: RunObservation, reference: str) -> Mapping[Key, Estima
 def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     """Noise variance of every reading of one frame, (drives, measures) [V²], about a straight line in time.
 
-    Raised by ν/(ν − 2) for ν degrees of freedom, so that misfits weighed by its inverse are one on average.
+    Raised by ν/(ν − 2) for ν degrees of freedom, so that misfits weighted by its inverse average one.
 
-    Why not the moderated variances that weigh images (:mod:`cbsr_qa.eit.inverse.readings`), which
-    are the better estimate: with them, from 16 unloaded frames, errors of forces are 6 % smaller (39 places, 6
-    sensors of 30 held-out loads: 0.059 to 0.055 N with the place known, 0.070 to 0.065 N with it estimated), but the
-    stated errors hardly follow (68 % intervals hold 75 and 74 % of the loads, now 73 and 72 %). What is added to the
-    noise for residues and places was found with these variances: to change one is to find the others again.
+    The moderated variances used for images (:mod:`cbsr_qa.eit.inverse.readings`) are the better estimate: from 16
+    unloaded frames they make force errors 6 % smaller (39 places, 6 sensors of 30 held-out loads: 0.059 to 0.055 N
+    with the place known, 0.070 to 0.065 N with it estimated). But the stated errors hardly follow (68 % intervals
+    contain 75 and 74 % of the loads, now 73 and 72 %), and the allowances for residues and places were determined
+    with these variances.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     freedom = count - 2
     variance = ((left**2).sum(axis=0) / freedom).reshape(usable.shape) * freedom / (freedom - 2)
     typical = float(np.median(variance[usable]))
-    # Rounding of frames that are all alike is no noise.
+    # Rounding of identical frames is not noise.
     if typical <= (1e-13 * np.abs(flat).max()) ** 2:
         raise NumericsError("the unloaded frames do not differ: there is no noise to weight readings by")
     quiet: Array = np.maximum(variance, _QUIETEST * typical)
@@ -166,7 +166,7 @@ def model_scale(model: RoundLoadModel, reference: Array, usable: NDArray[np.bool
 
 
 def _start(load: LoadObservation, mask: float) -> tuple[float, float]:
-    """Centre of mass of the sensed blob; without one the sheet's centre, from where the search finds its own."""
+    """Centre of mass of the sensed blob; otherwise the sheet's centre, from where the search finds its own."""
     view = load.mask(mask)
     if view is None or view.sensed is None:
         return 0.0, 0.0

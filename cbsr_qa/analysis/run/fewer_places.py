@@ -1,8 +1,7 @@
 """Prediction of the response map with fewer loads, from the run itself.
 
-The map is learned again from some of the places, spread as evenly as they can be, and held against what was seen at
-the places that were left out. It says nothing of what lies between places that nobody pressed; the map's own stated
-error does.
+The map is learned again from some of the places, spread as evenly as possible, and compared with the loads at the
+other places. Between pressed places only the map's own stated error applies.
 """
 
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ Chosen = NDArray[np.bool_]
 
 #: Shares of the places that are tried.
 _SHARES: Final = (0.35, 0.5, 0.7)
-#: Ways to choose them, each from another first place: with few places it matters which.
+#: Number of choices, each from another first place, which matters with few places.
 _WAYS: Final = 3
 
 
@@ -33,12 +32,12 @@ class MapCost:
 
     Parameters
     ----------
-    places, loads : it was learned from.
-    station_s : their share of what their phases took, travel, finding the surface and rests included.
+    places, loads : number it was learned from.
+    station_s : their share of the time of their phases, including travel, surface finding and rests.
     stated : relative standard error of the map within the calibrated area, root mean square.
-    seen : relative error at the places that were left out, root mean square, without what the noise of their own
-        loads makes of it; None where none was left out.
-    expected : what the map states there; None likewise.
+    seen : relative error at the left-out places, root mean square, less the noise of their own loads; None without
+    any.
+    expected : error that the map states there; None likewise.
     """
 
     places: int
@@ -50,15 +49,15 @@ class MapCost:
 
 
 def map_costs(run: RunObservation, force: RunForce) -> tuple[MapCost, ...]:
-    """Return maps of ever fewer places, and of one load per place; the whole run's map comes last.
+    """Return maps from subsets of places, and from one load per place; the whole run's map comes last.
 
     Parameters
     ----------
-    force : the force of the run; nothing comes of one that was not learned.
+    force : the force of the run; empty result if it was not learned.
 
     Returns
     -------
-    In order of places; empty where there are too few places to leave some out.
+    In order of places; empty with too few places to leave some out.
     """
     if force.learned is None:
         return ()
@@ -77,12 +76,12 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
     Parameters
     ----------
     places_mm : (n, 2).
-    first : number of the one to begin with; by default that nearest to the centre.
+    first : index of the first place; by default the one nearest to the centre.
 
     Raises
     ------
     NumericsError
-        If there are fewer places than asked for.
+        If there are fewer places than requested.
     """
     if count > len(places_mm):
         raise NumericsError(f"cannot choose {count} places from {len(places_mm)}")
@@ -94,8 +93,6 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
 
 
 class _Loads:
-    """The loads that a run's map was learned from."""
-
     def __init__(self, run: RunObservation, force: RunForce) -> None:
         learned = force.learned
         assert learned is not None
@@ -118,7 +115,6 @@ class _Loads:
 
     @property
     def count(self) -> int:
-        """Places."""
         return len(self._at)
 
     def first_of_each(self) -> Chosen:

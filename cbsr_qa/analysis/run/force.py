@@ -28,10 +28,10 @@ from cbsr_qa.eit.estimate import load_model, merged_readings
 
 Array = NDArray[np.float64]
 
-#: How a load came to be tested.
+#: How a load is tested.
 HELD_OUT: Final = "held out"
 TRIAL_LEFT_OUT: Final = "trial left out"
-#: Standard errors within which a load bears a force model out.
+#: A load confirms a force model within so many standard errors.
 _BORNE_OUT: Final = 3.0
 
 
@@ -41,12 +41,12 @@ class ForceTest:
 
     Parameters
     ----------
-    load : of the run; of a hold that was predicted with the force of that time.
+    load : of the run; for a predicted hold with the force at the predicted time.
     how : ``"held out"`` (a phase that does not calibrate) or ``"trial left out"``.
-    measured_N : by the load cell, predicted as the hold was.
+    measured_N : by the load cell, predicted like the hold.
     known_N, known_stderr_N : with the place of the head given.
-    found_N, found_stderr_N : with the place estimated; None where no load was detected.
-    place_error_mm : of that place; None where there is none.
+    found_N, found_stderr_N : with the place estimated; None if no load was detected.
+    place_error_mm : of that place, or None.
     global_N : with the place given and one response for the whole sheet, the paper's way.
     """
 
@@ -67,11 +67,11 @@ class RunForce:
 
     Parameters
     ----------
-    learned : None where nothing could be learned; ``why`` then says why.
-    used : loads it was learned from, in order of ``learned.refused``; of a hold that was predicted with the force of
-        the time it was predicted to.
-    tests : of loads that were not used: held out, or of a trial that was left out at places of the other trials.
-    sheet_pose : how the sheet lies; places of the map, and of all loads, are on the sheet.
+    learned : None if nothing could be learned, for the reason ``why``.
+    used : loads it was learned from, in order of ``learned.refused``; for predicted holds with the force at the
+    predicted time.
+    tests : of unused loads: held out, or of a left-out trial at places of the other trials.
+    sheet_pose : position of the sheet; places of the map and of all loads are relative to it.
     """
 
     learned: LearnedForce | None
@@ -81,7 +81,7 @@ class RunForce:
     sheet_pose: SheetPose = AS_PLACED
 
     def confirmed(self) -> tuple[LoadObservation, ...]:
-        """Held-out loads whose force came out within three standard errors, the place known."""
+        """Held-out loads whose force agrees within three standard errors, the place known."""
         held_out = [test for test in self.tests if test.how == HELD_OUT]
         return tuple(t.load for t in held_out if abs(t.known_N - t.measured_N) <= _BORNE_OUT * t.known_stderr_N)
 
@@ -89,12 +89,12 @@ class RunForce:
 def run_force(run: RunObservation) -> RunForce:
     """Return a run's force model, learned from the phases that calibrate and tested on all other loads.
 
-    Loads of phases that do not calibrate are held out. Where places were pressed in several trials, each trial is
-    besides left out in turn, and its loads at places of the others are tested. The result is kept with the run.
+    Loads of phases that do not calibrate are held out. If places were pressed in several trials, each trial is also
+    left out in turn, and its loads at places of the others are tested. The result is cached with the run.
 
     Returns
     -------
-    RunForce, without a model and with the reason where there is none.
+    RunForce, with the reason if there is no model.
     """
     return run.derived(_learned_and_tested)
 
@@ -112,7 +112,7 @@ def learned_from(run: RunObservation) -> RunForce:
     Raises
     ------
     CbsrError
-        If nothing can be learned; the reason is in it.
+        If nothing can be learned, with the reason.
     """
     loads = run.derived(_RunForce)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
@@ -124,31 +124,31 @@ def learned_from(run: RunObservation) -> RunForce:
 
 
 def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
-    """Test a model, learned elsewhere, on every load of a run whose holds are looked at as they are.
+    """Test a model, learned elsewhere, on every load of a run, without predicting holds.
 
     Raises
     ------
     CbsrError
-        If the run has no load with a force, or its noise cannot be told.
+        If the run has no load with a force, or its noise cannot be estimated.
     """
     loads = _RunForce(replace(run, settings=replace(run.settings, transients="averaged")))
     return tuple(loads.tests(learned, np.ones(len(loads.loads), dtype=np.bool_), HELD_OUT))
 
 
 def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[TimedValues]:
-    """Strengths under holds at the places of loads: times from the start of each [s], without what earlier ones left.
+    """Strengths under holds at the places of loads, from the start of each [s], without residues of earlier ones.
 
     Raises
     ------
     CbsrError
-        If the run has no load with a force, or its noise cannot be told.
+        If the run has no load with a force, or its noise cannot be estimated.
     """
     strengths = run.derived(_RunForce).strengths()
     return [strengths.change(load) for load in loads]
 
 
 class _RunForce:
-    """One run's loads with all data they are compared with."""
+    """One run's loads with the data for comparison."""
 
     def __init__(self, run: RunObservation) -> None:
         sensor_type = run.record.sensor_type
@@ -171,7 +171,7 @@ class _RunForce:
             self._compensate()
 
     def _compensate(self) -> None:
-        """Extend short holds to the end of the longest ones; their loads have the force of that time."""
+        """Extend short holds to the end of the longest ones; their loads get the force at that time."""
         done = compensated(self.run, self.loads, self.data, self.strengths())
         self.data, self.at_s, self.predicted = done.data, done.at_s, done.predicted
         self.loads = tuple(
@@ -208,7 +208,7 @@ class _RunForce:
         )
 
     def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, SheetPose]:
-        """Loads at their places on the sheet: a misplaced sheet must not degrade its sensor."""
+        """Loads at their places on the sheet, which may be misplaced."""
         rows, noise = data.changed()
         pose = sheet_pose_of(
             data.place_mm, TemplateFilter(unlearned_model(self.bank, self.merging)).search(rows), noise
@@ -220,7 +220,6 @@ class _RunForce:
         return rows
 
     def result(self) -> RunForce:
-        """Learn and test."""
         calibrating = np.array([load.phase in self.run.settings.calibrate_phases for load in self.loads])
         learned = self.timed(self.learn(calibrating), calibrating)
         tests = self.tests(learned, ~calibrating, HELD_OUT)
@@ -235,7 +234,7 @@ class _RunForce:
         return RunForce(learned, used, tuple(tests), sheet_pose=self.sheet_pose)
 
     def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
-        """Add the time of the hold that loads were evaluated at, and their kernels."""
+        """Add the time of the hold at which loads were evaluated, and their kernels."""
         loads = list(compress(self.loads, which))
         filter_ = TemplateFilter(learned.model)
         loading, unloading = force_kernels(self.run, loads, self.data.place_mm[which], self.merging, filter_)
@@ -244,7 +243,6 @@ class _RunForce:
         return replace(learned, model=model)
 
     def learn(self, which: NDArray[np.bool_]) -> LearnedForce:
-        """Learn from some loads."""
         learned = learn_force(
             self.bank,
             self.merging,
@@ -298,7 +296,7 @@ class _RunForce:
 
 
 def _noisy(matches: Matches, noise: Array, residue: Array) -> Matches:
-    """Matches of rows whose noise is not one, with what earlier loads may have left in the strength."""
+    """Matches of rows without unit noise, with possible residues of earlier loads in the strength."""
     covariance = matches.covariance * noise[:, None, None]
     covariance[:, 0, 0] += residue**2
     return replace(matches, covariance=covariance)

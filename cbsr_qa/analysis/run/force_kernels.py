@@ -1,7 +1,7 @@
-"""Transients of a run's loads: kernels of their rise and decay, and short holds predicted to where the longest end.
+"""Transients of a run's loads: kernels of their rise and decay, and short holds extrapolated to the longest.
 
-The longest holds of a run say how its loads relax (conductance by the strength at their place, stress by the load
-cell); with that as prior, the others are predicted to the time at which those were looked at.
+The longest holds of a run determine how its loads relax (conductance by the strength at their place, stress by the
+load cell); with that as prior, the others are predicted to the time at which those are evaluated.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,14 +21,14 @@ from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.results import LoadObservation, RelaxationKernel, RunObservation
 
 Array = NDArray[np.float64]
-#: Phase of a load and its number there.
+#: Phase of a load and its index there.
 LoadKey = tuple[str, int]
 
-#: Loads that stand out less say little about a shape and cost as much time.
+#: Weaker loads contribute little to a shape and cost as much time.
 _LEAST_DETECTABILITY: Final = 15.0
 _MOST: Final = 60
-#: What earlier loads left at a place fades to its share at the steady frames with this time constant: of the order of
-#: the material's own (chosen by us).
+#: Time constant with which residues of earlier loads decay to their share at the steady frames: of the order of the
+#: material's own (chosen by us).
 _FADING_S: Final = 25.0
 
 
@@ -40,11 +40,11 @@ def force_kernels(
     Parameters
     ----------
     places_mm : (n, 2) of the loads, on the sheet.
-    merging : from changes of used readings to rows.
+    merging : maps changes of used readings to rows.
 
     Returns
     -------
-    Both; None where there is none (short holds, weak loads, no relaxation that can be told from drift).
+    Both; None for short holds, weak loads, or relaxation that cannot be separated from drift.
     """
     traces = StrengthTraces(run, dict(zip(map(key_of, loads), places_mm, strict=True)), merging, filter_)
     clear = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
@@ -75,7 +75,7 @@ class StrengthTraces:
         self._known: dict[LoadKey, float] = {}
 
     def detectability(self, load: LoadObservation) -> float:
-        """Of the end of the hold, in the noise of one frame."""
+        """Detectability at the end of the hold, in the noise of one frame."""
         key = key_of(load)
         if key not in self._known:
             _, strength, noise = self.held(load)
@@ -88,7 +88,7 @@ class StrengthTraces:
         return _usable([self.change(load) for load in loads], [ramp_s(load) for load in loads], noises, None, 0.0)
 
     def change(self, load: LoadObservation) -> TimedValues:
-        """Times from the start of the hold [s], and strengths under it without what earlier loads left."""
+        """Times from the start of the hold [s], and strengths under it without residues of earlier loads."""
         time_s, strength, _ = self.held(load)
         return time_s, strength - self.left(load) * self.fading(time_s)
 
@@ -160,23 +160,23 @@ def _usable(
     return None if kernel.why else kernel
 
 
-#: Loads held for this share of the longest hold are looked at as they are.
+#: Loads held for this share of the longest hold are not predicted.
 LONG: Final = 0.9
-#: Most that a prediction may raise or lower readings. After a second of hold a third of a change is there; more is
-#: noise over noise, of loads that say nothing.
+#: Most that a prediction may raise or lower readings. After a second of hold a third of a change is present; more is
+#: noise over noise, from weak loads.
 LARGEST_FACTOR: Final = 5.0
-#: Force samples are averaged over this before a kernel is learned from them: relaxations take seconds.
+#: Force samples are averaged over this time before a kernel is learned: relaxations take seconds.
 _BIN_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compensated:
-    """Loads whose short holds were predicted.
+    """Loads with predicted short holds.
 
     Parameters
     ----------
     data : with predicted rows and forces.
-    at_s : time after the press they are of [s]; None where nothing was predicted.
+    at_s : their time after the press [s]; None if nothing was predicted.
     predicted : (n,) whether each load was.
     """
 
@@ -197,12 +197,12 @@ def compensated(
 
     Returns
     -------
-    Compensated, with the loads as they were where all were held alike.
+    Compensated; loads are unchanged if all holds are equal.
 
     Raises
     ------
     NumericsError
-        If the longest holds do not say how conductance or stress relaxes.
+        If the longest holds do not determine how conductance or stress relaxes.
     """
     held_s = np.array([load.hold_s for load in loads])
     long = held_s >= LONG * held_s.max()
@@ -234,7 +234,7 @@ def _usable_transients(what: str, kernel: RelaxationKernel | None, loads: int | 
 
 
 def steady_s(run: RunObservation, load: LoadObservation) -> float:
-    """When the frames of a load's steady image were taken, from the end of its ramp [s]."""
+    """Time of the frames of a load's steady image, from the end of its ramp [s]."""
     return float(window_of(run, load).steady.time_s.mean()) - load.record.hold_start_s
 
 
@@ -252,7 +252,7 @@ def _predicted_rows(
         raise NumericsError(f"load {load.record.load.label} of phase {load.phase!r} was held without taking a frame")
     left, fading = traces.left(load), traces.fading(time_s)
     seen = predict_steady(time_s, strength - left * fading, noise, kernel, ramp_s=ramp_s(load), at_s=at_s)
-    # The rows are the mean of the last frames of the hold, of which the same was left.
+    # The rows are the mean of the last frames of the hold, after subtraction of the same residue.
     last = slice(-int(data.frames[k]), None)
     fade = float(fading[last].mean())
     window = float(strength[last].mean()) - left * fade
@@ -262,7 +262,7 @@ def _predicted_rows(
 
 
 def _within(predicted: float, seen: float) -> float:
-    """Scale of readings: no load may seem to rise or fall by more than its noise."""
+    """Limit the scale of readings: no load may seem to rise or fall by more than its noise."""
     return float(np.clip(predicted / seen, 1 / LARGEST_FACTOR, LARGEST_FACTOR)) if seen else 1.0
 
 
@@ -281,7 +281,7 @@ def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Arr
     full = count > 0
     times = np.bincount(number, time_s)[full] / count[full]
     values = np.bincount(number, taken.values)[full] / count[full]
-    # Of neighbouring samples, which the relaxation hardly changes.
+    # From neighbouring samples, which the relaxation hardly changes.
     noise = float(np.std(np.diff(taken.values))) / np.sqrt(2 * float(np.median(count[full])))
     return times, values, max(noise, 1e-9 * float(np.abs(values).max()))
 

@@ -20,13 +20,13 @@ from cbsr_qa.domain.run import Indenter
 
 Array = NDArray[np.float64]
 
-#: Fewest errors a standard deviation is taken of.
+#: Fewest errors for a standard deviation.
 FEWEST: Final = 2
-#: With fewer loads the share inside an interval tells an honest one from one that is too narrow by half only by luck:
-#: its own standard deviation is 9 % then.
+#: With fewer loads the share inside an interval hardly distinguishes a correct one from one half as wide: its own
+#: standard deviation is then 9 %.
 FEWEST_COVERED: Final = 30
-#: Share of the correction to the steady state that the common fit does not know it errs by: residues of earlier loads
-#: bend the slow exponential. Root mean square over 12 simulated sensors whose residue is 3 % and decays in 300 s.
+#: Relative error of the correction to the steady state, unknown to the common fit: residues of earlier loads bend the
+#: slow exponential. Root mean square over 12 simulated sensors whose residue is 3 % and decays in 300 s.
 _OF_RESIDUES: Final = 0.12
 
 
@@ -37,7 +37,7 @@ class ForceErrors:
     Parameters
     ----------
     tests : those with an estimate; ``missed`` more have none.
-    error_N, stderr_N : (n,) estimated minus measured, and what was stated of it, the load cell's error included.
+    error_N, stderr_N : (n,) estimated minus measured, and its stated error including the load cell's.
     """
 
     tests: tuple[ForceTest, ...]
@@ -48,8 +48,8 @@ class ForceErrors:
     def deviation(self) -> Estimate:
         """Return the standard deviation [N] and its own standard error.
 
-        The standard error is that of a sample with this kurtosis, at least a normal one's: heavy loads err more than
-        light ones.
+        The standard error allows for the sample's kurtosis, at least a normal one's: heavy loads err more than light
+        ones.
         """
         count = self._enough()
         left = self.error_N - self.error_N.mean()
@@ -79,7 +79,7 @@ class ForceErrors:
         return int((np.abs(self.error_N) <= reach * self.stderr_N).sum())
 
     def coverage(self, reach: float, nominal: float) -> Estimate:
-        """Return the share of loads within this many stated standard errors, ± chance scatter of a nominal share."""
+        """Return the share of loads within this many stated standard errors, and the scatter of a nominal share."""
         count = len(self.error_N)
         if count < FEWEST_COVERED:
             raise NumericsError(f"{self.inside(reach)} of {count} loads; a share needs at least {FEWEST_COVERED}")
@@ -97,8 +97,8 @@ class ForceErrors:
 def tests_of(run: RunObservation, force: RunForce, how: str) -> tuple[ForceTest, ...]:
     """Return the tests of one kind.
 
-    Of held-out loads those of phases that press all over the sheet, where a run has any: presses at one place again
-    and again (noise figure, relaxation) are a sample of that place, not of the sheet.
+    Held-out loads come from phases that press all over the sheet, if there are any: repeated presses at one place
+    (noise figure, relaxation) do not represent the sheet.
     """
     tests = tuple(test for test in force.tests if test.how == how)
     spread = {phase.name for phase in run.record.phases if phase.role in (Role.GRID, Role.RANDOM)}
@@ -116,7 +116,7 @@ def errors_of(tests: Sequence[ForceTest], *, known: bool) -> ForceErrors:
 
 
 def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
-    """Return the errors with the place given and one response for the whole sheet; it states no error."""
+    """Return the errors with the place given and one response for the whole sheet, which has no stated error."""
     error = np.array([test.global_N - test.measured_N for test in tests])
     return ForceErrors(tuple(tests), 0, error, np.full(len(tests), np.inf))
 
@@ -140,7 +140,7 @@ class MapQuality:
     Parameters
     ----------
     places_mm, response, stderr : (n, 2), (n,) S and (n,) its relative standard error.
-    spread : standard deviation of the sheet's response over its mean: the map's, and what it may have missed.
+    spread : standard deviation of the sheet's response over its mean: the map's, and unresolved variation.
     rms_error : root mean square of ``stderr``.
     least_sure_mm : where ``stderr`` is largest.
     """
@@ -154,7 +154,7 @@ class MapQuality:
 
 
 def map_quality(learned: LearnedForce, radius_mm: float) -> MapQuality:
-    """Restrict the map to a radius; to the place nearest to the centre if no other is inside."""
+    """Restrict the map to a radius; at least to the place nearest to the centre."""
     places = sheet_places(learned.model, stride=1)
     away = np.hypot(*places.T)
     places = places[away <= max(radius_mm, float(away.min())) + 1e-9]
@@ -182,7 +182,7 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
     Raises
     ------
     NumericsError
-        If the line says that no load at all would be seen as one.
+        If by the line no load would be detected.
     """
     model = learned.model
     template = TemplateFilter(model).template(places_mm)
@@ -204,12 +204,13 @@ def gauge_factor(
 
     Parameters
     ----------
-    traces : of holds, which say how the conductance nears its steady state; by default those of the run's blobs.
+    traces : of holds, which determine how the conductance approaches its steady state; by default those of the run's
+    blobs.
 
     Raises
     ------
     CbsrError
-        If strains, loads or relaxations do not say; the reason is in it.
+        If strains, loads or relaxations do not determine it, with the reason.
     """
     learned = force.learned
     assert learned is not None
@@ -249,7 +250,7 @@ def _blob_traces(run: RunObservation) -> list[TimedValues]:
 def _steady_share(
     run: RunObservation, loads: Sequence[LoadObservation], traces: Sequence[TimedValues], predicted_s: float
 ) -> Estimate:
-    """Steady share of the averaged frames, equal for all loads whose holds are, or of predicted values."""
+    """Steady share of the averaged frames, equal for all loads with equal or predicted holds."""
     times = [window_of(run, load).steady.time_s - load.record.hold_start_s for load in loads]
     if run.settings.transients == "predicted" and predicted_s > 0:
         times = [np.array([predicted_s])]

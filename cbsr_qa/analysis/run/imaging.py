@@ -23,7 +23,7 @@ class Imager:
     ----------
     reconstruction : the prepared matrix.
     reference : (drives, measures) float64 V, the unloaded frame.
-    scale : sensor against unit model, see :class:`~cbsr_qa.domain.results.LinearReconstruction`.
+    scale : sensor relative to the unit model, see :class:`~cbsr_qa.domain.results.LinearReconstruction`.
     """
 
     reconstruction: LinearReconstruction
@@ -42,7 +42,7 @@ class Imager:
 
 
 #: A load votes only if its mean change under the head is this many noise floors: the floor is a maximum over
-#: thousands of elements, so a third of it is already clear of the noise of a mean.
+#: thousands of elements, so a third of it clearly exceeds the noise of a mean.
 _VOTE = 1 / 3
 
 
@@ -59,7 +59,7 @@ def decide_response(
 
     Returns
     -------
-    INCREASE or DECREASE, how it was decided, and warnings (loads that disagree, or none that says anything).
+    INCREASE or DECREASE, the basis of the decision, and warnings (loads that disagree, or none clear enough).
     """
     clear = [signal for signal in signals if abs(signal) > _VOTE * noise_floor]
     rising = sum(signal > 0 for signal in clear)
@@ -77,23 +77,14 @@ def decide_response(
 
 
 def mean_under(mesh: Mesh, values: NDArray[np.float64], pressed: Footprint) -> float:
-    """Area-weighted mean of an image over the elements whose centroid lies under a head.
-
-    Parameters
-    ----------
-    values : (e,) float64.
-
-    Returns
-    -------
-    float; 0 where the head covers no element's centroid.
-    """
+    """Area-weighted mean of an image (e,) over the elements with their centroid under a head; 0 without any."""
     under = pressed.contains(mesh.centroids_mm)
     area = mesh.areas_mm2 * under
     return float(values @ area / area.sum()) if under.any() else 0.0
 
 
-#: Values below this are rounding, not signal, whatever the noise floor: without it a noiseless simulation would
-#: find blobs in the last digits.
+#: Smaller values are rounding, whatever the noise floor: otherwise a noiseless simulation would have blobs in the
+#: last digits.
 RESOLUTION = 1e-9
 
 
@@ -111,12 +102,11 @@ def mask_views(
     ----------
     signed : (e,) float64, positive where the load shows, noise floor not subtracted.
     noise_floor : relative.
-    pressed : the load.
-    others : loads that were held at the same time.
+    others : loads held at the same time.
 
     Returns
     -------
-    One view per mask, in the recipe's order; views without blobs where nothing stands above the floor.
+    One view per mask, in the recipe's order; views without blobs if nothing exceeds the floor.
     """
     image = _cleared(mesh, signed, noise_floor)
     blobs = masked_blobs(image, settings.masks)
@@ -151,8 +141,8 @@ def _sensed(
 ) -> tuple[AnyRegion | None, str]:
     """Return the region of a load, and its fate: ``"apart"``, ``"merged"`` or ``"missed"``.
 
-    A load alone has the nearest region, however far. Several held at once have those assigned to them, a head's
-    diameter (that of its area) away at most.
+    A load alone has the nearest region, however far. Several simultaneous loads have those assigned to them, at most
+    a head's diameter (that of its area) away.
     """
     if not others:
         nearest = nearest_blob(regions, *pressed.centre_mm)

@@ -17,14 +17,14 @@ from cbsr_qa.domain.results import Image, LoadObservation, RelaxationObservation
 from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord
 from cbsr_qa.domain.sensor import Response
 
-#: Stress samples are averaged into this many points a window: the load cell's 8 Hz over a minute are ten times
-#: what a fit of tens of seconds needs, and cost ten times its time.
+#: Stress samples are averaged into this many points per window: the load cell's 8 Hz over a minute are ten times what
+#: a fit over tens of seconds needs, at ten times the cost.
 _STRESS_POINTS: Final = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadWindow:
-    """The frames of one press, apart.
+    """Frames of one press.
 
     Parameters
     ----------
@@ -50,13 +50,7 @@ class LoadSetting:
 
 
 def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettings) -> LoadWindow:
-    """Cut the frames of one press out of its phase.
-
-    Raises
-    ------
-    NumericsError
-        If the hold has no frame.
-    """
+    """Cut the frames of one press out of its phase; NumericsError if the hold has none."""
     frames = phase.frames
     hold = None if frames is None else frames.between(record.hold_start_s, record.release_start_s)
     if frames is None or hold is None or not len(hold):
@@ -75,7 +69,7 @@ def window_of(run: RunObservation, load: LoadObservation) -> LoadWindow:
 
 
 def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
-    """When the press before this one had left the sheet: after a short rest few frames are of an unloaded one."""
+    """Time when the previous press had left the sheet: after a short rest few frames are unloaded."""
     every = (*phase.loads, *phase.loops)
     return max(
         (other.release_end_s for other in every if other.release_end_s <= record.press_start_s),
@@ -84,14 +78,14 @@ def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
 
 
 def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: LoadWindow) -> float:
-    """Mean relative change under the head in the steady frames, unsigned: its vote on the response."""
+    """Mean relative change under the head in the steady frames, unsigned, used to vote on the response."""
     values = setting.imager.images(window.steady).mean(axis=0)
     pressed = setting.indenter.at(record.load.x_mm, record.load.y_mm)
     return mean_under(setting.imager.mesh, values, pressed)
 
 
 def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow) -> LoadObservation:
-    """Analyse one press; also relative to the other reference if earlier loads left more than the noise floor."""
+    """Analyse one press, also relative to the other reference if residues of earlier loads exceed the noise floor."""
     imager, before = setting.imager, _image_before(setting, window)
     residue = float(np.abs(before).max())
     absolute = imager.images(window.steady).mean(axis=0)
@@ -110,13 +104,13 @@ def relaxed(
     relaxations: tuple[RelaxationObservation, ...],
     settings: AnalysisSettings,
 ) -> LoadObservation:
-    """Return an observed press with its relaxations, and whether its steady frames had settled."""
+    """Return an observed press with its relaxations and whether its steady frames had settled."""
     load = replace(load, relaxations=relaxations)
     return replace(load, settled=_settled(load, window, settings))
 
 
 def _image_before(setting: LoadSetting, window: LoadWindow) -> NDArray[np.float64]:
-    """Image just before the press, (e,): what earlier loads left."""
+    """Image (e,) just before the press: residues of earlier loads."""
     imager = setting.imager
     return imager.images(window.before).mean(axis=0) if len(window.before) else np.zeros(len(imager.mesh.elements))
 
@@ -153,7 +147,7 @@ def _observe(
 
 
 def held_beside(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, time_s: float) -> list[Footprint]:
-    """Other places of the phase loaded at a time."""
+    """Other places of a phase that loads several at a time."""
     return [
         indenter.at(other.load.x_mm, other.load.y_mm)
         for other in phase.loads
@@ -164,7 +158,7 @@ def held_beside(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, time
 def _mean_force(
     samples: SampleBlock | None, steady: FrameBlock, record: LoadRecord
 ) -> tuple[float | None, float | None]:
-    """Mean force while the steady frames were taken, with the standard error of that mean."""
+    """Mean force during the steady frames, with its standard error."""
     if samples is None:
         return None, None
     half_frame = float(np.median(np.diff(steady.time_s))) / 2 if len(steady) > 1 else 0.0
@@ -192,7 +186,7 @@ def relaxations_of(
 
     Parameters
     ----------
-    load : its main mask says which elements are the blob; without a blob there is no conductance trace.
+    load : its main mask gives the blob's elements; without a blob there is no conductance trace.
     """
     record, settings, area = load.record, setting.settings, setting.imager.mesh.areas_mm2
     cycle, force = window.cycle, phase.channel("force")
@@ -224,7 +218,7 @@ def _press_and_release(
 
 
 def _steady_change(pressed: RelaxationObservation) -> float:
-    """Steady change under load: of an accepted fit, else the observed end of the hold."""
+    """Steady change under load: from an accepted fit, else the observed end of the hold."""
     if pressed.settling.value_s is not None and not pressed.settling.censored:
         return pressed.fit.offset
     return pressed.trace.end_level

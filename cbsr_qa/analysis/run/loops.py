@@ -1,4 +1,4 @@
-"""Loops: readings and force while a press is eased up and down through its strains."""
+"""Loops: readings and force while a press steps down and up through its strains."""
 
 from collections import defaultdict
 from dataclasses import replace
@@ -15,7 +15,7 @@ from cbsr_qa.domain.run import HeldStrain, Indenter, LoadRecord, PhaseRecord, Ru
 
 Array = NDArray[np.float64]
 
-#: The output at the deepest strain must be this many of its own standard errors from zero.
+#: The output at the deepest strain must be so many of its own standard errors from zero.
 _CLEAR: Final = 5.0
 _SILENT: Final = "no load stands out of the noise"
 _FRAMELESS: Final = "no frame was taken before the loop, or while a strain was held"
@@ -29,14 +29,14 @@ def observe_loops(
 ) -> tuple[LoopObservation, ...]:
     """Analyse the loops of a run, by phase and place.
 
-    The output of a frame is the amplitude of its readings, each over its noise, along one pattern: how they answer
-    strain in all loops of the place. The mean of a blob, which single presses are judged by, is twice as noisy.
+    The output of a frame is the amplitude of its readings, each over its noise, along one pattern: their response to
+    strain in all loops of the place. A blob's mean, used for single presses, is twice as noisy.
 
     Parameters
     ----------
-    record : of the run, without frames that were lost.
-    unloaded : frames of the rested sheet: how noisy each reading is.
-    usable : (drives, measures) bool, readings to look at.
+    record : of the run, without lost frames.
+    unloaded : frames of the rested sheet, for the noise of each reading.
+    usable : (drives, measures) bool, readings to use.
     """
     loops_of_places = []
     for phase in record.phases:
@@ -122,8 +122,8 @@ def _before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) 
 def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array:
     """Response of each reading to strain, (readings,): slope over the medians of holds and rest ends.
 
-    A straight drift over time is fitted beside it, and holds that lie far off count for little (Huber): an electrode
-    that drifts, or falls out for a while, is no answer to strain.
+    A linear drift is fitted too, and outlying holds get little weight (Huber), so that drift or dropout of an
+    electrode is not taken for a response.
     """
     windows = [(held.strain, held.start_s, held.end_s) for loop in loops for held in loop.held]
     windows += [(0.0, (loop.unloaded_s + loop.rest_end_s) / 2, loop.rest_end_s) for loop in loops]
@@ -134,7 +134,7 @@ def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array
             medians.append(np.median(rows[inside], axis=0))
             strains.append(strain)
             times.append((from_s + to_s) / 2)
-    values = np.vstack([np.zeros(rows.shape[1]), *medians])  # nothing, just before the first press
+    values = np.vstack([np.zeros(rows.shape[1]), *medians])  # zero, just before the first press
     since = (np.array(times) - times[0]) / max(float(np.ptp(times)), 1.0)
     design = np.column_stack([np.array(strains) / max(strains), since, np.ones_like(since)])
     weights = np.ones_like(values)
@@ -148,7 +148,7 @@ def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array
 
 
 def _amplitudes(rows: Array, pattern: Array) -> Array:
-    """Amplitude (n,) of each row along a pattern, readings that lie far off it counting for little (Huber)."""
+    """Amplitude (n,) of each row along a pattern; outlying readings get little weight (Huber)."""
     weights = np.ones_like(rows)
     for _ in range(_ROUNDS):
         along = (weights * rows) @ pattern / (weights @ pattern**2)
@@ -157,7 +157,7 @@ def _amplitudes(rows: Array, pattern: Array) -> Array:
 
 
 def _huber(residual: Array, *, axis: int) -> Array:
-    """Weights of residuals by their own median size along an axis: 1 for nearly all of normal ones, less far off."""
+    """Huber weights of residuals, relative to their median size along an axis: 1, but less for outliers."""
     size = np.median(np.abs(residual), axis=axis, keepdims=True) / _NORMAL_MEDIAN
     reach = _HUBER * np.maximum(size, np.finfo(np.float64).tiny)
     weights: Array = np.minimum(1.0, reach / np.maximum(np.abs(residual), np.finfo(np.float64).tiny))

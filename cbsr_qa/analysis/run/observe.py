@@ -79,17 +79,15 @@ def observe_run(
 
     Parameters
     ----------
-    record : the run as stored; nothing else is looked at.
-    reconstruction : a plugin's object.
-    settings : of the recipe.
-    over_time : whether relaxations and metrics of every frame are worked out too, which take most of the time and
-        which force, for one, does without. Whether holds had settled is not known then.
+    record : the run as stored, the only input.
+    over_time : whether to compute relaxations and metrics of every frame too, which take most of the time and which
+    force does not need. Without them it is unknown whether holds had settled.
 
     Raises
     ------
     NumericsError
-        If the run has no unloaded frames, too few usable readings, or a load without a frame; or if the recipe weighs
-        readings by their noise and it cannot be told.
+        If the run has no unloaded frames, too few usable readings, or a load without a frame; or if the recipe
+        weights readings by their noise, which cannot be estimated.
     """
     data = usable_data(record)
     unloaded = unloaded_frames(data.record)
@@ -101,7 +99,7 @@ def observe_run(
     floor = noise_floor(noise_images)
     phases = data.record.phases
     cut = [(phase, load, load_window(phase, load, settings)) for phase in phases for load in phase.loads]
-    # Loops say which way the conductance goes only where no ordinary press does.
+    # Loops give the sign of the conductance change only without ordinary presses.
     looped = [(phase, deepest_hold(loop)) for phase in phases for loop in phase.loops]
     voting = cut or [(phase, load, load_window(phase, load, settings)) for phase, load in looped]
     undecided = LoadSetting(imager, settings, record.indenter, floor, Response.AUTO)
@@ -142,7 +140,7 @@ def _over_time(
     cut: Sequence[tuple[PhaseRecord, LoadRecord, LoadWindow]],
     loads: tuple[LoadObservation, ...],
 ) -> tuple[tuple[LoadObservation, ...], tuple[MetricTimeline, ...]]:
-    """Return loads with their relaxations, and the metrics of every frame: most of the time, so it is shared."""
+    """Return loads with their relaxations, and the metrics of every frame, computed in parallel."""
     seen = [(load, phase, window) for load, (phase, _, window) in zip(loads, cut, strict=True)]
     tasks: list[Callable[[], Any]] = [partial(metric_timelines, setting, record)]
     tasks += [partial(relaxations_of, setting, phase, load, window) for load, phase, window in seen]
@@ -157,7 +155,7 @@ def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: 
 
 
 def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tuple[str, ...]:
-    """Warnings about loads; about how settled they are only if a multiple of the settling time is given."""
+    """Warnings about loads; about settling only if the recipe gives a multiple of the settling time."""
     words = []
     residual = [load for load in loads if load.alternate is not None]
     if residual:

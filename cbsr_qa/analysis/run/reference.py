@@ -15,9 +15,9 @@ from cbsr_qa.domain.sensor import DrivePattern
 from cbsr_qa.eit.inverse import imaging_problem, reading_noise
 from cbsr_qa.plugin import Reconstruction
 
-#: A frame with more than this share of its imaged readings flagged is lost as a whole.
+#: A frame with a larger share of its imaged readings flagged is lost as a whole.
 _LOST_SHARE = 0.25
-#: Channels are left out until at most this share of the frames is still touched by a flag.
+#: Channels are left out until at most this share of the frames is still affected by a flag.
 _TOUCHED_SHARE = 0.01
 _NAMED = 6  # readings named in a warning
 
@@ -41,7 +41,7 @@ def unloaded_frames(record: RunRecord) -> FrameBlock:
 
 
 def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBlock, FrameBlock]:
-    """Split unloaded frames into those of the noise floor (the first ones, as in the paper) and the reference."""
+    """Split unloaded frames into those of the noise floor (the first ones, as in the paper) and of the reference."""
     if len(frames) <= noise_floor_frames:
         raise NumericsError(
             f"{len(frames)} unloaded frames are too few: the noise floor needs {noise_floor_frames}, the reference at"
@@ -57,9 +57,9 @@ class UsableData:
 
     Parameters
     ----------
-    record : the run without the frames that were lost, spikes replaced by their neighbours in time.
-    readings : (drives, measures) bool, fit for imaging in every frame that is left.
-    warnings : a sentence for every kind of reading or frame left out beyond the pattern's own.
+    record : the run without lost frames, spikes replaced by their neighbours in time.
+    readings : (drives, measures) bool, fit for imaging in every remaining frame.
+    warnings : a sentence for every kind of reading or frame left out, beyond those of the pattern.
     """
 
     record: RunRecord
@@ -70,12 +70,12 @@ class UsableData:
 def usable_data(record: RunRecord) -> UsableData:
     """Exclude unusable readings, or the few frames in which they are unusable.
 
-    A frame most of which is flagged is lost: one bad frame must not cost a run, nor its readings in all others. Of
-    what is flagged then, channels go first, the worst before others, until at most 1 % of the frames are still
-    touched; those frames go. So a channel that saturates throughout a press is left out, and a watchdog dump in
-    one frame costs that frame. What is left is judged as in recordings: stuck readings, electrodes without contact
-    and dead drives are left out, spikes replaced. A reading that never changes while others do is stuck in a
-    noiseless simulation too; where nothing changes at all (a sheet nobody presses) no reading is.
+    A mostly flagged frame is lost, so that one bad frame costs neither the run nor its readings in all others. Of the
+    remaining flags, channels are left out first, worst first, until at most 1 % of the frames are affected; then
+    those frames are left out. So a channel that saturates throughout a press is left out, and a watchdog dump in
+    one frame costs that frame. The rest is judged as in recordings: stuck readings, electrodes without contact and
+    dead drives are left out, spikes replaced. A reading that never changes while others do is stuck in a noiseless
+    simulation too; if nothing changes at all (a sheet without load) no reading is.
     """
     frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
     pattern = record.sensor_type.pattern.usable()
@@ -137,7 +137,7 @@ def _without_current(
 
 
 def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay touched."""
+    """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay affected."""
     left_out = np.zeros(flagged.shape[1:], dtype=np.bool_)
     allowed = max(1.0, _TOUCHED_SHARE * len(flagged))
     while (flagged & ~left_out).any(axis=(1, 2)).sum() > allowed:
@@ -185,7 +185,7 @@ def check_weighing(reconstruction: Reconstruction, method: str, settings: Analys
     Raises
     ------
     NumericsError
-        If it says that it does not.
+        If it declares that it does not.
     """
     if settings.noise_weighting == "measured" and not getattr(reconstruction, "weighs_noise", True):
         raise NumericsError(
@@ -202,16 +202,16 @@ def weighed_problem(
     Parameters
     ----------
     unloaded : frames of the rested sheet before the first press.
-    settings : say whether readings are weighed by their noise in those, or alike.
+    settings : whether readings are weighted by their noise in those, or equally.
 
     Returns
     -------
-    The problem, and a warning where the noise of some readings is not known.
+    The problem, and a warning if the noise of some readings is unknown.
 
     Raises
     ------
     NumericsError
-        If the readings' noise cannot be told from those frames (:func:`reading_noise`), or too few are usable.
+        If the readings' noise cannot be estimated from those frames (:func:`reading_noise`), or too few are usable.
     """
     sensor_type, used = data.record.sensor_type, data.readings
     if settings.noise_weighting == "equal":

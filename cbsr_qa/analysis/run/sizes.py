@@ -1,4 +1,4 @@
-"""Size response: area of the masked region against area of the load."""
+"""Size response: area of the masked region as a function of the load's area."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,11 +13,11 @@ from cbsr_qa.eit.imaging import contour_regions, nearest_blob
 
 Array = NDArray[np.float64]
 
-#: Slopes below this are called flat: a target of twice the area leaves a region less than 19 % larger.
+#: Smaller slopes are called flat: a target of twice the area then has a region less than 19 % larger.
 FLAT: Final = 0.25
-#: Diameters of the targets, of the head's: 8, 13 and 20 mm for the 13 mm head.
+#: Diameters of the targets, relative to the head's: 8, 13 and 20 mm for the 13 mm head.
 RELATIVE_DIAMETERS: Final = (8 / 13, 1.0, 20 / 13)
-_OUT: Final = 0.6  # of the radius: 30 mm on the 100 mm disc, where the paper's outer locations are
+_OUT: Final = 0.6  # of the radius: 30 mm on the 100 mm disc, as the paper's outer locations
 _CONTRAST: Final = 0.05
 _HIGHEST_MASK: Final = 0.99  # a contour at the maximum itself encloses nothing
 
@@ -28,9 +28,8 @@ class SizeResponse:
 
     Parameters
     ----------
-    place : in words.
     diameters_mm : of the targets, rising.
-    areas_mm2 : of the region each one leaves; None where there is none.
+    areas_mm2 : of each one's region, or None.
     """
 
     place: str
@@ -39,9 +38,9 @@ class SizeResponse:
 
     @property
     def slope(self) -> float | None:
-        """Slope of the region's log area over the target's: 1 in proportion, 0 where sizes make no difference.
+        """Slope of the region's log area over the target's: 1 if proportional, 0 if the size makes no difference.
 
-        None where fewer than two targets left a region.
+        None with fewer than two regions.
         """
         seen = [(d, a) for d, a in zip(self.diameters_mm, self.areas_mm2, strict=True) if a is not None]
         if len(seen) < 2:
@@ -63,7 +62,7 @@ def size_response(
 ) -> tuple[SizeResponse, ...]:
     """Press targets of several sizes at the centre and 0.6 radii out, without noise, and measure the regions.
 
-    The readings are those of the linearised model, so that the figure is the method's and the problem's own.
+    The readings are those of the linearised model, so that the result depends only on the method and the problem.
 
     Parameters
     ----------
@@ -72,12 +71,12 @@ def size_response(
 
     Returns
     -------
-    One for each place on which the largest target lies as a whole.
+    One for each place where the largest target lies fully on the sheet.
 
     Raises
     ------
     NumericsError
-        If the diameter is not positive, or the largest target fits the sheet nowhere.
+        If the diameter is not positive, or the largest target does not fit the sheet.
     """
     if not head_diameter_mm > 0:
         raise NumericsError(f"a size response needs a head of a positive diameter, not {head_diameter_mm:g} mm")
@@ -98,7 +97,7 @@ def size_response(
 
 
 def size_response_of(run: RunObservation) -> tuple[SizeResponse, ...]:
-    """Size response of a run's reconstruction at its main mask; NumericsError where no target fits the sheet."""
+    """Size response of a run's reconstruction at its main mask; NumericsError if no target fits the sheet."""
     mask = min(run.main_mask, _HIGHEST_MASK)
     return size_response(run.reconstruction, head_diameter_mm=run.record.indenter.diameter_mm, mask=mask)
 
