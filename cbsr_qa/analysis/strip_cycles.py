@@ -164,7 +164,6 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
 
 
 def _place_mm(phases: list[PhaseRecord]) -> tuple[float, float]:
-    """The one place that was pressed."""
     places = {(load.load.x_mm, load.load.y_mm) for phase in phases for load in phase.loads}
     if len(places) > 1:
         raise NumericsError(

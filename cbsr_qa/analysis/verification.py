@@ -105,7 +105,6 @@ class _Reader:
         self.sheet_pose = self._sheet_pose()
 
     def _sheet_pose(self) -> SheetPose:
-        """Current registration of the sheet."""
         rows, noise, places = [], [], []
         for load in self._run.loads:
             phase = self._run.record.phase(load.phase)

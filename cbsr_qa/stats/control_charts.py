@@ -258,7 +258,6 @@ def _ranges(name: str, ranges: Array, size: int, deviation: float, count: int) -
 
 
 def _bounded(name: str, points: Array, standard: Standard, lower: Array, upper: Array, count: int) -> Chart:
-    """Chart with points beyond the limits as its only signal."""
     outside = np.flatnonzero((points < lower) | (points > upper))
     signals = tuple(Signal(OUTSIDE, int(index), _phase(int(index), count)) for index in outside)
     return Chart(name, points, standard.mean, lower, upper, standard.deviation, count, signals)

@@ -98,7 +98,6 @@ def _turns(z: Array) -> Flags:
 
 
 def _either(test: Callable[[Array], Flags]) -> Callable[[Array], Flags]:
-    """The test on either side of the centre."""
     return lambda z: test(z) | test(-z)
 
 

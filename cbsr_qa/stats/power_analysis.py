@@ -104,5 +104,4 @@ def _check_wanted(wanted: float, level: float) -> None:
 
 
 def _fewest(enough: Callable[[int], bool], size: float) -> int:
-    """Return the smallest sufficient number of sensors per group, at least two."""
     return smallest(enough, 1, _MOST, f"power: {size:g} deviations need more than {_MOST:g} sensors a group")

@@ -136,7 +136,6 @@ def _spread(step: Array) -> tuple[Array, Array]:
 
 
 def _rescored(scores: Array, changes: list[Change]) -> list[Change]:
-    """Score all steps again relative to the noise estimated without them."""
     out: list[Change] = []
     for window in WINDOWS:
         own = [change for change in changes if change.window == window]

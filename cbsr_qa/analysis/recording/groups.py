@@ -116,7 +116,6 @@ def _continues(change: Change, group: Group, white: Array) -> bool:
 
 
 def _sides(change: Change, n: int) -> tuple[slice, slice]:
-    """Frames on both sides of a step."""
     before = slice(max(change.frame - change.window - max(change.window // 2, 1), 0), max(change.frame - 1, 1))
     after = min(change.frame + max(change.window // 2, 1), n - 1)
     return before, slice(after, min(after + change.window, n))

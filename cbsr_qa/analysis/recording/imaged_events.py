@@ -250,7 +250,6 @@ def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
 
 
 def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImages) -> list[str]:
-    """Name events that the method's own image does not show."""
     return [
         f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: no region lies"
         f" near its place ({event.place}), and regions elsewhere are not"

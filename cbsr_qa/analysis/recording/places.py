@@ -235,7 +235,6 @@ def _settled(change: Array, match: Matcher, chosen: list[int], sign: int) -> lis
 
 
 def _nearest(match: Matcher, chosen: list[int]) -> float:
-    """Smallest distance between two places."""
     places = match.places[chosen]
     apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(len(chosen))
     return float(apart.min())

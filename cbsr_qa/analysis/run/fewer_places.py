@@ -118,13 +118,11 @@ class _Loads:
         return len(self._at)
 
     def first_of_each(self) -> Chosen:
-        """The first load at each place."""
         first: Chosen = np.zeros(len(self._which), dtype=np.bool_)
         first[np.unique(self._which, return_index=True)[1]] = True
         return first
 
     def cost(self, chosen: Chosen) -> MapCost:
-        """Predictions of a map from some loads."""
         _, variance = self._learned(chosen).predict(self._area)
         count = len(np.unique(self._which[chosen]))
         return MapCost(count, int(chosen.sum()), float(self._seconds[chosen].sum()), _rms(variance))

@@ -201,7 +201,6 @@ class _RunForce:
         )
 
     def strengths(self) -> StrengthTraces:
-        """Strengths over time, of every load at its place on the sheet."""
         places = dict(zip(map(key_of, self.loads), self.data.place_mm, strict=True))
         return StrengthTraces(
             self.run, places, self.merging, TemplateFilter(unlearned_model(self.bank, self.merging))

@@ -158,7 +158,6 @@ def held_beside(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, time
 def _mean_force(
     samples: SampleBlock | None, steady: FrameBlock, record: LoadRecord
 ) -> tuple[float | None, float | None]:
-    """Mean force during the steady frames, with its standard error."""
     if samples is None:
         return None, None
     half_frame = float(np.median(np.diff(steady.time_s))) / 2 if len(steady) > 1 else 0.0

@@ -1,7 +1,7 @@
 """Least-squares fit of one round load to each of many frames at once, by damped Gauss–Newton steps.
 
-At d′ of 10 to 30 the sheet's sensitivity changes over the place's error, and the Fisher matrix at the estimate
-promises too much: its inverse is averaged over places one standard error to each side.
+At d′ of 10 to 30 the sheet's sensitivity varies within the place's error, so that the Fisher matrix at the estimate
+is too optimistic: its inverse is averaged over places one standard error to each side.
 """
 
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ _MOST_STEPS: Final = 30
 _EASIER: Final = 0.1
 _HARDER: Final = 8.0
 _LARGEST_DAMPING: Final = 1e8
-_AT_ONCE: Final = 128  # loads evaluated together: what is held stays in the processor's cache
-_LEAST_CLEARANCE: Final = 0.02  # of the sheet's radius: nearer to an electrode or the edge a load is not followed
+_AT_ONCE: Final = 128  # loads evaluated together, so that data stay in the processor's cache
+_LEAST_CLEARANCE: Final = 0.02  # of the sheet's radius: loads closer to an electrode or the edge are not followed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,13 +30,13 @@ class Fits:
     Parameters
     ----------
     parameters : (n, 4) x [mm], y [mm], strength s [mm²], square q [mm²] (:mod:`cbsr_qa.eit.loads.round_load`).
-    covariance : (n, 4, 4) inverse Fisher matrix at the estimate; rows and columns of what was given are zero.
+    covariance : (n, 4, 4) inverse Fisher matrix at the estimate; rows and columns of given parameters are zero.
     residual : (n, rows) of unit noise.
     misfit : (n,) sum of its squares.
     empty_misfit : (n,) the same without a load.
     steps : (n,) tried.
     converged : (n,) False where the last step was not small.
-    held : (n,) where the load would have grown into an electrode or over the edge; its square stays at the bound.
+    held : (n,) whether the load would have grown into an electrode or over the edge; its square is at the bound.
     excess : (n,) by how much the square of those would be larger without the bound, to first order; else 0.
     """
 
@@ -69,7 +69,7 @@ class LoadFitter:
         return np.concatenate(change), np.concatenate(slope)
 
     def fit(self, data: Array, start: Array, *, square: bool) -> Fits:
-        """Fit data (n, rows) from parameters (n, 4); the square as well, or it stays as given."""
+        """Fit data (n, rows) from parameters (n, 4); the square is fitted too, or stays as given."""
         run = _Run(self, data, start, square)
         for _ in range(_MOST_STEPS):
             if not run.active.any():
@@ -87,8 +87,8 @@ class LoadFitter:
 
         Returns
         -------
-        (n, 4) parameters; (n,) whose square was cut; (n,) that are on the sheet, clear of electrodes, and no stronger
-        than a disc of that clearance can be.
+        (n, 4) parameters; (n,) whether the square was cut; (n,) whether the load is on the sheet, clear of
+        electrodes, and no stronger than a disc of that clearance can be.
         """
         least = _LEAST_CLEARANCE * self.model.surroundings.radius_mm
         clear = self.model.surroundings.clearance_mm(parameters[:, :2])
@@ -169,7 +169,7 @@ class _Run:
         self.active[which[self.damping[which] > _LARGEST_DAMPING]] = False
 
     def result(self) -> Fits:
-        """Fitted parameters, with covariances of everything that could have been fitted."""
+        """Fitted parameters, with covariances of all that could be fitted."""
         held = self.square & ~self.free[:, 3]
         covariance = _inverted(self.information, square=self.square)
         excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
@@ -203,7 +203,7 @@ def _inverted(information: Array, *, square: bool) -> Array:
     return covariance
 
 
-#: d′ above which a place is known so well that the sheet does not change over it.
+#: d′ above which the sheet is uniform within the error of the place.
 SURE: Final = 30.0
 #: Variance of the place beyond the bound, times d′², as simulated at d′ = 10 to 20 (benchmarks/load_estimate.py).
 _BEYOND: Final = 8.0
@@ -214,7 +214,7 @@ def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, s
     covariance = fits.covariance
     place = covariance[:, :2, :2]
     size, axes = np.linalg.eigh(place)
-    follow = covariance[:, :, :2] @ np.linalg.inv(place)  # how the other unknowns move with the place
+    follow = covariance[:, :, :2] @ np.linalg.inv(place)  # how the other unknowns vary with the place
     total = covariance.copy()
     for axis in range(2):
         step = np.sqrt(np.maximum(size[:, axis], 0))[:, None] * axes[:, :, axis]

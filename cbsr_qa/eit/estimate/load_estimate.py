@@ -3,7 +3,7 @@
 Weighted least squares on the readings' changes, started from an image, is unbiased and as precise as the Cramér–Rao
 bound allows. A place known to no better than a third of the radius, or a radius whose standard error is above a third
 of it, is not reported. The rules compare standard errors with the *expected* radius: a rule on the estimate itself
-would bias what is kept.
+would cause selection bias.
 """
 
 from dataclasses import dataclass, replace
@@ -21,23 +21,23 @@ from cbsr_qa.eit.estimate.fit import SURE, Fits, LoadFitter, spread_covariance
 from cbsr_qa.eit.estimate.readings import MergedReadings
 from cbsr_qa.eit.loads import RoundLoadModel
 
-#: By how much a load must lower the squared residuals to be there at all. Noise alone does it in fewer than 2 of
-#: 10 000 frames (measured with 20 000, anywhere on the sheet, of any size).
+#: Least decrease of the squared residuals for a load to be detected. Noise alone reaches it in fewer than 2 of 10 000
+#: frames (measured with 20 000, anywhere on the sheet, of any size).
 DETECTED_GAIN: Final = 27.0
-#: What does not explain so much of the squares at the best place of the grid explains no 27 beside it.
+#: A frame whose best place on the grid explains less of the squares does not explain 27 beside it.
 _HOPELESS_GAIN: Final = 10.0
-#: d′ from which a place is given. Loads of d′ = 10 are answered in 97 of 100 frames, of d′ = 6 in 3.
+#: d′ from which a place is reported: in 97 of 100 frames at d′ = 10, in 3 at d′ = 6.
 LEAST_DETECTABILITY: Final = 8.0
 #: Largest standard error of place and radius over the expected radius.
 _SHARE: Final = 1 / 3
-#: Standard errors scatter as the strength does: the bound is kept with this much to spare.
+#: Standard errors scatter as the strength does: margin of the bound.
 _SPARE: Final = 1.15
-#: A misfit this improbable is taken as the model's fault.
+#: A less probable misfit is attributed to the model.
 _IMPROBABLE: Final = 1e-3
 _COVERED: Final = 0.6827  # by one standard deviation to each side
-_SMALL: Final = 0.6  # of the clearance: largest radius of a load the search begins with
+_SMALL: Final = 0.6  # of the clearance: largest initial radius of a load
 _AT_ONCE: Final = 64
-_GRID: Final = 0.08  # of the sheet's radius, between places the matched filter looks at
+_GRID: Final = 0.08  # of the sheet's radius, between places of the matched filter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,9 +72,9 @@ class LoadEstimator:
     Parameters
     ----------
     model : readings of the sheet under a round load, at unit sheet conductance.
-    readings : which readings, with their noise.
-    expected_radius_mm : of what presses: what places and radii are resolved against, and where a fit begins.
-    known : whether the load has exactly that radius, which then is not estimated.
+    readings : used readings, with their noise.
+    expected_radius_mm : of the load: reference for resolving places and radii, and start of a fit.
+    known : whether the load has exactly that radius, so that it is not estimated.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class LoadEstimator:
         Parameters
         ----------
         changes : (n, m) of the used readings, at unit current and unit sheet conductance [V/A·S].
-        start_mm : (n, 2) places to try first, such as the blobs' centres of mass.
+        start_mm : (n, 2) starting places, such as the blobs' centres of mass.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class LoadEstimator:
         return self._judged(data, fits)
 
     def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
-        """Start from the better of the given place and the best of the grid, (n, 4); its explained share, (n,)."""
+        """Better start of the given place and the best of the grid, (n, 4), and its explained share, (n,)."""
         match = data @ self._patterns.T
         best, every = np.abs(match).argmax(axis=1), np.arange(len(data))
         matched = match[every, best]
@@ -186,7 +186,7 @@ class LoadEstimator:
         return _replaced(fits.covariance, unsure, spread)
 
     def _radius_stderr(self, fits: Fits, located: Mask) -> Array:
-        """Standard error of the radius at its expected value, (n,) [mm]; infinite if none is expected."""
+        """Standard error of the radius at its expected value, (n,) [mm]; infinite without one."""
         stderr = np.full(len(located), np.inf)
         which = np.flatnonzero(located)
         if self.known or not which.size:
@@ -270,7 +270,7 @@ def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> 
     clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
     radius = np.minimum(radius_mm, _SMALL * clear)
     changes = np.empty((len(places_mm), *model.pattern.shape))
-    order = np.argsort(-clear, kind="stable")  # places alike in clearance need alike numbers of terms
+    order = np.argsort(-clear, kind="stable")  # places of similar clearance need similar numbers of terms
     for first in range(0, len(order), _AT_ONCE):
         part = order[first : first + _AT_ONCE]
         changes[part] = model.weak(places_mm[part], radius[part])
@@ -284,13 +284,13 @@ def _filters(rows: Array) -> tuple[Array, Array]:
 
 
 def area_contrast(strength_mm2: float, stderr_mm2: float) -> Estimated:
-    """Area × contrast 2π s of a strength s, with contrast counted against the mean of both conductances [mm²]."""
+    """Area × contrast 2π s of a strength s, with contrast relative to the mean of both conductances [mm²]."""
     value, error = 2 * np.pi * strength_mm2, 2 * np.pi * stderr_mm2
     return Estimated(value, error, value - error, value + error)
 
 
 def contrast_of(reflection: float, stderr: float) -> Estimated:
-    """Contrast κ = 2μ/(1 − μ) of μ = (γ_i − γ)/(γ_i + γ); an interval that would leave no conductance ends there."""
+    """Contrast κ = 2μ/(1 − μ) of μ = (γ_i − γ)/(γ_i + γ), limited to values that leave a positive conductance."""
     low, value, high = (
         2 * mu / (1 - mu) for mu in np.clip([reflection - stderr, reflection, reflection + stderr], -1, 0.98)
     )
@@ -300,7 +300,7 @@ def contrast_of(reflection: float, stderr: float) -> Estimated:
 def radius_of(square_mm2: float, stderr_mm2: float, excess_mm2: float = 0.0) -> Estimated:
     """Radius Re √(q + iσ) of an estimate q ± σ of its square: never negative, and free of bias to second order.
 
-    ``excess_mm2``: by how much the square would be larger, had it not been held; the interval then ends there.
+    ``excess_mm2``: increase of the square without its bound; the interval then ends there.
     """
     value = sqrt((square_mm2 + sqrt(square_mm2**2 + stderr_mm2**2)) / 2)
     below, above = square_mm2 - stderr_mm2, square_mm2 + stderr_mm2

@@ -12,14 +12,14 @@ from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, SensorType
 from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM, even_model
 from cbsr_qa.eit.loads import MeshedSheet, PinnedDisc, RoundLoadModel
 
-_MESH_SIZE: Final = 0.12  # edge length, of the radius: fields are read from the edge, where meshes are finer
+_MESH_SIZE: Final = 0.12  # edge length, of the radius: fields are evaluated on the edge, where meshes are finer
 
 
 @lru_cache(maxsize=8)
 def load_model(sensor_type: SensorType) -> RoundLoadModel:
     """Readings of the even sheet under a round load, at unit sheet conductance; made once per process.
 
-    Exact fields for a disc with pins, finite elements for any other sheet, or one with a mesh of its own.
+    Exact fields for a disc with pins, finite elements for any other sheet or one with its own mesh.
     """
     round_sheet = isinstance(sensor_type.outline, Disc) and sensor_type.mesh is None
     if round_sheet and sensor_type.electrodes.kind is ElectrodeKind.PIN:
@@ -29,7 +29,7 @@ def load_model(sensor_type: SensorType) -> RoundLoadModel:
     return RoundLoadModel(MeshedSheet(model, sensor_type.radius_mm), sensor_type.pattern)
 
 
-#: A load has four unknowns; with hardly more readings nothing could contradict them.
+#: A load has four unknowns; hardly more readings could not contradict them.
 FEWEST_ROWS = 12
 
 
@@ -40,7 +40,7 @@ class MergedReadings:
     Parameters
     ----------
     used : (drives, measures) bool with m True entries, in C order.
-    merging : (rows, m) what turns changes of the used readings into rows of unit noise.
+    merging : (rows, m) maps changes of the used readings to rows of unit noise.
     drive, measure : (rows,) a reading of each row, for the model.
     weight : (rows,) by which the model's value of that reading is multiplied.
     """
@@ -65,7 +65,8 @@ def merged_readings(pattern: DrivePattern, used: Mask, variance: Array) -> Merge
 
     Parameters
     ----------
-    variance : (drives, measures) of the readings' changes, independent of each other; only used ones are looked at.
+    variance : (drives, measures) of the readings' changes, independent of each other; only those of used readings
+    matter.
 
     Raises
     ------

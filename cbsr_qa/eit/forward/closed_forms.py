@@ -1,8 +1,8 @@
 """Closed-form voltages of discs and resistor rings: reference solutions for meshed models and stations.
 
-Concentric disc: on its edge the current density Σ j_n e^{inθ} makes the potential Σ j_n R g_n/(γ n) e^{inθ} with
-g_n = (1 + μ a²ⁿ)/(1 − μ a²ⁿ), μ = (γ − γ_i)/(γ + γ_i) and a the inclusion's radius over the sheet's (Isaacson 1986).
-Nothing here uses a mesh, so agreement with :mod:`cbsr_qa.eit.forward.model` is independent evidence.
+Concentric disc: on its edge the current density Σ j_n e^{inθ} makes the potential Σ j_n R g_n/(γ n) e^{inθ} with g_n
+= (1 + μ a²ⁿ)/(1 − μ a²ⁿ), μ = (γ − γ_i)/(γ + γ_i) and a the inclusion's radius over the sheet's (Isaacson 1986). No
+mesh is used, so agreement with :mod:`cbsr_qa.eit.forward.model` is independent evidence.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ class ConcentricSheet:
             raise NumericsError("the sheet's conductance must be positive, the inclusion's at least zero")
 
     def gain(self, order: Array) -> Array:
-        """g_n, by how much the inclusion changes the potential of the n-th harmonic: 1 when homogeneous."""
+        """g_n, the factor by which the inclusion changes the potential of the n-th harmonic; 1 if homogeneous."""
         own, other = self.conductance_S, self.inclusion_conductance_S
         ratio = self.inclusion_radius_mm / self.radius_mm
         seen = (own - other) / (own + other) * ratio ** (2 * order)
@@ -62,8 +62,8 @@ def arc_transfer_impedance(
     angles_rad : (electrodes,) centres.
     half_width_rad : half the angle of an arc.
     contact_impedance : z [Ω·mm].
-    modes : Legendre polynomials an electrode; 1 is the gap model. The error falls fast for z ≥ 0.01 R/γ.
-    harmonics : Fourier terms; what is left out falls with their square.
+    modes : Legendre polynomials per electrode; 1 is the gap model. The error falls fast for z ≥ 0.01 R/γ.
+    harmonics : Fourier terms; the truncation error decreases with their square.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def _gram(basis: Array, weight: Array, order: Array, lag: float) -> Array:
     return np.select([turn == 0, turn == 1, turn == 2], [even, -odd, -even], odd)
 
 
-#: Fewer resistors are no ring.
+#: Fewer resistors do not form a ring.
 FEWEST_RESISTORS = 3
 
 
@@ -152,7 +152,7 @@ def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePatter
     Raises
     ------
     NumericsError
-        As :func:`ring_impedance`, or if the pattern has another number of electrodes.
+        As for :func:`ring_impedance`, or if the pattern has another number of electrodes.
     """
     impedance = ring_impedance(resistances_ohm)
     if len(impedance) != pattern.electrode_count:

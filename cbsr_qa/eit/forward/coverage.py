@@ -13,11 +13,11 @@ from cbsr_qa.domain.geometry import Footprint, circle_overlap_mm2, overlap_mm2
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward.elements import FiniteElements
 
-#: A share above this is all of the element.
+#: A larger share covers all of the element.
 WHOLE: Final = 1 - 1e-12
-_LEVELS: Final = 5  # integration points, for where in a cut element the covered part lies
+_LEVELS: Final = 5  # integration points, for the position of the covered part in a cut element
 _MARGIN: Final = 0.5  # how far a spread may leave [0, 1], as the best line through a step does
-_STEP = 1e-4  # of an element's size, for the derivative of the distance from an outline
+_STEP = 1e-4  # of an element's size, for numerical derivatives of the distance from an outline
 
 
 def disc_coverage(mesh: Mesh, x_mm: float, y_mm: float, radius_mm: float) -> tuple[Indices, Array]:
@@ -39,10 +39,10 @@ class Cover:
 
     Parameters
     ----------
-    elements : (k,) int64, rising, those it touches.
+    elements : (k,) int64, rising, the touched ones.
     share : (k,) covered fraction of their area, in (0, 1].
     spread : (k, q) covered fraction about each integration point: its mean is the share. May leave [0, 1], as the
-        best line through a step does.
+    best linear fit to a step does.
     across : (k, q, 2) unit normal of the load's outline near each point.
     """
 
@@ -87,7 +87,7 @@ class Cover:
         return change * conductance[self.elements, None, None, None]
 
     def _within(self, margin: Array) -> Array:
-        """The spread, drawn towards the share until it is at most so far outside [0, 1]: all stays positive."""
+        """The spread, shrunk towards the share until it leaves [0, 1] by no more than the allowed amount."""
         away = self.spread - self.share[:, None]
         above, below = away.max(axis=1), -away.min(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -122,12 +122,12 @@ def shares(footprint: Footprint, corners: Array) -> Array:
 
 
 def elements_near(elements: FiniteElements, footprint: Footprint) -> Indices:
-    """Elements about whose bounding circle the footprint's box comes."""
+    """Elements whose bounding circle overlaps the footprint's box."""
     drawn = footprint.drawn_mm()
     middle, half = (
         (drawn.max(axis=0) + drawn.min(axis=0)) / 2,
         0.51 * np.ptp(drawn, axis=0),
-    )  # drawn inside its circle
+    )
     beside = np.abs(elements.mesh.centroids_mm - middle) - half
     return np.flatnonzero((beside <= elements.reaches_mm[:, None]).all(axis=1))
 
@@ -140,7 +140,7 @@ def slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
     covered = overlap_mm2(footprint, small.reshape(-1, 3, 2)).reshape(-1, 3, _LEVELS)
     moments = covered @ weights
     whole = np.maximum(moments.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-    # ∫ λ_i λ_j over the element is (1 + δ_ij)/12 of its area, so that moments turn into slopes twelvefold.
+    # ∫ λ_i λ_j over the element is (1 + δ_ij)/12 of its area, so that slopes are twelve times the moments.
     slopes: Array = 12 * share[:, None] * (moments / whole - 1 / 3)
     return slopes
 
@@ -179,7 +179,7 @@ class NestedCover:
 
     Parameters
     ----------
-    elements : (k,) int64, rising, those any outline touches.
+    elements : (k,) int64, rising, those touched by any outline.
     layers : (k, q, j + 1) share of each layer about each integration point, outside first, inside the smallest last.
     levels : (j + 1,) relative strength in each layer, 0 outside.
     across : (k, q, 2) unit normal of the largest outline near each point.
@@ -191,7 +191,7 @@ class NestedCover:
     across: Array
 
     def change(self, conductance: Array, relative: float | Array) -> Array:
-        """Change of the conductance of each element, as :meth:`Cover.change`.
+        """Change of the conductance of each element, as in :meth:`Cover.change`.
 
         Parameters
         ----------
@@ -234,11 +234,11 @@ def nested_cover(
     largest : the largest outline.
     centre_mm : about which the others are smaller.
     sizes : (j,) of the outlines over the largest's, at most 1, falling.
-    weights : (j,) strength that each adds to all it surrounds.
+    weights : (j,) strength that each adds inside it.
     """
     mesh, centre = elements.mesh, np.array(centre_mm)
     near = elements_near(elements, largest)
-    # A smaller outline covers of an element what the largest one covers of a larger element.
+    # A smaller outline covers an element as the largest one covers a larger element.
     grown = (mesh.corners_mm[near] - centre) / sizes[:, None, None, None] + centre
     share = np.minimum(shares(largest, grown.reshape(-1, 3, 2)).reshape(len(sizes), -1), 1.0)
     touched = share.max(axis=0) > 1e-12
@@ -256,14 +256,14 @@ def nested_cover(
 
 
 def _layers(spread: Array) -> Array:
-    """Shares of the layers (k, q, j + 1) from those of all that lies within each outline (j, k, q)."""
+    """Shares of the layers (k, q, j + 1) from those within each outline (j, k, q)."""
     within = np.concatenate([np.ones_like(spread[:1]), spread, np.zeros_like(spread[:1])])
     layers: Array = np.moveaxis(within[:-1] - within[1:], 0, -1)
     return np.ascontiguousarray(layers)
 
 
 def _held(line: Array, share: Array) -> Array:
-    """Deviations (c, q) from shares (c,), made smaller until their sum is at most so far outside [0, 1]."""
+    """Deviations (c, q) from shares (c,), reduced until their sum exceeds [0, 1] by at most the allowed amount."""
     with np.errstate(divide="ignore"):
         above, below = line.max(axis=1), -line.min(axis=1)
         room = np.minimum((1 + _MARGIN - share) / above, (share + _MARGIN) / below)

@@ -1,8 +1,8 @@
 """Finite elements of first and second order, and electrodes on them: everything that depends on geometry alone.
 
-Matrices stay per element, so that the conductance enters as a scale and a local change touches its own elements only.
-Nodes of a triangle are its corners, then the middles of the edges from corner j to j + 1; those of an edge its ends,
-then its middle.
+Matrices stay per element, so that the conductance is a factor and a local change affects only its own elements. Nodes
+of a triangle are its corners, then the middles of the edges from corner j to j + 1; those of an edge its ends, then
+its middle.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Shapes:
 
     Parameters
     ----------
-    points : (q, 3) points inside a triangle, all of one weight.
+    points : (q, 3) points inside a triangle, of equal weight.
     slopes : (q, k, 2) derivatives by the second and by the third barycentric coordinate.
     edge_weights : (g,) of the points along an edge, with sum 1.
     edge_values, edge_slopes : (g, b) functions of the edge and their derivatives from end to end.
@@ -69,11 +69,11 @@ SHAPES: Final = {1: _linear(), 2: _quadratic()}
 
 
 class FiniteElements:
-    """Continuous functions that are polynomials on each element, with one unknown a node.
+    """Continuous functions that are polynomials on each element, with one unknown per node.
 
     Parameters
     ----------
-    mesh : its nodes come first among those here.
+    mesh : its nodes come first.
     order : 1, the mesh's triangles; or 2, with the middles of edges as further nodes, following the mesh's arcs
         (isoparametric).
 
@@ -112,7 +112,7 @@ class FiniteElements:
 
     @cached_property
     def reaches_mm(self) -> Array:
-        """As :func:`reaches_mm` of its mesh, (e,) [mm]."""
+        """Reach of each element of its mesh, (e,) [mm], see :func:`reaches_mm`."""
         return reaches_mm(self.mesh)
 
     @property
@@ -196,7 +196,7 @@ def _outer(first: Array, second: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:
-    """Electrodes as the nodes see them.
+    """Electrodes in terms of nodes.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ class Contacts:
 
 
 def edge_contacts(elements: FiniteElements) -> Contacts:
-    """Electrodes along the mesh's electrode edges; NumericsError if one has none, or edges that no element has."""
+    """Electrodes along the mesh's electrode edges; NumericsError for one without edges, or edges without element."""
     electrodes = elements.mesh.electrode_edges
     bare = [k for k, edges in enumerate(electrodes) if not len(edges)]
     if bare or not electrodes:

@@ -110,7 +110,7 @@ class ForwardModel:
     def solve(self, load: Array) -> Array:
         """Potentials (n, k) [V] of the finite elements' nodes for currents (n, k) [A] into them.
 
-        Columns that do not sum to zero raise the whole sheet by some constant.
+        Columns that do not sum to zero shift the whole sheet by a constant.
         """
         return self._factors.solve(load, refine=self._far_apart)
 
@@ -149,7 +149,7 @@ class ForwardModel:
         return np.negative(jacobian, out=jacobian)
 
     def jacobian_rows(self, drive: Indices, measure: Indices) -> Array:
-        """Rows (m, e) of :meth:`jacobian` for readings by their drive and measure pairs (m,) [V/A per S]."""
+        """Rows (m, e) of :meth:`jacobian` for given drive and measure pairs (m,) [V/A per S]."""
         driven, measured = self._pair_fields
         rows = np.empty((len(drive), len(self.mesh.elements)))
         for row, k, m in zip(rows, drive, measure, strict=True):
@@ -165,7 +165,7 @@ class ForwardModel:
         electrodes = len(contacts.nodes)
         slopes = np.zeros((*self.pattern.shape, electrodes))
         for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
-            fields = self._fields_against(nodes, nodes[0])  # under good contacts they hardly differ
+            fields = self._fields_against(nodes, nodes[0])  # nearly equal under good contacts
             impedance = fields.T @ mass @ fields / self.contact_impedance[number] ** 2
             impedance[number, number] += 1 / contacts.lengths_mm[number]
             slopes[..., number] = self.readings(impedance)
@@ -178,12 +178,12 @@ class ForwardModel:
 
     @cached_property
     def _pair_fields(self) -> tuple[Array, Array]:
-        """Gradients, times the root of the area each stands for, for drive and measure pairs: (pairs, 2 q, e)."""
+        """Gradients, times the root of their areas, for drive and measure pairs: (pairs, 2 q, e)."""
         elements = self.elements
         root = np.sqrt(elements.weights_mm2)[..., None, None] * elements.gradients  # (e, q, k, 2)
         count, q, k, _ = root.shape
         gradient = root.transpose(0, 1, 3, 2).reshape(count, 2 * q, k)
-        nodal = self._fields_against(elements.cells, elements.cells[:, :1])  # in good conductors they hardly differ
+        nodal = self._fields_against(elements.cells, elements.cells[:, :1])  # nearly equal in good conductors
 
         def of(pairs: Array) -> Array:
             return np.array((gradient @ (nodal @ pairs)).transpose(2, 1, 0), dtype=np.float64, order="C")
@@ -205,14 +205,13 @@ class ForwardModel:
         return contacts.means[touched].T @ self._fields_at(touched)
 
     def _fields_at(self, nodes: Indices) -> Array:
-        """:attr:`electrode_fields` at some nodes."""
         fields = np.empty((len(nodes), len(self.contact_impedance)))
         fields[:, 1:] = self._ordered[0][self.prepared.place[nodes]]
-        fields[:, 0] = -fields[:, 1:] @ np.ones(fields.shape[1] - 1)  # all together drive nothing
+        fields[:, 0] = -fields[:, 1:] @ np.ones(fields.shape[1] - 1)  # together they drive nothing
         return fields
 
     def _fields_against(self, nodes: Indices, others: Indices) -> Array:
-        """Differences of :attr:`electrode_fields` between nodes, right to their own size: (…, electrodes)."""
+        """Differences of :attr:`electrode_fields` between nodes, accurate relative to their size: (…, electrodes)."""
         place = self.prepared.place
         here, there = place[nodes], place[others]
         fields, error = self._ordered
@@ -255,7 +254,7 @@ def point_model(
     Raises
     ------
     NumericsError
-        As :class:`ForwardModel`, or if nodes are not in the mesh or repeat.
+        As for :class:`ForwardModel`, or if nodes are not in the mesh or repeat.
     """
     elements = FiniteElements(mesh, order)
     prepared = PreparedSheet(elements, point_contacts(elements, nodes))
@@ -263,7 +262,7 @@ def point_model(
 
 
 def _alike(before: Array, change: Array, points: int) -> tuple[Array, Array]:
-    """Conductances both as numbers, or both as matrices (…, q, 2, 2)."""
+    """Conductances, both as numbers or both as matrices (…, q, 2, 2)."""
     if np.ndim(before) == np.ndim(change):
         return before, change
     first, second = (

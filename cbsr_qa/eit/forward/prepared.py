@@ -1,9 +1,9 @@
 """Prepared system of equations of a sheet: a new conductance only scales, factorises and solves it.
 
-The matrix is linear in the elements' conductance and in the reciprocal contact impedance. Where potentials are
-refined, residuals are formed without the diagonal, as Σ_j K_ij (u_j − u_i), of potentials in twice the precision
-(Dekker 1971): with contrasts of 1e8, rounding of the diagonal would cost readings half their digits. Corrections from
-the same factors are added until they are of rounding (Wilkinson 1963; Demmel et al. 2006).
+The matrix is linear in the elements' conductance and in the reciprocal contact impedance. If potentials are refined,
+residuals are computed without the diagonal, as Σ_j K_ij (u_j − u_i), from potentials in twice the precision (Dekker
+1971): with contrasts of 1e8, rounding of the diagonal would cost readings half their digits. Corrections from the
+same factors are added until they are as small as rounding (Wilkinson 1963; Demmel et al. 2006).
 """
 
 from collections.abc import Callable
@@ -19,9 +19,9 @@ from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward.elements import Contacts, FiniteElements
 
 _MOST_STEPS: Final = 12
-_DONE: Final = 1e-13  # of the largest potential: the next correction would be one of rounding
-_SHRINKS: Final = 0.5  # a correction that is no smaller than so much of the last one is of rounding already
-_LOST: Final = 1e-2  # of the largest potential: corrections that end above were never any
+_DONE: Final = 1e-13  # of the largest potential: the next correction would be rounding
+_SHRINKS: Final = 0.5  # a correction not smaller than this share of the last one is rounding
+_LOST: Final = 1e-2  # of the largest potential: corrections that end above it have failed
 
 
 def refined(
@@ -31,20 +31,20 @@ def refined(
 
     Parameters
     ----------
-    conductors : symmetric, rows sum to zero; its diagonal does not count, and no column is empty.
+    conductors : symmetric, rows sum to zero; its diagonal is ignored, and no column is empty.
     load : (n, k) currents into the nodes, columns that sum to zero [A].
-    solve : gives potentials of a load, nearly.
-    potentials : (n, k) to begin with [V].
-    ground : node against which potentials are returned.
+    solve : approximate potentials of a load.
+    potentials : (n, k) initial [V].
+    ground : reference node of the returned potentials.
 
     Returns
     -------
-    (n, k) and (n, k) [V], rounded and what rounding took.
+    (n, k) and (n, k) [V], rounded potentials and their rounding errors.
 
     Raises
     ------
     NumericsError
-        If corrections do not shrink: the factors have no digit left.
+        If corrections do not shrink: the factors have no accurate digit.
     """
     high, low = potentials - potentials[ground], np.zeros_like(potentials)
     left = np.inf
@@ -86,7 +86,7 @@ def _sum(a: Array, b: Array) -> tuple[Array, Array]:
     return total, (a - (total - part)) + (b - part)
 
 
-# Supernodes are not relaxed: with the symmetric ordering SuperLU pads some of them until they cost ten times as much.
+# Supernodes are not relaxed: with the symmetric ordering SuperLU pads some until they cost ten times as much.
 _SYMMETRIC: Final[dict[str, Any]] = {
     "diag_pivot_thresh": 0.0,
     "relax": 1,
@@ -99,7 +99,7 @@ class PreparedSheet:
     """Complete electrode model over the nodes (Vauhkonen et al. 1999, eq 12).
 
     The electrodes' potentials are eliminated, U_l = z_l I_l/|E_l| + mean of u on E_l: poor contacts cost no digits of
-    the readings that do not feel them. The free constant is fixed at one node of the best conductor.
+    readings that they do not affect. The free constant is fixed at one node of the best conductor.
 
     Raises
     ------
@@ -113,7 +113,7 @@ class PreparedSheet:
         self.contacts = contacts
         rows, columns, owner, values = _entries(elements, contacts)
         sources = len(elements.cells) + len(contacts.nodes)
-        held = elements.cells[0, 0]  # any node: what counts here is which entries there are
+        held = elements.cells[0, 0]  # arbitrary values: only the pattern of entries matters
         places = np.append(rows, held), np.append(columns, held)
         matrix = sparse.csc_matrix((np.append(values, 1.0), places), shape=(elements.count,) * 2)
         #: place of each node in the order of elimination, (n,)
@@ -136,7 +136,7 @@ class PreparedSheet:
 
     @cached_property
     def beside(self) -> tuple[Indices, ...]:
-        """Of each electrode, the elements that touch it."""
+        """Elements that touch each electrode."""
         cells = self.elements.cells
         touching = []
         for nodes in self.contacts.nodes:
@@ -168,10 +168,10 @@ class Factors:
 
     Parameters
     ----------
-    factors : in the order of elimination, with a node held.
+    factors : in the order of elimination, with one node fixed.
     place : (n,) each node's place in that order.
-    conductors : the matrix without what holds the node.
-    ground : place of the node that is held. held_by : what it is held by [S].
+    conductors : the matrix without the term that fixes the node.
+    ground : place of the fixed node. held_by : conductance that fixes it [S].
     """
 
     def __init__(
@@ -185,8 +185,8 @@ class Factors:
         self._order = np.argsort(place)
 
     def solve(self, load: Array, *, refine: bool = False) -> Array:
-        """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]; refined, as :meth:`refined_ordered`."""
-        ordered = np.take(load.T, self._order, axis=1).T  # column by column in memory, as the solver wants it
+        """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]; refined as in :meth:`refined_ordered`."""
+        ordered = np.take(load.T, self._order, axis=1).T  # column-major, as the solver requires
         return (self.refined_ordered(ordered)[0] if refine else self.solve_ordered(ordered))[self._place]
 
     def solve_ordered(self, load: Array) -> Array:
@@ -233,7 +233,7 @@ def _entries(elements: FiniteElements, contacts: Contacts) -> tuple[Indices, Ind
 
 
 def _split(conductance: Array) -> tuple[Array, Indices]:
-    """A conductance for each element, and the elements in which that is not all of it."""
+    """A conductance for each element, and the elements for which it is not sufficient."""
     if conductance.ndim == 1:
         return conductance, np.zeros(0, dtype=np.int64)
     even = conductance[:, 0, 0, 0]

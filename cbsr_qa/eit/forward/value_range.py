@@ -1,10 +1,10 @@
-"""Allowed range of conductances and contact impedances; outside it rounding would decide the readings.
+"""Allowed range of conductances and contact impedances; outside it rounding would dominate the readings.
 
 Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest entry: of the best conductor, and of
-|E|/z under a contact. The leak counts against the worst conductor the current has to pass. Where values are more than
-a hundred apart potentials are refined (:mod:`cbsr_qa.eit.forward.prepared`); readings that touch no driven electrode
-are then right to 1e-13 in norm over all that is allowed here, also after local updates (1e-12 where every element has
-a conductance of its own, over eight decades).
+|E|/z under a contact. The leak matters relative to the worst conductor in the current's path. If values differ by
+more than a factor of a hundred, potentials are refined (:mod:`cbsr_qa.eit.forward.prepared`); readings that touch no
+driven electrode are then accurate to 1e-13 in norm over the allowed range, also after local updates (1e-12 if every
+element has its own conductance, over eight decades).
 """
 
 from typing import Final
@@ -15,15 +15,15 @@ from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 
 #: z γ/|E| of an electrode with the conductance next to it.
 CONTACT_RANGE: Final = (1e-9, 1e9)
-#: And with the smallest and the largest conductance of the sheet, which current may have to pass on its way.
+#: The same with the smallest and the largest conductance of the sheet, which may lie in the current's path.
 FAR_CONTACT_RANGE: Final = (1e-10, 1e10)
 #: Largest over smallest conductance.
 MOST_CONTRAST: Final = 1e8
-#: Conductances, contacts' among them, further apart than this have their potentials refined.
+#: Above this ratio of conductances, including contacts, potentials are refined.
 REFINED_ABOVE: Final = 1e2
-#: What rounding does to readings and sensitivities that are not refined, of how far conductances are apart.
+#: Relative rounding error of readings and sensitivities that are not refined, per ratio of conductances.
 UNREFINED_ERROR: Final = 1.5e-14
-_ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
+_ROUNDING: Final = 1 + 1e-9  # tolerance of a contrast exactly at the limit
 
 
 _NOTHING: Final = {
@@ -54,11 +54,11 @@ def check_range(conductance: Array, impedance: Array, lengths_mm: Array, beside:
     conductance : (e,) [S], or (e, q, 2, 2) by integration point.
     impedance : (electrodes,) z [Ω·mm].
     lengths_mm : (electrodes,) |E|; infinite for points, which have no contact impedance.
-    beside : of each electrode, the elements that touch it.
+    beside : elements that touch each electrode.
 
     Returns
     -------
-    Whether rounding would cost readings more than some two of their digits, so that potentials are refined.
+    Whether potentials must be refined, because rounding would cost readings more than about two digits.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def _check_ratios(low: Array, high: Array, impedance: Array, where: str, allowed
 
 
 def conducts(conductance: Array) -> Mask:
-    """Whether conductances (m,) or (m, q, 2, 2) are finite and positive, as matrices symmetric and definite: (m,)."""
+    """Whether conductances (m,) or (m, q, 2, 2) are finite and positive (matrices: symmetric and definite): (m,)."""
     if conductance.ndim == 1:
         return np.asarray(np.isfinite(conductance) & (conductance > 0), dtype=np.bool_)
     (xx, xy), (yx, yy) = np.moveaxis(conductance, (-2, -1), (0, 1))
@@ -112,7 +112,7 @@ def conducts(conductance: Array) -> Mask:
 
 
 def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
-    """Return conductances or contact impedances as they are.
+    """Return conductances or contact impedances unchanged.
 
     Raises
     ------

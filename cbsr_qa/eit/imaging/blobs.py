@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import Blob, Image, Region
 
-# Two roundings stand between a value that was meant to lie on the threshold and the threshold computed here.
+# Two roundings separate a value meant to be on the threshold from the threshold computed here.
 _TIE: Final = 4 * np.finfo(np.float64).eps
 
 
@@ -81,7 +81,7 @@ def component_labels(count: int, edges: Indices) -> Indices:
 
 
 def groups(labels: Indices) -> dict[int, Indices]:
-    """Where each label is found: indices in rising order, by label."""
+    """Rising indices of each label, by label."""
     order = np.argsort(labels, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
     return {int(labels[part[0]]): part for part in parts if part.size}
@@ -108,7 +108,7 @@ def find_blobs(image: Image, keep: Mask) -> tuple[Blob, ...]:
 
 
 def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, ...], ...]:
-    """Find the blobs of several percentage masks of one image: one tuple per mask, as of :func:`find_blobs`.
+    """Find the blobs of several percentage masks of one image: one tuple per mask, as in :func:`find_blobs`.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, 
 
 
 def nearest_blob(blobs: Sequence[AnyRegion], x_mm: float, y_mm: float) -> AnyRegion | None:
-    """Return the region whose centre of mass is nearest to a place, of equals the first; None without region."""
+    """Return the region with its centre of mass nearest to a place (the first of equals); None without regions."""
     place = np.array([x_mm, y_mm])
     return min(blobs, key=lambda blob: float(np.hypot(*(blob.centre_mm() - place))), default=None)
 

@@ -1,7 +1,7 @@
 """Regions bounded by a contour inside elements, so that masks do not jump by whole elements.
 
-An image of one value per element becomes one value per node, linear in between; a region is where that field reaches
-a share of its maximum. The metrics of :mod:`.shape` are exact for the linear field.
+An image with one value per element is converted to one value per node, linear in between; a region is where that
+field reaches a share of its maximum. The metrics of :mod:`.shape` are exact for the linear field.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,7 +18,7 @@ from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.imaging.blobs import component_labels, groups, threshold
 
 _SPECK: Final = 1e-9  # of a mean element's area
-_ALIGNED: Final = 1e-9  # elements around a node that are more in a line than this say nothing across it
+_ALIGNED: Final = 1e-9  # of a line: elements around a node in a flatter arrangement give no slope across it
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def nodal_values(mesh: Mesh, values: Array) -> Array:
     """Return at each node the linear function that fits the elements around it best, by area: (e,) → (n,).
 
     It is exact for linear images and of second order in the element size for smooth ones. On the edge of the mesh the
-    area-weighted mean stays where it is.
+    area-weighted mean is kept.
     """
     return _fit_at_nodes(mesh) @ values
 
@@ -98,7 +98,7 @@ def contour_regions(image: Image, fraction: float) -> tuple[ContourRegion, ...]:
 
 
 def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[ContourRegion, ...], ...]:
-    """Find the regions of several masks: one tuple per mask, as of :func:`contour_regions`, also for errors."""
+    """Find the regions of several masks: one tuple per mask, otherwise as :func:`contour_regions`."""
     if max(fractions, default=0.5) == 1:
         raise NumericsError("a contour at the maximum itself encloses nothing", remedy="use a mask below 100 %")
     nodal = nodal_values(image.mesh, image.values)
@@ -176,21 +176,19 @@ class _Cut:
         return self._nodes_mm[corner % len(self._nodal)]
 
     def value(self, corner: Indices) -> Array:
-        """Field at corners."""
         return self._nodal[corner % len(self._nodal)]
 
     def mask(self, corner: Indices) -> Indices:
-        """Which level corners belong to."""
+        """Level index of corners."""
         return corner // len(self._nodal)
 
     def crossing(self, high: Indices, low: Indices) -> Array:
-        """Where the field passes the level between corners at or above it and corners below it."""
+        """Points where the field passes the level between corners at or above it and corners below it."""
         level, upper, place = self._levels[self.mask(high)], self.value(high), self.place(high)
         share = (upper - level) / (upper - self.value(low))
         return place + share[:, None] * (self.place(low) - place)
 
     def level(self, corner: Indices) -> Array:
-        """Level that corners belong to."""
         return self._levels[self.mask(corner)]
 
 
@@ -206,12 +204,12 @@ def _all(flags: Mask, nodes: Indices) -> Mask:
 
 
 def _turned(triangles: Indices, odd: Mask) -> Indices:
-    """Turn triangles so that the one corner that is marked comes first."""
+    """Rotate triangles so that the single marked corner comes first."""
     return np.take_along_axis(triangles, (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
 
 
 def _regions(cut: _Cut) -> Iterator[tuple[int, ContourRegion]]:
-    """Put the pieces of each connected region together; with the number of its level."""
+    """Combine the pieces of each connected region, with the index of its level."""
     corners_mm, values, anchor = _inside(cut)
     start, end, rim_anchor = _rim(cut)
     label = component_labels(len(cut.above), cut.joined)
@@ -223,7 +221,7 @@ def _regions(cut: _Cut) -> Iterator[tuple[int, ContourRegion]]:
 
 
 def _inside(cut: _Cut) -> tuple[Array, Array, Indices]:
-    """Triangles (t, 3, 2) of what reaches the level, values (t, 3), and a corner at or above it of each (t,)."""
+    """Triangles (t, 3, 2) that reach the level, their values (t, 3), and a corner of each at or above it (t,)."""
     stump_right, stump_left = cut.stump_cuts
     stumps, tip_level, stump_level = cut.place(cut.stumps), cut.level(cut.tips[:, 0]), cut.level(cut.stumps[:, 0])
     corners = [

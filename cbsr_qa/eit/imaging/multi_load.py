@@ -1,4 +1,4 @@
-"""Several simultaneous loads: regions assigned to loads, touching loads parted, two-touch resolution."""
+"""Several simultaneous loads: regions assigned to loads, touching loads separated, two-touch resolution."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from cbsr_qa.eit.imaging.contours import contour_regions
 def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
     """Split blobs with several peaks (watershed by flooding, Vincent & Soille 1991, on the mesh's elements).
 
-    A peak counts where one has to go down by more than the prominence before one can climb to a higher one.
+    A peak counts if every path to a higher one descends by more than the prominence.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
 
     Returns
     -------
-    Heaviest first; blobs with one peak are as they were.
+    Heaviest first; blobs with one peak are unchanged.
 
     Raises
     ------
@@ -54,7 +54,6 @@ def _parted(blob: Blob, depth: float) -> list[Blob]:
 
 
 def _neighbours(blob: Blob) -> list[list[int]]:
-    """Neighbours of each element within the blob, by place in the blob."""
     number = np.full(len(blob.image.values), -1, dtype=np.int64)
     number[blob.elements] = np.arange(len(blob.elements))
     pairs = number[blob.image.mesh.neighbours]
@@ -66,8 +65,8 @@ def _neighbours(blob: Blob) -> list[list[int]]:
 
 
 def _flooded(values: Array, around: list[list[int]], depth: float) -> Indices:
-    """Number of the basin, by its peak, of every element: the level falls from the highest peak to the rim."""
-    into = list(range(len(values)))  # a basin that was joined to another points to it
+    """Basin of every element, numbered by peak, as the level falls from the highest peak to the rim."""
+    into = list(range(len(values)))  # a joined basin points to the basin it was joined to
     basin = np.full(len(values), -1, dtype=np.int64)
 
     def top(peak: int) -> int:
@@ -94,8 +93,8 @@ class Assignment:
 
     Parameters
     ----------
-    region_of : for each load the index of its region; None where it has none of its own.
-    merged_with : for each load the index of the load whose region it shares; None where it shares none.
+    region_of : for each load the index of its own region, or None.
+    merged_with : for each load the index of the load whose region it shares, or None.
     false : indices of the regions that belong to no load.
     """
 
@@ -105,7 +104,7 @@ class Assignment:
 
     @property
     def missed(self) -> tuple[int, ...]:
-        """Loads with neither a region of their own nor a share in another's."""
+        """Loads with neither their own region nor a share in another's."""
         pairs = zip(self.region_of, self.merged_with, strict=True)
         return tuple(load for load, (own, shared) in enumerate(pairs) if own is None and shared is None)
 
@@ -127,12 +126,12 @@ class Assignment:
 
 
 def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gate_mm: float) -> Assignment:
-    """Assign regions to loads so that the sum over the loads of min(distance, gate) is the least there is.
+    """Assign regions to loads so that the sum over the loads of min(distance, gate) is minimal.
 
     The distance is that of the region's centre of mass from the load's centre; a load without region counts as one at
     the gate (the cut-off distance of OSPA, Schuhmacher, Vo & Vo 2008). A region can belong to a load within the gate,
-    or whose centre it covers. A load without a region of its own is *merged* with the owner of one that could have
-    been its own, and *missed* where there is none.
+    or whose centre it covers. A load without its own region is *merged* with the owner of a region that could belong
+    to it; without such a region it is *missed*.
 
     Raises
     ------
@@ -143,7 +142,7 @@ def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gat
         raise NumericsError(f"gate is {gate_mm} mm; it must be positive", remedy="use the diameter of the head")
     distance, covered = _relations(regions, loads)
     possible = covered | (distance <= gate_mm)
-    # A column of its own lets every load stay without region; of two equal costs, a region is better than none.
+    # An extra column lets each load stay without a region; at equal cost a region is preferred.
     nobody = np.where(np.eye(len(loads), dtype=np.bool_), gate_mm * (1 + 1e-9), np.inf)
     costs = np.hstack([np.where(possible, np.minimum(distance, gate_mm), np.inf), nobody])
     columns = linear_sum_assignment(costs)[1].tolist()
@@ -173,7 +172,7 @@ def _relations(regions: Sequence[Region], loads: Sequence[Footprint]) -> tuple[A
     return distance, covered
 
 
-#: Mask under which a watershed parts two loads, and how deep the valley between them must be, both of the maximum.
+#: Mask under which a watershed separates two loads, and the depth of the valley between them, both of the maximum.
 WATERSHED_MASK: Final = 0.25
 WATERSHED_DEPTH: Final = 0.05
 
@@ -184,9 +183,9 @@ class TwoTouch:
 
     Parameters
     ----------
-    separation_mm : smallest distance of their centres from which on they were two at every larger one; None where
-        they were not two at the largest.
-    tried_mm : the largest distance that was tried.
+    separation_mm : smallest distance of their centres above which they are always resolved; None if not even at the
+    largest.
+    tried_mm : largest distance tried.
     step_mm : between distances.
     """
 
@@ -205,13 +204,13 @@ def two_touch_resolution(
 ) -> TwoTouch:
     """Move two equal loads apart along x, about the origin, until they stay resolved.
 
-    They are two where :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is nearer to it than
+    They are resolved if :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is closer to it than
     to the other. Readings are those of the linearised model, without noise.
 
     Parameters
     ----------
-    mask : of the image's maximum, whose contours are counted; None for a watershed of the 25 % mask that parts peaks
-        with a valley of 5 % between them.
+    mask : of the image's maximum, for contours; None for a watershed of the 25 % mask that separates peaks with a
+    valley of 5 % between them.
     furthest_mm : largest distance of the centres; by default 0.8 of the sheet's radius.
 
     Raises
@@ -229,7 +228,7 @@ def two_touch_resolution(
             remedy="try larger distances, in positive steps",
         )
     tried = step_mm * np.arange(np.ceil(width / step_mm), np.floor(furthest_mm / step_mm + 1e-9) + 1)
-    # From the largest distance down: nearer than where they first are one, nothing changes the answer.
+    # From the largest distance down, until they merge: smaller distances make no difference.
     apart = list(takewhile(lambda at: _pair(reconstruction, indenter, along * at / 2, mask).apart, tried[::-1]))
     return TwoTouch(float(apart[-1]) if apart else None, float(tried[-1]), step_mm)
 

@@ -14,7 +14,7 @@ from cbsr_qa.domain.results import Image
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.imaging.blobs import percentage_mask, threshold
 
-# scikit-image ships without types for these.
+# scikit-image has no type stubs for these.
 _feature: Final[Any] = skimage.feature
 _measure: Final[Any] = skimage.measure
 _segmentation: Final[Any] = skimage.segmentation
@@ -109,7 +109,7 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     peaks = _feature.peak_local_max(smooth, min_distance=apart, labels=joined, exclude_border=False)
     markers = np.zeros(keep.shape, dtype=np.int64)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
-    # A flat image has no peak anywhere, but its pixels are a region all the same.
+    # A flat image has no peak, but its pixels are a region all the same.
     for peakless in np.setdiff1d(joined[keep], joined[markers > 0]):
         markers[joined == peakless] = markers.max() + 1
     return _regions(raster, _segmentation.watershed(-smooth, markers, mask=keep), level)
@@ -139,7 +139,7 @@ def pixel_image(raster: Raster, where: Mask | None = None) -> Image:
 def outlines(raster: Raster, level: float) -> tuple[Array, ...]:
     """Closed outlines (k, 2) [mm] at a level, by marching squares, longest first; above the level to their left."""
     contours = _measure.find_contours(np.pad(raster.values, 1), level, positive_orientation="high")
-    # Rows rise with y: (row, column) to (x, y) is a reflection, which turns outlines round.
+    # Rows rise with y: (row, column) to (x, y) is a reflection, which reverses outlines.
     closed = [raster.places_mm(contour[::-1] - 1) for contour in contours]
     return tuple(sorted(closed, key=lambda outline: -float(np.hypot(*np.diff(outline, axis=0).T).sum())))
 
@@ -162,7 +162,7 @@ def _regions(raster: Raster, labels: Indices, level: float) -> tuple[PixelRegion
         pieces = outlines(alone, level)
         start, end = (np.concatenate([piece[part] for piece in pieces]) for part in (slice(-1), slice(1, None)))
         long = (start != end).any(axis=1)
-        # About a corner of its own: products of places far from the origin would leave no digits of a small area.
+        # Relative to one corner: products of places far from the origin would cancel in a small area.
         u, v = start - start[0], end - start[0]
         area = float((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()) / 2
         weight = float(raster.values[pixels].sum()) * raster.pitch_mm**2

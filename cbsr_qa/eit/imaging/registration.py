@@ -1,4 +1,4 @@
-"""Registration of seen to nominal places: shift, rotation, scale, and the residual errors."""
+"""Registration of measured to nominal places: shift, rotation, scale, and the residual errors."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -8,25 +8,26 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain import Array, NumericsError
 
-_FEWEST: Final = 3  # places: two are met by any similarity exactly
+_FEWEST: Final = 3  # places: any two are fitted exactly by a similarity
 _ROUNDING: Final = 1e-12  # of squared distances
-_SEEN_APART: Final = 1e-9  # of the distances that were pressed; less is one place
-_MIRRORED: Final = 0.9  # share of where places are seen that a mirror image must explain to be one …
-_CLEARLY: Final = 0.1  # … and share of what a turn leaves unexplained that it may leave
+_SEEN_APART: Final = 1e-9  # of the pressed distances; less is a single place
+_MIRRORED: Final = 0.9  # least share that a mirror image must explain …
+_CLEARLY: Final = 0.1  # … and largest share that it may leave of what a rotation leaves unexplained
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """Similarity q = b + s R(θ) p that maps nominal places p to where they were seen, by least squares.
+    """Least-squares similarity q = b + s R(θ) p from nominal places p to measured places.
 
     Parameters
     ----------
-    shift_mm : (2,) where the origin is seen, b.
+    shift_mm : (2,) measured place of the origin, b.
     rotation_deg : θ, counterclockwise.
     scale : s.
-    shift_stderr_mm, rotation_stderr_deg, scale_stderr : standard errors, of each component of the shift alike, from
-        the scatter of what is left.
-    residuals_mm : (n, 2) seen places less those of the similarity, turned and scaled back onto the nominal ones.
+    shift_stderr_mm, rotation_stderr_deg, scale_stderr : standard errors (equal for both components of the shift) from
+    the scatter of the residuals.
+    residuals_mm : (n, 2) measured places less those of the similarity, rotated and scaled back to nominal
+    coordinates.
     """
 
     shift_mm: Array
@@ -44,15 +45,15 @@ class Registration:
 
 
 def register(nominal_mm: Array, seen_mm: Array) -> Registration:
-    """Find the similarity that explains most of the errors of places, by complex regression (Umeyama 1991 by an SVD).
+    """Fit the similarity by complex regression (Umeyama 1991 uses an SVD).
 
-    Errors of places are taken as independent and alike along x and y. Places are (n, 2), n at least 3.
+    Errors of places are assumed independent and equal along x and y. Places are (n, 2), n at least 3.
 
     Raises
     ------
     NumericsError
-        If there are fewer than three places, two distinct ones are lacking, a number is not finite, all are seen at
-        one place, in the order of a mirror image, or in no order that any turn explains.
+        If there are fewer than three places, or no two distinct ones, a number is not finite, or the measured places
+        coincide, are mirrored, or fit no rotation.
     """
     if nominal_mm.shape != seen_mm.shape or nominal_mm.ndim != 2 or nominal_mm.shape[1:] != (2,):
         raise NumericsError(f"places {nominal_mm.shape} and {seen_mm.shape} do not match; both must be (n, 2)")
@@ -63,7 +64,7 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
     p, q = (places[:, 0] + 1j * places[:, 1] for places in (nominal_mm, seen_mm))
     if not (np.isfinite(p) & np.isfinite(q)).all():
         raise NumericsError("a place of a registration is not finite")
-    # Both about their own middles: the origin may be far from all of them.
+    # Both relative to their means: the origin may be far from all places.
     centred, seen = p - p.mean(), q - q.mean()
     size, seen_size = float((np.abs(centred) ** 2).sum()), float((np.abs(seen) ** 2).sum())
     if _one_place(p, size):
@@ -90,16 +91,16 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
 
 
 def _one_place(places: NDArray[np.complex128], size: float) -> bool:
-    """Whether places are apart by rounding alone; ``size`` sums their squared distances from their middle."""
+    """Whether places differ by rounding only; ``size`` sums their squared distances from their mean."""
     rounding = max(1e-9, 8 * float(np.finfo(np.float64).eps * np.abs(places).max()))
     return not size > len(places) * rounding**2
 
 
 def _not_mirrored(factor: complex, mirrored: complex, size: float) -> None:
-    """Refuse places that no turn explains.
+    """Refuse places that no rotation explains.
 
-    ``factor``, ``mirrored``: that map the places, or their mirror image, onto what is seen; ``size``: squared
-    distances seen over those pressed.
+    ``factor``, ``mirrored``: maps of the places, or their mirror image, onto the measured ones; ``size``: ratio of
+    squared distances, measured over nominal.
     """
     turned_left, mirrored_left = size - abs(factor) ** 2, size - abs(mirrored) ** 2
     if abs(mirrored) ** 2 >= _MIRRORED * size and mirrored_left < _CLEARLY * turned_left - _ROUNDING * size:

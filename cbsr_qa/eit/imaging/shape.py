@@ -36,10 +36,10 @@ class SpatialFigures:
 def spatial_figures(
     regions: Sequence[Region | None], indenter: Footprint, *, clipping: str = "exact", perimeter: str = "length"
 ) -> tuple[SpatialFigures | None, ...]:
-    """Return the figures of several regions in one pass over all perimeters; None where there is no region.
+    """Return the figures of several regions in one pass over all perimeters; None for a missing region.
 
     ``clipping``, ``perimeter``: modes of :func:`area_overlap_percent` and :func:`shape_deviation_mm2`; raises as
-    these.
+    these do.
     """
     seen = [region for region in regions if region is not None]
     if not seen:
@@ -59,7 +59,7 @@ def spatial_figures(
 def centre_of_mass_error_mm(region: Region, indenter: Footprint) -> float:
     """Return E_CoM = ‖M − F‖, the distance of the region's centre of mass from the indenter's centre [mm].
 
-    Paper Eq 4, read with area weights. F of an indenter that is not round is the centre of mass of its area.
+    Paper Eq 4 with area weights. F of a non-round indenter is the centre of mass of its area.
     """
     return float(np.hypot(*(region.centre_mm() - np.array(indenter.centre_mm))))
 
@@ -70,12 +70,12 @@ def area_overlap_percent(region: Region, indenter: Footprint, mode: str = "exact
     Parameters
     ----------
     mode : ``"exact"`` clips the region against the indenter's outline; ``"centroid"`` counts elements whose centroid
-        lies inside, as the paper does, and jumps with the mesh.
+        lies inside, as the paper does, and depends on the mesh.
 
     Raises
     ------
     NumericsError
-        If the mode is another, or centroids of a region without elements are asked for.
+        If the mode is unknown, or centroids are requested for a region without elements.
     """
     return _overlaps_percent([region], [region.rim_mm()], indenter, mode)[0]
 
@@ -91,7 +91,7 @@ def shape_deviation_mm2(region: Region, indenter: Footprint, mode: str = "length
     Raises
     ------
     NumericsError
-        If the mode is another, or nodes of a region without elements are asked for.
+        If the mode is unknown, or nodes are requested for a region without elements.
     """
     return _deviations_mm2([region], [region.rim_mm()], indenter, mode)[0]
 
@@ -100,7 +100,7 @@ def _overlaps_percent(
     regions: Sequence[Region], rims: Sequence[tuple[Array, Array]], indenter: Footprint, mode: str
 ) -> list[float]:
     if mode == "exact":
-        # Green's theorem: the overlap depends on the region's perimeter alone.
+        # Green's theorem: the overlap depends only on the region's perimeter.
         start, end, first = _joined(rims)
         inside = np.maximum(np.add.reduceat(indenter.area_under_edges_mm2(start, end), first), 0.0)
     elif mode == "centroid":
@@ -132,7 +132,6 @@ def _deviations_mm2(
 
 
 def _joined(rims: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Indices]:
-    """All perimeters in a row, and where each begins."""
     start, end = (np.concatenate(parts) for parts in zip(*rims, strict=True))
     return start, end, np.cumsum([0, *(len(rim[0]) for rim in rims[:-1])])
 
@@ -148,7 +147,7 @@ def _of_elements(region: Region, what: str) -> Blob:
     return region
 
 
-#: The paper's scale, [lower, upper) percent. Clipping can round a perfect overlap to just above 100.
+#: The paper's scale, [lower, upper) percent. Clipping can round a full overlap to just above 100.
 DEFAULT_BANDS: Final = (
     OverlapBand("likely poor", 0.0, 50.0),
     OverlapBand("ok", 50.0, 70.0),
@@ -187,7 +186,7 @@ def overlap_grade(
     return "no band"
 
 
-#: The set q holds what reaches this share of the maximum; Adler et al. take a quarter.
+#: The set q contains values above this share of the maximum (a quarter, as in Adler et al.).
 QUARTER = 0.25
 
 
@@ -197,12 +196,12 @@ class GreitFigures:
 
     Parameters
     ----------
-    amplitude_response : AR, integral of the image over that of the target; None where its contrast is not known.
+    amplitude_response : AR, integral of the image over that of the target; None if its contrast is unknown.
     position_error_mm : PE = r_t − r_q, positive where the image is nearer to the sheet's centre than the target.
     resolution : RES = √(A_q/A_0), of the area of the sheet.
     shape_deformation : SD, share of q outside a circle of its area about its centre.
-    ringing : RNG, integral of the opposite sign outside that circle over the integral within it; None where that is
-        not positive (a set q in several pieces, with nothing between them).
+    ringing : RNG, integral of the opposite sign outside that circle over the integral within it; None if that is not
+    positive (a set q in several pieces, with a gap at the centre).
     """
 
     amplitude_response: float | None
@@ -220,8 +219,7 @@ def greit_figures(image: Image, target: Footprint, *, contrast: float | None = N
 
     Parameters
     ----------
-    image : turned so that the target is positive; nothing subtracted, since ringing is what is negative.
-    target : where it was.
+    image : with a positive target; nothing subtracted, since ringing is negative.
     contrast : relative conductance change of the target, of the sign of the image; for AR.
 
     Raises

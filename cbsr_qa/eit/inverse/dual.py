@@ -1,12 +1,12 @@
 """One-step Gauss–Newton in dual form: a system of the size of the readings, not of the elements.
 
-With P = R⁻¹, (JᵀWJ + λ²R)⁻¹JᵀW = PJᵀ (JPJᵀ + λ²W⁻¹)⁻¹. With one eigendecomposition of W^½ JPJᵀ W^½ every λ costs a
-product. Where P = HᵀH has a root that can be multiplied with, singular vectors and values of H JᵀW^½ are found
-instead, by QR and SVD: the condition number is not squared, and every λ down to 0 (Moore–Penrose) can be had.
+With P = R⁻¹, (JᵀWJ + λ²R)⁻¹JᵀW = PJᵀ (JPJᵀ + λ²W⁻¹)⁻¹. After one eigendecomposition of W^½ JPJᵀ W^½ each λ costs one
+product. If P = HᵀH has a root with a product, the SVD of H JᵀW^½ is used instead (by QR): the condition number is not
+squared, and every λ down to 0 (Moore–Penrose) is possible.
 
-Where R has a null space N the image is x = PJᵀW^½ d + N c with any generalised inverse P of R, where the coefficients
-d are orthogonal to T = W^½JN (Wahba 1990, section 1.3): with [Q₁ Q₂] the complete orthogonal factor of T,
-d = Q₂ (Q₂ᵀAQ₂ + λ²I)⁻¹ Q₂ᵀ W^½y, A = W^½JPJᵀW^½, and c fits Tc to W^½y − Ad.
+If R has a null space N the image is x = PJᵀW^½ d + N c with any generalised inverse P of R, where the coefficients d
+are orthogonal to T = W^½JN (Wahba 1990, section 1.3): with [Q₁ Q₂] the complete orthogonal factor of T, d = Q₂
+(Q₂ᵀAQ₂ + λ²I)⁻¹ Q₂ᵀ W^½y, A = W^½JPJᵀW^½, and c fits Tc to W^½y − Ad.
 """
 
 from dataclasses import dataclass, replace
@@ -18,10 +18,10 @@ from scipy import linalg
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.eit.inverse.priors import Prior
 
-#: Of the dual system, or of its root where that is decomposed: ten digits of what it is made of are lost.
+#: Of the dual system, or of its root if that is decomposed: ten digits are lost.
 _MOST_CONDITION: Final = 1e10
-_LARGEST: Final = 1e50  # of λ: its square, and that of an image it leaves, are doubles
-_UNSEEN: Final = 1e-12  # of what the readings could see at most
+_LARGEST: Final = 1e50  # of λ: its square, and that of an image, remain representable
+_UNSEEN: Final = 1e-12  # of the largest possible signal in the readings
 
 
 def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, variance: Array | None = None) -> Array:
@@ -37,7 +37,7 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
     Raises
     ------
     NumericsError
-        If λ is negative or above 1e50, or so small that the readings do not determine the solve.
+        If λ is negative or above 1e50, or so small that the readings do not determine the solution.
     """
     return dual_spectrum(jacobian, prior, variance).determined(hyperparameter)
 
@@ -55,10 +55,10 @@ class DualSpectrum:
 
     Parameters
     ----------
-    basis : (e, k + f) image of each eigenvector; the last f are of what R leaves free (none where R is regular).
+    basis : (e, k + f) image of each eigenvector; the last f span what R leaves free (none if R is regular).
     values : (k,) eigenvalues, rising, not negative.
-    analysis : (k + f, m) from readings to eigenvectors; rows have unit variance under the noise, and no covariance.
-    most_condition : of Λ + λ², beyond which rounding decides the solve.
+    analysis : (k + f, m) from readings to eigenvectors; rows have unit variance and no covariance under the noise.
+    most_condition : of Λ + λ², beyond which rounding dominates the solution.
     """
 
     basis: Array
@@ -73,12 +73,12 @@ class DualSpectrum:
         return gains
 
     def matrix(self, hyperparameter: float) -> Array:
-        """Imaging matrix (e, m) of a hyperparameter; of zero only where no eigenvalue is zero."""
+        """Imaging matrix (e, m) of a hyperparameter, which may be zero only if no eigenvalue is."""
         check_hyperparameter(hyperparameter)
         return (self.basis * self.gains(hyperparameter)) @ self.analysis
 
     def determined(self, hyperparameter: float) -> Array:
-        """Imaging matrix (e, m); NumericsError, too, for a hyperparameter with which readings do not determine it."""
+        """Imaging matrix (e, m); NumericsError also if the readings do not determine it at this hyperparameter."""
         check_hyperparameter(hyperparameter)
         least, largest = self.values[[0, -1]] + hyperparameter**2
         if largest > self.most_condition * least:
@@ -98,9 +98,9 @@ class _System:
     Parameters
     ----------
     white : (k, e) whitened Jacobian, without what N explains. back : (e, k) P times its transpose.
-    half : (n, k) H times its transpose; None where P has no root.
-    analysis : (k, m), whitened readings, without those N explains.
-    free : (e, f), free_analysis : (f, m), what N explains.
+    half : (n, k) H times its transpose; None if P has no root.
+    analysis : (k, m), whitened readings, without the part that N explains.
+    free : (e, f), free_analysis : (f, m), for the part that N explains.
     """
 
     white: Array
@@ -128,11 +128,9 @@ class _System:
         return cls._without_free(white, prior, seen, prior.free, root)
 
     def normal(self) -> Array:
-        """The dual system itself, (k, k) symmetric."""
         return self.white @ self.back
 
     def spectrum(self) -> DualSpectrum:
-        """Eigenvectors and eigenvalues, rising."""
         if self.half is None:
             values, vectors = linalg.eigh(self.normal())
             values, most_condition = np.maximum(values, 0), _MOST_CONDITION
@@ -168,7 +166,7 @@ class _System:
 
 
 def check_hyperparameter(value: float) -> None:
-    """Refuse λ that is negative or no number, or so large that the image is nothing but rounding."""
+    """Refuse λ that is negative, not finite, or so large that the image is only rounding."""
     if not 0 <= value <= _LARGEST:
         raise NumericsError(
             f"hyperparameter λ is {value}; it must be a finite number, zero or above, up to {_LARGEST:.0e}",

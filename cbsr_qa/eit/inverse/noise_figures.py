@@ -1,6 +1,6 @@
 """Noise figure of a linear imaging matrix: input over output signal-to-noise ratio; and λ for a noise figure.
 
-Parameters are chosen on a small central target, and on changes measured or simulated, with their noise.
+Parameters are chosen on a small central target, and on measured or simulated changes with their noise.
 """
 
 from collections.abc import Callable
@@ -48,7 +48,7 @@ def noise_figure(
     Raises
     ------
     NumericsError
-        If the matrix does not see the signal at all, or variances are given for EIDORS's form, which has none.
+        If the image of the signal is zero, or variances are given for EIDORS's form, which has none.
     """
     weighted = areas[:, None] * matrix
     response = float(np.abs(weighted @ signal).mean())
@@ -73,16 +73,16 @@ def noise_figure(
 
 #: Radius of the central target, of the sheet's: the 13 mm indenter on the 100 mm disc.
 TARGET_RADIUS: Final = 0.13
-#: Its contrast for a noise figure, where the response is still linear.
+#: Its contrast for a noise figure, within the linear response.
 SMALL_CONTRAST: Final = 0.01
 
-#: Where nothing was measured: a press as deep as the paper's, the noise of a good instrument [dB].
+#: Without measurements: a press as deep as the paper's, the noise of a good instrument [dB].
 CONTRAST: Final = 0.2
 NOISE_DB: Final = 60
 _FRAMES: Final = 32
 SEED: Final = 3
 
-_MOST_CHANGED: Final = 1e12  # a measured change, of the largest reading: more is another unit
+_MOST_CHANGED: Final = 1e12  # a measured change, of the largest reading: more indicates another unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +92,8 @@ class Evidence:
     Parameters
     ----------
     changes : (n, m) float64, scaled as the problem's reference.
-    variance : of a reading of unit relative variance; None where nobody knows.
-    words : what they are.
+    variance : of a reading of unit relative variance; None if unknown.
+    words : description of them.
     """
 
     changes: Array
@@ -113,7 +113,7 @@ def central_signal(problem: ImagingProblem, contrast: float = SMALL_CONTRAST) ->
 
 
 def evidence_of(problem: ImagingProblem) -> Evidence:
-    """Return a problem's measured changes, with the noise that reciprocal readings show; else simulated ones.
+    """Return a problem's measured changes, with the noise shown by reciprocal readings; else simulated ones.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
 def simulated_evidence(problem: ImagingProblem, draws: int, frames: int) -> Evidence:
     """Changes for a central target in noise: a press as deep as the paper's, the noise of a good instrument.
 
-    ``draws``: of noise; ``frames``: of them that are chosen on, for the words.
+    ``draws``: of noise; ``frames``: number used for the choice, for the description.
     """
     deviation = 10 ** (-NOISE_DB / 20) * float(np.abs(problem.reference).mean())
     relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
@@ -196,7 +196,7 @@ def hyperparameter_for(
     Raises
     ------
     NumericsError
-        If no λ reaches the target; says the range that can be reached.
+        If no λ reaches the target; names the possible range.
     """
     figure = noise_figure_of(spectrum, signal, areas, noise_variance)
     grid = np.log(searched(spectrum))
@@ -207,7 +207,8 @@ def hyperparameter_for(
             f" this sensor type allows {reached.min():.3g} to {reached.max():.3g}",
             remedy="give a noise figure in that range, or the hyperparameter itself",
         )
-    # The noise figure falls with λ but for wiggles at the ends; the largest λ that reaches the target is smoothest.
+    # The noise figure falls with λ apart from wiggles at the ends; the largest λ that reaches the target is
+    # smoothest.
     last = np.flatnonzero((reached[:-1] >= target) & (target >= reached[1:]))[-1]
     root = brentq(lambda at: np.log(figure(float(np.exp(at))) / target), grid[last], grid[last + 1], xtol=1e-12)
     return rounded(float(np.exp(root)))
@@ -219,6 +220,6 @@ def rounded(value: float) -> float:
 
 
 def searched(spectrum: DualSpectrum) -> Array:
-    """Values of λ among which one is looked for, rising."""
+    """Rising values of λ to search."""
     unit = float(np.sqrt(spectrum.values[-1]))
     return np.geomspace(_LOWEST * unit, _HIGHEST * unit, _STEPS)

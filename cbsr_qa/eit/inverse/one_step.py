@@ -4,7 +4,7 @@ With eigenvalues Λ of W^½JPJᵀW^½ and z the readings' coefficients,
 
     ‖W^½(y − Jx)‖² = Σ (λ²/(Λ + λ²))² z²,   xᵀRx = Σ Λ/(Λ + λ²)² z²,   trace(I − H) = Σ λ²/(Λ + λ²)
 
-over the part of the readings that is regularised at all. Several frames share one λ: their z² add up.
+over the regularised part of the readings. For several frames with one λ, their z² add up.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from cbsr_qa.eit.inverse.regularisation import Criterion, Regularisation
 _LOWEST: Final = 1e-6  #: λ searched, relative to the root of the largest eigenvalue
 _HIGHEST: Final = 1e3
 _STEPS: Final = 361  #: logarithmic; 40 a decade
-_STILL: Final = 1e-6  # slope of the residual, at the ends of what is searched
+_STILL: Final = 1e-6  # slope of the residual, at the ends of the search
 _REMEDY: Final = "choose by noise figure, or give the hyperparameter itself"
 
 
@@ -72,7 +72,7 @@ def ridge_reconstruction(
 
 
 def _same_system(one: ImagingProblem, other: ImagingProblem) -> bool:
-    """Whether two problems differ in their readings at most: one decomposition serves both."""
+    """Whether two problems differ at most in their readings: one decomposition then serves both."""
     if one is other:
         return True
     return (
@@ -85,7 +85,7 @@ def _same_system(one: ImagingProblem, other: ImagingProblem) -> bool:
 
 
 class RidgeSearch:
-    """λ on one problem: every criterion costs products with its dual spectrum."""
+    """λ on one problem: every criterion needs only products with its dual spectrum."""
 
     def __init__(self, problem: ImagingProblem, prior: Prior) -> None:
         self._fold = ReadingFold.of(problem)
@@ -96,18 +96,18 @@ class RidgeSearch:
 
     @property
     def spectrum(self) -> DualSpectrum:
-        """Of the folded readings, with an analysis that takes all of them."""
+        """Spectrum of the folded readings, with an analysis that takes all readings."""
         return self._spectrum
 
     @property
     def shown(self) -> Array:
-        """λ four times as close together as those that are searched."""
+        """λ four times as close together as those searched."""
         grid = searched(self._spectrum)
         return np.geomspace(grid[0], grid[-1], 4 * (len(grid) - 1) + 1)
 
     @property
     def discrete(self) -> bool:
-        """λ is any positive number."""
+        """False: λ is any positive number."""
         return False
 
     def noise_figures(self, values: Array) -> Array:
@@ -116,7 +116,7 @@ class RidgeSearch:
         return np.array([figure(float(value)) for value in values])
 
     def for_noise_figure(self, target: float) -> float:
-        """λ of a noise figure."""
+        """λ with this noise figure."""
         return hyperparameter_for(target, self._spectrum, self._signal, self._areas, self._variance)
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
@@ -131,7 +131,7 @@ class RidgeSearch:
 
 
 def noise_level(evidence: Evidence, readings: int) -> float:
-    """Weighted squared residual of all frames that noise leaves; NumericsError if nobody knows the noise."""
+    """Weighted squared residual that noise leaves over all frames; NumericsError if the noise is unknown."""
     if evidence.variance is None:
         raise NumericsError(
             "the discrepancy principle needs the noise, and no reading is repeated to estimate it from",
@@ -182,7 +182,7 @@ class RidgeCurves:
         return np.asarray(self._gone(s).sum(axis=-1))
 
     def cross_validation(self, s: Array | float) -> Array:
-        """GCV function (Golub, Heath & Wahba 1979), residual over squared degrees of freedom."""
+        """GCV function (Golub, Heath & Wahba 1979): residual over squared degrees of freedom."""
         return self.residual(s) / self.freedom(s) ** 2
 
     def curvature(self, s: Array | float) -> Array:
@@ -219,7 +219,7 @@ def by_cross_validation(curves: RidgeCurves) -> float:
 def by_l_curve(curves: RidgeCurves) -> float:
     """λ of the sharpest corner of the L-curve; NumericsError if it has none in the range searched."""
     bend = curves.curvature(curves.grid)
-    # At both ends one of the two logarithms stands still and the quotient is one of roundings.
+    # At both ends one of the two logarithms is constant and the quotient is rounding.
     steep = np.abs(np.gradient(np.log(curves.residual(curves.grid)), curves.grid)) > _STILL
     bend = np.where(steep & np.isfinite(bend), bend, -np.inf)
     where = int(np.argmax(bend))
@@ -234,7 +234,7 @@ def by_discrepancy(curves: RidgeCurves, level: float) -> float:
     Raises
     ------
     NumericsError
-        If no λ in the range searched leaves so much: the readings are noise alone, or have none.
+        If no λ in the searched range leaves so much: the readings are only noise, or have none.
     """
     low, high = (float(curves.residual(end)) for end in (curves.grid[0], curves.grid[-1]))
     if not low < level < high:

@@ -10,17 +10,17 @@ from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward import reaches_mm
 
-_SLIVER = 1e-12  # of a mean element's area: what is smaller has no centroid to rounding
+_SLIVER = 1e-12  # of a mean element's area: smaller pieces have no accurate centroid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """Where the elements of two meshes lie over each other.
+    """Overlaps of the elements of two meshes.
 
     Parameters
     ----------
     fine, coarse : (p,) int64, the elements.
-    areas_mm2 : (p,) of what they share.
+    areas_mm2 : (p,) of the overlaps.
     centroids_mm : (p, 2) of the same.
     """
 
@@ -33,8 +33,8 @@ class Pieces:
 def overlap_pieces(fine: Mesh, coarse: Mesh) -> Pieces:
     """Cut every fine element by the coarse mesh, so that the pieces of each make up all of its area.
 
-    What a fine element has outside the coarse mesh (slivers between two polygons of the same circle) is counted in
-    proportion to what it has inside, or goes to the nearest coarse element where nothing is inside.
+    The part of a fine element outside the coarse mesh (slivers between two polygons of the same circle) is
+    distributed in proportion to its parts inside, or assigned to the nearest coarse element without any.
     """
     first, second = _candidates(fine, coarse)
     area, centroids = _intersections(fine.corners_mm[first], coarse.corners_mm[second])
@@ -77,9 +77,9 @@ def _candidates(fine: Mesh, coarse: Mesh) -> tuple[Indices, Indices]:
 
 
 def _intersections(first: Array, second: Array) -> tuple[Array, Array]:
-    """Areas (p,) and centroids (p, 2) of what counterclockwise triangles (p, 3, 2) share (Sutherland & Hodgman 1974).
+    """Areas (p,) and centroids (p, 2) of overlaps of counterclockwise triangles (p, 3, 2), Sutherland & Hodgman 1974.
 
-    Centroids of what has no area mean nothing.
+    Centroids are meaningless where the area is zero.
     """
     polygon = first
     for corner in range(3):

@@ -21,7 +21,7 @@ from cbsr_qa.eit.inverse.readings import ReadingFold
 Pixels = NDArray[np.float32]
 
 _SAME: Final = 1e-9  # columns in proportion, and weights
-_REAL: Final = frozenset("fiu")  # kinds of numbers that readings may be
+_REAL: Final = frozenset("fiu")  # dtype kinds that readings may have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +35,10 @@ class PixelImaging:
     first_mm : (x, y) of the centre of pixel [0, 0]; rows rise with y, columns with x.
     places : (p,) pixels that cover some of the sheet, in C order; all others are zero.
     matrix : (pixels², g) float32, from folded readings.
-    inner : (p, g) its rows that are not zero; for one frame they are all that is needed, and fit a core's cache.
+    inner : (p, g) its non-zero rows, which suffice for one frame and fit a core's cache.
     one, other : (g,) readings that are folded, reciprocal ones in most methods.
-    ratio : (g,) weight of the second over the first's, which the matrix holds; 0 for a reading that stands alone.
-        None where it is one throughout.
+    ratio : (g,) weight of the second over that of the first, which is in the matrix; 0 for single readings, None if
+    always one.
     readings : m.
     """
 
@@ -70,7 +70,7 @@ class PixelImaging:
         """
         if changes.shape != (self.readings,) or changes.dtype.kind not in _REAL:
             raise self._unfit(changes)
-        # A sum of squares is not finite where a reading is not, and costs a third of looking at each.
+        # A sum of squares is not finite if a reading is not, and costs a third of checking each.
         if not math.isfinite(changes.dot(changes)):
             _check_finite(changes)
         second = changes[self.other] if self.ratio is None else changes[self.other] * self.ratio
@@ -83,7 +83,7 @@ class PixelImaging:
         return RefusedError(f"{given} do not match {self.readings} used channels of real numbers")
 
     def images(self, changes: Array) -> Pixels:
-        """Image n frames (n, m), as :meth:`image`: (n, pixels, pixels)."""
+        """Image n frames (n, m), as in :meth:`image`: (n, pixels, pixels)."""
         if changes.ndim != 2 or changes.shape[1] != self.readings or changes.dtype.kind not in _REAL:
             raise self._unfit(changes)
         _check_finite(changes)
@@ -134,7 +134,7 @@ def _shares(mesh: Mesh, corner: Array, pitch: float, pixels: int) -> sparse.csr_
 
 
 def _pairs(matrix: Array, group: Indices) -> tuple[Indices, Indices, Array]:
-    """Columns that are another's in proportion, within a group: the first, the second, and their ratio."""
+    """Columns proportional to another in the same group: the first, the second, and their ratio."""
     one: list[int] = []
     other: list[int] = []
     ratio: list[float] = []
@@ -157,7 +157,7 @@ def _pairs(matrix: Array, group: Indices) -> tuple[Indices, Indices, Array]:
 
 
 def _tidy(scale: float) -> float:
-    """One, where it is one but for rounding."""
+    """One, if it equals one within rounding."""
     return 1.0 if abs(scale - 1) <= _SAME else scale
 
 

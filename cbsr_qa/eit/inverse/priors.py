@@ -20,8 +20,8 @@ class Prior:
     Parameters
     ----------
     covariance : (e, k) → (e, k), the product with P = R⁻¹, or with a symmetric generalised inverse of R.
-    free : (e, f) null space of R, images that cost nothing; None where there is none.
-    half : (e, k) → (n, k), the product with a root H of P = HᵀH; None where it has none.
+    free : (e, f) null space of R, images without cost; None without any.
+    half : (e, k) → (n, k), the product with a root H of P = HᵀH; None without one.
     """
 
     covariance: Callable[[Array], Array]
@@ -30,7 +30,7 @@ class Prior:
 
     @classmethod
     def diagonal(cls, weights: Array) -> Self:
-        """Prior that knows nothing of neighbours: R = diag(weights), (e,) positive."""
+        """Prior without coupling of neighbours: R = diag(weights), (e,) positive."""
         root = np.sqrt(weights)[:, None]
         return cls(lambda columns: columns / weights[:, None], half=lambda columns: columns / root)
 
@@ -45,7 +45,7 @@ def noser(jacobian: Array, exponent: float) -> Array:
     Raises
     ------
     NumericsError
-        If p is out of range, or an element is felt by no reading at all.
+        If p is out of range, or an element affects no reading.
     """
     if not 0 <= exponent <= 1:
         raise NumericsError(
@@ -81,7 +81,7 @@ def neighbour_differences(mesh: Mesh) -> sparse.csr_matrix:
 
 
 def laplace(mesh: Mesh) -> Prior:
-    """Prior of :func:`laplace_matrix`, R = 2 DᵀD with D the differences between neighbours; constants cost nothing.
+    """Prior of :func:`laplace_matrix`, R = 2 DᵀD with D the differences between neighbours; constants have no cost.
 
     P is the inverse with the last element held at zero; √2 DP is a root of it.
     """
@@ -144,7 +144,7 @@ def high_pass(mesh: Mesh, width_mm: float) -> Prior:
     """Gaussian high-pass prior R = FᵀF, F = I − G (Adler & Guardo 1996).
 
     G is a Gaussian low-pass filter, weighted by the elements' areas and normalised on each element, so that a
-    constant image costs nothing. With w the left null vector of F, P = F₁⁻¹ (I − wwᵀ/wᵀw) F₁⁻ᵀ, F₁ = F + 1wᵀ/wᵀ1.
+    constant image has no cost. With w the left null vector of F, P = F₁⁻¹ (I − wwᵀ/wᵀw) F₁⁻ᵀ, F₁ = F + 1wᵀ/wᵀ1.
 
     Parameters
     ----------

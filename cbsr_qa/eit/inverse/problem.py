@@ -58,11 +58,12 @@ def _fields_at(model: ForwardModel, pieces: Pieces) -> Array:
     return fields
 
 
-#: Nominal contact impedance times sheet conductance [mm]. Readings that touch no driven electrode hardly feel it.
+#: Nominal contact impedance times sheet conductance [mm]. Readings that touch no driven electrode hardly depend on
+#: it.
 NOMINAL_CONTACT_MM = 0.5
 
 _FORWARD_SIZE = 0.1  # edge length of the forward mesh far from electrodes, of the radius (5 mm on a 100 mm disc)
-_MOST_UNEQUAL: Final = 1e12  # largest over smallest noise variance; beyond, rounding decides what a reading says
+_MOST_UNEQUAL: Final = 1e12  # largest over smallest noise variance; beyond, rounding dominates
 
 
 def imaging_problem(
@@ -81,8 +82,8 @@ def imaging_problem(
     Parameters
     ----------
     used : (drives, measures) bool, readings to image from; by default those that touch no driven electrode. Any
-        electrodes may be missing while :data:`FEWEST_INDEPENDENT` independent readings are left; what that costs is
-        said by :func:`masking_effect`.
+        electrodes may be missing while :data:`FEWEST_INDEPENDENT` independent readings are left; for the cost
+        see :func:`masking_effect`.
     noise_variance : (drives, measures) or (m,) float64, variances of the readings in any common unit; None for equal
         noise. Kept relative to their harmonic mean. The largest used one is at most 1e12 times the smallest.
     image_size_mm : edge length of the image's elements [mm].
@@ -143,7 +144,7 @@ def nominal_model(sensor_type: SensorType) -> ForwardModel:
 def target_signal(problem: ImagingProblem, *, x_mm: float, y_mm: float, radius_mm: float, contrast: float) -> Array:
     """Simulated changes (m,) of the used readings [V/(A·Ω)] for a disc of another conductance, on the forward mesh.
 
-    The same to the last bit whatever was computed before.
+    Identical to the last bit, independent of earlier computations.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ def _nominal(sensor_type: SensorType, image_size_mm: float) -> tuple[Mesh, Array
     number = number.reshape(group.shape)
     jacobian = distinct[number] * (sign * sign.ravel()[first][number])[..., None]
     reference = model.voltages()
-    jacobian.flags.writeable = reference.flags.writeable = False  # shared by everybody who asks
+    jacobian.flags.writeable = reference.flags.writeable = False  # shared by all callers
     return mesh, jacobian, reference
 
 
@@ -193,7 +194,7 @@ def _check_used(pattern: DrivePattern, used: Mask) -> None:
 
 
 def _check_number(pattern: DrivePattern, used: Mask) -> None:
-    """Refuse too few readings; the message names the cause, the pattern or a mask."""
+    """Refuse too few readings; the message names the cause, which is the pattern or a mask."""
     independent = pattern.too_few_readings(used)
     if independent is None:
         return
@@ -211,7 +212,7 @@ def _check_number(pattern: DrivePattern, used: Mask) -> None:
 
 
 def _touched(pattern: DrivePattern, readings: Mask) -> Mask:
-    """Electrodes that some readings have to do with, (electrodes,)."""
+    """Electrodes that some readings involve, (electrodes,)."""
     driven, measured = pattern.drive_currents() != 0, pattern.measure_matrix() != 0
     touched: Mask = driven[:, readings.any(axis=1)].any(axis=1)
     touched |= measured[:, readings.any(axis=0)].any(axis=1)
@@ -248,7 +249,7 @@ def _relative_variance(variance: Array, used: Mask) -> Array:
 
 
 def _check_spread(variance: Array, used: Mask) -> None:
-    """Refuse variances of which one is so far from the others that an image is of it alone, or rounding its share."""
+    """Refuse a variance so far from the others that the image depends on it alone, or its share is only rounding."""
     least, largest = int(variance.argmin()), int(variance.argmax())
     if variance[largest] / _MOST_UNEQUAL <= variance[least]:
         return
@@ -269,7 +270,7 @@ def reading_name(used: Mask, reading: int) -> str:
 
 
 def _readings(what: str, values: Array, used: Mask, axes: int) -> Array:
-    """Used readings of frames, or of one, which may come as such already."""
+    """Used readings of frames, or of one, which may be given as such already."""
     count = int(used.sum())
     if values.shape[-2:] == used.shape and values.ndim == axes + 1:
         values = values[..., used]

@@ -1,16 +1,16 @@
 """Noise variance of each reading, shrunk towards a common value, and folding of reciprocal readings.
 
-Variances are *moderated* (Smyth 2004, eqs 6, 8 and 10): readings' true variances are taken to scatter about a common
-one by a scaled inverse χ² law of ν₀ degrees of freedom, ν₀ and the common s₀² are found from the scatter of the
-logarithms over all readings, and
+Variances are *moderated* (Smyth 2004, eqs 6, 8 and 10): readings' true variances are assumed to scatter about a
+common one by a scaled inverse χ² law of ν₀ degrees of freedom, ν₀ and the common s₀² are found from the scatter of
+the logarithms over all readings, and
 
     s̃² = (ν₀ s₀² + ν s²) / (ν₀ + ν),    ν = n − 2,
 
 of which 1/s̃² is the posterior mean of a reading's weight. ν₀ is not made robust against few loud readings (as by
-Phipson et al. 2016): that would draw those inwards that are to count less.
+Phipson et al. 2016): that would shrink those that should have less weight.
 
 Reciprocal readings are equal (Geselowitz 1971): their weighted mean Σ(y/v)/Σ(1/v), of variance 1/Σ(1/v), is a
-sufficient statistic. What they differ by says how large their noise is.
+sufficient statistic. Their difference gives the size of their noise.
 """
 
 from dataclasses import dataclass
@@ -23,18 +23,18 @@ from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 from cbsr_qa.domain.results import ImagingProblem
 from cbsr_qa.domain.sensor import DrivePattern
 
-_SAME = 1e-6  # references of readings that are folded agree at least so well, relative to the largest
+_SAME = 1e-6  # reference readings that are folded must agree within this, relative to the largest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadingFold:
-    """Which of m readings are the same, as g groups.
+    """Equal readings among m, as g groups.
 
     Parameters
     ----------
     group : (m,) int64, 0 to g − 1, in the order of first readings.
     first : (g,) int64, first reading of each group.
-    sign : (m,) float64, +1 or −1 against the first reading of the group.
+    sign : (m,) float64, +1 or −1 relative to the first reading of the group.
     weight : (m,) float64, sign times share in the mean; magnitudes sum to one in each group.
     variance : (g,) float64 of the means, relative as the problem's.
     """
@@ -69,7 +69,7 @@ class ReadingFold:
         return folded
 
     def unfold(self, matrix: Array) -> Array:
-        """Matrix (k, m) that takes all readings, of one (k, g) that takes their means."""
+        """Matrix (k, m) for all readings, from one (k, g) for their means."""
         whole: Array = matrix[:, self.group]
         whole *= self.weight
         return whole
@@ -92,7 +92,7 @@ class ReadingFold:
 
 
 def _groups(pattern: DrivePattern, used: Mask) -> tuple[Indices, Indices, Array]:
-    """Group, first reading of each group, and sign of every used reading against it."""
+    """Group, first reading of each group, and relative sign of every used reading."""
     names, signs = (table[used] for table in pattern.reading_groups())
     _, at, group = np.unique(names, return_index=True, return_inverse=True)
     order = np.argsort(at)
@@ -103,13 +103,13 @@ def _groups(pattern: DrivePattern, used: Mask) -> tuple[Indices, Indices, Array]
     return group.astype(np.int64), first.astype(np.int64), relative
 
 
-#: Fewer frames leave too few degrees of freedom to tell loud readings from chance.
+#: Fewer frames leave too few degrees of freedom to distinguish noisy readings from chance.
 FEWEST_FRAMES: Final = 6
 
 _REMEDY: Final = 'or set analysis.noise_weighting = "equal" in the recipe'
-_MOST_SILENT: Final = 0.5  # share of readings that never change, above which nobody knows the noise
-_ROUNDING: Final = 1e-13  # of the largest level: less is no difference
-_CLIP: Final = 3.0  # deviations count up to this many times the spread, so that a glitch is no noise
+_MOST_SILENT: Final = 0.5  # share of readings that never change, above which the noise is unknown
+_ROUNDING: Final = 1e-13  # of the largest level: less is equal
+_CLIP: Final = 3.0  # deviations are limited to this many times the spread, so that a glitch does not count as noise
 _CLIPPED_VARIANCE: Final = 0.99501  # E min(z², 9) of a standard normal z
 _DEVIATION: Final = 1.4826  # standard deviation of normal noise over its median absolute deviation
 _ROUNDS: Final = 8
@@ -122,9 +122,9 @@ class ReadingNoise:
     Parameters
     ----------
     variance : (m,) float64, moderated, in the square of the readings' unit.
-    common : s₀², towards which they were drawn.
-    common_freedom : ν₀, in frames' worth of evidence; infinite where the readings do not differ beyond chance.
-    silent : (m,) bool, readings that never changed: nothing is known of their noise, and they have the common one.
+    common : s₀², towards which they were shrunk.
+    common_freedom : ν₀, in frames' worth of evidence; infinite if the readings do not differ beyond chance.
+    silent : (m,) bool, readings that never changed; their noise is unknown and taken as the common one.
     """
 
     variance: Array
@@ -134,10 +134,10 @@ class ReadingNoise:
 
 
 def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
-    """Estimate the noise of readings from frames in which nothing happens but drift.
+    """Estimate the noise of readings from frames with drift but no other changes.
 
-    Deviations are from a straight line in time, and count up to three times their spread (Huber's winsorised fit). No
-    variance is below that of rounding to the converter's step, step²/12.
+    Deviations are from a straight line in time, limited to three times their spread (Huber's winsorised fit).
+    Variances are at least that of rounding to the converter's step, step²/12.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
 
 
 def _converter_step(readings: Array, rounding: float) -> float:
-    """Median over readings of the smallest difference between two values of one; next to nothing where unrounded."""
+    """Median over readings of the smallest difference between two values of one; almost zero without rounding."""
     apart = np.diff(np.sort(readings, axis=0), axis=0)
     smallest = np.where(apart > rounding, apart, np.inf).min(axis=0)
     return float(np.median(smallest))

@@ -1,4 +1,4 @@
-"""Choice of λ: the criterion, the data it used, and what the other criteria would choose."""
+"""Choice of λ: the criterion, its data, and the choices of the other criteria."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from cbsr_qa.eit.inverse.noise_figures import SMALL_CONTRAST, Evidence, evidence
 
 
 class Criterion(StrEnum):
-    """Criterion for a parameter, without knowing the truth."""
+    """Criterion for a parameter that does not need the truth."""
 
-    NOISE_FIGURE = "noise-figure"  #: Adler et al. 2009 form; looks at the model alone
+    NOISE_FIGURE = "noise-figure"  #: Adler et al. 2009 form; depends only on the model
     GCV = "gcv"  #: generalised cross-validation, Golub, Heath & Wahba 1979
     L_CURVE = "l-curve"  #: the corner of image size over residual, Hansen 1992
     DISCREPANCY = "discrepancy"  #: the residual is as large as the noise, Morozov 1966
@@ -33,7 +33,7 @@ class ParameterSearch(Protocol):
 
     @property
     def shown(self) -> Array:
-        """Values dense enough to draw a curve, (k,) rising; all there are of a count."""
+        """Values dense enough to draw a curve, (k,) rising; all possible ones for a count."""
         ...
 
     @property
@@ -50,7 +50,7 @@ class ParameterSearch(Protocol):
         ...
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
-        """Value by a criterion that looks at readings; NumericsError where it has no answer."""
+        """Value by a criterion based on readings; NumericsError if it has none."""
         ...
 
 
@@ -60,7 +60,7 @@ class Regularisation:
 
     Parameters
     ----------
-    criterion : None where the value is given.
+    criterion : None if the value is given.
     noise_figure : target, for the criterion of that name.
     given : the value itself, or None.
     given_as : name of the option that gives it.
@@ -79,15 +79,15 @@ class Regularisation:
     def choose(
         self, problem: ImagingProblem, search_on: Callable[[ImagingProblem], ParameterSearch]
     ) -> tuple[float, str, ParameterCurve | None]:
-        """Choose the value; return it, how it was chosen, and what there was to choose from.
+        """Choose the value; return it, the choice, and the alternatives.
 
-        A noise figure, and whatever has no measured changes, is settled on the sensor type's nominal problem;
-        measured changes with the readings and the noise they were measured with.
+        A noise figure, and any criterion without measured changes, uses the sensor type's nominal problem; measured
+        changes are used with their own readings and noise.
 
         Raises
         ------
         NumericsError
-            If the criterion has no answer.
+            If the criterion gives no value.
         """
         if self.criterion is None:
             assert self.given is not None
@@ -110,7 +110,7 @@ class Regularisation:
         return own.value, own.words, self._curve(search, tuple(answers))
 
     def _curve(self, search: ParameterSearch, answers: tuple[ParameterAnswer, ...]) -> ParameterCurve:
-        """Noise figures over all that was searched, with every answer among the values."""
+        """Noise figures over the searched range, with every choice among the values."""
         values = np.union1d(search.shown, [a.value for a in answers if a.value is not None])
         return ParameterCurve(values, search.noise_figures(values), answers, self.noise_figure, search.discrete)
 

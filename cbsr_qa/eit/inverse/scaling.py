@@ -18,13 +18,13 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
 
     Parameters
     ----------
-    reference_voltages : (drives, measures) of the unloaded sensor; only used readings are looked at.
+    reference_voltages : (drives, measures) of the unloaded sensor; only used readings matter.
 
     Raises
     ------
     NumericsError
-        If a used reading is not a finite real number, the shape is another, or the readings have nothing in common
-        with the model's.
+        If a used reading is not a finite real number, the shape is another, or the readings are orthogonal to the
+        model's.
     """
     readings = _used_once(reference_voltages, problem)
     scale = float(readings @ problem.reference / (problem.reference @ problem.reference))
@@ -37,14 +37,14 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
 
 
 def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
-    """Cosine between a reference frame and the unit model's; near −1 the polarity is turned."""
+    """Cosine between a reference frame and the unit model's; near −1 the polarity is reversed."""
     readings = _used_once(reference_voltages, problem)
     length = float(np.linalg.norm(readings) * np.linalg.norm(problem.reference))
     return float(readings @ problem.reference) / length if length else 0.0
 
 
 def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[str, ...]:
-    """Warnings about the scale of a reference frame; empty where its cosine with the model's is 0.9 or more."""
+    """Warnings about the scale of a reference frame; empty if its cosine with the model's is at least 0.9."""
     alike = agreement(reference_voltages, problem)
     if abs(alike) >= _LEAST_ALIKE:
         return ()
@@ -68,8 +68,8 @@ def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: f
     Raises
     ------
     NumericsError
-        If a used reading or the scale is not a finite real number, the scale is zero or so small that changes over
-        it are no numbers, or shapes disagree.
+        If a used reading or the scale is not a finite real number, the scale is zero or so small that changes over it
+        overflow, or shapes disagree.
     """
     _check_scale(scale)
     with np.errstate(over="ignore"):
@@ -95,7 +95,6 @@ def _check_scale(scale: float) -> None:
 
 
 def _used_once(voltages: Array, problem: ImagingProblem) -> Array:
-    """Used readings (m,) of one frame (drives, measures)."""
     frame = real_numbers(voltages, "voltages")
     if frame.shape != problem.used.shape:
         raise NumericsError(

@@ -1,10 +1,10 @@
 """One-step images of consecutive frames with a temporal prior: slow materials change little between frames.
 
 The prior of a block of images is P = R⁻¹ between elements times Γ between frames, Γ_ts = a^|t−s| with a = exp(−1/τ)
-(Adler, Dai & Lionheart 2007). In the coordinates of the dual spectrum the block falls apart into one autoregressive
-sequence for each eigenvector, of variance Λ and observed with noise λ²: a scalar Kalman filter and
-Rauch–Tung–Striebel smoother give the estimate exactly. a = 0 is the one-step image of each frame by itself; with
-a = 1 all frames are one image.
+(Adler, Dai & Lionheart 2007). In the coordinates of the dual spectrum the block decouples into one autoregressive
+sequence per eigenvector, of variance Λ and observed with noise λ²: a scalar Kalman filter and Rauch–Tung–Striebel
+smoother give the estimate exactly. a = 0 is the one-step image of each frame by itself; with a = 1 all frames are one
+image.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _LONGEST = 400  # frames a response is followed for at most
 
 @dataclass(frozen=True, slots=True)
 class Correlation:
-    """How frames belong together.
+    """Correlation of frames.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Correlation:
 
     @property
     def anew(self) -> float:
-        """Share of the variance that comes anew with each frame, 1 − a²: for long times not as a difference."""
+        """Share of the variance that is new in each frame, 1 − a², computed without cancellation for long times."""
         return float(-np.expm1(-2 / self.frames)) if self.frames > 0 else 1.0
 
 
@@ -54,7 +54,7 @@ def smoothed(readings: Array, values: Array, ridge: float, correlation: Correlat
 
     Returns
     -------
-    (n, k) float64, estimates of each sequence over Λ: y/(Λ + λ²) where frames know nothing of each other.
+    (n, k) float64, estimates of each sequence over Λ: y/(Λ + λ²) for independent frames.
     """
     a, anew = correlation.between, correlation.anew
     filtered = np.empty_like(readings)
@@ -71,7 +71,7 @@ def smoothed(readings: Array, values: Array, ridge: float, correlation: Correlat
 
 
 def _smoothed_back(filtered: Array, back: Array, a: float, lag: int | None) -> Array:
-    """Let each frame know of those after it, up to a lag."""
+    """Smooth each frame with later ones, up to a lag."""
     count = len(filtered)
     if lag is None or lag >= count - 1:
         smooth = filtered.copy()
@@ -92,7 +92,7 @@ def _smoothed_back(filtered: Array, back: Array, a: float, lag: int | None) -> A
 class TemporalImages:
     """A prepared method, see :class:`~cbsr_qa.domain.results.PreparedReconstruction`.
 
-    Images of a block are linear in the block. Frames are taken as evenly spaced.
+    Images of a block are linear in the block. Frames are assumed evenly spaced.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class TemporalImages:
 def lasting_noise_figure(
     problem: ImagingProblem, spectrum: DualSpectrum, hyperparameter: float, correlation: Correlation
 ) -> float:
-    """Noise figure (Adler et al. 2009) of a change that lasts, amid a long block; 0 for one lasting image."""
+    """Noise figure (Adler et al. 2009) of a lasting change, amid a long block; 0 for one lasting image."""
     if np.isinf(correlation.frames):
         return 0.0
     reach = min(_LONGEST, int(np.ceil(_LASTS * correlation.frames)) + 1)

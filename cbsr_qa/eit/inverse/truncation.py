@@ -1,7 +1,7 @@
 """Truncated singular value decomposition of W^½J, with no other regularisation.
 
-On a symmetric sheet singular values come in pairs: cuts are made between values that differ by more than a mesh makes
-them differ.
+On a symmetric sheet singular values come in pairs: cuts are made between values that differ by more than the mesh's
+asymmetry explains.
 """
 
 from typing import Final
@@ -16,8 +16,8 @@ from cbsr_qa.eit.inverse.one_step import noise_level
 from cbsr_qa.eit.inverse.readings import ReadingFold
 from cbsr_qa.eit.inverse.regularisation import Criterion
 
-_PAIR: Final = 0.98  # singular values closer than this ratio are kept or dropped together
-_LEAST: Final = 1e-7  # of the largest: no measurement has seven digits to tell what is below
+_PAIR: Final = 0.98  # singular values within this ratio are kept or dropped together
+_LEAST: Final = 1e-7  # of the largest: measurements do not have seven digits
 _WIDEST: Final = np.cos(7 / 8 * np.pi)  # of the angle at a corner
 _REMEDY: Final = "choose by noise figure, or give the number of components itself"
 
@@ -48,23 +48,23 @@ class Truncation:
 
     @property
     def shown(self) -> Array:
-        """The same, as values of a parameter."""
+        """The same, as parameter values."""
         return self.cuts.astype(np.float64)
 
     @property
     def discrete(self) -> bool:
-        """Components are counted."""
+        """True: components are counted."""
         return True
 
     def within(self, target: float) -> int:
-        """Most components whose noise figure is at most a target, for a problem that is not the type's nominal one.
+        """Most components whose noise figure is at most a target, for a problem other than the type's nominal one.
 
         Noise is that of the quiet readings (harmonic mean of the variances).
 
         Raises
         ------
         NumericsError
-            If even the fewest components have a larger one; says how large.
+            If even the fewest components have a larger one, which it names.
         """
         variance = self._problem.noise_variance
         louder = 1.0 if variance is None else float(np.sqrt(variance.mean() * (1 / variance).mean()))
@@ -79,7 +79,7 @@ class Truncation:
         return int(self.cuts[enough[-1]])
 
     def matrix(self, components: int) -> Array:
-        """Imaging matrix (e, m); NumericsError without so many components, or where a pair would be split."""
+        """Imaging matrix (e, m); NumericsError for too many components, or if a pair would be split."""
         if components not in self.cuts:
             near = self.cuts[np.argsort(np.abs(self.cuts - components), kind="stable")[:2]]
             count = len(self._values)
@@ -140,7 +140,7 @@ class Truncation:
         return float(self.cuts[where])
 
     def _discrepant(self, left: Array, level: float) -> float:
-        """Fewest components that leave no more than noise."""
+        """Fewest components with a residual no larger than noise."""
         enough = np.flatnonzero(left <= level)
         if not enough.size or enough[0] == 0 or level <= 0:
             raise NumericsError(

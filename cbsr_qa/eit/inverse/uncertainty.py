@@ -24,10 +24,10 @@ class MaskingEffect:
 
     Parameters
     ----------
-    electrodes : of which no reading is left.
-    left, of : readings.
+    electrodes : without any remaining reading.
+    left, of : remaining readings and all.
     typical, worst : median and largest ratio of the place's standard error to that with all readings.
-    worst_x_mm, worst_y_mm : where the largest is.
+    worst_x_mm, worst_y_mm : place of the largest.
     hardly_seen : share of the places where the ratio is above 10.
     """
 
@@ -41,7 +41,7 @@ class MaskingEffect:
     hardly_seen: float
 
     def words(self, radius_mm: float | None = None) -> str:
-        """One sentence for a report; in units of the radius where it is given, since nobody knows the sheet's."""
+        """One sentence for a report; in units of ``radius_mm`` if given (a sheet of unknown size)."""
         unit_mm, unit = (1.0, "mm") if radius_mm is None else (radius_mm, "radii")
         x, y = self.worst_x_mm / unit_mm, self.worst_y_mm / unit_mm
         numbers = [str(number) for number in self.electrodes]
@@ -59,7 +59,7 @@ def masking_effect(problem: ImagingProblem) -> MaskingEffect | None:
     """Compare the Cramér–Rao bounds on a load's place with those of all readings, at equal noise.
 
     Place and strength of a smooth bump as wide as the indenter are unknown, its size is known; places up to 0.8 of
-    the way to the sheet's edge. None where no reading is left out.
+    the way to the sheet's edge. None if no reading is left out.
     """
     if problem.nominal is None or len(problem.reference) == len(problem.nominal.reference):
         return None
@@ -82,7 +82,7 @@ def masking_effect(problem: ImagingProblem) -> MaskingEffect | None:
 
 
 def _places(problem: ImagingProblem) -> Array:
-    """Places of elements, about 150, spread over the sheet but for its edge."""
+    """About 150 places of elements, spread over the sheet except near its edge."""
     outline, centroids = problem.sensor_type.outline, problem.mesh.centroids_mm
     clear = outline.clearance_mm(centroids)
     inner = np.flatnonzero(clear >= (1 - _OUTERMOST) * clear.max())
@@ -99,10 +99,10 @@ def _bumps(problem: ImagingProblem, places: Array) -> Array:
 
 
 def _place_bounds(patterns: Array) -> Array:
-    """Standard error of the place, up to the noise, from patterns and their derivatives (m, 3, p): (p,)."""
+    """Standard error of the place, up to a factor of noise, from patterns and their derivatives (m, 3, p): (p,)."""
     information = np.einsum("map,mbp->pab", patterns, patterns)
     size = np.sqrt(np.einsum("paa->pa", information))
-    scaled = information / (size[:, :, None] * size[:, None, :])  # lengths and strengths have other units
+    scaled = information / (size[:, :, None] * size[:, None, :])  # lengths and strengths have different units
     covariance = np.linalg.pinv(scaled, hermitian=True)
     bounds: Array = np.sqrt((np.einsum("paa->pa", covariance) / size**2)[:, 1:].sum(axis=1))
     return bounds

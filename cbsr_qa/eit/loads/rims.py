@@ -70,14 +70,12 @@ class InverseEntries:
         self._entries = np.empty((0, 0))
 
     def _reserve(self, nodes: Indices) -> None:
-        """Give nodes their places."""
         before, after = len(self._known), len(self._known) + len(nodes)
         self._known = np.concatenate([self._known, nodes])
         self._place[nodes] = np.arange(before, after)
         self._make_room(before, after)
 
     def _columns(self, nodes: Indices) -> Array:
-        """Whole columns of K⁻¹, (n, p)."""
         load = np.zeros((len(self._place), len(nodes)))
         load[nodes, np.arange(len(nodes))] = 1
         return self._model.solve(load)

@@ -224,7 +224,6 @@ def _rings(mesh: Mesh) -> list[Indices]:
 
 
 def _middle(mesh: Mesh, edges: Indices) -> tuple[tuple[float, float], float]:
-    """Middle of an electrode and its length."""
     ends = mesh.nodes_mm[edges]
     lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     x, y = (lengths @ ends.mean(axis=1) / lengths.sum()).tolist()

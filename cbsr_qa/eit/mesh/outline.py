@@ -158,7 +158,6 @@ class _Pins:
         return replace(self, finest=finest)
 
     def rims(self) -> list[Points]:
-        """Nodes round each pin."""
         counts = np.ceil(2 * np.pi * self.radius / self.finest - 1e-9).astype(int)
         rims = []
         for centre, count in zip(self.centres, counts, strict=True):
@@ -247,7 +246,6 @@ def _cut_edges(rings: list[Points]) -> Mask:
 
 
 def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:
-    """The mesh must end exactly where the sheet does."""
     counts = np.bincount(mesh.element_edges.ravel(), minlength=len(mesh.edges))
     boundary = mesh.edges[counts == 1] @ [len(mesh.nodes_mm), 1]
     wanted = np.sort(np.vstack(rings), axis=1) @ [len(mesh.nodes_mm), 1]

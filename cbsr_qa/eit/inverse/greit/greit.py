@@ -1,8 +1,8 @@
 """GREIT: the matrix that maps readings of training targets to desired images.
 
-Each row of the matrix, one for each node of the image, is a least-squares fit of its own (Adler et al. 2009, eq. 5):
-min Σ_k W_k(x) [r(x)·y_k − d_k(x)]² + λ² |r(x)|², where W lets what is near the target count in full and the rest
-little: the top of an image decides place and outline of a masked blob.
+Each row of the matrix, one for each node of the image, is a separate least-squares fit (Adler et al. 2009, eq. 5):
+min Σ_k W_k(x) [r(x)·y_k − d_k(x)]² + λ² |r(x)|², where W has full weight near the target and little elsewhere, since
+the top of an image determines place and outline of a masked blob.
 """
 
 from contextlib import suppress
@@ -18,16 +18,17 @@ from cbsr_qa.eit.inverse.greit.targets import TargetDesign, Targets, make_target
 from cbsr_qa.eit.inverse.noise_figures import central_signal, noise_figure
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
-_NEAR: Final = 2.0  # radii of the head: up to here an error of the image counts, most on top of the target
-_FAR: Final = 0.1  # what errors count further out, against one on top
-_LOUD: Final = 0.6  # of a peak: rows that a target further away drives to more take it more seriously,
+_NEAR: Final = 2.0  # radii of the head: errors of the image have weight up to here, most on top of the target
+_FAR: Final = 0.1  # weight of errors further out, relative to one on top
+_LOUD: Final = 0.6  # of a peak: rows that respond more to a target further away give it more weight,
 _RAISED: Final = 4.0  # by this factor of the squared error,
-_RAISES: Final = 4  # so often at most
-_USUAL: Final = 0.1  # λ at which that is settled
+_RAISES: Final = 4  # at most so many times
+_USUAL: Final = 0.1  # λ at which that is decided
 _MOST_CONDITION: Final = 1e12  # of a row's normal equations; they have four digits then
 _AT_ONCE: Final = 256  # rows solved together
 
-#: Widths (second moments) of desired images that are solved for, of the nominal one; others are interpolated.
+#: Widths (second moments) of desired images that are solved for, relative to the nominal one; others are
+#: interpolated.
 WIDTHS: Final = (0.35, 0.55, 0.8, 1.1)
 
 
@@ -81,7 +82,7 @@ class GreitRows:
         return rows
 
     def _quieten(self) -> None:
-        """Let errors further out count more in rows that would answer far targets loudly, as near the edge."""
+        """Give errors further out more weight in rows that would respond strongly to far targets (near the edge)."""
         nodes = np.arange(len(self._fit.right))
         for _ in range(_RAISES):
             nodes = nodes[self._loudest(nodes) > _LOUD]
@@ -90,7 +91,7 @@ class GreitRows:
             self._fit.raise_far(nodes)
 
     def _loudest(self, nodes: Indices) -> Array:
-        """Largest error of some rows at targets further away that lie on the sheet as a whole, of a peak: (k,)."""
+        """Largest error of some rows at targets further away that lie fully on the sheet, of a peak: (k,)."""
         targets, head_mm = self.targets, self.design.head_mm
         mesh = targets.mesh
         edge = cKDTree(mesh.nodes_mm[np.unique(mesh.outline)])
@@ -103,7 +104,7 @@ class GreitRows:
         return loudest
 
     def matrix(self, rows: Array) -> Array:
-        """Imaging matrix (e, m) of rows (n, g): values of elements are the means of their corners'."""
+        """Imaging matrix (e, m) from rows (n, g): values of elements are the means of their corners."""
         nodal = self._fold.unfold(rows / np.sqrt(self._fold.variance))
         elements = self.problem.mesh.elements
         return (nodal[elements[:, 0]] + nodal[elements[:, 1]] + nodal[elements[:, 2]]) / 3
@@ -125,7 +126,7 @@ def combined(solved: Array, width: Array) -> Array:
 
 
 class _Fit:
-    """Normal equations of all rows: (n, g, g) and (n, g, w). Far targets count so little that one width does."""
+    """Normal equations of all rows: (n, g, g) and (n, g, w). Far targets have little weight: one width suffices."""
 
     def __init__(self, targets: Targets, near_mm: float) -> None:
         signals, nodes = targets.signals, targets.mesh.nodes_mm
@@ -134,7 +135,7 @@ class _Fit:
         self.right = np.empty((len(nodes), count, len(WIDTHS)))
         self._far_normal = _FAR**2 * (signals @ signals.T)
         self._far_right = np.empty((len(nodes), count))
-        self._share = np.empty(len(nodes))  # of the far errors in the whole
+        self._share = np.empty(len(nodes))  # weight of the far errors
         close = neighbours(targets.centres_mm, nodes, near_mm)
         for row, (node, around) in enumerate(zip(nodes, close, strict=True)):
             weight = _weight(np.hypot(*(targets.centres_mm[around] - node).T) / near_mm)
@@ -147,7 +148,7 @@ class _Fit:
         self._raised = np.ones(len(nodes))
 
     def raise_far(self, nodes: Indices) -> None:
-        """Let far errors count more in the rows of some nodes."""
+        """Increase the weight of far errors in the rows of some nodes."""
         more = (_RAISED - 1) * self._raised[nodes] * self._share[nodes]
         self.normal[nodes] += more[:, None, None] * self._far_normal
         self.right[nodes] += (more[:, None] * self._far_right[nodes])[..., None]

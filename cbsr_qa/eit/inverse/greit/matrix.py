@@ -1,7 +1,7 @@
-"""GREIT's imaging matrix for a λ, and the λ for a noise figure; the last matrices are kept.
+"""GREIT's imaging matrix for a λ, and the λ for a noise figure; recent matrices are cached.
 
-A regularised image is drawn to where readings are strongest, and wider where they are weak. A scale of each row, and
-the width of the image it is asked for, take both back: masked images of targets lie where the targets do.
+A regularised image is shifted towards places of strong readings, and wider where they are weak. A scale of each row
+and the width of its desired image correct both, so that masked images lie at their targets.
 """
 
 from collections import OrderedDict
@@ -21,15 +21,15 @@ from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse.greit.greit import WIDTHS, GreitRows, combined
 from cbsr_qa.eit.inverse.greit.targets import TargetDesign, neighbours, node_areas_mm2
 
-_ROUNDS: Final = 10  # of shaping: offsets then are 0.02 mm on the 100 mm disc, down from 0.4 mm
-_MASK_POWER: Final = 10  # of an image's values: of 8 to 18 the one whose centres are nearest to those of an 85 % mask
-_INNER: Final = 2.0  # radii of the head that a target keeps from the sheet's edge: beyond, images are cut off
-_SEEN: Final = 2.5  # radii of the head around a target, where its mask can lie
+_ROUNDS: Final = 10  # iterations: offsets are then 0.02 mm on the 100 mm disc, down from 0.4 mm
+_MASK_POWER: Final = 10  # exponent of values; of 8 to 18 its centres are closest to those of an 85 % mask
+_INNER: Final = 2.0  # radii of the head between a target and the sheet's edge: closer, images are cut off
+_SEEN: Final = 2.5  # radii of the head around a target that may contain its mask
 _SMOOTH: Final = 0.6  # radii of the head over which widths are averaged
 
 
 class Calibration:
-    """Shapes the rows of one problem; where no target keeps clear of the sheet's edge they stay as they are."""
+    """Shapes the rows of one problem; unchanged if every target is too close to the sheet's edge."""
 
     def __init__(self, fits: GreitRows) -> None:
         self._fits = fits
@@ -50,9 +50,9 @@ class Calibration:
     def rows(self, hyperparameter: float) -> Array:
         """Rows (n, g) of a λ, each with a scale and a width of its image; NumericsError where λ is too small.
 
-        Where the masked image of a target is off by b, the logarithm of the scale is given the slope −b/s, with s the
-        second moment of the image; one scale is fitted to the slopes of all places by least squares. Its mean is such
-        that peaks are those of the desired images.
+        For a masked image displaced by b, the logarithm of the scale gets the slope −b/s, with s the second moment of
+        the image; one scale is fitted to the slopes at all places by least squares. Its mean makes peaks equal those
+        of the desired images.
         """
         solved = self._fits.solve(hyperparameter)  # for all widths, (n, g, w)
         variance, nodes = self._fits.design.head_variance_mm2, len(solved)
@@ -78,7 +78,7 @@ class _SoftMasks:
         self._mass = np.where(there, node_areas_mm2(mesh)[self._node], 0.0)  # (t, most)
         self._away = mesh.nodes_mm[self._node] - centres_mm[:, None]
         self._square = (self._away**2).sum(axis=2)
-        self._smallest = float(mesh.areas_mm2.mean())  # a mask of one node has no size
+        self._smallest = float(mesh.areas_mm2.mean())  # a mask of one node has zero width
 
     def moments(self, images: Array) -> tuple[Array, Array]:
         """Offsets of masks of images (n, t) from their targets (t, 2) [mm], and second moments (t,) [mm²]."""
@@ -92,7 +92,7 @@ class _SoftMasks:
 
 
 class _SlopeFit:
-    """The piecewise linear function of a mesh whose slopes are nearest to given ones."""
+    """Piecewise linear function on a mesh, fitted to given slopes."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._mesh = mesh
@@ -103,7 +103,7 @@ class _SlopeFit:
         row, column = (np.broadcast_to(mesh.elements[index], local.shape).ravel() for index in _PAIRS)
         count = len(mesh.nodes_mm)
         stiffness = sparse.csc_array((local.ravel(), (row, column)), shape=(count, count))
-        # Slopes leave the mean open; the smallest is as good as any.
+        # Slopes leave the mean free; any choice will do.
         self._factors = splu((stiffness + 1e-9 * sparse.diags_array(node_areas_mm2(mesh))).tocsc())
 
     def fit(self, slopes: Array) -> Array:
@@ -115,13 +115,13 @@ class _SlopeFit:
 
 
 def _nearest(points_mm: Array, places_mm: Array) -> tuple[Array, Indices]:
-    """Distance of each place from the nearest of the points, and which that is."""
+    """Distance of each place from the nearest of the points, and the index of that point."""
     away, nearest = cKDTree(points_mm).query(places_mm)
     return np.asarray(away, dtype=np.float64), np.asarray(nearest, dtype=np.int64)
 
 
 def _averaging(nodes_mm: Array, places_mm: Array, length_mm: float) -> Array:
-    """Matrix (n, t) that averages values at places around each node, with a Gaussian of a length."""
+    """Matrix (n, t) that averages values at places around each node with a Gaussian of given length."""
     square = ((nodes_mm[:, None] - places_mm) ** 2).sum(axis=2)
     weight = np.exp(-(square - square.min(axis=1, keepdims=True)) / (2 * length_mm**2))
     averaging: Array = weight / weight.sum(axis=1, keepdims=True)
@@ -134,12 +134,12 @@ _PAIRS: Final = (np.s_[:, :, None], np.s_[:, None, :])
 _LOWEST, _HIGHEST = (
     1e-4,
     0.6,
-)  # λ searched, noise over signal of a reading: above, masks of targets lose their targets
+)  # λ searched, noise over signal of a reading: above, masks miss their targets
 _TYPICAL: Final = (0.05, 0.3)  # searched first
-_WIDER: Final = 4.0  # each time the noise figure is not between them
+_WIDER: Final = 4.0  # factor if the noise figure is not between them
 _REACHED: Final = 1e-3  # in ln λ; half of that or less in the noise figure
 _KEPT: Final = 6  # problems
-_MATRICES: Final = 2  # of each, 3.4 MB on the usual mesh
+_MATRICES: Final = 2  # per problem, 3.4 MB on the usual mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +159,7 @@ class GreitMatrix:
 def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: float) -> GreitMatrix:
     """Make the imaging matrix of a λ, rms noise over rms signal of a reading.
 
-    NumericsError if λ is negative, not finite, or too small to determine the image; or a target is felt by no
-    reading.
+    NumericsError if λ is negative, not finite, or too small to determine the image, or a target affects no reading.
     """
     kept = _kept(problem, design)
     return kept.matrices.get(hyperparameter) or _Search(problem, design, kept).at(hyperparameter)
@@ -182,7 +181,7 @@ class GreitChoice:
 
 
 def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figure: float) -> GreitChoice:
-    """Find the λ whose matrix has a noise figure, to 1 in 1000; NumericsError says the range otherwise."""
+    """Find the λ whose matrix has a noise figure, to 1 in 1000; NumericsError names the range otherwise."""
     kept = _kept(problem, design)
     if noise_figure not in kept.chosen:
         kept.chosen[noise_figure] = _Search(problem, design, kept).for_noise_figure(noise_figure)
@@ -224,7 +223,7 @@ class _Search:
         matrices = self._kept.matrices
         if hyperparameter not in matrices:
             values = self._fits.matrix(self._calibration.rows(hyperparameter))
-            values.flags.writeable = False  # shared by everybody who asks
+            values.flags.writeable = False  # shared by all callers
             matrices[hyperparameter] = GreitMatrix(values, self._fits.noise_figure(values))
             while len(matrices) > _MATRICES:
                 matrices.popitem(last=False)
@@ -244,19 +243,19 @@ class _Search:
             )
 
         low, high = (float(np.log(end)) for end in ends)
-        exactly = dict(zip((low, high), ends, strict=True))  # e^(ln λ) is not λ to the last digit, hence another fit
+        exactly = dict(zip((low, high), ends, strict=True))  # e^(ln λ) differs from λ in the last digit: fit again
 
         def over(at: float) -> float:
             return float(np.log(self._figure(exactly.get(at, float(np.exp(at)))) / target))
 
         root = float(brentq(over, low, high, xtol=_REACHED))
         value = exactly.get(root, float(np.exp(root)))
-        self._seen[value] = self.at(value).noise_figure  # and its matrix is kept
+        self._seen[value] = self.at(value).noise_figure  # and its matrix is cached
         searched = np.array(sorted(self._seen))
         return GreitChoice(value, searched, np.array([self._seen[each] for each in searched]))
 
     def _figure(self, hyperparameter: float) -> float:
-        """Noise figure of a λ, which is remembered for the search."""
+        """Noise figure of a λ, cached for the search."""
         if hyperparameter not in self._seen:
             self._seen[hyperparameter] = self.at(hyperparameter).noise_figure
         return self._seen[hyperparameter]

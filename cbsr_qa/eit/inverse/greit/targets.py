@@ -17,12 +17,12 @@ from cbsr_qa.eit.forward import reaches_mm
 from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
-#: The contour of a target's image that is to be its outline: the percentage mask that decides.
+#: The contour of a target's image that equals its outline: the mask used to judge.
 CONTOUR: Final = 0.85
-_CLOSEST: Final = 0.35  # of the head's radius: targets nearer to each other tell nothing more
-_RESOLVED: Final = 1.5  # edges of the image's elements that a head is wide: below, its image is no Gaussian on them
-_SMALLEST: Final = 0.1  # a target, of the head
-_WIDEST: Final = 0.5  # a target's radius, of the sheet's
+_CLOSEST: Final = 0.35  # of the head's radius: closer targets add nothing
+_RESOLVED: Final = 1.5  # edges of the image's elements per width of the head: below, its image is not Gaussian
+_SMALLEST: Final = 0.1  # smallest target, of the head
+_WIDEST: Final = 0.5  # largest target's radius, of the sheet's
 _ALL: Final = slice(None)
 
 
@@ -112,8 +112,8 @@ class Targets:
 
         Parameters
         ----------
-        widths : w second moments of the head's image, of its nominal one; the peaks stay as they are.
-        targets : t of them, all by default.
+        widths : w second moments of the head's image, relative to its nominal one; the peaks are unchanged.
+        targets : t indices, all by default.
 
         Returns
         -------
@@ -127,7 +127,7 @@ class Targets:
 
 
 def _check_resolved(mesh: Mesh, head_mm: float, radii_mm: tuple[float, ...]) -> None:
-    """Refuse a head that the image's elements cannot show, and targets that are points beside it."""
+    """Refuse a head that the image's elements cannot resolve, and targets that are points compared with it."""
     edge_mm = float(np.sqrt(4 / np.sqrt(3) * mesh.areas_mm2.mean()))
     if 2 * head_mm < _RESOLVED * edge_mm:
         raise NumericsError(
@@ -142,7 +142,7 @@ def _check_resolved(mesh: Mesh, head_mm: float, radii_mm: tuple[float, ...]) -> 
 
 
 def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesign) -> Targets:
-    """Make targets of every size all over the sheet, linear in contrast; NumericsError if no reading feels one."""
+    """Make targets of every size all over the sheet, linear in contrast; NumericsError if no reading senses one."""
     mesh, nodes = problem.mesh, problem.mesh.nodes_mm
     centres = nodes[_apart(nodes, _CLOSEST * design.head_mm)]
     white = fold.rows(problem.jacobian) / np.sqrt(fold.variance)[:, None]
@@ -175,7 +175,7 @@ def disc_signals(jacobian: Array, mesh: Mesh, centres_mm: Array, radius_mm: floa
 
 
 def node_areas_mm2(mesh: Mesh) -> Array:
-    """A third of the elements around each node, (n,): the weights of an integral of nodal values."""
+    """A third of the area of the elements around each node, (n,): weights of an integral of nodal values."""
     areas = np.bincount(mesh.elements.ravel(), np.repeat(mesh.areas_mm2 / 3, 3), minlength=len(mesh.nodes_mm))
     return np.asarray(areas, dtype=np.float64)
 

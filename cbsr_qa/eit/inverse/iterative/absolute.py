@@ -25,9 +25,9 @@ from cbsr_qa.eit.inverse.overlap import overlap_fractions
 from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, even_model
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
-#: Steps allowed; three to six do it.
+#: Steps allowed; three to six suffice.
 MOST_STEPS: Final = 20
-#: Fall of Φ that is left at which a state counts as found: a hundredth of a standard deviation, or a millionth of Φ.
+#: Remaining decrease of Φ at convergence: a hundredth of a standard deviation, or a millionth of Φ.
 TOLERANCE: Final = 1e-4
 _SHARE: Final = 1e-6
 _MOST_ELEMENTS: Final = 10_000
@@ -140,10 +140,9 @@ class FoundState:
     Parameters
     ----------
     solved : the state with its readings.
-    residual : Σ (V − d)²/σ² over the number of readings; one where noise alone is left.
+    residual : Σ (V − d)²/σ² over the number of readings; one if only noise remains.
     unexplained : ‖V − d‖/‖d‖.
     log_contact_error : (electrodes,) standard deviations of ln z.
-    steps : taken.
     """
 
     solved: SolvedSheet
@@ -178,7 +177,7 @@ def matern(mesh: Mesh, length_mm: float) -> Array:
 class Linearised:
     """A state with its Jacobian, and the dual system of a step from it, for the prior C and (g,) σ².
 
-    NumericsError if the noise variances, against the prior, leave a system that rounding decides.
+    NumericsError if rounding dominates the system, as the noise variances are too small compared with the prior.
     """
 
     def __init__(self, solved: SolvedSheet, prior: SheetPrior, variance: Array) -> None:
@@ -218,7 +217,7 @@ class Linearised:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Place:
-    """Where an iteration is: θ − θ₀ and w, with θ − θ₀ = C w."""
+    """Current point of an iteration: θ − θ₀ and w, with θ − θ₀ = C w."""
 
     away: Array
     weights: Array
@@ -239,19 +238,19 @@ def most_probable_state(
     most_steps: int = MOST_STEPS,
     tolerance: float = TOLERANCE,
 ) -> FoundState:
-    """Iterate to the most probable state, expecting the one to start from, θ₀, for (g,) folded readings d.
+    """Iterate from the expected state θ₀ to the most probable state, for (g,) folded readings d.
 
     Raises
     ------
     NumericsError
-        If no step lowers Φ, or steps run out, before less than ``tolerance`` is left; or if Φ is no finite number.
+        If no step lowers Φ, or steps run out, before it is within ``tolerance``; or if Φ is not finite.
     """
     origin, here, variance = start.solved.state, start, start.variance
     place = _Place(np.zeros(len(origin.unknowns)), np.zeros(len(origin.unknowns)))
     cost = _misfit(here.readings, wanted, variance)
     fall = np.inf
     for number in range(most_steps):
-        with np.errstate(all="ignore"):  # what is not finite is refused here
+        with np.errstate(all="ignore"):  # non-finite values are refused here
             step, weights, fall = here.step(wanted, place)
         if not (np.isfinite(cost) and np.isfinite(fall) and np.isfinite(step).all()):
             raise _beyond(f"readings of up to {np.abs(wanted).max():.2g} give")
@@ -262,7 +261,7 @@ def most_probable_state(
             tried = place.moved(step, weights, length)
             try:
                 solved = model.at(origin.moved(tried.away))
-            except ValueRangeError:  # no state this far out has readings
+            except ValueRangeError:  # states this far out have no readings
                 lower = np.inf
             else:
                 lower = _misfit(solved.readings(), wanted, variance) + tried.cost()

@@ -18,8 +18,8 @@ from cbsr_qa.eit.inverse.noise_figures import central_signal, noise_figure
 from cbsr_qa.eit.inverse.one_step import RidgeSearch
 from cbsr_qa.eit.inverse.priors import Prior
 
-_UNEXPLAINED = 0.1  # of a frame's readings; more means another sheet, or electrodes in another order
-_KNOWN = 0.5  # of its expected spread: a contact whose error is larger was not measured
+_UNEXPLAINED = 0.1  # of a frame's readings; more indicates another sheet, or electrodes in another order
+_KNOWN = 0.5  # of its expected spread: a contact with a larger error is undetermined
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Expected:
         return float(10 ** (-self.noise_dB / 20) * np.abs(reference).mean())
 
     def chosen_spread(self, problem: ImagingProblem) -> tuple[float, str]:
-        """Spread of loads, and how it was chosen: it is σ/λ of a one-step image."""
+        """Spread of loads, and how it was chosen: σ/λ of a one-step image."""
         if self.load_spread is not None:
             return self.load_spread, "load_spread given"
         nominal = problem.nominal or problem
@@ -69,8 +69,8 @@ class AbsoluteImages:
 
     Parameters
     ----------
-    choice : of the spread of loads, which with the noise is what regularises.
-    reference : the unloaded sheet's state; the nominal one where its readings are not known.
+    choice : of the spread of loads, which regularises together with the noise.
+    reference : the unloaded sheet's state; nominal if its readings are unknown.
     scale : of the readings over those of a sheet of this state.
     before_load : the reference, linearised, with the prior ``load``.
     """
@@ -89,14 +89,14 @@ class AbsoluteImages:
     def of(cls, method: str, problem: ImagingProblem, expected: Expected) -> "AbsoluteImages":
         """Find the reference's state and linearise there.
 
-        NumericsError if the reference readings belong to no such sheet, or the iteration does not converge.
+        NumericsError if the reference readings fit no such sheet, or the iteration does not converge.
         """
         model = SheetModel(problem, expected.mesh_size)
         variance = expected.deviation(problem) ** 2 * model.fold.variance
         reference, scale = _reference_state(problem, expected, model, variance)
         spread, how = expected.chosen_spread(problem)
         length_mm = expected.load_length * problem.sensor_type.radius_mm
-        # A contact changes as little as conductance does, or it would explain what the image may not.
+        # A contact changes as little as conductance does; otherwise it would explain too much.
         load = SheetPrior.of(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
         before = Linearised(reference.solved, load, variance)
         figure = _noise_figure(problem, model, before)
@@ -113,18 +113,18 @@ class AbsoluteImages:
         RefusedError
             If readings do not fit or are not finite.
         NumericsError
-            If a frame does not converge, after how many steps; or if no sheet explains its readings to 10 %.
+            If a frame does not converge (with the number of steps), or no sheet explains its readings to 10 %.
         """
         unloaded = self.reference.conductance
         images = np.array([state.conductance / unloaded - 1 for state in self.states(changes)])
         return images.reshape(len(changes), len(unloaded))
 
     def absolute(self, changes: Array) -> Array:
-        """Conductances (n, e) in units of the unit model's, of the same changes."""
+        """Conductances (n, e) in units of the unit model's, from the same changes."""
         return (1 + self.images(changes)) * self.reference.conductance / self.scale
 
     def states(self, changes: Array) -> list[FoundState]:
-        """State of each frame, contacts found anew; raises as :meth:`images`."""
+        """State of each frame, with contacts estimated again; raises as :meth:`images` does."""
         folded = self.model.fold.fold(checked_readings(changes, self.problem)) / self.scale
         solved = [
             most_probable_state(
@@ -143,7 +143,7 @@ class AbsoluteImages:
     def contact_impedance(self) -> Array:
         """Contact impedances of the unloaded sensor times the unit model's conductance, (electrodes,) [mm].
 
-        NumericsError names the electrodes whose readings do not tell.
+        NumericsError names the electrodes whose contact the readings do not determine.
         """
         error = self.reference.log_contact_error
         unknown = np.flatnonzero(error > _KNOWN * self.expected.contact_spread)

@@ -6,9 +6,9 @@ primal–dual interior point method: with jumps D x = u − v, u, v ≥ 0, and p
 
     Aᵀ(A x − y) + Dᵀp = 0,  u (α − p) = 0,  v (α + p) = 0,  |p| ≤ α,
 
-and Newton steps with Mehrotra's (1992) predictor and corrector follow u (α − p) = v (α + p) = μ as μ → 0; nothing
-smooths the absolute value. Each step solves (AᵀA + DᵀWD) δx = b: DᵀWD is a graph Laplacian, factorised sparsely, and
-A has few rows. The duality gap P(x) − D(A x − y) bounds what is left to gain, and ½‖A (x − x*)‖² with it.
+and Newton steps with Mehrotra's (1992) predictor and corrector follow u (α − p) = v (α + p) = μ as μ → 0; the
+absolute value is not smoothed. Each step solves (AᵀA + DᵀWD) δx = b: DᵀWD is a graph Laplacian, factorised sparsely,
+and A has few rows. The duality gap P(x) − D(A x − y) bounds the remaining decrease, and hence ½‖A (x − x*)‖².
 """
 
 import warnings
@@ -24,23 +24,22 @@ from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.inverse.priors import neighbour_differences
 
-#: Duality gap, of the objective, at which an image is taken for the minimiser.
+#: Relative duality gap at which an image is accepted as the minimiser.
 TOLERANCE: Final = 1e-5
-#: Steps allowed; fifteen do it.
+#: Steps allowed; fifteen suffice.
 MOST_STEPS: Final = 60
-_BALANCED = 1e-7  # largest departure from Aᵀ(Ax − y) + Dᵀp = 0 that leaves the gap its meaning, of Aᵀy
-_SHY = 0.99  # of the way to the wall
+_BALANCED = 1e-7  # largest deviation from Aᵀ(Ax − y) + Dᵀp = 0 for a meaningful gap, of Aᵀy
+_SHY = 0.99  # of the way to the boundary
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TvImage:
-    """A minimiser and how surely it is one.
+    """A minimiser with its accuracy.
 
     Parameters
     ----------
     image : (e,). residual : ‖A x − y‖².
     gap : duality gap, of the objective.
-    steps : taken.
     """
 
     image: Array
@@ -73,15 +72,14 @@ class TotalVariation:
     def image(self, readings: Array, alpha: float) -> TvImage:
         """Minimise for whitened readings (m,) and a positive α.
 
-        NumericsError if squares of readings or rows are no numbers, or the gap is not closed within the steps
-        allowed.
+        NumericsError if squares of readings or rows overflow, or the gap is not closed within the steps allowed.
         """
-        with np.errstate(all="ignore"), warnings.catch_warnings():  # what is not finite is refused below
+        with np.errstate(all="ignore"), warnings.catch_warnings():  # non-finite values are refused below
             warnings.simplefilter("ignore", linalg.LinAlgWarning)
             return self._flat_image(readings, alpha) or self._converged(readings, alpha)
 
     def flattening(self, readings: Array) -> float:
-        """Return an α from which on the image of readings is flat; raises as :meth:`image`."""
+        """Return an α above which the image of readings is flat; raises as :meth:`image` does."""
         with np.errstate(all="ignore"):
             return self._flattest(readings)[1]
 
@@ -111,7 +109,7 @@ class TotalVariation:
         )
 
     def _left(self, gap: float, apart: float) -> str:
-        """Why an image is not accepted as the minimiser; a duality gap is meaningless if out of balance."""
+        """Why an image is not accepted as the minimiser; without balance a duality gap is meaningless."""
         if not (np.isfinite(gap) and np.isfinite(apart)):
             return "the image has non-finite values"
         if apart > _BALANCED:
@@ -199,7 +197,7 @@ class _State:
         return float(self.up @ (alpha - self.dual) + self.down @ (alpha + self.dual)) / (2 * len(self.up))
 
     def room(self, by: "_State", alpha: float) -> float:
-        """How far one can go in a direction until something turns negative, at most 1."""
+        """Largest step in a direction that keeps everything positive, at most 1."""
         pairs = (
             (self.up, by.up),
             (self.down, by.down),
@@ -211,7 +209,7 @@ class _State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Here:
-    """Residuals at a state: of the readings (m,), of the balance (e,), of the jumps (k,); and the jumps D x."""
+    """Residuals at a state: of the readings (m,), the balance (e,) and the jumps (k,); and the jumps D x."""
 
     residual: Array
     imbalance: Array
@@ -250,7 +248,7 @@ def _direction(
 
 @dataclass(frozen=True, slots=True)
 class _Laplacian:
-    """DᵀWD factorised, with one element pinned by a large entry, since it leaves constants free.
+    """DᵀWD factorised, with one element pinned by a large entry, since constants are in its null space.
 
     For a right side that sums to zero the solution is the one that is zero there.
     """
@@ -261,11 +259,11 @@ class _Laplacian:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Graph:
-    """Where the entries of DᵀWD are, so that new weights cost a sum.
+    """Positions of the entries of DᵀWD, so that new weights cost only a sum.
 
     Parameters
     ----------
-    rows, starts : of the compressed columns. place : (4 k,) where each edge's four entries go, of size (4 k,).
+    rows, starts : of the compressed columns. place : (4 k,) positions of each edge's four entries.
     corner : place of the first element's diagonal entry.
     """
 
@@ -311,7 +309,6 @@ class _Newton:
         self._core = linalg.lu_factor(core)
 
     def solve(self, right: Array) -> Array:
-        """Solve, with one step of iterative refinement."""
         first = self._once(right)
         left = right - self._rows.T @ (self._rows @ first)
         left -= self.jumps.T @ (self.weights * (self.jumps @ first))

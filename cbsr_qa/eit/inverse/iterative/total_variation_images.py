@@ -1,7 +1,7 @@
 """Total-variation reconstruction, frame by frame.
 
-α leaves a residual of the noise's size (Morozov 1966). ∫|∇x| is the same number on every mesh: α is settled on a
-coarse image of the sensor type.
+α is chosen to leave a residual as large as the noise (Morozov 1966). As ∫|∇x| does not depend on the mesh, α is
+chosen on a coarse image of the sensor type.
 """
 
 from dataclasses import dataclass, replace
@@ -64,7 +64,7 @@ class TotalVariationImages:
     ----------
     choice : of α.
     minimise : prepared for the problem's mesh and readings.
-    variance : of the noise α was chosen for, of a reading of unit relative variance; None where nobody said.
+    variance : noise that α was chosen for, of a reading of unit relative variance; None if unknown.
     """
 
     method: str
@@ -85,7 +85,7 @@ class TotalVariationImages:
         tolerance: float,
         most_steps: int,
     ) -> "TotalVariationImages":
-        """Prepare for a problem; tolerance and steps as of :class:`TotalVariation`."""
+        """Prepare for a problem; tolerance and steps as for :class:`TotalVariation`."""
         readings = WhiteReadings.of(problem)
         minimise = TotalVariation(problem.mesh, readings.rows, tolerance=tolerance, most_steps=most_steps)
         return cls(method, problem, choice, readings, minimise, variance)
@@ -98,7 +98,7 @@ class TotalVariationImages:
         RefusedError
             If readings do not fit or are not finite.
         NumericsError
-            If a frame does not converge, or no image explains it to ten times the noise α was chosen for.
+            If a frame does not converge, or no image explains it within ten times the noise that α was chosen for.
         """
         return np.array([minimiser.image for minimiser in self.minimisers(changes)]).reshape(
             len(changes), len(self.problem.mesh.elements)
@@ -118,15 +118,15 @@ class TotalVariationImages:
         return images
 
 
-_COARSE: Final = 0.12  # edge length of the image α is settled on, of the sheet's radius
+_COARSE: Final = 0.12  # edge length of the image used to choose α, of the sheet's radius
 _SAID: Final = "residual as large as the noise (discrepancy principle) on "
-_FRAMES: Final = 3  # that a residual is averaged over
+_FRAMES: Final = 3  # frames over which a residual is averaged
 _DRAWS: Final = 8  # of noise, for the noise figure
-_LEAST: Final = 1e-7  # α searched, of the one that leaves nothing but a flat image
-_NOTHING: Final = 1e-12  # of the largest reading: less is no change
-_STEP: Final = 8.0  # from which it is searched downwards in such steps
-_CLEAR: Final = 4.0  # sampling errors by which a flat image must fail, or the readings are all noise
-_EXACT: Final = 0.01  # α is found to a hundredth: the residual it is held against is no better known
+_LEAST: Final = 1e-7  # α searched, relative to the one that leaves only a flat image
+_NOTHING: Final = 1e-12  # of the largest reading: less is not a change
+_STEP: Final = 8.0  # factor of the downward search
+_CLEAR: Final = 4.0  # sampling errors by which a flat image must be rejected; otherwise the readings are all noise
+_EXACT: Final = 0.01  # α to a hundredth: the target residual is no better known
 
 
 def choose_alpha(
@@ -136,14 +136,14 @@ def choose_alpha(
 
     Parameters
     ----------
-    given : α itself, then without a variance; None for the discrepancy principle, on measured changes where the
-        problem has them, else on simulated ones of the sensor type's nominal problem.
-    noise_dB : noise below the mean reading where no changes were measured; α grows with the noise in proportion.
+    given : α itself, without a variance; None for the discrepancy principle, on the problem's measured changes, or
+    else on simulated ones of the sensor type's nominal problem.
+    noise_dB : noise below the mean reading without measured changes; α is proportional to the noise.
 
     Raises
     ------
     NumericsError
-        If no α leaves a residual of the noise's size.
+        If no α leaves a residual as large as the noise.
     """
     if problem.sample is not None:
         return _chosen(problem, given, noise_dB)
@@ -173,7 +173,7 @@ def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> tu
         value = float(f"{louder * _by_discrepancy(coarse, evidence):.6g}")
         how, variance = _SAID + evidence.words, louder**2 * simulated.variance
         how += "" if louder == 1 else f", times {louder:.3g} for noise of {noise_dB:g} dB"
-    # The image of a louder target in louder noise is the louder image: what holds for α holds for louder · α there.
+    # Scaling target and noise scales the image: if α holds for one, factor · α holds for the other.
     figure, error = _noise_figure(coarse, value / louder, simulated)
     how += (
         f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {SEED}) at"
