@@ -38,7 +38,7 @@ def note_changes(connection: Connection, identity: RunIdentity, configuration: s
     ----------
     configuration : canonical JSON of the run.
     material : its name.
-    why : in the operator's words; empty where there were none.
+    why : in the operator's words; may be empty.
     """
     now = json.loads(configuration)
     rows = []
@@ -75,13 +75,8 @@ def all_changes(engine: Engine) -> tuple[ConfigurationChange, ...]:
 
 
 def history_of(engine: Engine, identity: RunIdentity, material: str) -> ChangeHistory:
-    """Return the changes of a run's files since its sensor type last passed its recipe, its own among them.
-
-    Parameters
-    ----------
-    material : name of the run's material.
-    """
-    # By the verdicts that were reached: a run somebody passed by hand shows that nobody accepts its recipe yet.
+    """Return the changes of a run's files since its sensor type last passed its recipe, including its own."""
+    # Overrides do not count: a run passed by hand shows that its recipe is not accepted yet.
     latest = select(func.max(AnalysisRow.analysis)).group_by(AnalysisRow.run)
     accepted = (
         select(func.max(RunRow.run))
@@ -115,7 +110,7 @@ def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[Conf
 
 
 def _names(identity: RunIdentity, material: str) -> Iterator[tuple[FileKind, str, ColumnElement[bool]]]:
-    """Yield kind and name of a run's files, and what holds of other runs that use a file of that name."""
+    """Yield kind and name of a run's files, and the condition for other runs that use a file of that name."""
     yield FileKind.RECIPE, identity.recipe, RunRow.recipe == identity.recipe
     yield FileKind.STATION, identity.station, RunRow.station == identity.station
     sensor_type = identity.sensor.sensor_type
@@ -148,7 +143,7 @@ def save_override(
     Raises
     ------
     StoreError
-        If the run is not stored, not what was stored, has not finished, or has no result yet; nothing is stored then.
+        If the run does not exist, was altered, has not finished, or has no result yet; nothing is stored then.
     """
     with writing(engine) as connection:
         analysis, verdict = _judged(connection, run)
@@ -185,7 +180,6 @@ def overrides(engine: Engine, run: str | None = None) -> tuple[VerdictOverride, 
 
 
 def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
-    """Return the latest analysis of a run with its outcome."""
     if run_row(connection, run) is None:
         raise StoreError(f"there is no run {run}", remedy="cbsr-qa report SERIAL names the latest run of a sensor")
     check_run(connection, run)

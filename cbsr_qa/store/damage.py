@@ -1,4 +1,4 @@
-"""What a database says when something is wrong, turned into one clear message with what to do."""
+"""Translation of database errors into one clear message with a remedy."""
 
 import sqlite3
 from collections.abc import Iterable, Iterator
@@ -52,7 +52,7 @@ def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
     Raises
     ------
     StoreError
-        If it is not one of them.
+        If it is not a member.
     """
     try:
         return words(value)
@@ -64,14 +64,14 @@ def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
 
 
 def shown(url: URL) -> str:
-    """Write a URL with its password hidden; a SQLite file as its path."""
+    """Write a URL with its password hidden, or the path of a SQLite file."""
     if url.get_backend_name() == "sqlite":
         return f"database {url.database or 'in memory'}"
     return f"database {url.render_as_string(hide_password=True)}"
 
 
 def address(url: URL) -> str:
-    """Return what names a database to ``--database``: a file's path, or the URL with its password hidden."""
+    """Return the value of ``--database`` for a database: a file's path, or the URL with its password hidden."""
     sqlite = url.get_backend_name() == "sqlite"
     return str(url.database) if sqlite else url.render_as_string(hide_password=True)
 
@@ -87,14 +87,14 @@ def translated(url: URL) -> Iterator[None]:
         raise StoreError(
             f"{shown(url)} cannot hold {error.object[:60]!r}: {error.reason}", remedy="write it in UTF-8"
         ) from error
-    except (UnicodeDecodeError, OverflowError) as error:  # Python's sqlite3 itself, of bytes that SQLite never checks
+    except (UnicodeDecodeError, OverflowError) as error:  # from Python's sqlite3, for bytes that SQLite never checks
         raise _driver_error(url, sqlite3.DatabaseError(f"malformed: {error}")) from error
-    except sqlite3.Error as error:  # outside of a statement, e.g. while a connection is set up
+    except sqlite3.Error as error:  # outside a statement, e.g. while a connection is set up
         raise _driver_error(url, error) from error
     except StatementError as error:
         if isinstance(error, DBAPIError) and error.orig is not None:
             raise _driver_error(url, error.orig) from error
-        # A value our column types refuse.
+        # A value that a column type refuses.
         raise StoreError(f"{shown(url)}: {_first_line(str(error.orig))}") from error
     except SQLAlchemyError as error:
         raise StoreError(f"{shown(url)}: {_first_line(str(error))}") from error
@@ -121,8 +121,8 @@ def foreign_cell(
 
     Parameters
     ----------
-    rows : tables, and which of their rows are looked at.
-    what : begins the message.
+    rows : tables, and conditions that select their rows.
+    what : start of the message.
     """
     for table, wanted in rows:
         kinds = [(one, one.type.dialect_impl(connection.dialect)) for one in table.columns]

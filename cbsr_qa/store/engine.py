@@ -21,12 +21,12 @@ from sqlalchemy.exc import ArgumentError, OperationalError
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store.damage import foreign_cell, shown, translated
 
-#: How long a writer waits for another one before it gives up [ms].
+#: How long a writer waits for another one [ms].
 BUSY_TIMEOUT_MS = 10_000
-#: How long it waits before it says so [ms].
+#: How long it waits before it reports that [ms].
 _PATIENCE_MS = 1_000
 
-#: What a connection notes its file under.
+#: Key under which a connection keeps the identity of its file.
 _FILE = "cbsr_qa file"
 
 _DRIVERS = {"sqlite": "sqlite", "postgresql": "postgresql+psycopg"}
@@ -38,11 +38,11 @@ def parsed_url(text: str) -> URL:
     Raises
     ------
     StoreError
-        If it is not one, or of a database this program does not speak to.
+        If it is malformed, or of a database that is not supported.
     """
     try:
         url = make_url(text)
-        text.encode()  # drivers take no halves of characters, which names of files may hold
+        text.encode()  # drivers refuse lone surrogates, which file names may hold
     except (ArgumentError, ValueError):
         # The text is not repeated: it may hold a password.
         raise StoreError(
@@ -56,7 +56,7 @@ def parsed_url(text: str) -> URL:
 
 
 def sqlite_file(url: URL) -> Path | None:
-    """Return the file behind a SQLite URL; None for other databases and for one in memory."""
+    """Return the file behind a SQLite URL; None for other databases and in memory."""
     if url.get_backend_name() != "sqlite" or not url.database or url.database == ":memory:":
         return None
     return Path(url.database.removeprefix("file:").partition("?")[0])
@@ -93,14 +93,14 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
 
 @contextmanager
 def reading(engine: Engine) -> Iterator[Connection]:
-    """One read transaction; database errors become StoreError, and so do errors caused by a cell of another type."""
+    """Open a read transaction; raise StoreError for database errors and for cells of the wrong type."""
     with translated(engine.url), engine.begin() as connection, _foreign_cells_named(connection):
         yield connection
 
 
 @contextmanager
 def _foreign_cells_named(connection: Connection) -> Iterator[None]:
-    """Raise StoreError in place of an error that a cell of another type explains."""
+    """Raise StoreError in place of an error caused by a cell of the wrong type."""
     try:
         yield
     except (TypeError, ValueError, AttributeError, IndexError) as error:
@@ -116,8 +116,7 @@ def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Ite
 
     Parameters
     ----------
-    tell : told where another program is waited for for more than a second; the wait ends after
-        :data:`BUSY_TIMEOUT_MS`.
+    tell : called when the wait for another program exceeds a second; it ends after :data:`BUSY_TIMEOUT_MS`.
     """
     with translated(engine.url), engine.connect() as connection:
         writer = connection.execution_options(cbsr_writes=True)
@@ -159,14 +158,14 @@ def use_write_ahead_log(engine: Engine) -> None:
             connection.close()
 
 
-#: Up to this size indexes are compared with their tables too, which takes twice as long (2 s a GB, in the cache) [B].
+#: Up to this size indexes are compared with their tables too, which doubles the time (2 s per GB, in the cache) [B].
 _COMPARED: Final = 2_000_000_000
 
 
 def look_afresh(engine: Engine) -> None:
     """Close connections: the log is merged into the file, and the next read is from disk.
 
-    A connection keeps the pages it wrote, and goes on with them whatever becomes of the log on the disk.
+    A connection keeps using the pages it wrote, even if the log on disk has changed.
     """
     if sqlite_file(engine.url) is not None:
         engine.dispose()
@@ -203,7 +202,6 @@ def _remember_file(url: URL, _: object, record: Any) -> None:
 
 
 def _which_file(url: URL) -> tuple[int, int] | None:
-    """Device and inode of the database file; None without one."""
     path = sqlite_file(url)
     assert path is not None
     try:
@@ -214,7 +212,7 @@ def _which_file(url: URL) -> tuple[int, int] | None:
 
 
 def _refuse_lost_file(connection: Connection) -> None:
-    """Refuse to continue with a deleted or replaced file: SQLite would write into the old one."""
+    """Refuse a deleted or replaced file: SQLite would continue to write into the old one."""
     url, was = connection.engine.url, connection.info[_FILE]
     found = _which_file(url)
     if was in (None, found):
@@ -228,6 +226,6 @@ def _refuse_lost_file(connection: Connection) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    # A transaction that will write takes the lock at once: one that asks for it later can fail without waiting.
+    # A transaction that will write takes the lock at once: requesting it later can fail without waiting.
     immediate = connection.get_execution_options().get("cbsr_writes", False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if immediate else "BEGIN")

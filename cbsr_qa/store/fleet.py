@@ -45,7 +45,7 @@ from cbsr_qa.store.types import made_at
 Conditions: TypeAlias = list[ColumnElement[bool]]
 
 _BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
-#: State of a value by its outcome and what it says of its quantity.
+#: State of a value by its outcome and its bound.
 _STATES: Final = {
     (str(outcome), str(bound)): int(
         _BAD.get(outcome, State.PLAIN) | (State.LOWER_BOUND if bound is Bound.LOWER else State.PLAIN)
@@ -56,9 +56,9 @@ _STATES: Final = {
 _EVERY: Final = RunSelection()
 
 _T = TypeVar("_T")
-#: Raised by a cell that holds a value of another type than its column.
+#: Raised by a cell whose value has another type than its column.
 _UNREADABLE: Final = (AttributeError, KeyError, TypeError, ValueError, OperationalError)
-#: Columns by whose names runs are selected, as :func:`_names` gives them.
+#: Columns that select runs by name, as :func:`_names` gives them.
 _BY_NAME: Final = (RunRow.recipe, RunRow.batch, RunRow.station, RunRow.operator)
 
 
@@ -73,8 +73,8 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
     Raises
     ------
     StoreError
-        If the database cannot be read, holds an unknown outcome or bound, or a cell of another type than was
-        stored, or something that is read of a chained run is not what was stored.
+        If the database cannot be read, holds an unknown outcome or bound or a cell of the wrong type, or rows of a
+        chained run were altered.
     """
 
     def table(connection: Connection, chosen: Conditions) -> FleetTable:
@@ -86,10 +86,10 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
 
 
 def _read(engine: Engine, selection: RunSelection, read: Callable[[Connection, Conditions], _T]) -> _T:
-    """Read something of the selected runs; refuse by its name the first run that cannot be read."""
+    """Read the selected runs; if that fails, name the first run that cannot be read."""
     with reading(engine) as connection:
         chosen = _conditions(selection)
-        if chosen and selection.latest is None:  # the latest are asked for at the end of each run: by indices alone
+        if chosen and selection.latest is None:  # the latest are selected through each run's end: by indices alone
             _naming_runs(connection, [], partial(_check_left_out, selection))
         return _naming_runs(connection, chosen, read)
 
@@ -99,15 +99,15 @@ def _naming_runs(connection: Connection, chosen: Conditions, read: Callable[[Con
         return read(connection, chosen)
     except _UNREADABLE as error:
         run = _first_unreadable(connection, chosen, read)
-        if run is None:  # it is the database that failed, not a run
+        if run is None:  # the database failed, not a run
             raise
         raise unreadable(connection, run, error) from error
 
 
 def _check_left_out(selection: RunSelection, connection: Connection, chosen: Conditions) -> None:
-    """Raise for a run that only a damaged cell keeps out of a selection: the names of runs, and when they began.
+    """Raise for a run that only a damaged cell excludes from a selection: a name, or when it began.
 
-    Text is checked where no other run has it, as only damage leaves it: checking every run takes 0.3 ms each.
+    A name is checked only if no other run shares it, as damage leaves it: checking every run takes 0.3 ms each.
     """
     columns = RunRow.run, RunRow.serial, RunRow.started_at, *_BY_NAME
     runs = connection.execute(select(*columns).where(*chosen)).all()
@@ -120,7 +120,7 @@ def _check_left_out(selection: RunSelection, connection: Connection, chosen: Con
 
 
 def _names(selection: RunSelection) -> Iterator[Sequence[str]]:
-    """Names that a selection asks for, by column of :data:`_BY_NAME`; empty for any."""
+    """Return the selected names by column of :data:`_BY_NAME`; empty for any."""
     yield () if selection.recipe is None else (selection.recipe,)
     yield () if selection.batch is None else (selection.batch,)
     yield selection.stations
@@ -130,7 +130,7 @@ def _names(selection: RunSelection) -> Iterator[Sequence[str]]:
 def _first_unreadable(
     connection: Connection, chosen: Conditions, read: Callable[[Connection, Conditions], object]
 ) -> str | None:
-    """Find the first run that cannot be read, by halves."""
+    """Find the first run that cannot be read, by bisection."""
     runs = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
 
     def fails(some: Sequence[str]) -> bool:
@@ -167,8 +167,8 @@ def _conditions(selection: RunSelection) -> Conditions:
 def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], dict[str, int], list[Known | None]]:
     """Runs in order, the place of each latest analysis, and the rows read of chained runs.
 
-    States and analyses are put to their runs here: a database that has no statistics of its tables yet may join them
-    by counting every analysis again for every run.
+    States and analyses are joined to their runs here: a database without statistics of its tables may scan every
+    analysis for every run.
     """
     ends = _latest_of(connection, select(RunStateRow.run, RunStateRow.end).order_by(RunStateRow.number), chosen)
     a = AnalysisRow
@@ -194,7 +194,7 @@ def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], di
 def _latest_of(
     connection: Connection, query: Select[*tuple[Any, ...]], chosen: Conditions
 ) -> dict[str, Row[*tuple[Any, ...]]]:
-    """The last row of each run, of rows in their order."""
+    """Keep the last row of each run, of rows in order."""
     if chosen:
         query = query.where(query.selected_columns.run.in_(select(RunRow.run).where(*chosen)))
     return {row.run: row for row in connection.execute(query.execution_options(yield_per=AT_ONCE))}
@@ -266,7 +266,6 @@ def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[ValueKin
 
 
 def _first(connection: Connection, said: str) -> str:
-    """Name the first row with these words."""
     m = MeasurementRow
     query = select(m.analysis, m.number).where(words() == said).order_by(m.analysis, m.number).limit(1)
     row = connection.execute(query).one()
@@ -274,7 +273,7 @@ def _first(connection: Connection, said: str) -> str:
 
 
 def _places(connection: Connection, runs: Sequence[RunLine]) -> dict[str, tuple[float, float]]:
-    """Place of each load label, from the first and the last run of each recipe."""
+    """Return the place of each load label, from the first and the last run of each recipe."""
     last = {run.recipe: run.run for run in runs if run.finished}
     first = {run.recipe: run.run for run in reversed(runs) if run.finished}
     ends = {*first.values(), *last.values()}
@@ -282,5 +281,5 @@ def _places(connection: Connection, runs: Sequence[RunLine]) -> dict[str, tuple[
     found: dict[str, set[tuple[float, float]]] = {}
     for label, x_mm, y_mm in connection.execute(query):
         found.setdefault(label, set()).add((x_mm, y_mm))
-    # Random loads are pressed somewhere else in every run: their labels are no places.
+    # Random loads are elsewhere in every run: their labels are not places.
     return {label: at.pop() for label, at in found.items() if len(at) == 1}

@@ -20,7 +20,7 @@ from cbsr_qa.system import FileLock, HeldError, holder
 
 _NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL
 
-#: How long another program that makes tables is waited for, and in silence [s].
+#: How long another program that creates tables is waited for, and how long silently [s].
 SCHEMA_WAIT_S: Final = 60.0
 PATIENCE_S: Final = 1.0
 
@@ -32,15 +32,15 @@ def this_process(operator: str) -> str:
 
 @contextmanager
 def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
-    """Hold the right to write a run; it is released when the process ends, also by a kill.
+    """Hold the right to write a run; it is released when the process ends, even if killed.
 
-    On SQLite a locked file beside the database, on PostgreSQL an advisory lock of a connection of its own. A database
-    in memory has one process anyway. Files of processes that were killed are removed by whoever locks next.
+    On SQLite a locked file beside the database, on PostgreSQL an advisory lock on a separate connection. A database
+    in memory has only one process. The next process to lock removes files of killed ones.
 
     Raises
     ------
     StoreError
-        If another process holds it; the message says who.
+        If another process holds it; the message names it.
     """
     release = _acquired(engine, run, who)
     if isinstance(release, str):
@@ -60,12 +60,12 @@ def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -
 
     Parameters
     ----------
-    tell : told who is waited for, once that has taken :data:`PATIENCE_S`.
+    tell : called with the current holder after :data:`PATIENCE_S`.
 
     Raises
     ------
     StoreError
-        If another process still holds it after :data:`SCHEMA_WAIT_S`; the message says who.
+        If another process still holds it after :data:`SCHEMA_WAIT_S`; the message names it.
     """
     begun_s, announced = time.monotonic(), tell is None
     while isinstance(release := _acquired(engine, "schema", this_process("")), str):
@@ -99,7 +99,7 @@ def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> Iterator[b
 
 
 def writer_of(engine: Engine, run: str) -> str:
-    """Return who is writing a run; empty if nobody is."""
+    """Return the writer of a run; empty if there is none."""
     file = sqlite_file(engine.url)
     if file is not None:
         who = holder(_lock_file(file, run))
@@ -125,12 +125,12 @@ def _lock_file(database: Path, name: str) -> Path:
 
 def _file_lock(engine: Engine, database: Path, name: str, who: str) -> Callable[[], None] | str:
     for file in database.parent.glob(f"{glob.escape(database.name)}-*.lock"):
-        holder(file)  # removes it, if nobody holds it
+        holder(file)  # removes it if it is unlocked
     try:
         return FileLock(_lock_file(database, name), who.encode(errors="replace")).release
     except HeldError as error:
         return _named(error.who)
-    except OSError as error:  # a full disk will not hold the run either
+    except OSError as error:  # a full disk could not store the run either
         raise StoreError(
             f"{shown(engine.url)}: cannot create a lock file beside it ({error.strerror})",
             remedy="make its folder writable, free space, or name another database; everything committed is kept",
@@ -158,7 +158,7 @@ def _advisory(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
 
 
 def _unlock(connection: Connection, number: int) -> None:
-    with suppress(SQLAlchemyError), connection:  # a connection that is gone has let go of it
+    with suppress(SQLAlchemyError), connection:  # a lost connection has released it
         connection.execute(text("SELECT pg_advisory_unlock(:number)"), {"number": number})
 
 

@@ -1,4 +1,4 @@
-"""Rows of tables as dataclasses of the domain, and back: what has one name holds the same."""
+"""Conversion between table rows and domain dataclasses; equal names hold equal content."""
 
 from enum import StrEnum
 from typing import Any, TypeVar

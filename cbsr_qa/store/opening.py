@@ -23,17 +23,17 @@ def open_store(
     Parameters
     ----------
     url : SQLAlchemy URL, see :func:`cbsr_qa.config.database_url`.
-    create : make the tables where there are none yet.
+    create : create missing tables.
     durable : wait for the disk at every commit, see :func:`cbsr_qa.store.open_engine`.
-    wall : tells the time for identifiers and analyses; by default the computer's clock.
-    tell : told while another program that makes the tables is waited for.
+    wall : clock for identifiers and analyses; by default the computer's.
+    tell : called while another program creates the tables.
 
     Raises
     ------
     StoreError
-        If it is missing (and not to be created), damaged, of another version or another program, or unreachable.
+        If it is missing (and not to be created), damaged, of another version or program, or unreachable.
     ConfigError
-        If the signing key that is set cannot be used, see :mod:`cbsr_qa.store.chain.links`.
+        If the configured signing key cannot be used, see :mod:`cbsr_qa.store.chain.links`.
     """
     key = SigningKey.from_environment()
     engine = open_engine(parsed_url(url), durable=durable)
@@ -51,7 +51,7 @@ def open_store(
 
 
 def check_usable(url: str) -> None:
-    """Refuse a database that a run could not be stored in; what is written for that is removed again.
+    """Refuse a database that could not store a run; anything written to find out is removed.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def check_usable(url: str) -> None:
 
 
 def database_exists(url: str) -> bool:
-    """Whether there is anything at a URL yet; looks without making it. StoreError if it cannot be reached."""
+    """Whether a database exists at a URL; does not create it. StoreError if it cannot be reached."""
     engine = open_engine(parsed_url(url))
     try:
         return schema.found_version(engine).age is not schema.Age.EMPTY

@@ -1,4 +1,4 @@
-"""The store's front door: open a database, journal runs into it, ask it about them."""
+"""The store's interface: open a database, journal runs into it, query it."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -22,7 +22,7 @@ from cbsr_qa.store.types import IdSource, made_at
 P = ParamSpec("P")
 R = TypeVar("R")
 
-#: Clocks of computers that share a database may differ by this much without anybody being told.
+#: Difference of the clocks of computers that share a database below which no warning is given.
 _CLOCKS_DIFFER: Final = timedelta(minutes=1)
 
 
@@ -53,17 +53,17 @@ class Repository:
         self.close()
 
     def close(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._engine.dispose()
 
     @property
     def shown(self) -> str:
-        """What database this is, for people; a password is hidden."""
+        """The database, for people; a password is hidden."""
         return shown(self._engine.url)
 
     @property
     def address(self) -> str:
-        """What ``--database`` takes, as a shell reads it; a password is hidden."""
+        """Value of ``--database``, quoted for a shell; a password is hidden."""
         return address(self._engine.url)
 
     def is_at(self, url: str) -> bool:
@@ -73,13 +73,13 @@ class Repository:
     def new_id(self) -> str:
         """Return a new time-ordered identifier for a run, an analysis or a calibration.
 
-        It comes after all that are stored, also where the clock was set back: the latest was made last.
+        It sorts after all that are stored, even if the clock was set back.
         """
         self._ids.follow(latest_id(self._engine))
         return self._ids.new()
 
     def from_the_future(self) -> str:
-        """Return in words that the latest thing stored is from later than the clock says; empty where it is not."""
+        """Return a warning if the latest stored identifier lies in the clock's future; else empty."""
         latest, now = made_at(latest_id(self._engine)), self._wall()
         if latest is None or latest - now < _CLOCKS_DIFFER:
             return ""
@@ -91,12 +91,12 @@ class Repository:
     journal = _of_engine(Journal)
 
     def writing_alone(self, run: str, operator: str = "") -> AbstractContextManager[None]:
-        """Hold the right to write a run while entered; StoreError naming who does, where another process does."""
+        """Hold the right to write a run while entered; StoreError names another process that holds it."""
         return locks.writing_alone(self._engine, run, locks.this_process(operator))
 
     @contextmanager
     def seed_claimed(self, serial: str, seed: int, operator: str = "") -> Iterator[bool]:
-        """Claim a seed for a run of a sensor while entered; yields False where another run of it has the seed."""
+        """Claim a seed for a run of a sensor while entered; yields False if another of its runs has it."""
         with locks.seed_claimed(self._engine, serial, seed, locks.this_process(operator)) as claimed:
             yield claimed and seed not in self.seeds_of(serial)
 
@@ -138,11 +138,11 @@ class Repository:
         return SensorHistory(sensor, recipe, outcomes.earlier_runs(self._engine, sensor.serial, before))
 
     def save_result(self, result: RunResult, *, software: Sequence[tuple[str, str]] | None = None) -> str:
-        """Store what was concluded from a run, its calibration included, in one transaction, and read it back.
+        """Store the results of a run, including its calibration, in one transaction, and read them back.
 
         Parameters
         ----------
-        software : versions it was analysed with; by default those the run was made with.
+        software : versions used for the analysis; by default those of the run.
 
         Returns
         -------
@@ -151,7 +151,7 @@ class Repository:
         Raises
         ------
         StoreError
-            If the run is not what was stored, or what was stored of the analysis cannot be read back.
+            If the run was altered, or the stored analysis cannot be read back.
         """
         look_afresh(self._engine)
         analysis = self.new_id()
@@ -168,7 +168,7 @@ class Repository:
         return changed.history_of(self._engine, record.identity, record.material.name)
 
     def override_verdict(self, run: str, outcome: Outcome, *, operator: str, why: str) -> VerdictOverride:
-        """Store a decision against the verdict of a run, beside it. StoreError where the run has no verdict."""
+        """Store a decision beside the verdict of a run, which is kept. StoreError where the run has no verdict."""
         return changed.save_override(
             self._engine,
             run,

@@ -22,7 +22,7 @@ VERSION_TABLE: Final = "alembic_version"
 
 
 class Age(Enum):
-    """How a database's schema stands to this program's."""
+    """Whether a database's schema is older or newer than this program's."""
 
     EMPTY = "empty"
     CURRENT = "current"
@@ -37,7 +37,7 @@ class SchemaVersion:
 
     Parameters
     ----------
-    revision : None where the database has no version.
+    revision : None if the database has no version.
     """
 
     age: Age
@@ -45,7 +45,7 @@ class SchemaVersion:
 
 
 def found_version(engine: Engine) -> SchemaVersion:
-    """Look at a database without changing it; a SQLite file that does not exist counts as empty, and stays so.
+    """Return a database's version without changing it; a missing SQLite file counts as empty and is not created.
 
     Raises
     ------
@@ -60,11 +60,11 @@ def found_version(engine: Engine) -> SchemaVersion:
 
 
 def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] | None = None) -> SchemaVersion:
-    """Bring a database to a revision, in one transaction: after an error it is as it was.
+    """Upgrade a database to a revision in one transaction; an error leaves it unchanged.
 
     Parameters
     ----------
-    tell : told while another program that creates or upgrades the same database is waited for.
+    tell : called while another program creates or upgrades the same database.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] |
     Raises
     ------
     StoreError
-        If it is newer than this program, belongs to another, or cannot be written.
+        If it is newer than this program, belongs to another one, or cannot be written.
     """
     _upgradable(engine, found_version(engine))
     _make_folder(engine)
@@ -87,20 +87,20 @@ def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] |
 
 
 def downgrade(engine: Engine, target: str) -> None:
-    """Take a database back to an earlier revision (``"base"``: nothing left); what only later ones hold is lost."""
+    """Downgrade a database to a revision (``"base"``: no tables); data that only later ones hold are lost."""
     with changing_schema(engine), writing(engine) as connection:
         _alembic(connection, "downgrade", target)
 
 
 def check_writable(engine: Engine, version: SchemaVersion) -> None:
-    """Check that the user may add rows, or create tables, by adding none.
+    """Check that the user may add rows or create tables, without doing so.
 
-    Where a SQLite file is to be made, its lock file is made beside it and removed; so is the folder.
+    For a SQLite file that does not exist yet, its lock file and folder are created and removed.
 
     Raises
     ------
     StoreError
-        If the database is read-only, refuses the user, or its folder takes no new file.
+        If the database is read-only or refuses the user, or no file can be created in its folder.
     """
     if version.age is Age.CURRENT:
         with writing(engine) as connection:
@@ -115,7 +115,7 @@ def check_writable(engine: Engine, version: SchemaVersion) -> None:
 
 
 def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
-    """Return the error for a database that cannot be used as it is."""
+    """Return the error for a database that is not up to date."""
     match version.age:
         case Age.OLDER:
             return StoreError(
@@ -172,14 +172,14 @@ def _make_folder(engine: Engine) -> None:
 
 @contextmanager
 def _folder_for_now(engine: Engine, folder: Path) -> Iterator[None]:
-    """Create the folder of a database, and remove it again afterwards; StoreError if it cannot be created."""
+    """Create the folder of a database while entered; StoreError if it cannot be created."""
     made = [above for above in (folder, *folder.parents) if not above.exists()]
     try:
         _make_folder(engine)
         yield
     finally:
         for above in made:
-            with suppress(OSError):  # it was not made, or somebody's files are in it
+            with suppress(OSError):  # it was not created, or holds files of others
                 above.rmdir()
 
 

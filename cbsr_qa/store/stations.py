@@ -1,6 +1,6 @@
 """Station checks: appended; the latest one gives a station's state.
 
-References of control charts: added one after the other; the latest of each chart holds, unless it retires it.
+References of control charts: appended; the latest of each chart holds, unless it retires the chart.
 """
 
 from collections.abc import Sequence
@@ -36,12 +36,12 @@ _SETTINGS = ("subgroup", "rules", "weight", "width", "slack", "threshold")
 
 
 def save_references(engine: Engine, references: Sequence[ChartReference]) -> None:
-    """Store references of charts beside the earlier ones, in one transaction.
+    """Store references of charts in one transaction; earlier ones are kept.
 
     Raises
     ------
     StoreError
-        If one is stored already, its runs are not, or the database cannot be written.
+        If one is already stored, one of its runs is missing, or the database cannot be written.
     """
     if references:
         with writing(engine) as connection:
@@ -49,11 +49,11 @@ def save_references(engine: Engine, references: Sequence[ChartReference]) -> Non
 
 
 def current_references(engine: Engine, station: str, until: str = "") -> tuple[ChartReference, ...]:
-    """Return the references that hold of a station's charts, in the order they were stored; none of retired charts.
+    """Return the current references of a station's charts in the order stored; retired charts have none.
 
     Parameters
     ----------
-    until : leave out those whose names sort after this one: what held when something of that name was made.
+    until : ignore references that sort after this name.
     """
     query = select(*ChartReferenceRow.__table__.columns).where(ChartReferenceRow.station == station)
     if until:
@@ -66,7 +66,7 @@ def current_references(engine: Engine, station: str, until: str = "") -> tuple[C
 
 
 def all_references(engine: Engine, station: str = "") -> tuple[ChartReference, ...]:
-    """Return every reference the charts of a station (empty: of all stations) ever had, oldest first."""
+    """Return all references of a station's charts (empty: of all stations), oldest first."""
     query = select(*ChartReferenceRow.__table__.columns)
     if station:
         query = query.where(ChartReferenceRow.station == station)
@@ -78,7 +78,7 @@ def _values(one: ChartReference) -> dict[str, Any]:
     settings = {name: getattr(one, name) for name in _SETTINGS} | {"rules": list(one.rules)}
     return {
         **row_of(ChartReferenceRow, one, golden=one.golden or "", kind=str(one.chart)),
-        # Only where it is, so that rows of earlier versions of this program read alike.
+        # Only where set, so that rows of earlier versions of this program read the same.
         "settings": settings | ({"retired": True} if one.retired else {}),
     }
 
@@ -101,7 +101,7 @@ def save_check(engine: Engine, check: StationCheck, ring: RingReadings | None = 
     Raises
     ------
     StoreError
-        If it is stored already, its golden run is not, or the database cannot be written.
+        If it is already stored, its golden run is missing, or the database cannot be written.
     """
     instruments = [row_of(InstrumentRow, one) for one in check.instruments]
     values = row_of(StationCheckRow, check, check_id=check.check, instruments=instruments)
@@ -119,11 +119,11 @@ def save_check(engine: Engine, check: StationCheck, ring: RingReadings | None = 
 
 
 def latest_check(engine: Engine, station: str, before: datetime | None = None) -> StationCheck | None:
-    """Return the latest check of a station, or None where it was never checked.
+    """Return the latest check of a station, or None.
 
     Parameters
     ----------
-    before : leave out checks of after this moment: what was known when a run began.
+    before : ignore later checks.
     """
     query = select(*StationCheckRow.__table__.columns).where(StationCheckRow.station == station)
     if before is not None:
@@ -135,12 +135,12 @@ def latest_check(engine: Engine, station: str, before: datetime | None = None) -
 
 
 def ring_of(engine: Engine, check: str) -> RingReadings | None:
-    """Return the frames of a check's reference ring; None where none was measured.
+    """Return the frames of a check's reference ring; None if not measured.
 
     Raises
     ------
     StoreError
-        If what is stored is not what was measured.
+        If the stored frames were altered.
     """
     query = select(*StationCheckFramesRow.__table__.columns).where(StationCheckFramesRow.check_id == check)
     with reading(engine) as connection:

@@ -1,7 +1,7 @@
-"""What a cell of the database holds: numbers, texts, instants, identifiers, and arrays as bytes.
+"""Column types: numbers, texts, instants, identifiers, and arrays as bytes.
 
-Column types behave alike on SQLite and PostgreSQL. They refuse NaN and foreign number types on the way in, and on the
-way out what SQLite keeps in a column of another type.
+Column types behave alike on SQLite and PostgreSQL. They refuse NaN and foreign number types when writing, and when
+reading refuse cells of another type, which SQLite allows.
 
 Identifiers are time-ordered (UUID version 7, RFC 9562): databases of stations merge without collision, and rows sort
 by age. Arrays are little-endian and in C order.
@@ -22,15 +22,16 @@ from sqlalchemy import DateTime, Dialect, Double, Integer, String, Text
 from sqlalchemy.types import TypeDecorator
 
 _COUNTER_BITS = 12
-#: An identifier has room for later years than a date has.
+#: An identifier can encode later years than a date.
 _YEAR_10000_MS = 253_402_300_800_000
 
 
 class IdSource:
     """Creates identifiers that increase within one source, even if the wall clock goes back.
 
-    The 12 bits after the version count within a millisecond (RFC 9562, 6.2, method 1), starting from a random
-    number whose highest bit is 0; a clock that stands or is set back keeps the last millisecond and counts on.
+    The 12 bits after the version count within a millisecond (RFC 9562, 6.2, method 1), starting from a random number
+    whose highest bit is 0; if the clock stands still or is set back, the last millisecond is kept and the count
+    continues.
 
     Parameters
     ----------
@@ -44,11 +45,11 @@ class IdSource:
         self._lock = Lock()
 
     def follow(self, latest: str) -> None:
-        """Make only identifiers that come after another one from here on: a clock that was set back changes no order.
+        """Make all later identifiers sort after ``latest``, even if the clock was set back.
 
         Parameters
         ----------
-        latest : an identifier; one that is not of this kind is followed by any.
+        latest : an identifier; ignored if it is not of this kind.
         """
         found = _parts(latest)
         with self._lock:
@@ -78,7 +79,7 @@ def made_at(identifier: str) -> datetime | None:
 
 
 def _parts(identifier: str) -> tuple[int, int] | None:
-    """Millisecond and counter of an identifier; None where it is not of version 7."""
+    """Millisecond and counter of an identifier; None if it is not of version 7."""
     try:
         number = UUID(identifier)
     except ValueError:
@@ -99,12 +100,12 @@ def packed_flags(values: NDArray[np.uint8]) -> bytes:
 
 
 def unpacked(data: bytes, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return float64 of a shape from little-endian bytes; a copy that may be written to.
+    """Return float64 of a shape from little-endian bytes, as a writable copy.
 
     Raises
     ------
     ValueError
-        If the bytes are too few or too many for the shape.
+        If the number of bytes does not fit the shape.
     """
     return np.frombuffer(data, dtype="<f8").reshape(shape).astype(np.float64)
 
@@ -128,12 +129,12 @@ _NO_TEXT: Final = re.compile("[\0\ud800-\udfff]")
 
 
 class _Typed(TypeDecorator[_Value]):
-    """A column whose cells are of one type on every database; TypeError for a cell of another one."""
+    """A column whose cells have the same type on every database; TypeError for a cell of another type."""
 
     _kinds: type | tuple[type, ...]
 
     def process_result_value(self, value: Any, dialect: Dialect) -> _Value | None:
-        """Check on the way out: SQLite keeps bytes in a column of text, and text in one of numbers."""
+        """Check when reading: SQLite keeps bytes in a text column, and text in a numeric one."""
         foreign = value is not None and not isinstance(value, self._kinds)
         if foreign:
             raise TypeError(f"a cell holds {type(value).__name__}")
@@ -141,14 +142,14 @@ class _Typed(TypeDecorator[_Value]):
 
 
 class FiniteDouble(_Typed[float]):
-    """A double that is a number: numpy scalars become plain floats, NaN and infinity are refused."""
+    """A finite double: numpy scalars become plain floats, NaN and infinity are refused."""
 
     impl = Double
     cache_ok = True
     _kinds = (float, int)
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> float | None:
-        """Check and convert on the way in."""
+        """Check and convert when writing."""
         if value is None:
             return None
         number = float(value)
@@ -158,19 +159,19 @@ class FiniteDouble(_Typed[float]):
 
 
 class Whole(_Typed[int]):
-    """An integer; numpy's own kinds would reach SQLite as bytes."""
+    """An integer; numpy's integers would reach SQLite as bytes."""
 
     impl = Integer
     cache_ok = True
     _kinds = int
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> int | None:
-        """Convert on the way in."""
+        """Convert when writing."""
         return None if value is None else int(value)
 
 
 class Word(_Typed[str]):
-    """A short text of ours, by its greatest length: an identifier, a digest, a member of an enumeration."""
+    """A short text of limited length: an identifier, a digest, a member of an enumeration."""
 
     impl = String
     cache_ok = True
@@ -178,25 +179,25 @@ class Word(_Typed[str]):
 
 
 class PlainText(_Typed[str]):
-    """Text of any length. PostgreSQL takes no NUL and no database halves of characters: U+FFFD stands for each."""
+    """Text of any length. U+FFFD replaces NUL, which PostgreSQL refuses, and lone surrogates, which all refuse."""
 
     impl = Text
     cache_ok = True
     _kinds = str
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:
-        """Replace on the way in."""
+        """Replace when writing."""
         return None if value is None else _NO_TEXT.sub("\ufffd", str(value))
 
 
 class Instant(TypeDecorator[datetime]):
-    """A moment with its zone, kept in UTC; SQLite itself knows no zones."""
+    """A moment with its zone, kept in UTC; SQLite has no zones."""
 
     impl = DateTime(timezone=True)
     cache_ok = True
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> datetime | None:
-        """Convert to UTC on the way in; a time without a zone is refused."""
+        """Convert to UTC when writing; a time without a zone is refused."""
         if value is None:
             return None
         if not isinstance(value, datetime) or value.tzinfo is None:

@@ -24,7 +24,7 @@ from cbsr_qa.store.chain.run_documents import (
 from cbsr_qa.store.damage import foreign_cell
 from cbsr_qa.store.tables import AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
 
-#: What is read of a run to say what came of it, and to say what it was.
+#: Columns read of a run to judge its outcome and to identify it.
 RESULTS: Final = frozenset(
     {"runs", FIGURES, *(name for name, key in KEYS.items() if key in (("analysis",), ("calibration",)))}
 )
@@ -40,16 +40,16 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
 
     Parameters
     ----------
-    kinds : of the documents to check, for who reads no others; none for all, with the chain from end to end.
+    kinds : of the documents to check, empty for all, with the chain from end to end.
 
     Returns
     -------
-    State of the chain; unchained where the run states none, which may have been removed.
+    State of the chain; unchained where the run has none, which may have been removed.
 
     Raises
     ------
     StoreError
-        If there is no such run, or something of it is not what was stored: the message names table and row.
+        If the run does not exist, or a row was altered: the message names table and row.
     """
     try:
         return _checked(connection, run, kinds)
@@ -58,7 +58,7 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
 
 
 def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:
-    """Return the error for a run that cannot be read: the cell that is not of its column's type, else the cause."""
+    """Return the error for a run that cannot be read: the cell of the wrong type if there is one, else the cause."""
     rows = [(table, _of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
     return foreign_cell(connection, rows, f"run {run}") or _broken(
         run, f"it cannot be read: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
@@ -93,7 +93,6 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
 
 
 def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence[Row[*tuple[Any, ...]]]:
-    """Return links in order, each with the digest of the one before it."""
     link, before = LinkRow, aliased(LinkRow)
     query = (
         select(*link.__table__.columns, before.sha256.label("before"))
@@ -133,9 +132,8 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
 
 
 def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield kind, key and content digest of the stored documents of a run."""
     for table in (one for one in tables() if one.name in kinds):
-        # Every number but 0 is read as true: what stands there is wanted.
+        # Every number but 0 is read as true, so the flag itself selects the rows.
         columns = (
             type_coerce(one, Integer).label(one.name) if isinstance(one.type, Boolean) else one
             for one in covered(table)
@@ -155,7 +153,7 @@ def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]
 
 
 def _of_run(table: Table, run: str) -> Any:
-    """Condition that selects a run's rows of a table: by run, analysis or calibration."""
+    """Select a run's rows of a table: by run, analysis or calibration."""
     if "run" in table.columns:
         return table.c.run == run
     (name,) = KEYS[table.name]

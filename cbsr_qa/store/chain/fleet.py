@@ -15,10 +15,10 @@ from cbsr_qa.store.chain.links import key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.run_documents import FIGURES, contents, words
 from cbsr_qa.store.tables import AnalysisRow, LinkRow, MeasurementRow, RunRow
 
-#: Rows that are asked of a server at once.
+#: Rows requested from a server at once.
 AT_ONCE: Final = 2_000
-#: Rows that are made at once: few enough for their memory to be used again while it is in the processor's cache,
-#: which takes two thirds of the time of 2000.
+#: Rows built at once: few enough for their memory to be reused while it is in the processor's cache, which takes two
+#: thirds of the time of 2000.
 _BLOCK: Final = 200
 #: Analyses that are read a second time at once.
 _AGAIN: Final = 500
@@ -31,7 +31,7 @@ Known = tuple[str, str, str]
 class Figures:
     """Measurements as columns: analysis (−1: not requested), attributes, value.
 
-    What is said is counted where it is first met: an index into ``sayings``.
+    Repeated words are stored once: each row holds an index into ``sayings``.
     """
 
     def __init__(self, connection: Connection, query: Executable, places: dict[str, int]) -> None:
@@ -46,7 +46,7 @@ class Figures:
             said.extend(map(sayings.__getitem__, zip(*what, strict=True)))
             value.frombytes(np.array(number, dtype=np.float64).tobytes())
         self.sayings = list(sayings)
-        # Left out are earlier analyses of a run, and those that were stored while this was read.
+        # Earlier analyses of a run, and those stored during this read, are left out.
         places_of = np.array(run, dtype=np.int32)
         listed = places_of >= 0
         self.place, self.said = places_of[listed], np.array(said, dtype=np.int32)[listed]
@@ -70,14 +70,14 @@ def check_figures(
 
     Parameters
     ----------
-    chosen : says which runs; none for all.
-    known : of every place of the figures; None where a run is unchained or was never analysed.
+    chosen : conditions that select runs; empty for all.
+    known : of every analysis in ``figures``; None where a run is unchained or was never analysed.
     figures : every measurement of these analyses.
 
     Raises
     ------
     StoreError
-        If something is not what was stored: the message names table and row.
+        If a row was altered: the message names table and row.
     """
     linked = _linked(connection, chosen)
     unlike = _unlike(known, figures, linked)
@@ -85,11 +85,10 @@ def check_figures(
         some = unlike[first : first + _AGAIN]
         # PostgreSQL fills gaps, so that rows of an analysis may come in another order than they were stored in.
         for run, _, _ in _unlike(some, _in_order(connection, [one[1] for one in some]), linked):
-            check_run(connection, run)  # whatever it is: by name
+            check_run(connection, run)  # raises, naming the row
 
 
 def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, tuple[str, str]]) -> list[Known]:
-    """Return those whose digest is not the linked one."""
     said = ["" if one is None else one[2] for one in known]
     digests = contents(said, figures.place, figures.said, figures.value, figures.sayings)
     return [
@@ -107,7 +106,7 @@ def _in_order(connection: Connection, analyses: Sequence[str]) -> Figures:
 
 
 def _linked(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -> dict[str, tuple[str, str]]:
-    """Return analysis → run and content digest of every link that follows from its predecessor and is well signed."""
+    """Return analysis → run and content digest of every link that matches its predecessor and signature."""
     link, before, a = LinkRow, aliased(LinkRow), AnalysisRow
     query = (
         select(a.analysis, RunRow.run, RunRow.chain, link.content_sha256, link.sha256, link.mac, before.sha256)

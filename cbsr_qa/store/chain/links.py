@@ -35,7 +35,7 @@ class SigningKey:
         Raises
         ------
         ConfigError
-            If it is empty or short, or its file cannot be read. The message repeats nothing of the setting.
+            If it is empty or short, or its file cannot be read. The message does not quote the setting.
         """
         said = environment.get(VARIABLE)
         if said is None:
@@ -159,7 +159,7 @@ def key_to_continue(connection: Connection, run: str, chain: str | None) -> Sign
     Raises
     ------
     StoreError
-        If the run is signed and another key is set, or none; or it is not signed and a key is set: whoever can write
+        If the run is signed and its key is not the one set, or it is unsigned and a key is set: anyone who can write
         the database can remove signatures and chain.
     """
     needed, key = key_id_of(chain or ""), signing_key(connection)

@@ -1,9 +1,10 @@
 """What the chain of a run covers: rows as canonical text, identical on every database, and their digests.
 
-A document is the rows of one table that share a key. Columns come from the tables themselves, so that one that is
-added later is covered. A column without a value is left out, so that a nullable one changes no digest of before.
+A document is the rows of one table that share a key. Columns come from the tables themselves, so that later ones are
+covered. A column without a value is left out, so that a new nullable one does not change earlier digests.
 
-A digest of what a comparison of fleets reads of an analysis: of a million measurements, a block at a time.
+What a comparison of fleets reads of an analysis has its own digest, computed over a million measurements block by
+block.
 """
 
 import hashlib
@@ -85,8 +86,8 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (VerdictOverrideRow, ("override_id",)),
     )
 }
-#: Columns that are filled in later. The end of a phase has a link of its own; a calibration is superseded by a row of
-#: another run's chain, from which it follows.
+#: Columns that are filled in later. The end of a phase has its own link; that a calibration is superseded follows
+#: from a row of another run's chain.
 PHASE_END: Final = "phase_ends"
 _LATER: Final = {("phases", "ended_s"), ("calibrations", "superseded_by")}
 #: What a comparison of fleets reads of an analysis, see fleet.py.
@@ -98,7 +99,7 @@ def _real(value: Any) -> bool:
 
 
 def _foreign(value: Any) -> Any:
-    """Stand for a value of a foreign type, which a reader would round or parse: it equals nothing else."""
+    """Replace a value of a foreign type, which a reader would round or parse, by one that equals nothing else."""
     return [type(value).__name__, repr(value)]
 
 
@@ -121,7 +122,7 @@ def tables() -> Iterator[Table]:
 
 @cache
 def covered(table: Table) -> tuple[Column[Any], ...]:
-    """Return the columns a digest covers. Bytes are not among them: a digest in the same row covers those."""
+    """Return the columns a digest covers. Bytes have their own digest in the same row."""
     return tuple(
         one for one in table.columns if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in _LATER
     )
@@ -145,7 +146,7 @@ def canonical(content: Any) -> str:
 
 
 def sha256(*parts: str) -> str:
-    """Return the digest of some lines, hexadecimal."""
+    """Return the hexadecimal digest of some lines."""
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
@@ -171,11 +172,11 @@ def shown(kind: str, key: str) -> str:
     return f"{'run and measurement values' if kind == FIGURES else kind}{f' ({found})' if names else ''}"
 
 
-#: Stands between words that the database joins: no text has it.
+#: Separates words that the database joins; no text contains it.
 BETWEEN: Final = "\x1f"
-#: What is said of a value in words.
+#: Columns that describe a value in words.
 JOINED: Final = ("name", "phase", "qualifier", "unit", "location", "outcome", "bound")
-#: What is told apart and counted of runs; column → its name in a row.
+#: Facts of runs that are distinguished and counted; column → its name in a row.
 RUN_COLUMNS: Final = (
     RunRow.run,
     RunRow.serial,
@@ -216,9 +217,9 @@ def contents(
     Parameters
     ----------
     known : facts of every analysis.
-    place : (n,) which analysis a measurement is of; measurements of one in the order of their numbers.
+    place : (n,) analysis of each measurement; those of one analysis in the order of their numbers.
     said : (n,) index into ``sayings``.
-    value : (n,) NaN where there is none.
+    value : (n,) NaN where not measured.
     """
     if (np.diff(place) < 0).any():
         order = np.argsort(place, kind="stable")
@@ -226,7 +227,7 @@ def contents(
     ends = np.searchsorted(place, np.arange(len(known) + 1)).tolist()
     indices, numbers = said.astype("<i4").tobytes(), (value + 0.0).astype("<f8").tobytes()  # SQLite keeps no −0
     texts = [f"{text}{BETWEEN}{lower!r}{BETWEEN}{upper!r}" for text, lower, upper in sayings]
-    digests: dict[bytes, bytes] = {}  # most analyses of a recipe say the same of their values
+    digests: dict[bytes, bytes] = {}  # most analyses of a recipe describe their values in the same words
     for one, begin, end in zip(known, ends[:-1], ends[1:], strict=True):
         saying = indices[4 * begin : 4 * end]
         if saying not in digests:

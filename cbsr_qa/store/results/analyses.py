@@ -23,9 +23,9 @@ class StoredAnalysis:
     Parameters
     ----------
     analysed_at, software : when, and with which versions.
-    calibration : the one it issued; None where it did not, ``calibration_why`` then says why.
+    calibration : issued calibration; if None, ``calibration_why`` gives the reason.
     noise_weighting : ``"equal"`` or ``"measured"``; empty where nothing was imaged.
-    weight_ratio : largest over smallest weight of a reading; None where nobody noted it.
+    weight_ratio : largest over smallest weight of a reading; None if not recorded.
     """
 
     analysis: str
@@ -50,7 +50,7 @@ def save_result(
     analysed_at: datetime,
     software: Sequence[tuple[str, str]],
 ) -> None:
-    """Store the results of a run, its calibration included, in one transaction.
+    """Store the results of a run, including its calibration, in one transaction.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def save_result(
     Raises
     ------
     StoreError
-        If the run is not stored, not what was stored, or a number is not finite; nothing of it is stored then. What
-        was checked when the run was loaded is not checked again, unless rows of it were added since.
+        If the run does not exist or was altered, or a number is not finite; nothing is stored then. Rows checked when
+        the run was loaded are not checked again unless rows were added since.
     """
     record, observation = result.record, result.observation
     run = record.identity.run
@@ -79,7 +79,7 @@ def save_result(
     }
     with writing(engine) as connection:
         if not record.chain_head or chain_head(connection, run) != record.chain_head:
-            check_run(connection, run)  # else what was analysed was checked when it was loaded, up to this very link
+            check_run(connection, run)  # otherwise checked when it was loaded, up to this link
         add_rows(connection, run, AnalysisRow, [values])
         add_rows(connection, run, WarningRow, _numbered(analysis, [{"text": text} for text in result.warnings]))
         add_rows(connection, run, MeasurementRow, _numbered(analysis, [_values(m) for m in result.measurements]))
@@ -102,7 +102,7 @@ def _numbered(analysis: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]
     return [{"analysis": analysis, "number": number, **row} for number, row in enumerate(rows)]
 
 
-#: Columns of a limit, and the fields they hold.
+#: Columns of a limit, and the corresponding fields.
 _BOUNDS: Final = {
     "lower_limit": "lower",
     "upper_limit": "upper",

@@ -1,4 +1,4 @@
-"""Issued calibrations: the bytes of their files, and what is searched."""
+"""Issued calibrations: the bytes of their files, and searchable columns."""
 
 import hashlib
 from dataclasses import asdict, dataclass
@@ -15,7 +15,7 @@ from cbsr_qa.store.tables import BaselineRow, CalibrationRow
 
 @dataclass(frozen=True, slots=True)
 class CalibrationSummary:
-    """A calibration in one line; ``superseded_by`` is None while it holds."""
+    """A calibration in one line; ``superseded_by`` is None while it is valid."""
 
     calibration: str
     serial: str
@@ -31,7 +31,7 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
     Raises
     ------
     StoreError
-        If it has no file: it was made by hand and never issued.
+        If it has no file, because it was never issued.
     """
     if not (calibration.file and calibration.digest and calibration.record_digest):
         raise StoreError(
@@ -62,7 +62,7 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
 
 
 def calibrations_of(engine: Engine, serial: str) -> tuple[CalibrationSummary, ...]:
-    """Return a sensor's calibrations, the latest first; the first is the one that holds."""
+    """Return a sensor's calibrations, the latest first; the first is the valid one."""
     row = CalibrationRow
     columns = row.calibration, row.serial, row.run, row.analysis, row.issued_at, row.superseded_by
     query = select(*columns).where(row.serial == serial).order_by(row.issued_at.desc(), row.calibration.desc())
@@ -71,12 +71,12 @@ def calibrations_of(engine: Engine, serial: str) -> tuple[CalibrationSummary, ..
 
 
 def calibration_file(engine: Engine, calibration: str) -> tuple[bytes, str] | None:
-    """Return a calibration's file as it was issued, and its content's digest; None where it was stored as rows.
+    """Return a calibration's file as issued, and its content's digest; None for one stored as rows.
 
     Raises
     ------
     StoreError
-        If there is no such calibration, or it or its run is not what was stored.
+        If the calibration does not exist, or it or its run was altered.
     """
     row = CalibrationRow
     with reading(engine) as connection:

@@ -1,8 +1,7 @@
 """Calibrations of schemas up to 0011, which were stored as rows: all but imaging matrix and templates.
 
-Matrix and templates are prepared again: sensor type, head and readings determine them. What is put together has the
-``record_digest`` it was issued with, and where the arithmetic is the same the ``digest`` too
-(:mod:`cbsr_qa.calibration.file.content`).
+Matrix and templates are computed again from sensor type, head and readings. The result has the ``record_digest`` it
+was issued with and, where the arithmetic is the same, its ``digest`` (:mod:`cbsr_qa.calibration.file.content`).
 """
 
 import math
@@ -50,9 +49,9 @@ from cbsr_qa.store.tables import (
 )
 from cbsr_qa.store.types import digest, unpacked, unpacked_flags
 
-#: Prepares a model's templates from sensor type, used readings, merging [1/V], reference [V] and head.
+#: Computes a model's templates from sensor type, used readings, merging [1/V], reference [V] and head.
 PrepareForce = Callable[[SensorType, NDArray[np.bool_], Array, Array, Indenter], ForceModel]
-#: A parameter found again for the same sensor type agrees to the tolerance of its search, not to the last digit.
+#: A parameter chosen again for the same sensor type agrees to the tolerance of its search, not to the last digit.
 _SAME_PARAMETER = 1e-6
 _REMEDY = "restore the database from a copy"
 _KERNEL_ARRAYS = ("weights", "time_constants_s", "covariance", "scatter")
@@ -61,18 +60,18 @@ _KERNEL_ARRAYS = ("weights", "time_constants_s", "covariance", "scatter")
 def load_calibration_of_before(
     engine: Engine, calibration: str, reconstruction: LinearReconstruction | None, prepare_force: PrepareForce
 ) -> Calibration | None:
-    """Put a calibration together from its rows.
+    """Reconstruct a calibration from its rows.
 
     Parameters
     ----------
-    reconstruction : its imaging matrix, prepared again by the same method for the same readings; None checks the rows
-        alone.
-    prepare_force : prepares the templates of its force model.
+    reconstruction : its imaging matrix, computed again by the same method for the same readings; None to check only
+        the rows.
+    prepare_force : computes the templates of its force model.
 
     Raises
     ------
     StoreError
-        If it or its run is not what was stored, the matrix is not its own, or the templates are of another lattice.
+        If it or its run was altered, the matrix does not match, or the templates are on another lattice.
     """
     with reading(engine) as connection, Session(bind=connection) as session:
         row: Any = session.get_one(CalibrationRow, calibration)
@@ -97,7 +96,7 @@ def _check_arrays(row: Any, force: ForceRow | None) -> None:
 
 
 def _check_matrix(row: Any, reconstruction: LinearReconstruction) -> None:
-    """Raise StoreError where a matrix was prepared by another method or parameter, or for other readings."""
+    """Raise StoreError if a matrix has another method, parameter or set of readings."""
     prepared = reconstruction.choice.value
     alike = math.isclose(row.regularisation, prepared, rel_tol=_SAME_PARAMETER)
     if row.method != reconstruction.method or not alike:
@@ -116,7 +115,7 @@ def _check_matrix(row: Any, reconstruction: LinearReconstruction) -> None:
 
 
 def _check_weighting(analysis: AnalysisRow, row: Any, reconstruction: LinearReconstruction) -> None:
-    """Raise StoreError if the matrix weights readings in another way; an analysis without images states none."""
+    """Raise StoreError if the matrix weights readings differently; an analysis without images has no weighting."""
     found = "equal" if reconstruction.problem.noise_variance is None else "measured"
     if analysis.noise_weighting not in ("", found):
         raise StoreError(
@@ -181,7 +180,6 @@ def _calibration(
 
 
 def _rows(session: Session, row: Any, table: Any) -> Iterator[Any]:
-    """Yield the rows that a calibration has in a table, in their order."""
     order = table.name if table is FitParameterRow else table.number
     yield from session.scalars(select(table).where(table.calibration == row.calibration).order_by(order))
 
@@ -224,7 +222,6 @@ def _relaxation(row: Any) -> LoadRelaxation:
 def _force(
     row: Any, readings: tuple[SensorType, NDArray[np.bool_]], seen: tuple[Array, Indenter], prepare: PrepareForce
 ) -> ForceModel:
-    """Return the force model of a calibration, its templates prepared again."""
     merging = unpacked(row.merging, (row.merged, row.readings))
     prepared = prepare(*readings, merging, *seen)
     if len(prepared.templates) != row.nodes:

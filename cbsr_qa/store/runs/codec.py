@@ -25,7 +25,7 @@ from cbsr_qa.store.types import digest, packed, packed_flags, unpacked, unpacked
 
 
 def frame_values(block: FrameBlock) -> dict[str, Any]:
-    """Return the columns of a block of frames, keys of the place left out."""
+    """Return the columns of a block of frames, without the key columns."""
     frames, drives, measures = block.voltages.shape
     own = None if block.reading_time_s is None else packed(block.reading_time_s)
     parts = packed(block.time_s), packed(block.voltages), packed_flags(block.flags), own or b""
@@ -51,7 +51,7 @@ def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
     Raises
     ------
     StoreError
-        If what is stored is not what was measured: the digest or a length does not fit.
+        If the digest or a length does not match.
     """
     shape = row.frames, row.drives, row.measures
     parts = row.time_s, row.voltages, row.flags, row.reading_time_s or b""
@@ -68,13 +68,7 @@ def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
 
 
 def sample_values(block: SampleBlock) -> dict[str, Any]:
-    """Return the columns of a block of samples, keys of the place left out.
-
-    Raises
-    ------
-    StoreError
-        If a sample is not a finite number.
-    """
+    """Return the columns of a block of samples, without the key columns."""
     if not (np.isfinite(block.values).all() and np.isfinite(block.time_s).all()):
         raise StoreError(f"a sample of {block.channel} is not a finite number; it is not stored")
     parts = packed(block.time_s), packed(block.values)
@@ -112,7 +106,7 @@ def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | No
     """Return plain lists, numbers and texts; :func:`decoded_sensor_type` and its neighbours are the inverse."""
     kind = asdict(sensor_type)
     if sensor_type.polygon is None:
-        del kind["polygon"]  # as discs have always been kept
+        del kind["polygon"]  # discs have always been stored without
     if sensor_type.mesh is None:
         del kind["mesh"]
     else:
@@ -121,7 +115,7 @@ def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | No
     if material is not None:
         setting["material"] = asdict(material)
         if material.strip_relaxation is None:
-            del setting["material"]["strip_relaxation"]  # as materials have always been kept
+            del setting["material"]["strip_relaxation"]  # materials have always been stored without
     return setting
 
 

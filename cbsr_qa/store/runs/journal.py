@@ -1,8 +1,6 @@
-"""The journal: commits every event of a run before anyone else sees it.
+"""The journal: commits every event of a run before it is reported elsewhere.
 
-Documents of a resumed session on the clock of the whole run.
-
-How far in time a run, or one phase of it, has been stored.
+Times of a resumed session are shifted onto the clock of the whole run, after the last stored one.
 """
 
 import hashlib
@@ -54,7 +52,7 @@ from cbsr_qa.system import on_tick
 
 
 def shifted(event: RunEvent, offset_s: float) -> RunEvent:
-    """Return a document with every time in it later by an offset [s]."""
+    """Return a document with all its times shifted by an offset [s]."""
     if not offset_s:
         return event
     match event:
@@ -88,7 +86,7 @@ def _load(record: LoadRecord, offset_s: float) -> LoadRecord:
     return replace(record, **later, eased=eased)
 
 
-#: Steps whose class has another name than databases call them by.
+#: Steps stored under another name than their class.
 _KEPT_AS: Final = {"StrainStep": "Ease"}
 
 #: Columns that hold a time on the run's clock [s], of tables with a phase.
@@ -116,7 +114,7 @@ def last_time_s(connection: Connection, run: str, phase: int | None = None) -> f
 
 
 def _last_samples_s(connection: Connection, run: str, phase: int | None) -> Iterator[float]:
-    """Time of the last sample of each channel in each phase; a rest without frames stores nothing else."""
+    """Yield the time of the last sample of each channel in each phase; a rest without frames stores nothing else."""
     of_run = select(SampleBlockRow.phase, SampleBlockRow.channel, func.max(SampleBlockRow.block).label("block"))
     of_run = of_run.where(SampleBlockRow.run == run).group_by(SampleBlockRow.phase, SampleBlockRow.channel)
     if phase is not None:
@@ -132,15 +130,15 @@ def _last_samples_s(connection: Connection, run: str, phase: int | None) -> Iter
 class Journal:
     """Stores the documents of one run: one transaction each, committed when the call returns.
 
-    A run that is already stored and not finished is resumed: its documents go on where the earlier session
-    stopped. The clock of a session begins at zero, so times are shifted to go on after the last stored one.
+    A run that is stored but not finished is resumed. The clock of a session begins at zero, so times are shifted to
+    follow the last stored one.
 
     Parameters
     ----------
     engine : of an up-to-date database.
     configuration : canonical JSON whose SHA-256 is the identity's digest.
     sensor_type, material, indenter : what is tested, and with which head.
-    why : why files of the run are not those of the runs before it, in the operator's words.
+    why : operator's reason for files that differ from those of earlier runs.
     """
 
     def __init__(
@@ -170,7 +168,7 @@ class Journal:
         Raises
         ------
         StoreError
-            If it could not be stored; nothing of it is stored then.
+            If it could not be stored; nothing is stored then.
         """
         if not self._run and not isinstance(event, RunStarted):
             raise StoreError(f"{type(event).__name__} came before the run was started")
@@ -205,7 +203,7 @@ class Journal:
     @_store.register
     def _(self, event: PhaseStarted, connection: Connection) -> None:
         known = select(PhaseRow.phase).where(PhaseRow.run == self._run, PhaseRow.phase == event.index)
-        if connection.scalar(known) is None:  # a resumed phase keeps its first beginning
+        if connection.scalar(known) is None:  # a resumed phase keeps its original start
             values = {"name": event.name, "sequence": event.sequence, "role": str(event.role)}
             times = {"started_s": event.time_s, "ended_s": None}
             row = {"run": self._run, "phase": event.index, **values, **times}
@@ -282,7 +280,6 @@ class Journal:
     def _add(
         self, connection: Connection, column: InstrumentedAttribute[int], phase: int, values: dict[str, Any]
     ) -> None:
-        """Insert a row with the next number of its phase."""
         table: Any = column.class_
         key = (table.__tablename__, phase)
         if key not in self._next:

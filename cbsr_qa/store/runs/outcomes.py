@@ -1,4 +1,4 @@
-"""What came of runs, without their frames: the latest outcome of one, the earlier runs of a sensor, their seeds."""
+"""Outcomes of runs, without their frames: the latest of one run, the earlier runs of a sensor, their seeds."""
 
 import json
 from datetime import UTC, datetime
@@ -23,11 +23,11 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
     Raises
     ------
     StoreError
-        If there is no such database, or it cannot be read.
+        If the database does not exist or cannot be read.
     """
     parsed = parsed_url(url)
     file = sqlite_file(parsed)
-    if file is not None and not file.exists():  # SQLite would make an empty one
+    if file is not None and not file.exists():  # SQLite would create an empty one
         raise StoreError(f"{shown(parsed)} does not exist")
     engine = open_engine(parsed)
     try:
@@ -39,14 +39,14 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
     return None if found is None else stored(Outcome, found, "analyses.outcome", f"run {run}")
 
 
-#: What is read of an earlier run.
+#: Columns read of an earlier run.
 _READ: Final = frozenset(table.__tablename__ for table in (RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow))
 
 
 def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[EarlierRun, ...]:
     """Return the runs of a sensor that began before a run (empty: all), oldest first.
 
-    A run that is not what was stored is returned with what is wrong with it, and without its result.
+    An altered run is returned with the problem instead of its result.
     """
     run, of_check = RunRow, exists().where(StationCheckRow.golden_run == RunRow.run)
     query = select(run.run, run.recipe, of_check).where(run.serial == serial).order_by(run.run)
@@ -90,14 +90,14 @@ def _row(connection: Connection, of: str) -> Any:
 
 
 def seeds_of(engine: Engine, serial: str) -> tuple[int | None, ...]:
-    """Return the seeds of all runs of a sensor, oldest first; None where a configuration states none."""
+    """Return the seeds of all runs of a sensor, oldest first; None where a configuration has none."""
     query = select(RunRow.configuration).where(RunRow.serial == serial).order_by(RunRow.run)
     with reading(engine) as connection:
         return tuple(map(_seed, connection.scalars(query)))
 
 
 def _seed(configuration: str) -> int | None:
-    """Seed of a configuration; a damaged one, which whoever reads the run refuses, states none."""
+    """Seed of a configuration; None for a damaged one, which is refused when the run is read."""
     try:
         seed: int | None = json.loads(configuration).get("seed")
     except (ValueError, TypeError, AttributeError):

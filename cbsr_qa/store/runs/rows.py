@@ -15,7 +15,7 @@ from cbsr_qa.store.tables import InstrumentRow, RunRow, RunStateRow, SensorRow
 
 
 def begin_run(connection: Connection, identity: RunIdentity, configuration: str, setting: dict[str, Any]) -> None:
-    """Insert a run with its sensor (where it is new) and its instruments."""
+    """Insert a run with its instruments, and its sensor if new."""
     sensor = identity.sensor
     if connection.scalar(select(SensorRow.serial).where(SensorRow.serial == sensor.serial)) is None:
         connection.execute(insert(SensorRow), row_of(SensorRow, sensor, first_seen=identity.started_at))

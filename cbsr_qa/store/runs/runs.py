@@ -48,8 +48,8 @@ class RunSummary:
 
     Parameters
     ----------
-    end : RUNNING where it was cut off, or is under way.
-    outcome, reason : of its latest analysis; None and empty where it has none.
+    end : RUNNING if it was interrupted or is in progress.
+    outcome, reason : of its latest analysis; None and empty if there is none.
     """
 
     run: str
@@ -64,17 +64,17 @@ class RunSummary:
 
 
 def load_run(engine: Engine, run: str) -> RunRecord:
-    """Load a run with every frame that counts, its chain and each block's digest checked.
+    """Load a run with every frame that counts; its chain and each block's digest are checked.
 
-    Frames and samples of a press that was cut off and made again do not count; how many frames is said.
+    Frames and samples of an interrupted press that was repeated do not count; their number is recorded.
 
     Raises
     ------
     StoreError
-        If there is no such run, or what is stored is not what was measured.
+        If the run does not exist or was altered.
     """
     with reading(engine) as connection:
-        head = chain_head(connection, run)  # before the check, which covers it then
+        head = chain_head(connection, run)  # before the check, which then covers it
         chain, row = check_run(connection, run), _known(connection, run)
         state = current_state(connection, run)
         states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
@@ -104,12 +104,12 @@ def load_run(engine: Engine, run: str) -> RunRecord:
 
 
 def whole_run(engine: Engine, run: str) -> RunRecord:
-    """Load a run afresh as :func:`load_run`, with the whole file checked (SQLite).
+    """Load a run from disk like :func:`load_run`, and check the whole file (SQLite).
 
     Raises
     ------
     StoreError
-        If something is damaged; it says whether the run can be saved.
+        If something is damaged; the message says whether the run can be saved.
     """
     look_afresh(engine)
     problem = file_problem(engine)
@@ -118,7 +118,7 @@ def whole_run(engine: Engine, run: str) -> RunRecord:
     except StoreError as error:
         if not problem:
             raise
-        of_file = error.reason.startswith(shown(engine.url))  # says again what the check of the file said
+        of_file = error.reason.startswith(shown(engine.url))  # repeats the result of the check of the file
         of_run = "" if of_file else f": {error.reason}"
         raise StoreError(
             f"{problem}, including this run{of_run}",
@@ -134,7 +134,7 @@ def whole_run(engine: Engine, run: str) -> RunRecord:
 
 
 def identity(engine: Engine, run: str) -> RunIdentity:
-    """Return the identity of a run, without frames. StoreError if it does not exist or was changed."""
+    """Return the identity of a run, without frames. StoreError if it does not exist or was altered."""
     with reading(engine) as connection:
         check_run(connection, run, IDENTITY)
         return identity_of(connection, _known(connection, run))
@@ -148,12 +148,12 @@ def configuration_of(engine: Engine, run: str) -> str:
 
 
 def check_resumable(engine: Engine, run: str) -> None:
-    """Check everything that is stored of a run that is going to be added to.
+    """Check everything that is stored of a run before it is resumed.
 
     Raises
     ------
     StoreError
-        If there is no such run, it is not what was stored, or the key that is set is not the run's.
+        If the run does not exist or was altered, or was signed with another key than the one set.
     """
     with reading(engine) as connection:
         check_run(connection, run)
@@ -161,7 +161,7 @@ def check_resumable(engine: Engine, run: str) -> None:
 
 
 def finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
-    """Return (phase, index) of every press that was held to its end: what a resumed run does not repeat."""
+    """Return (phase, index) of every finished press, which a resumed run does not repeat."""
     with reading(engine) as connection:
         _known(connection, run)
         rows = connection.execute(select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run))
@@ -169,21 +169,21 @@ def finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
 
 
 def ended_phases(engine: Engine, run: str) -> frozenset[int]:
-    """Return the phases whose last step was carried out: what a resumed run does not go through again."""
+    """Return the phases whose last step was carried out, which a resumed run skips."""
     with reading(engine) as connection:
         rows = connection.scalars(select(PhaseRow.phase).where(PhaseRow.run == run, PhaseRow.ended_s.is_not(None)))
         return frozenset(rows)
 
 
 def state_of(engine: Engine, run: str) -> RunSession:
-    """Return the latest session of a run: how it stands."""
+    """Return the state of a run's latest session."""
     with reading(engine) as connection:
         _known(connection, run)
         return sessions_of(connection, run)[-1]
 
 
 def goes_on_at_s(engine: Engine, run: str) -> float:
-    """Return when on the run's time line a resumed session begins [s]."""
+    """Return the start of a resumed session on the run's time line [s]."""
     with reading(engine) as connection:
         return on_tick(last_time_s(connection, run))
 
@@ -198,7 +198,7 @@ def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ..
 
 
 def resolve(engine: Engine, run_or_serial: str) -> str:
-    """Return the run meant: itself, or the latest of a sensor.
+    """Return a run by its identifier, or the latest run of a serial number.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def _summed(pairs: Iterable[list[Any]]) -> tuple[tuple[str, float], ...]:
 def _phases(
     connection: Connection, run: str, sessions: tuple[RunSession, ...]
 ) -> tuple[tuple[PhaseRecord, ...], int]:
-    """Phases of a run, and how many frames of them do not count."""
+    """Return the phases of a run, and how many of their frames do not count."""
     phases = select(*PhaseRow.__table__.columns).where(PhaseRow.run == run).order_by(PhaseRow.phase)
     found = [_phase(connection, row, sessions) for row in connection.execute(phases).all()]
     return tuple(phase for phase, _ in found), sum(aside for _, aside in found)
@@ -262,13 +262,13 @@ def _phase(connection: Connection, row: Row[Any], sessions: tuple[RunSession, ..
         PhaseRecord,
         row,
         index=row.phase,
-        # A phase that was cut off ends with the last thing known about it.
+        # An interrupted phase ends with its last stored time.
         ended_s=last_time_s(connection, row.run, row.phase) if row.ended_s is None else row.ended_s,
         frames=frames,
         samples=_samples(connection, row, spans),
         loads=tuple(load for load in loads if not load.eased),
         loops=tuple(load for load in loads if load.eased),
-        # A resumed phase rested again: the latest mark is followed by its presses.
+        # A resumed phase rested again: its presses follow the latest mark.
         unloaded_from_s=connection.scalar(marks.order_by(UnloadedMarkRow.mark.desc()).limit(1)),
         role=stored(Role, row.role, "phases.role", f"phase {row.phase} of run {row.run}"),
     )
@@ -276,13 +276,12 @@ def _phase(connection: Connection, row: Row[Any], sessions: tuple[RunSession, ..
 
 
 def _rows(connection: Connection, phase: Row[Any], table: Any, order: InstrumentedAttribute[int]) -> Result[Any]:
-    """Rows that a phase has in a table."""
     query = select(*table.__table__.columns).where(table.run == phase.run, table.phase == phase.phase)
     return connection.execute(query.order_by(order))
 
 
 def _frames(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple[FrameBlock | None, int]:
-    """Frames that count, and how many do not."""
+    """Return frames that count, and the number that do not."""
     blocks = [frame_block(row) for row in _rows(connection, phase, FrameBlockRow, FrameBlockRow.block)]
     counted = [within(block.time_s, spans) for block in blocks]
     kept = [block.select(inside) for block, inside in zip(blocks, counted, strict=True) if inside.any()]
@@ -291,7 +290,7 @@ def _frames(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple
 
 def _samples(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple[SampleBlock, ...]:
     blocks = [sample_block(row) for row in _rows(connection, phase, SampleBlockRow, SampleBlockRow.block)]
-    by_channel = groupby(sorted(blocks, key=lambda b: b.channel), key=lambda b: b.channel)  # sorting is stable
+    by_channel = groupby(sorted(blocks, key=lambda b: b.channel), key=lambda b: b.channel)  # stable sort
     joined = [join_samples(list(group)) for _, group in by_channel]
     kept = [(block, within(block.time_s, spans)) for block in joined]
     return tuple(

@@ -1,6 +1,6 @@
 """Sessions of a run, and which loads count: an interrupted load that was repeated does not.
 
-Runs that were begun and did not finish: what a power cut, a fault or an operator leaves behind.
+Also runs that did not finish, because of a power cut, a fault or an operator.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ from cbsr_qa.store.tables import (
 )
 from cbsr_qa.store.types import made_at
 
-#: (from, to) on the run's time line [s]; what is from the very beginning belongs to the session before.
+#: (from, to) on the run's time line [s]; a time exactly at the start belongs to the session before.
 Span = tuple[float, float]
 
 
@@ -56,9 +56,9 @@ def counted_spans(
 ) -> list[Span]:
     """Return the spans of time whose frames and samples count for a phase.
 
-    In the last session that worked on it everything counts. In an earlier one it is what was taken up to the end of
-    its last finished load: the press that was cut off after it was repeated, and so was the set-up of a session that
-    finished none. What a later session did to set the bench up again, after the phase had ended, does not count.
+    Everything in the last session of a phase counts. Of an earlier session, data up to the end of its last finished
+    load count: the interrupted press after it was repeated, as was the set-up of a session without a finished load.
+    When a later session set the bench up again after the phase had ended, that does not count.
     """
     steps = select(StepRow.time_s).where(StepRow.run == phase.run, StepRow.phase == phase.phase, StepRow.attempt == 0)
     times_s = np.array(connection.scalars(steps).all(), dtype=np.float64)
@@ -103,10 +103,10 @@ class IncompleteRun:
 
     Parameters
     ----------
-    phase : name of the phase it stands in; empty before the first.
-    next : what would be done next, in words: the press that was not finished, or the step under way.
-    end, detail : ``"running"`` where it is under way or was cut off; ``"aborted"`` or ``"broken"``, and by what.
-    writer : who writes it at this moment; empty where nobody does.
+    phase : name of the current phase; empty before the first.
+    next : next action, in words: the unfinished press, or the current step.
+    end, detail : ``"running"`` if in progress or interrupted; ``"aborted"`` or ``"broken"``, and the cause.
+    writer : process that is writing it now; may be empty.
     """
 
     run: str
@@ -145,7 +145,7 @@ def incomplete_runs(engine: Engine) -> tuple[IncompleteRun, ...]:
 
 
 def runs_without_result(engine: Engine) -> tuple[tuple[str, str], ...]:
-    """Return (run, serial) of runs that finished and were cut off before their result was stored, oldest first."""
+    """Return (run, serial) of finished runs without a stored result, oldest first."""
     finished = select(RunStateRow.run).where(RunStateRow.end == str(EndReason.FINISHED))
     query = select(RunRow.run, RunRow.serial).where(
         RunRow.run.in_(finished), ~exists().where(AnalysisRow.run == RunRow.run)
@@ -155,7 +155,7 @@ def runs_without_result(engine: Engine) -> tuple[tuple[str, str], ...]:
 
 
 def latest_id(engine: Engine) -> str:
-    """Return the highest identifier of anything stored; empty where there is nothing."""
+    """Return the highest stored identifier; empty if there is none."""
     columns = (
         RunRow.run,
         AnalysisRow.analysis,
@@ -166,7 +166,7 @@ def latest_id(engine: Engine) -> str:
     )
     with reading(engine) as connection:
         found = [connection.scalar(select(func.max(column))) for column in columns]
-    # By their text, of those of our kind: others (of databases that were put together by hand) say nothing of time.
+    # Sorted as text, only identifiers of our kind: others (of databases edited by hand) carry no time.
     return max((one for one in found if one is not None and made_at(one) is not None), default="")
 
 

@@ -1,10 +1,7 @@
 """Table of links: the chain of digests of each run. Rows are appended, never changed.
 
-Tables of what people changed: files of a known name, and verdicts. Rows are never changed.
-
-Table of what control charts of stations rest on. Rows are never changed: the latest of a chart holds.
-
-Tables of station checks: what was looked at, and the frames of the reference ring. Rows are never changed.
+Tables of changes to configuration files and verdicts, references of control charts, and station checks with the
+frames of the reference ring. Rows are never changed: the latest of a chart holds.
 """
 
 from datetime import datetime
@@ -24,12 +21,12 @@ class ConfigurationChangeRow(Base):
     __table_args__ = (Index(None, "kind", "name"),)
 
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
-    kind: Mapped[str] = mapped_column(Word(16), primary_key=True)  #: a FileKind
+    kind: Mapped[str] = mapped_column(Word(16), primary_key=True)
     name: Mapped[str]
     earlier_run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))  #: the latest with the old content
     old_sha256: Mapped[str] = mapped_column(Word(64))
     new_sha256: Mapped[str] = mapped_column(Word(64))
-    differences: Mapped[list[Any]]  #: [[key, before, after], …] as JSON text; null where the key was not there
+    differences: Mapped[list[Any]]  #: [[key, before, after], …] as JSON text; null where the key was absent
     operator: Mapped[str]
     noted_at: Mapped[datetime]
     why: Mapped[str]
@@ -65,7 +62,7 @@ class ChartReferenceRow(Base):
     qualifier: Mapped[str]
     location: Mapped[str]
     unit: Mapped[str]
-    kind: Mapped[str] = mapped_column(Word(16))  #: a ChartKind
+    kind: Mapped[str] = mapped_column(Word(16))
     settings: Mapped[
         dict[str, Any]
     ]  #: subgroup, rules, weight, width, slack, threshold; retired of a row that ends a chart
@@ -136,7 +133,7 @@ class StationCheckFramesRow(Base):
 
 
 class LinkRow(Base):
-    """One link of a run's chain, stored in the transaction of the rows it covers: they are one document."""
+    """One link of a run's chain, stored in the transaction of the rows it covers, which form one document."""
 
     __tablename__ = "run_links"
     __table_args__ = (Index(None, "run", "kind", "document", unique=True),)
@@ -146,5 +143,5 @@ class LinkRow(Base):
     kind: Mapped[str] = mapped_column(Word(32))  #: the table its rows are in, see run_documents.py
     document: Mapped[str] = mapped_column(Word(64))  #: which of its rows: their common key
     content_sha256: Mapped[str] = mapped_column(Word(64))  #: of these rows
-    sha256: Mapped[str] = mapped_column(Word(64))  #: of the link before, kind, document and content
-    mac: Mapped[str | None] = mapped_column(Word(64))  #: HMAC-SHA256 of ``sha256``; None where no key was set
+    sha256: Mapped[str] = mapped_column(Word(64))  #: of the previous link, kind, document and content
+    mac: Mapped[str | None] = mapped_column(Word(64))  #: HMAC-SHA256 of ``sha256``; None if no key was set

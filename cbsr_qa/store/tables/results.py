@@ -1,7 +1,6 @@
 """Tables of results: analyses with measurements, and calibrations.
 
-Judging a run again adds an analysis beside the earlier ones. The one cell that is ever filled in later is
-``calibrations.superseded_by``, and only while it is empty.
+Judging a run again adds an analysis. Only ``calibrations.superseded_by`` is filled in later, while it is empty.
 """
 
 from datetime import datetime
@@ -26,7 +25,7 @@ class AnalysisRow(Base):
     software: Mapped[list[Any]]  #: [[distribution, version], …]
     outcome: Mapped[str] = mapped_column(Word(16))
     reason: Mapped[str]
-    calibration_why: Mapped[str]  #: why there is no calibration; empty where there is one
+    calibration_why: Mapped[str]  #: why there is no calibration; empty if there is one
     noise_weighting: Mapped[str] = mapped_column(Word(16))  #: as in the recipe; empty where nothing was imaged
     weight_ratio: Mapped[float | None]  #: largest over smallest weight of a reading
     compute_s: Mapped[list[Any]]  #: [[stage, seconds], …]
@@ -43,7 +42,7 @@ class WarningRow(Base):
 
 
 class MeasurementRow(Base):
-    """A named number with its unit, its limit and its outcome; without a value ``how`` says why."""
+    """A named number with its unit, limit and outcome; without a value ``how`` gives the reason."""
 
     __tablename__ = "measurements"
     __table_args__ = (Index(None, "name"),)
@@ -60,10 +59,10 @@ class MeasurementRow(Base):
     qualifier: Mapped[str]
     how: Mapped[str]
     bound: Mapped[str] = mapped_column(Word(16))  #: "exact"; "lower" where the quantity is at least the value
-    load_index: Mapped[int | None]  #: within the phase, as in loads: tells apart one label at several strains
+    load_index: Mapped[int | None]  #: within the phase, as in loads: distinguishes equal labels at several strains
     strain: Mapped[float | None]  #: of that load
     outcome: Mapped[str] = mapped_column(Word(16))
-    limited: Mapped[bool]  #: whether there was a limit; the next columns are empty where not
+    limited: Mapped[bool]  #: whether there was a limit; otherwise the next columns are empty
     lower_limit: Mapped[float | None]
     upper_limit: Mapped[float | None]
     marginal: Mapped[float | None]
@@ -72,7 +71,7 @@ class MeasurementRow(Base):
 
 
 class CalibrationRow(Base):
-    """What a passed run issued for its sensor: its file, and what is searched."""
+    """Calibration issued for the sensor of a passed run: its file, and searchable columns."""
 
     __tablename__ = "calibrations"
     __table_args__ = (Index(None, "serial", "calibration"), Index(None, "run"))
@@ -84,11 +83,11 @@ class CalibrationRow(Base):
     issued_at: Mapped[datetime]
     superseded_by: Mapped[str | None] = mapped_column(Identifier, ForeignKey("calibrations.calibration"))
     content_sha256: Mapped[str] = mapped_column(Word(64))  #: of the issued file's content, as the file states it
-    record_sha256: Mapped[str] = mapped_column(Word(64))  #: the same without what is prepared again: the matrix
-    file: Mapped[bytes | None]  #: HDF5, as it was issued
+    record_sha256: Mapped[str] = mapped_column(Word(64))  #: the same without what is computed again: the matrix
+    file: Mapped[bytes | None]  #: HDF5, as issued
     file_sha256: Mapped[str | None] = mapped_column(Word(64))  #: of these bytes
-    # Up to schema 0011 there was no file: it was put together from the columns that follow, the rows of the tables
-    # below, and the run. All of them are empty of later calibrations, but for baselines.
+    # Up to schema 0011 there was no file: it was reconstructed from the columns that follow, the rows of the tables
+    # below, and the run. Later calibrations leave all of them empty except baselines.
     response: Mapped[str | None] = mapped_column(Word(16))
     current_a: Mapped[float | None]
     scale: Mapped[float | None]
@@ -98,15 +97,15 @@ class CalibrationRow(Base):
     method: Mapped[str | None]  #: of the imaging matrix
     regularisation: Mapped[float | None]
     regularisation_name: Mapped[str | None]  #: what ``regularisation`` is, e.g. "λ"
-    regularisation_criterion: Mapped[str | None]  #: what it was chosen by; empty where nobody said
+    regularisation_criterion: Mapped[str | None]  #: how it was chosen; empty if not recorded
     regularisation_how: Mapped[str | None]
     noise_figure: Mapped[float | None]  #: of the matrix on the nominal model
     drives: Mapped[int | None]
     measures: Mapped[int | None]
     reference: Mapped[bytes | None]  #: float64 little-endian (drives, measures) [V]
-    used: Mapped[bytes | None]  #: uint8 (drives, measures), readings that are imaged
+    used: Mapped[bytes | None]  #: uint8 (drives, measures), imaged readings
     reference_sha256: Mapped[str | None] = mapped_column(Word(64))
-    no_force: Mapped[str | None]  #: why there is no force model; empty where there is one, or nobody said
+    no_force: Mapped[str | None]  #: why there is no force model; empty if there is one, or not recorded
     overlap_threshold: Mapped[float | None]
     size_ratio_low: Mapped[float | None]
     size_ratio_high: Mapped[float | None]
@@ -120,7 +119,7 @@ class CalibrationRow(Base):
     temperature_high_c: Mapped[float | None]
     radius_mm: Mapped[float | None]
     reduced: Mapped[list[Any] | None]  #: reasons why the range is smaller than intended
-    assumed: Mapped[list[Any] | None]  #: names of what was not measured on this sensor
+    assumed: Mapped[list[Any] | None]  #: names of parameters not measured on this sensor
     simulated: Mapped[list[Any] | None]
     setting: Mapped[dict[str, Any] | None]  #: sensor type and indenter, see runs/codec.py
 
@@ -128,16 +127,16 @@ class CalibrationRow(Base):
 class ForceRow(Base):
     """Force model of a sensor, on the lattice of the head's templates.
 
-    The templates themselves follow from sensor type, head, reference and merging.
+    The templates follow from sensor type, head, reference and merging.
     """
 
     __tablename__ = "calibration_forces"
 
     calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
-    merged: Mapped[int]  #: rows the used readings become
+    merged: Mapped[int]  #: rows after merging the used readings
     readings: Mapped[int]
     merging: Mapped[bytes]  #: float64 little-endian (merged, readings) [1/V]
-    nodes: Mapped[int]  #: of the lattice, where a head may be
+    nodes: Mapped[int]  #: of the lattice of head positions
     log_response: Mapped[bytes]  #: float64 little-endian (nodes): the map
     log_response_stderr: Mapped[bytes]  #: float64 little-endian (nodes)
     force_sha256: Mapped[str] = mapped_column(Word(64))  #: of these three
@@ -151,7 +150,7 @@ class ForceRow(Base):
     residue_strength: Mapped[float]
     steady_s: Mapped[float]
     place_scatter_mm: Mapped[float]
-    kernels: Mapped[dict[str, Any]]  #: "loading" and "unloading" where they were learned
+    kernels: Mapped[dict[str, Any]]  #: "loading" and "unloading" where learned
 
 
 class BaselineRow(Base):

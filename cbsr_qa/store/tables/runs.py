@@ -1,6 +1,6 @@
 """Tables of runs: sensors, runs, phases, frames, samples, presses.
 
-Rows are added and never changed, but for one cell: a phase gets its end time, once.
+Rows are appended and never changed, except that a phase gets its end time once.
 """
 
 from datetime import datetime
@@ -11,7 +11,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole, Word
 
-#: Constraints are named alike on every database, so that a migration can name them.
+#: Constraints have the same names on every database, so that a migration can name them.
 NAMING = {
     "ix": "ix_%(table_name)s_%(column_0_N_name)s",
     "uq": "uq_%(table_name)s_%(column_0_N_name)s",
@@ -38,7 +38,7 @@ class Base(DeclarativeBase):
 
 
 class SensorRow(Base):
-    """One physical sensor; its batch and type as they were when it was first seen."""
+    """One physical sensor; batch and type as first seen."""
 
     __tablename__ = "sensors"
 
@@ -67,11 +67,11 @@ class RunRow(Base):
     software: Mapped[list[Any]]  #: [[distribution, version], …]
     simulated: Mapped[list[Any]]  #: in words
     setting: Mapped[dict[str, Any]]  #: sensor type, material and indenter in domain terms, see runs/codec.py
-    chain: Mapped[str | None] = mapped_column(Word(64))  #: what links it (chain/links.py); None: from before chains
+    chain: Mapped[str | None] = mapped_column(Word(64))  #: chain and key (chain/links.py); None: from before chains
 
 
 class RunStateRow(Base):
-    """How a run stands: one row when it begins, is resumed, and ends. The highest number holds."""
+    """State of a run: one row when it begins, is resumed, and ends. The highest number holds."""
 
     __tablename__ = "run_states"
 
@@ -81,9 +81,9 @@ class RunStateRow(Base):
     detail: Mapped[str]
     time_s: Mapped[float]  #: on the run's clock
     spent: Mapped[list[Any]]  #: [[kind of step, seconds], …] of the session that ended
-    operator: Mapped[str | None]  #: who began or resumed the session; None where nobody noted it, and at its end
-    software: Mapped[list[Any] | None]  #: [[distribution, version], …] it was begun or resumed with
-    noted_at: Mapped[datetime | None]  #: by the wall clock, which anybody may set; order is the number's
+    operator: Mapped[str | None]  #: who began or resumed the session; None if not recorded, and at its end
+    software: Mapped[list[Any] | None]  #: [[distribution, version], …] when begun or resumed
+    noted_at: Mapped[datetime | None]  #: by the wall clock, which may be wrong; ``number`` gives the order
 
 
 class InstrumentRow(Base):
@@ -100,11 +100,11 @@ class InstrumentRow(Base):
     firmware: Mapped[str]
     simulated: Mapped[bool]
     calibration_due: Mapped[str | None]
-    notes: Mapped[list[Any] | None]  #: [[what, value], …] in words; None: nobody noted any
+    notes: Mapped[list[Any] | None]  #: [[what, value], …] in words; None if not recorded
 
 
 class PhaseRow(Base):
-    """One sequence of a run; without an end it was cut off."""
+    """One sequence of a run; without an end it was interrupted."""
 
     __tablename__ = "phases"
 
@@ -112,7 +112,7 @@ class PhaseRow(Base):
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     name: Mapped[str]
     sequence: Mapped[str]
-    role: Mapped[str] = mapped_column(Word(16))  #: a Role: what the sequence says it is for
+    role: Mapped[str] = mapped_column(Word(16))  #: a Role: the purpose of the sequence
     started_s: Mapped[float]
     ended_s: Mapped[float | None]
 
@@ -122,7 +122,7 @@ def _of_phase() -> ForeignKeyConstraint:
 
 
 class StepRow(Base):
-    """A step that began, or was tried again; the last one of a run that was cut off is where it stood."""
+    """A step that began, or was tried again; the last one of an interrupted run shows where it stopped."""
 
     __tablename__ = "steps"
     __table_args__ = (_of_phase(),)
@@ -132,13 +132,13 @@ class StepRow(Base):
     entry: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)  #: counts rows of the phase
     number: Mapped[int]  #: of the step within its phase
     attempt: Mapped[int]  #: 0 for the first
-    step: Mapped[dict[str, Any]]  #: {"step": kind, …its fields}; empty where it is tried again
+    step: Mapped[dict[str, Any]]  #: {"step": kind, …its fields}; empty for a further attempt
     why: Mapped[str]  #: why it is tried again; empty on the first attempt
-    time_s: Mapped[float | None]  #: None where it is tried again
+    time_s: Mapped[float | None]  #: None for a further attempt
 
 
 class FrameBlockRow(Base):
-    """Consecutive frames: little-endian arrays, one transaction a block, checked by their digest when read."""
+    """Consecutive frames: little-endian arrays, one transaction per block, checked by their digest when read."""
 
     __tablename__ = "frame_blocks"
     __table_args__ = (_of_phase(),)
@@ -196,12 +196,12 @@ class LoadRow(Base):
     release_start_s: Mapped[float]
     release_end_s: Mapped[float]
     rest_end_s: Mapped[float]
-    clear_s: Mapped[float | None]  #: the head left the sheet on its way up; None where nobody noted it
-    eased: Mapped[list[Any] | None]  #: [strain, start_s, hold_start_s] of each strain after the first; None: none
+    clear_s: Mapped[float | None]  #: when the head left the sheet on its way up; None if not recorded
+    eased: Mapped[list[Any] | None]  #: [strain, start_s, hold_start_s] of each further strain; None: none
 
 
 class UnloadedMarkRow(Base):
-    """From when on the sheet counted as rested; a resumed phase has one per session, the latest holds."""
+    """Time from which the sheet counted as rested; a resumed phase has one per session, the latest holds."""
 
     __tablename__ = "unloaded_marks"
     __table_args__ = (_of_phase(),)
