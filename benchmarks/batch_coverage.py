@@ -77,7 +77,6 @@ def tallied(compare: Compare) -> Array:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=1000)
     seeds = parser.parse_args().seeds

@@ -79,7 +79,6 @@ def pairs(strips: Sequence[Characterisation], quantity: str) -> Array:
 
 
 def main() -> None:
-    """Print what came out."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.characterisation", description=__doc__)
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--short-seeds", type=int, default=40)

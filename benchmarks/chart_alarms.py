@@ -34,7 +34,6 @@ def told(settings, reference, runs, shift, random):
 
 
 def main():
-    """Print the table."""
     random = np.random.default_rng(20261122)
     for reference in (30, 100):
         for name, settings in CHARTS.items():

@@ -46,7 +46,6 @@ def rows() -> Iterator[Row]:
 
 
 def notes() -> str:
-    """What the table does not say."""
     return (
         "\nTimes include Python's start, reading, fitting every metric, drawing and writing the page; the"
         " fastest of three counts. Every third sensor ran on all three stations, the others on one: 16 668"

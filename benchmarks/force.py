@@ -64,7 +64,6 @@ def rows() -> Iterator[Row]:
 
 
 def notes() -> str:
-    """What the table does not say."""
     return (
         "\nThe calibration is the one that `cbsr-qa run --station simulated --recipe nine-locations` issues."
         " The loads are the run's ten random ones, at other places and forces than those of the calibration."

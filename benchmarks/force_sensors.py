@@ -138,7 +138,6 @@ def _configuration(sensors: Sensors, seed: int, material: dict[str, Any]) -> Con
 
 
 def _intercept(sensors: Sensors, seed: int) -> float:
-    """Of one sensor's material."""
     return sensors.intercept_stderr * float(np.random.default_rng([seed, 5]).standard_normal())
 
 
@@ -160,7 +159,6 @@ class _Station:
         self._thickness_mm = plan.sensor_type.thickness_mm
 
     def phase(self, index: int, planned: PlannedPhase) -> PhaseRecord:
-        """Run one phase."""
         self._frames: list[FrameBlock] = []
         self._samples: list[SampleBlock] = []
         self._loads: list[LoadRecord] = []

@@ -48,8 +48,6 @@ _MESH_MM = 2.0
 
 @dataclass(frozen=True)
 class Cell:
-    """One combination."""
-
     diameter_mm: float
     known: bool
     contrast: float

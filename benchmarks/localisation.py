@@ -223,7 +223,6 @@ def _sizes(problem: ImagingProblem) -> Iterator[Row]:
 
 
 def notes() -> str:
-    """What the table does not say."""
     return (
         "\n*Noise below each reading* has a standard deviation of 0.1 % (60 dB) or 1 % of each channel's own"
         " reading. Only this meaning reproduces the bounds published with the peers' results (here 0.075 and"

@@ -60,7 +60,6 @@ def _row(
 
 
 def notes() -> str:
-    """What the table does not say."""
     return (
         "\nImages are of single frames; the time of a frame is that in a block of 36. Only pyEIT's methods are"
         " tuned on these loads; the others use their defaults, chosen on the nominal model. Masks are at 85 %,"

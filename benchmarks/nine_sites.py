@@ -59,7 +59,6 @@ class Score:
     stderr_mm: float | None = None
 
     def words(self) -> str:
-        """In one line."""
         sure = "" if self.stderr_mm is None else f" ± {self.stderr_mm:.2f}"
         return (
             f"E_CoM {self.error_mm:.2f}{sure} mm (worst site {self.worst_mm:.2f}), A_OL {self.overlap_percent:.1f} %,"

@@ -29,7 +29,6 @@ class Peer:
 
     @property
     def elements(self) -> int:
-        """Number of triangles."""
         return len(self.mesh.element)
 
     def forward(self) -> Any:

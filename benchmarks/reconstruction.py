@@ -47,7 +47,6 @@ def rows() -> Iterator[Row]:
 
 
 def notes() -> str:
-    """What the table does not say."""
     return (
         "\nSet-up is everything from a mesh in memory on: assembly, factorisation, fields, Jacobian, NOSER"
         " prior and imaging matrix of all 208 readings. Reciprocal readings have equal rows, so the matrix is"

@@ -25,7 +25,6 @@ class Row:
     met: bool | None = None
 
     def markdown(self) -> str:
-        """One row of the page."""
         verdict = {True: "reached", False: "**not reached**", None: ""}[self.met]
         return f"| {self.what} | {self.goal} | {self.here} | {self.peer} | {verdict} |"
 

@@ -108,7 +108,6 @@ class Pair:
 
 
 def pair(sheet: Sheet, places_mm: Array, force_N: Array) -> Pair:
-    """Press one pair."""
     frame, nothing = sheet.frame(places_mm, force_N), np.empty(0)
     one = sheet.calibration.force(frame)
     (both,) = sheet.calibration.forces(frame)
@@ -127,7 +126,6 @@ def pair(sheet: Sheet, places_mm: Array, force_N: Array) -> Pair:
 
 
 def row(distance_mm: float, pairs: Sequence[Pair]) -> str:
-    """One line of the table in Markdown."""
     names = ("error_N", "stderr_N", "place_mm")
     error, stderr, place = (np.concatenate([getattr(one, name) for one in pairs]) for name in names)
     within = [100 * np.mean(np.abs(error) <= reach * stderr) for reach in (1.0, 1.96)]

@@ -197,7 +197,6 @@ PARTS: dict[str, Callable[[], Iterator[str]]] = {
 
 
 def main() -> None:
-    """Print the parts that are asked for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.sheet_metrics", description=__doc__)
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], metavar=f"{{{','.join(PARTS)}}}")
     for name in parser.parse_args().parts or PARTS:

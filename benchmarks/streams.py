@@ -55,7 +55,6 @@ def told(run: Issued) -> Iterator[Told]:
 
 
 def row(all_told: Sequence[Told], frame: int) -> str:
-    """One line of the table in Markdown."""
     of_frame = [one for one in all_told if one.frame == frame]
     seen = [one for one in of_frame if np.isfinite(one.error_N)]
     error, stderr, share = (
@@ -69,7 +68,6 @@ def row(all_told: Sequence[Told], frame: int) -> str:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.streams", description=__doc__)
     parser.add_argument("--seeds", default="1:4", help="first and one after the last")
     seeds = range(*map(int, parser.parse_args().seeds.split(":")))

@@ -20,7 +20,6 @@ class Compared:
 
     @property
     def ratio(self) -> float:
-        """How many times slower the other way is."""
         return self.theirs_s / self.ours_s
 
 

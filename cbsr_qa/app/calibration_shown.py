@@ -116,7 +116,6 @@ class Settling:
 
     @classmethod
     def of(cls, summary: SettlingSummary) -> Self:
-        """Return the JSON fields of a summary."""
         return filled(cls, summary, direction="loading" if summary.loading else "unloading")
 
 

@@ -151,7 +151,6 @@ class PlainCommand(TyperCommand):
     """A command whose help has no types of Python."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters."""
         return _plain(super().get_params(ctx))
 
 
@@ -159,5 +158,4 @@ class PlainGroup(TyperGroup):
     """A group of commands whose help has no types of Python."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters."""
         return _plain(super().get_params(ctx))

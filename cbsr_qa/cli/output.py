@@ -191,7 +191,6 @@ class Counting:
         self._close()
 
     def stage(self, name: str) -> None:
-        """Begin a stage."""
         self._close()
         print(f"{name} …", file=self._stream, flush=True)
 
@@ -222,9 +221,7 @@ class _Bar:
         self._bar.start()
 
     def show(self, done: int, of: int) -> None:
-        """Show what is done."""
         self._bar.update(self._task, completed=done, total=of)
 
     def close(self) -> None:
-        """Take the bar away."""
         self._bar.stop()

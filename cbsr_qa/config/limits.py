@@ -60,7 +60,6 @@ class LimitTable(Table):
         return self.measurement == "area_ratio" and fits and (self.lower or 0.0) > 0 and self.upper is not None
 
     def to_domain(self) -> Limit:
-        """Return the limit."""
         return as_domain(Limit, self, version=self.version or "")
 
 

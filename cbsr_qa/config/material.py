@@ -36,7 +36,6 @@ class MeasuredKernelTable(Table):
     window_s: Positive
 
     def problems(self, where: KeyPath) -> Iterator[Problem]:
-        """Yield what does not fit together within the table."""
         count = len(self.weights)
         if len(self.time_constants_s) != count:
             what = f"has {len(self.time_constants_s)} numbers, weights {count}; one for each"
@@ -73,7 +72,6 @@ class StripRelaxationTable(Table):
     unloading: MeasuredKernelTable | None = None
 
     def problems(self, where: KeyPath) -> Iterator[Problem]:
-        """Yield what does not fit together within the table and those below it."""
         if self.least_strain > self.largest_strain:
             what = f"is {self.least_strain:g}, above largest_strain, {self.largest_strain:g}"
             yield Problem((*where, "least_strain"), what)
@@ -141,7 +139,6 @@ class RelaxationTable(Table):
     source: Source
 
     def problems(self, where: KeyPath) -> Iterator[Problem]:
-        """Yield what does not fit together within the table."""
         first, second = self.time_constants_s
         if first >= second:
             what = f"is [{first:g}, {second:g}]; the first must be below the second"
@@ -163,7 +160,6 @@ class MaterialTable(Table):
     strip_relaxation: StripRelaxationTable | None = None
 
     def to_domain(self) -> Material:
-        """Return the material."""
         data = self.model_dump()
         data["against_stress"]["slope"] = data["against_stress"].pop("slope_per_kPa")
         return fitted(Material, data)
@@ -184,7 +180,6 @@ class MaterialFile(FileModel[Material]):
             yield from self.material.strip_relaxation.problems(("material", "strip_relaxation"))
 
     def to_domain(self) -> Material:
-        """Return the material."""
         return self.material.to_domain()
 
 

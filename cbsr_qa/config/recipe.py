@@ -85,7 +85,6 @@ class AnalysisTable(Table):
     transients: Literal["averaged", "predicted"] = "averaged"
 
     def problems(self) -> Iterator[Problem]:
-        """Yield what does not fit together within the table."""
         if self.main_mask_percent not in self.masks_percent:
             yield Problem(
                 ("analysis", "main_mask_percent"),
@@ -241,7 +240,6 @@ class RecipeFile(FileModel[Recipe]):
                 )
 
     def to_domain(self) -> Recipe:
-        """Return the recipe."""
         return Recipe(
             name=self.recipe.name,
             phases=tuple(PhaseSpec(p.name, p.sequence, p.options) for p in self.phases),

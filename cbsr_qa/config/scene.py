@@ -115,7 +115,6 @@ class SceneFile(FileModel[ScenePlan]):
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
-        """Yield the effects."""
         for index, effect in tables(data, "effects"):
             yield from chosen(Kind.EFFECT, effect, ("effects", index), "name")
 

@@ -92,7 +92,6 @@ class ElectrodesTable(Table):
 
     @property
     def number(self) -> int | None:
-        """How many electrodes there are; None where the file does not say."""
         return self.count if self.positions_mm is None else len(self.positions_mm)
 
 
@@ -311,7 +310,6 @@ class SensorTypeFile(FileModel[SensorType]):
             return None
 
     def to_domain(self) -> SensorType:
-        """Return the sensor type."""
         sheet, count = self.sensor_type, self._count
         assert count is not None
         pattern = DrivePattern(count, *(self.pattern.pairs(kind, count) for kind in ("drive", "measure")))

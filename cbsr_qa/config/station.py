@@ -67,7 +67,6 @@ class IndenterTable(Table):
             yield Problem((table, "outline_mm"), f"is not an outline: {error.reason}. {error.remedy}".strip())
 
     def to_domain(self) -> Indenter:
-        """Return the head."""
         if self.outline_mm is None:
             return Indenter(13.0 if self.diameter_mm is None else self.diameter_mm)
         return Indenter.with_outline((x, y) for x, y in self.outline_mm)
@@ -97,7 +96,6 @@ class SafetyTable(Table):
     temperature_C: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
     def problems(self) -> Iterator[Problem]:
-        """Yield what does not fit together within the table."""
         if self.temperature_C is not None and not self.temperature_C[0] < self.temperature_C[1]:
             yield Problem(("safety", "temperature_C"), "is no range; give the lowest and then the highest")
 
@@ -153,7 +151,6 @@ class InstrumentTable(OpenTable):
     calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
 
     def to_domain(self, role: str) -> InstrumentSpec:
-        """Return the instrument of this role."""
         who = {"model": self.model or "", "serial": self.serial or ""}
         return as_domain(InstrumentSpec, self, role=role, options=self.options, **who)
 
@@ -171,7 +168,6 @@ class StationFile(FileModel[Station]):
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
-        """Yield the drivers."""
         instruments = data.get("instruments")
         for role, table in instruments.items() if isinstance(instruments, Mapping) else ():
             yield from chosen(

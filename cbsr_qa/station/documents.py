@@ -118,7 +118,6 @@ class MemoryJournal:
         self._events: list[RunEvent] = []
 
     def __call__(self, event: RunEvent) -> None:
-        """Keep one event."""
         self._events.append(event)
 
     def record(self, identity: RunIdentity, ended: RunEnded) -> RunRecord:

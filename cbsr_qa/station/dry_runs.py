@@ -51,7 +51,6 @@ class DryPhase:
 
     @property
     def duration_s(self) -> float:
-        """Duration of the phase [s]."""
         return sum(self.durations_s)
 
 
@@ -76,7 +75,6 @@ class DryRun:
 
     @property
     def duration_s(self) -> float:
-        """Station time of the plan [s]."""
         return sum(seconds for _, seconds in self.spent)
 
     def refuse(self) -> None:
@@ -139,7 +137,6 @@ class _DryWalk:
     frames: int = 0
 
     def phase(self, scheduled: ScheduledPhase) -> DryPhase:
-        """Walk one phase."""
         self.frames = 0
         durations_s = []
         for step in scheduled.steps:

@@ -75,7 +75,6 @@ def _what(error: BaseException) -> str:
 
 
 def _remedy(error: BaseException) -> str:
-    """The remedy of an error, if it has one."""
     cause = error.error if isinstance(error, BrokenInto) else error
     remedy = cause.remedy if isinstance(cause, CbsrError) else ""
     return f"; {remedy}" if remedy else ""

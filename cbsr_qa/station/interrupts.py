@@ -27,11 +27,9 @@ class OperatorPrompt(Generic[A]):
         self._waiting = False
 
     def is_waiting(self) -> bool:
-        """Whether a question to the operator is open."""
         return self._waiting
 
     def __call__(self, text: str) -> A:
-        """Ask, and return the answer."""
         assert self._ask is not None  # nobody is asked where nobody is there
         self._waiting = True
         try:
@@ -120,7 +118,6 @@ class Interrupts:
             signal.signal(signal.SIGALRM, self._alarm_before)
 
     def mask(self) -> None:
-        """Ignore signals from here on."""
         self._masked = True
 
     @contextmanager

@@ -65,7 +65,6 @@ class Spent:
         self._seconds = dict.fromkeys(Activity, 0.0)
 
     def add(self, kind: Activity, seconds: float) -> None:
-        """Add seconds to one kind."""
         self._seconds[kind] += seconds
 
     @contextmanager

@@ -36,7 +36,6 @@ class RunProgress:
         self._close()
 
     def __call__(self, event: RunEvent) -> None:
-        """Handle one event."""
         match event:
             case RunStarted() if self._stream.isatty():
                 self._bar = _Bar(self._clock, self._stream)
@@ -97,7 +96,6 @@ class _Bar:
         self._bar.start()
 
     def show(self, phase: str, doing: str, now_s: float, remaining_s: float) -> None:
-        """Show the current step."""
         self._total_s = max(self._total_s or 0.0, remaining_s)
         self._ends_s = now_s + remaining_s
         done_s = self._total_s - remaining_s
@@ -108,11 +106,9 @@ class _Bar:
         self._bar.console.print(line, markup=False, highlight=False)
 
     def show_again(self) -> None:
-        """Show the bar again."""
         self._bar.start()
 
     def close(self) -> None:
-        """Remove the bar."""
         self._bar.stop()
 
     def _left(self, percentage: float) -> str:

@@ -136,9 +136,7 @@ class UnderWay:
 class Attempt(Protocol):
     """Calls an instrument, and retries where that is harmless."""
 
-    def __call__(self, operation: Callable[[], T], what: str) -> T:
-        """Call the action, and return its result."""
-        ...
+    def __call__(self, operation: Callable[[], T], what: str) -> T: ...
 
 
 class Watch:

@@ -69,11 +69,9 @@ class Script:
         self._by_number[number] = action
 
     def names(self) -> list[str]:
-        """Names of the calls so far."""
         return [call.name for call in self.calls]
 
     def count(self, name: str) -> int:
-        """How often a method was called."""
         return self.names().count(name)
 
     def called(self, name: str, *arguments: object) -> None:
@@ -114,11 +112,9 @@ class ScriptedInstrument:
         return InstrumentIdentity(self.role, "scripted", "scripted", "", "", simulated=self.simulated)
 
     def safe_state(self) -> None:
-        """Write it down."""
         self.script.called(f"{self.role}.safe_state")
 
     def close(self) -> None:
-        """Write it down."""
         self.script.called(f"{self.role}.close")
 
 
@@ -131,7 +127,6 @@ class ScriptedFrames(ScriptedInstrument):
         self._shape = shape
 
     def acquire(self, count: int) -> FrameBlock:
-        """Take frames, each in its period."""
         self.script.called(f"{self.role}.acquire", count)
         if count < 1:
             raise InstrumentError(self.role, "the script", f"{count} frames were asked for; at least 1 is needed")
@@ -149,7 +144,6 @@ class ScriptedApplicator(ScriptedInstrument):
         self.down = False
 
     def home(self) -> None:
-        """Write it down."""
         self.script.called(f"{self.role}.home")
 
     def find_surface(self, x_mm: float, y_mm: float) -> float:
@@ -158,7 +152,6 @@ class ScriptedApplicator(ScriptedInstrument):
         return 20.0
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
-        """Write it down."""
         self.script.called(f"{self.role}.move_to", x_mm, y_mm)
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:

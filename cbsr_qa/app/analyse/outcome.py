@@ -38,7 +38,6 @@ class ChosenParameter:
 
     @classmethod
     def of(cls, choice: ParameterChoice) -> Self:
-        """Return the JSON fields of a choice."""
         return filled(cls, choice, criterion=choice.criterion or None, reason=choice.how)
 
 
@@ -103,7 +102,6 @@ class EventReconstruction:
 
     @classmethod
     def of(cls, imaging: EventImaging) -> Self:
-        """Return what a document says of it."""
         parameter = None if imaging.choice is None else ChosenParameter.of(imaging.choice)
         return cls(imaging.reconstruction.name, dict(imaging.reconstruction.options), parameter, imaging.elements)
 
@@ -121,7 +119,6 @@ class PlaceInImage:
 
     @classmethod
     def of(cls, place: ImagedPlace) -> Self:
-        """Return what a document says of it."""
         return filled(cls, place, largest_change=place.largest)
 
 
@@ -154,7 +151,6 @@ class TrackedMotion:
 
     @classmethod
     def of(cls, motion: Motion) -> Self:
-        """Return what a document says of it."""
         return filled(cls, motion, begins=MotionEnd(*motion.begins), ends=MotionEnd(*motion.ends))
 
 
@@ -182,7 +178,6 @@ class Event:
 
     @classmethod
     def of(cls, event: LoadEvent) -> Self:
-        """Return what a document says of it."""
         return filled(
             cls,
             event,

@@ -100,7 +100,6 @@ class PastRun:
 
     @classmethod
     def of(cls, earlier: EarlierRun) -> Self:
-        """Return the JSON fields of an earlier run."""
         return filled(
             cls,
             earlier,
@@ -122,7 +121,6 @@ class PastRuns:
 
     @classmethod
     def of(cls, history: SensorHistory) -> Self:
-        """Return the JSON fields of a sensor's history."""
         return cls(len(history.tries) + 1, tuple(map(PastRun.of, history.earlier)))
 
 

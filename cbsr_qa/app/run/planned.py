@@ -55,7 +55,6 @@ class PlannedRun:
 
     @classmethod
     def of(cls, dry: DryRun, history: SensorHistory, failed_plugins: Iterable[object]) -> Self:
-        """Return what a dry run found."""
         refused = None
         try:
             dry.refuse()

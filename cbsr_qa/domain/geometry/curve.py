@@ -34,7 +34,6 @@ class ClosedCurve:
 
     @property
     def perimeter(self) -> float:
-        """Length of the whole curve."""
         return float(self.begins[-1])
 
     @property

@@ -35,9 +35,7 @@ class Footprint(Protocol):
         ...
 
     @property
-    def area_mm2(self) -> float:
-        """Area inside."""
-        ...
+    def area_mm2(self) -> float: ...
 
     def area_under_edges_mm2(self, start: Points, end: Points) -> Values:
         """Areas (k,) that sum, along a closed counterclockwise outline, to the outline's area inside.
@@ -85,7 +83,6 @@ class RoundFootprint:
 
     @property
     def centre_mm(self) -> tuple[float, float]:
-        """Centre F."""
         return self.x_mm, self.y_mm
 
     @property
@@ -113,7 +110,6 @@ class RoundFootprint:
         return inside
 
     def drawn_mm(self) -> Points:
-        """A circle drawn as a polygon."""
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         return np.array(self.centre_mm) + self.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
 
@@ -139,13 +135,11 @@ class PolygonFootprint:
 
     @cached_property
     def centre_mm(self) -> tuple[float, float]:
-        """Centre of mass of the area."""
         x_mm, y_mm = centroid(self.corners_mm).tolist()
         return x_mm, y_mm
 
     @cached_property
     def area_mm2(self) -> float:
-        """Area inside."""
         return signed_area(self.corners_mm)
 
     def area_under_edges_mm2(self, start: Points, end: Points) -> Values:
@@ -165,7 +159,6 @@ class PolygonFootprint:
         return inside_polygon(points, self.corners_mm)
 
     def drawn_mm(self) -> Points:
-        """The corners."""
         return self.corners_mm
 
 

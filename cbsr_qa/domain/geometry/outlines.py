@@ -37,7 +37,6 @@ class Disc:
 
     @property
     def curve(self) -> ClosedCurve:
-        """The edge."""
         return circle_curve(self.radius_mm)
 
     def clearance_mm(self, points_mm: Points) -> NDArray[np.float64]:
@@ -103,7 +102,6 @@ class Polygon:
 
     @property
     def curve(self) -> ClosedCurve:
-        """The edge."""
         return _curve(self)
 
     def clearance_mm(self, points_mm: Points) -> NDArray[np.float64]:

@@ -37,7 +37,6 @@ class SceneLoad:
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """Place of the load."""
         return self.x_mm, self.y_mm
 
 

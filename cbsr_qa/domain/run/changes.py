@@ -181,7 +181,6 @@ class Difference:
 
     @property
     def words(self) -> str:
-        """Describe the change."""
         if self.before is None:
             return f"{self.key} = {self.after} added"
         return (
@@ -263,7 +262,6 @@ class VerdictOverride:
 
     @property
     def words(self) -> str:
-        """Describe the override."""
         decided = f"{self.verdict.value} overridden to {self.outcome.value} by {self.by}"
         return f"{decided} on {self.at:%Y-%m-%d %H:%M} UTC: {self.why}"
 

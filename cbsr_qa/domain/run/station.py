@@ -87,7 +87,6 @@ class StationCheck:
         return worst_check(self.results)
 
     def lines(self, outcome: CheckOutcome) -> tuple[CheckResult, ...]:
-        """Return the lines with an outcome."""
         return tuple(line for line in self.results if line.outcome is outcome)
 
 
@@ -174,7 +173,6 @@ class ChartReference(ChartSettings):
 
     @property
     def key(self) -> MetricKey:
-        """The metric."""
         return MetricKey(self.name, self.phase, self.qualifier, self.location)
 
     @property

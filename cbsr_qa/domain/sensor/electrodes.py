@@ -116,7 +116,6 @@ class PlacedElectrodes:
 
     @property
     def count(self) -> int:
-        """Number of electrodes."""
         return len(self.places_mm)
 
     def positions_mm(self) -> NDArray[np.float64]:

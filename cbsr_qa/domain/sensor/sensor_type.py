@@ -42,7 +42,6 @@ class GivenMesh:
 
     @classmethod
     def of(cls, mesh: Mesh) -> Self:
-        """Return a mesh with its digest."""
         return cls(mesh_digest(mesh), mesh)
 
 

@@ -157,7 +157,6 @@ def _draw_scale(figure: Canvas, largest: float) -> None:
 
 
 def _draw_own_scale(figure: Canvas, axes: Axes, largest: float) -> None:
-    """Draw an image's scale below its note."""
     bottom_in = axes.get_position().y0 * figure.get_size_inches()[1] - 0.3
     norm = change_norm(100 * largest)
     add_scale(figure, axes, norm, CHANGE_MAP, label=_SCALE_LABEL, place="bottom", bottom_in=bottom_in)

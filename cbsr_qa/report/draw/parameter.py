@@ -100,7 +100,6 @@ def _heights(
 
 
 def _label_ticks(axes: Axes, *, discrete: bool) -> None:
-    """Write plain numbers."""
     scales: list[tuple[Axis, tuple[float, float]]] = [(axes.yaxis, axes.get_ylim())]
     if discrete:
         axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))

@@ -19,8 +19,6 @@ _BITS_A_BYTE: Final = 10  # with start and stop bit
 
 
 class BoardOptions(PluginOptions):
-    """Options of a board's table."""
-
     address: Port
     format: Literal["binary", "ascii"] = "binary"
     frame_period_s: Annotated[float, Field(ge=1e-3, le=60)]

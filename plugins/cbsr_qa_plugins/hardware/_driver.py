@@ -40,9 +40,7 @@ Sign = Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero)]
 class Closable(Protocol):
     """What is given back."""
 
-    def close(self) -> None:
-        """Give it back."""
-        ...
+    def close(self) -> None: ...
 
 
 @contextmanager

@@ -43,9 +43,7 @@ class ForceSource(Protocol):
         """Raise InstrumentError if it has fallen silent."""
         ...
 
-    def close(self) -> None:
-        """Give the connection back."""
-        ...
+    def close(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +120,6 @@ class ForceCell(DriverBase):
         self._source.check_alive()
 
     def close(self) -> None:
-        """Give the connection back."""
         self._source.close()
 
     def samples_since(self, time_s: float) -> SampleBlock:

@@ -122,7 +122,6 @@ class ErtBoardStream(DriverBase):
         """Do nothing: the board takes no commands, so that its current cannot be switched off."""
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
     # --- frame source ---

@@ -31,8 +31,6 @@ _LOOK_AGAIN_S: Final = 0.2
 
 
 class MultiplexerOptions(PluginOptions):
-    """Options of its table."""
-
     address: Port
     baud: Baud = 115200
     inner: Literal["current", "voltage"]
@@ -101,7 +99,6 @@ class Esp32Multiplexer(DriverBase):
         return self._identified("ESP32 16-channel multiplexer", "", "command firmware", notes=notes)
 
     def close(self) -> None:
-        """Give the port back."""
         self._link.close()
 
     def alive(self) -> None:

@@ -37,8 +37,6 @@ _PATIENCE_S: Final = 0.1
 
 
 class KeithleyOptions(PluginOptions):
-    """Options of its table."""
-
     address: Annotated[Text, Field(description='a VISA resource, e.g. "TCPIP::192.168.0.5::5025::SOCKET"')]
     source_channel: Literal["a", "b"] = "b"
     meter_channel: Literal["a", "b"] = "a"
@@ -120,7 +118,6 @@ class Keithley2600(DriverBase):
     # --- instrument ---
 
     def identity(self) -> InstrumentIdentity:
-        """Ask who it is."""
         with self._talking():
             maker, model, serial, firmware = self._unit.identity()
         return self._identified(f"{maker} {model}", serial, firmware)
@@ -145,7 +142,6 @@ class Keithley2600(DriverBase):
                 self._lock.release()
 
     def close(self) -> None:
-        """Give the connection back."""
         self._link.close()
 
     def alive(self) -> None:
@@ -179,12 +175,10 @@ class Keithley2600(DriverBase):
 
     @property
     def reading_period_s(self) -> float:
-        """How long one measurement takes the instrument [s]."""
         return self._options.readings * ((self._options.nplc + _CURRENT_NPLC) / self._line_Hz + _OVERHEAD_S)
 
     @property
     def compliance_V(self) -> float:
-        """Voltage the source will not exceed [V]."""
         return self._options.compliance_V
 
     def source(self, current_A: float) -> None:

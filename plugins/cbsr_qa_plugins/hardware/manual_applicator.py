@@ -15,8 +15,6 @@ _MOST_PRESSED: Final = 5
 
 
 class ManualHeadOptions(PluginOptions):
-    """Options of its table."""
-
     label: Text = "head moved by hand"
     number: Text | None = None
     tolerance_mm: Annotated[float, Field(ge=1e-3, le=1)] = 0.05

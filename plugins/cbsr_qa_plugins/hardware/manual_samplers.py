@@ -154,8 +154,6 @@ _COUNTS_S: Final = 2.0
 
 
 class ManualCellOptions(ReadingOptions):
-    """Options of the load cell's table."""
-
     label: Text = "load cell read by hand"
     unit: Literal["N", "g", "kg"]
     capacity: Annotated[float, Field(ge=1e-6)]
@@ -227,8 +225,6 @@ _COLDEST_C, _HOTTEST_C = -40.0, 100.0
 
 
 class ManualThermometerOptions(ReadingOptions):
-    """Options of the thermometer's table."""
-
     label: Text = "thermometer read by hand"
     every_min: Annotated[float, Field(ge=0.1)] | None = None
 

@@ -31,8 +31,6 @@ Steps = Annotated[float, Field(gt=0)]
 
 
 class MarlinOptions(PluginOptions):
-    """Options of its table."""
-
     address: Port
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115200
     timeout_s: Annotated[float, Field(ge=0.05, le=60)] = 1.0
@@ -131,7 +129,6 @@ class MarlinApplicator(HeadDriver):
     # --- instrument ---
 
     def identity(self) -> InstrumentIdentity:
-        """Ask the firmware who it is."""
         answer = " ".join(self._marlin.query("M115"))
         names = dict(re.findall(r"([A-Z_]+):(.*?)(?=\s+[A-Z_]+:|$)", answer))
         name = names.get("FIRMWARE_NAME", "")

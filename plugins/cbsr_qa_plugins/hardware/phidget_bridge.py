@@ -39,8 +39,6 @@ def _gain(value: int) -> int:
 
 
 class BridgeOptions(CellOptions):
-    """Options of its table."""
-
     scale: Factor
     device_serial: Annotated[int, Field(ge=0, le=2**31)] | None = None
     channel: Annotated[int, Field(ge=0, le=7)] = 0
@@ -137,7 +135,6 @@ class PhidgetSource(DriverBase):
             raise self._error(f"it has sent nothing for {silent_s:.3g} s{complaint}", "check cell, cable and bridge")
 
     def close(self) -> None:
-        """Give the input back."""
         with suppress(Exception):  # the library raises where it is not open
             self._input.setOnVoltageRatioChangeHandler(None)
             self._input.close()

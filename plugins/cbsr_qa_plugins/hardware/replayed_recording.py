@@ -18,8 +18,6 @@ _DRIVER: Final = "replayed-recording"
 
 
 class ReplayOptions(PluginOptions):
-    """Options of its table."""
-
     file: Text
     format: Text | None = None
     dataset: Text | None = None
@@ -129,7 +127,6 @@ class ReplayedRecording(DriverBase):
 
     @property
     def unit(self) -> str:
-        """Its unit."""
         return self._played().unit
 
     def samples_since(self, time_s: float) -> SampleBlock:

@@ -36,8 +36,6 @@ _log: Final = logging.getLogger(__name__)
 
 
 class ScanOptions(PluginOptions):
-    """Options of its table."""
-
     current: Literal["auto"] | None = None
     current_mA: Milliampere | None = None
     largest_current_mA: Milliampere = 1.0

@@ -22,8 +22,6 @@ _THERMOMETER: Final = "serial-thermometer"
 
 
 class LoadCellOptions(CellOptions):
-    """Options of the load cell's table."""
-
     address: Port
     baud: Baud = 115200
     time: Literal["device_ms", "arrival"] = "device_ms"
@@ -72,8 +70,6 @@ def open_load_cell(context: StationContext, options: LoadCellOptions) -> ForceCe
 
 
 class ThermometerOptions(PluginOptions):
-    """Options of the thermometer's table."""
-
     address: Port
     baud: Baud = 9600
     time: Literal["arrival", "device_ms"] = "arrival"
@@ -139,7 +135,6 @@ class SerialThermometer(DriverBase):
         self._lines.check_alive()
 
     def close(self) -> None:
-        """Give the port back."""
         self._lines.close()
 
     def samples_since(self, time_s: float) -> SampleBlock:

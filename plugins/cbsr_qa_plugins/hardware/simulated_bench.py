@@ -146,7 +146,6 @@ class SimulatedBench(HeadDriver):
         return self._head.find_surface(self._mean_force_N)
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
-        """Travel at the hover height."""
         self._check_open()
         self._check_place(x_mm, y_mm)
         self._begin_act()
@@ -160,7 +159,6 @@ class SimulatedBench(HeadDriver):
         self._head.press(depth_mm, speed_mm_s)
 
     def release(self) -> None:
-        """Go up to the hover height."""
         self._check_open()
         self._begin_act()
         self._head.lift()

@@ -108,7 +108,6 @@ class TwoTouchResolution:
     measures: ClassVar[dict[str, str]] = {"two_touch_resolution": "mm"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Measure both ways."""
         ways = {"": min(run.main_mask, _HIGHEST), _WATERSHED: None}
         return tuple(
             _measurement(

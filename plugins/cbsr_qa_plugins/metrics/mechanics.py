@@ -64,7 +64,6 @@ class ApparentModulus:
     measures: ClassVar[dict[str, str]] = {_NAME: _UNIT}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Measure every location, then put them together."""
         places: dict[str, list[tuple[float, float]]] = {}
         for load in data_sheet_loads(run):
             if load.stress_kPa is not None:
@@ -143,6 +142,5 @@ class AppliedForce:
     measures: ClassVar[dict[str, str]] = {"force": "N"}
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
-        """Measure; without a load cell there is no value."""
         how = "no force was recorded" if load.force_N is None else f"mean over {load.steady_frames} steady frames"
         return (at_load(load, "force", load.force_N, "N", uncertainty=load.force_stderr_N, how=how),)

@@ -26,7 +26,6 @@ class NoiseFigure:
     measures: ClassVar[dict[str, str]] = {"noise_figure": "1"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Measure; without noise there is no value."""
         scatter = _noise(run)
         if scatter is None:
             return (_refused(f"fewer than {_FEWEST_FRAMES} unloaded frames to take the noise from"),)

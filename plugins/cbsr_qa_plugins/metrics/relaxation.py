@@ -54,7 +54,6 @@ class SettlingTimes:
     }
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
-        """Measure each relaxation of a load."""
         return tuple(_of_load(load, seen) for seen in load.relaxations)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
@@ -251,7 +250,6 @@ class BlobAndImageRelaxation:
     measures: ClassVar[dict[str, str]] = {"relaxation_shape_difference": "1", "relaxation_time_ratio": "1"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Compare loadings and unloadings."""
         taken = []
         for pair in image_against_blobs(run):
             agreement, qualifier = pair.found, Dimensions("image against conductance", pair.direction).text
@@ -290,7 +288,6 @@ class SheetAndStripRelaxation:
     }
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Compare loadings and unloadings."""
         return tuple(taken for pair in sheet_against_strip(run) for taken in _measured(pair))
 
 

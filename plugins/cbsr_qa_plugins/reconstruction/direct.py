@@ -85,7 +85,6 @@ class TruncatedSvd(WithOptions):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix."""
         regularisation = self.options.regularisation()
         value, how, curve = regularisation.choose(problem, Truncation)
         truncation, kept = Truncation(problem), int(value)
@@ -156,7 +155,6 @@ class Greit(WithOptions):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix."""
         design = TargetDesign.of(problem, self.options.indenter_diameter_mm, self.options.target_diameters_mm)
         value: float | None
         value, how, curve = self.options.hyperparameter, "hyperparameter given", None

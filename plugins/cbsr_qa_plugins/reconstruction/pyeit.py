@@ -187,7 +187,6 @@ class PyeitJac(_PyeitMethod):
     """
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix."""
         given = pyeit_problem(problem, self.options.mesh_size)
         jac = solver("pyeit.eit.jac:JAC", given)
         with quiet(), invertible():
@@ -221,7 +220,6 @@ class PyeitGreit(_PyeitMethod):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        """Prepare the imaging matrix."""
         given = pyeit_problem(problem, self.options.mesh_size)
         greit = solver("pyeit.eit.greit:GREIT", given)
         with quiet(), invertible():

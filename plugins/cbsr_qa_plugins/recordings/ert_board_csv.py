@@ -71,7 +71,6 @@ class ErtBoardCsv(OneDataSet):
         return replace(recording, notes=(*recording.notes, scale.note)) if scale.note else recording
 
     def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
-        """Write a simulated recording."""
         return write_ert_board(path, recording, transcript)
 
 

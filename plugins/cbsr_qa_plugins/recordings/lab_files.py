@@ -62,7 +62,6 @@ class OneDataSet:
     """A format whose files are one data set each."""
 
     def datasets(self, path: Path) -> tuple[str, ...]:
-        """Name no data set."""
         return ()
 
     def read(self, path: Path, options: ReadOptions) -> Recording:

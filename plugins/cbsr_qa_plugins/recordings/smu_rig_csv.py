@@ -172,7 +172,6 @@ class SmuRigCsv(OneDataSet):
         )
 
     def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
-        """Write a simulated recording."""
         return write_smu_rig(path, recording, transcript)
 
 

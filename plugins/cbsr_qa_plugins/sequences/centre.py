@@ -63,7 +63,6 @@ class NoiseFigureSequence(WithOptions):
     options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the steps, the same ones each time."""
         options, (x_mm, y_mm) = self.options, NINE_LOCATIONS_MM[0]
         if options.find_surface:
             yield from find_surfaces([(x_mm, y_mm)])
@@ -103,7 +102,6 @@ class RelaxationSequence(WithOptions):
     options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the steps, the same ones each time."""
         options, place_mm = self.options, (self.options.x_mm, self.options.y_mm)
         strain = options.strain_percent / 100
         loads = [Load(_label(place_mm), *place_mm, strain, trial) for trial in range(options.trials)]
@@ -145,7 +143,6 @@ class PreconditioningSequence(WithOptions):
     options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the steps, the same ones each time."""
         options = self.options
         if options.find_surface:
             yield from find_surfaces(options.locations_mm)
@@ -196,7 +193,6 @@ class HysteresisLoopSequence(WithOptions):
     options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the steps, the same ones each time."""
         options = self.options
         yield from rested(options, options.locations_mm)
         strains = [percent / 100 for percent in options.strains_percent]

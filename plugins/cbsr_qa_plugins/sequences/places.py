@@ -63,7 +63,6 @@ class LocationGridSequence(WithOptions):
     options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the steps, the same ones each time."""
         options = self.options
         loads = [
             Load(f"{options.label}{number}", x_mm, y_mm, percent / 100, trial)
@@ -128,7 +127,6 @@ class GivenLoadsSequence(WithOptions):
     options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the steps, the same ones each time."""
         options = self.options
         loads = [
             Load(f"{options.label}{number}", *load.place_mm(), load.strain_percent / 100, trial)
