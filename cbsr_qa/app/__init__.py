@@ -1,4 +1,4 @@
-"""Where things are put together: one function a use case."""
+"""Use cases: one function each."""
 
 from cbsr_qa import door
 

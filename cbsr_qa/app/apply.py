@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 #: (n, drives, measures) voltages at the calibration's current [V], NaN where flagged; and what was done to them.
 _Scaled = tuple[Array, tuple[str, ...]]
 
-#: Readings of the same sheet, unloaded, differ from the calibration's by this share of their size at most once they
-#: are scaled: more than a sensor drifts by, and far less than another order of electrodes makes. Chosen by us.
+#: Largest relative difference, once scaled, of unloaded readings of the same sheet from the calibration's: more than
+#: drift, and far less than another order of electrodes causes. Chosen by us.
 _MOST_APART: Final = 0.2
 _BAD: Final = int(ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING)
 _REFERENCE: Final = (
@@ -40,8 +40,8 @@ def recorded_frames(calibration: Calibration, recording: Recording, reference: i
 
     Parameters
     ----------
-    reference : how many of the first frames are of the unloaded sheet; their mean takes the place of the
-        calibration's reference, scaled to it by least squares. None where changes are against the calibration's own.
+    reference : number of first frames of the unloaded sheet; their mean, scaled by least squares, replaces the
+        calibration's reference. None to keep the latter.
 
     Raises
     ------
@@ -127,10 +127,10 @@ def _against_own(calibration: Calibration, recording: Recording, voltages: Array
     return (voltages - own) * ratio + reference, (remark,)
 
 
-#: Told of each step, in words.
+#: Called with each step, in words.
 Tell = Callable[[str], None]
 
-#: Frames that are worked on between two messages.
+#: Frames processed between two messages.
 _AT_ONCE: Final = 5000
 #: Rows of a table in a terminal.
 _MOST_ROWS: Final = 12
@@ -151,7 +151,7 @@ _SAID: Final = {
 
 @dataclass(frozen=True, slots=True)
 class FrameForce:
-    """Force in one frame, None where there is none; ``flags`` in words."""
+    """Force in one frame, or None; ``flags`` in words."""
 
     time_s: float | None
     force_N: float | None
@@ -179,7 +179,7 @@ class ApplyRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Applied:
-    """Forces of one recording, what was done to its readings (``remarks``), or why it was refused."""
+    """Forces of one recording and remarks on its readings, or why it was refused."""
 
     file: Path
     frames: tuple[FrameForce, ...] = ()
@@ -209,7 +209,7 @@ def apply_calibration(
     Raises
     ------
     CalibrationError
-        If the calibration cannot be used, or is of another sensor than the recordings are said to be.
+        If the calibration cannot be used, or its sensor is not the stated one.
     ConfigError
         If that serial number is malformed.
     """
@@ -229,7 +229,7 @@ def apply_calibration(
 
 
 def _serial_remarks(own: str, stated: str | None) -> tuple[str, ...]:
-    """Say that nobody knows whether a recording is of the calibration's sensor, unless it was said to be."""
+    """Remark that a recording's sensor is unknown, unless it was stated."""
     if stated is None:
         why = "recordings state no serial number; --serial states it"
         return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",)
@@ -288,7 +288,7 @@ def apply_outcome(applied: AppliedCalibration, output: Path | None) -> CommandOu
 
 
 def _table(recording: Applied) -> Table:
-    """Some frames of a recording, evenly spread."""
+    """Tabulate some frames of a recording, evenly spread."""
     count = len(recording.frames)
     chosen = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
     rows = []

@@ -60,7 +60,7 @@ class HeldOutQuantity:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """What presses left out say of the errors.
+    """Errors estimated from presses left out.
 
     Parameters
     ----------
@@ -88,8 +88,7 @@ class PressesCalibrated:
     Parameters
     ----------
     calibration : its file.
-    used : presses that it was learned from.
-    left_out : those it was not; rows are counted from 1 below the header.
+    used, left_out : presses that it was, and was not, learned from; rows are counted from 1 below the header.
     explained : share of the readings' changes that the modelled sheet explains.
     """
 
@@ -107,7 +106,7 @@ class PressesCalibrated:
 def calibrate_from_presses(
     files: PressFiles, to: Path, *, tell: Callable[[str], None] = lambda stage: None
 ) -> CommandOutcome[PressesCalibrated]:
-    """Learn places from labelled presses and write the calibration.
+    """Calibrate places from labelled presses and write the calibration.
 
     Parameters
     ----------
@@ -116,8 +115,7 @@ def calibrate_from_presses(
     Raises
     ------
     RefusedError
-        If anything about the tables, the pattern, the sensor type or the file to write cannot be used; nothing is
-        written then.
+        If a table, the pattern, the sensor type or the output path cannot be used; nothing is written then.
     """
     check_free(to)
     tell("reading the tables")
@@ -150,7 +148,7 @@ def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCali
 
 
 def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
-    """What a person should know of a calibration from labelled presses, as (name, value)."""
+    """Return facts about a calibration from labelled presses, as (name, value)."""
     facts = [("Presses", f"{issued.used} used, {len(issued.left_out)} left out")]
     if issued.held_out_mm is not None:
         error = _with(issued.held_out_mm, issued.held_out_stderr_mm, 2)

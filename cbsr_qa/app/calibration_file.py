@@ -31,8 +31,8 @@ class Converted:
 
     Parameters
     ----------
-    digest : SHA-256 of the content; of a firmware file that of its calibration.
-    loss : what a firmware file loses; None for a conversion without loss.
+    digest : SHA-256 of the content; for a firmware file, of its calibration. loss : what a firmware file omits; None
+        if nothing is lost.
     """
 
     file: Path
@@ -55,7 +55,7 @@ def export_calibration(
     Raises
     ------
     CalibrationError
-        If the source is not sound, or holds no force model and firmware is asked for.
+        If the source is damaged, or firmware is requested and it has no force model.
     RefusedError
         If the output exists already, cannot be written, or has another suffix.
     """
@@ -92,7 +92,7 @@ def read_any(path: Path) -> Issued:
     Raises
     ------
     CalibrationError
-        If the file is not sound, or cannot be read within the limits.
+        If the file is damaged, or cannot be read within the limits.
     """
     read = read_json_calibration if path.suffix.lower() == _JSON else read_issued
     return read_untrusted(path, lambda: read(path), refusal=CalibrationError)
@@ -120,11 +120,11 @@ def write_text(path: Path, text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class SoundFile:
-    """A file that is whole, unchanged and of a known version.
+    """A complete, unaltered file of a known version.
 
     Parameters
     ----------
-    digest, record_digest : SHA-256 of the file's content, and of what the database keeps of it.
+    digest, record_digest : SHA-256 of the file's content, and of the part kept in the database.
     bytes_checked : whether the file states the SHA-256 of its bytes, which is then checked before HDF5 parses them.
     """
 
@@ -143,7 +143,7 @@ def verify_file(path: Path) -> CommandOutcome[SoundFile]:
     Raises
     ------
     CalibrationError
-        If the file is not sound, saying what is wrong with it.
+        If the file is damaged; the message says how.
     """
     checked = read_untrusted(path, lambda: verify_calibration_file(path), refusal=CalibrationError)
     verified = filled(SoundFile, checked, file=path, sound=True)

@@ -40,10 +40,10 @@ from cbsr_qa.report import fixed, plural, text_table
 from cbsr_qa.store import made_at
 from cbsr_qa.system import read_untrusted
 
-#: Values of an array that is shown.
+#: Most values of an array that is shown.
 _MOST_SHOWN: Final = 8
 
-#: Fields that have a line or a table of their own on the page.
+#: Fields with a separate line or table on the page.
 _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settling/", "validity/")
 
 _Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -51,7 +51,7 @@ _Array = np.ndarray[Any, np.dtype[np.float64]]
 
 @dataclass(frozen=True, slots=True)
 class CalibratedSensor:
-    """What a calibration is of, and where it comes from."""
+    """The calibrated sensor, and the origin of its calibration."""
 
     calibration: str
     run: str
@@ -125,8 +125,8 @@ class Value:
 
     Parameters
     ----------
-    value : number, flag or text, or a tuple of :data:`_MOST_SHOWN` of them at most; None where it was not measured,
-        and for longer arrays.
+    value : number, flag or text, or a tuple of at most :data:`_MOST_SHOWN`; None if not measured, and for longer
+        arrays.
     shape : lengths of an array's axes; empty for one value.
     """
 
@@ -149,7 +149,7 @@ class Value:
 
     @property
     def listed(self) -> bool:
-        """Whether a person sees it: no long array."""
+        """Whether it is listed for people: not a long array."""
         return not self.shape or self.value is not None
 
     @property
@@ -191,7 +191,6 @@ class ShownForceModel:
 
     @classmethod
     def of(cls, calibration: Calibration, model: ForceModel) -> Self:
-        """Work it out from a force model."""
         places = _places(calibration, model)
         response = np.exp(interpolated(model, model.log_response, places))
         stderr = interpolated(model, model.log_response_stderr, places)
@@ -221,9 +220,8 @@ class ShownCalibration:
 
     Parameters
     ----------
-    digest, record_digest : SHA-256 of the file's content, and of what the database keeps of it.
-    values : every field of the file by its path, as its field table (``Calibration``) names it.
-    no_force_model : why there is no force model.
+    digest, record_digest : SHA-256 of the file's content, and of the part kept in the database.
+    values : every field of the file by its path, as named in its field table (``Calibration``).
     """
 
     file: Path
@@ -274,7 +272,7 @@ def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOu
 
 
 def _places(calibration: Calibration, model: ForceModel) -> _Array:
-    """Nodes of the lattice where the head may be, within the calibrated radius; all, where none is that near."""
+    """Return the lattice nodes within the calibrated radius; all if there are none."""
     everywhere, node = model.lattice.places_mm(), model.node.ravel()
     fits = np.where(node >= 0, model.fits[node], False)
     fits &= np.isfinite(TemplateFilter(model).template(everywhere)).all(axis=1)
@@ -283,7 +281,7 @@ def _places(calibration: Calibration, model: ForceModel) -> _Array:
 
 
 def _least_force_N(calibration: Calibration, model: ForceModel, places: _Array) -> _Array:
-    """Force at each place whose change of one frame just counts as a load (its detectability is the threshold)."""
+    """Return the force at each place whose change in one frame is just detected as a load."""
     inverse = ForceInverse(model, calibration.against_stress, calibration.indenter.area_mm2, map_tables(model))
     return least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
 

@@ -19,14 +19,14 @@ _AT: Final = "%Y-%m-%d %H:%M"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChartChange(ChartReference):
-    """Limits of a control chart that were set; ``earlier`` are those that held before, None for the chart's first."""
+    """Limits set for a control chart; ``earlier`` are those before, None for the first."""
 
     earlier: ChartReference | None
 
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """Every change a database knows of, oldest first."""
+    """All recorded changes, oldest first."""
 
     changes: tuple[ConfigurationChange, ...]
     chart_references: tuple[ChartChange, ...]
@@ -45,7 +45,7 @@ def list_changes(database: str | None) -> CommandOutcome[Changes]:
 
 
 def _chart_changes(references: Iterable[ChartReference]) -> Iterator[ChartChange]:
-    """Yield each reference with the one that it took the place of."""
+    """Yield each reference with the one it replaced."""
     latest: dict[tuple[object, ...], ChartReference] = {}
     for reference in references:
         chart = (reference.station, reference.recipe, reference.golden, reference.key, reference.chart)
@@ -54,7 +54,7 @@ def _chart_changes(references: Iterable[ChartReference]) -> Iterator[ChartChange
 
 
 def _sections(changes: Changes, named: Callable[[str], str]) -> Iterator[Section]:
-    """Yield a section a change: what, when, by whom, why, and what it was before."""
+    """Yield one section per change: what, when, by whom, why, and the earlier state."""
     for file in changes.changes:
         title = f"{file.at:{_AT}}  {file.kind} {file.name}, operator: {file.by or 'not stated'}"
         runs = f"runs: {named(file.run)}; before it {named(file.earlier_run)}"
@@ -76,7 +76,7 @@ def _section(title: str, why: str, *lines: str) -> Section:
 
 
 def _differences(now: ChartChange) -> Iterator[str]:
-    """Yield what was set of a chart's limits, and what it was before."""
+    """Yield a chart's new and earlier limits."""
     before = now.earlier
     if now.retired:
         yield "retired: nothing is charted against these limits from here on"
@@ -94,7 +94,7 @@ def _settings(reference: ChartReference) -> str:
 
 
 def unexplained(changes: Iterable[ConfigurationChange]) -> tuple[str, ...]:
-    """Return a warning for each change nobody gave a reason for."""
+    """Return a warning for each change without a reason."""
     return tuple(
         f"{change.kind} {change.name!r} is not what {_dated(change.earlier_run)} used: {change.words()};"
         f" {NO_REASON} (cbsr-qa run --why TEXT gives one)"
@@ -122,12 +122,12 @@ class Overridden(VerdictOverride):
 def override_verdict(
     run: str, outcome: str, *, by: str, why: str, database: str | None
 ) -> CommandOutcome[Overridden]:
-    """Override the verdict of a run; the verdict itself and its measurements stay as they are stored.
+    """Override the verdict of a run; verdict and measurements are kept.
 
     Parameters
     ----------
     outcome : ``"pass"`` or ``"fail"``.
-    by, why : who decides, and for what reason; neither may be empty.
+    by, why : operator and reason; neither may be empty.
     database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
 
     Raises
@@ -135,7 +135,7 @@ def override_verdict(
     ConfigError
         If the outcome, the name or the reason cannot be used.
     StoreError
-        If there is no such run, it is not what was stored, or it has no verdict.
+        If the run does not exist, was altered, or has no verdict.
     """
     if outcome not in _OUTCOMES:
         raise ConfigError(f"a verdict cannot be overridden to {outcome!r}", remedy=f"allowed: {', '.join(_OUTCOMES)}")

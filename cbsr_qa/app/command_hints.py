@@ -1,4 +1,4 @@
-"""Commands to type that go on with what is stored; a database that is not the usual one is named."""
+"""Commands that continue from what is stored; they name a database other than the default."""
 
 import shlex
 
@@ -7,17 +7,17 @@ from cbsr_qa.store import Repository
 
 
 def database_option(database: str | None) -> str:
-    """Return the option that names a database, after a blank; empty where none was named."""
+    """Return the option that names a database, with a leading blank; empty if none was named."""
     return f" --database {shlex.quote(database)}" if database else ""
 
 
 def resume_command(run: str, store: Repository) -> str:
-    """Return what goes on with a run."""
+    """Return the command that resumes a run."""
     return f"cbsr-qa run --resume {run}{_unless_usual(store)}"
 
 
 def report_command(run: str, store: Repository) -> str:
-    """Return what writes a run's report and calibration file again."""
+    """Return the command that writes a run's report and calibration file again."""
     return f"cbsr-qa report {run}{_unless_usual(store)}"
 
 

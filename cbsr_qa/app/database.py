@@ -13,7 +13,7 @@ from cbsr_qa.station import on_stderr
 from cbsr_qa.store import HEAD, Age, found_version, made_at, open_engine, open_store, parsed_url, refusal, upgrade
 from cbsr_qa.store.runs import IncompleteRun, counts, incomplete_runs, runs_without_result
 
-#: Ends of runs that somebody or something stopped, as against those that were cut off.
+#: Ends of runs that were stopped, unlike those that were interrupted.
 _STOPPED: Final = (str(EndReason.ABORTED), str(EndReason.BROKEN))
 
 
@@ -29,7 +29,7 @@ class Upgrade:
 
 @dataclass(frozen=True, slots=True)
 class UnfinishedRun:
-    """A run that was cut off or is under way; see :class:`~cbsr_qa.store.runs.IncompleteRun`."""
+    """A run that was interrupted or is in progress; see :class:`~cbsr_qa.store.runs.IncompleteRun`."""
 
     run: str
     serial: str
@@ -52,7 +52,7 @@ class StoppedRun:
 
 @dataclass(frozen=True, slots=True)
 class UnconcludedRun:
-    """A run whose every step was carried out, and that has no result yet."""
+    """A run whose steps were all carried out, without a result yet."""
 
     run: str
     serial: str
@@ -67,7 +67,7 @@ class DatabaseStatus:
     url : a password hidden.
     schema, head : version found (None: empty or absent) and version this program reads and writes.
     state : ``"empty"``, ``"current"``, ``"older"``, ``"newer"`` or ``"of another program"``.
-    remedy : what to do where it is not current.
+    remedy : what to do if it is not current.
     counts : rows by kind.
     """
 
@@ -88,7 +88,7 @@ def _state(run: IncompleteRun) -> str:
 
 def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun, ...]:
     """Return runs with the step at which they would be resumed, or were interrupted if a plugin is missing."""
-    from cbsr_qa.app.run import known_next  # it imports whatever a run needs
+    from cbsr_qa.app.run import known_next  # imports all that a run needs
     from cbsr_qa.plugin import discover
 
     plugins = discover()
@@ -101,7 +101,7 @@ def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun
 
 
 def upgrade_database(option: str | None) -> CommandOutcome[Upgrade]:
-    """Upgrade a database to this program's schema; create it if there is none.
+    """Upgrade a database to this program's schema; create it if missing.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def upgrade_database(option: str | None) -> CommandOutcome[Upgrade]:
     Raises
     ------
     StoreError
-        If it cannot be opened, belongs to another program, or is newer; it is left as it was.
+        If it cannot be opened, belongs to another program, or is newer; it is not changed.
     """
     engine = open_engine(parsed_url(database_url(option)))
     try:

@@ -55,7 +55,7 @@ def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str
 
 
 def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...]) -> Recording:
-    """Join phases of a run to one recording. RefusedError if they hold no frame."""
+    """Join phases of a run into one recording. RefusedError if they hold no frame."""
     blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not blocks:
         raise RefusedError(

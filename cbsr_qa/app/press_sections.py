@@ -16,7 +16,7 @@ _MAP = (
 
 
 def press_sections(labelled: LabelledPresses, learned: PressesLearned) -> tuple[Section, ...]:
-    """Lay out how far presses left out were missed, and what their regions hold."""
+    """Lay out the errors of presses left out, and the coverage of their regions."""
     registration, out = learned.registration, learned.place.held_out
     places_mm = labelled.presses.place_mm[learned.used][out.presses]
 

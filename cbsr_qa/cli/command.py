@@ -19,13 +19,13 @@ from typer.models import ArgumentInfo, OptionInfo
 
 _Run = TypeVar("_Run", bound=Callable[..., Any])
 
-#: What stands in help for a value whose option does not say better.
+#: Placeholder in help for a value whose option states no other.
 _WORDS: Final = {bool: "", str: "TEXT", int: "N", float: "NUMBER", Path: "FILE", datetime: "YYYY-MM-DD"}
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command: what is typed after ``cbsr-qa``, and the function that carries it out."""
+    """A command: its words after ``cbsr-qa``, and its function."""
 
     words: str
     run: Callable[..., Any]
@@ -37,17 +37,17 @@ class Command:
 
     @property
     def purpose(self) -> str:
-        """What help says: its paragraphs, each on one line, so that a terminal can break them where it likes."""
+        """Text of its help: paragraphs on one line each, so that the terminal wraps them."""
         paragraphs = (getdoc(self.run) or "").split("\n\n")
         return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
     @property
     def panel(self) -> str:
-        """Under which heading help lists it."""
+        """Heading in the help."""
         return "Studies of many runs or simulations" if ".studies." in self.run.__module__ else "Commands"
 
 
-#: What help lists first, in the order of use.
+#: Commands listed first in help, in the order of use.
 _FIRST: Final = ("run", "report", "calibration", "export", "analyse", "station", "verdict", "db")
 
 _COMMANDS: Final[dict[str, Command]] = {}
@@ -76,7 +76,7 @@ def command(words: str, *, prints: str = "") -> Callable[[_Run], _Run]:
 
 
 def group(name: str, purpose: str) -> None:
-    """Declare what the commands that begin with this word are for."""
+    """Declare the purpose of the commands that begin with this word."""
     _GROUPS[name] = purpose
 
 
@@ -86,7 +86,7 @@ def document(words: str, *, prints: str) -> None:
 
 
 def commands() -> list[Command]:
-    """Return all commands: those of a sensor's way from run to calibration first, then by their words."""
+    """Return all commands: those from run to calibration first, then alphabetically."""
     _import_all()
     return [_COMMANDS[words] for words in sorted(_COMMANDS, key=lambda words: (_rank(words), words))]
 
@@ -119,7 +119,7 @@ def _import_all() -> None:
 
 
 def _name_values(run: Callable[..., Any]) -> None:
-    """Give every option a word for its value, and every argument its name in capitals."""
+    """Set a placeholder for every option's value, and an argument's name in capitals."""
     for name, info, kind in _parameters(run):
         if info.metavar is None:
             info.metavar = name.upper() if isinstance(info, ArgumentInfo) else _WORDS[kind]
@@ -139,7 +139,7 @@ def _of_one(hint: Any) -> Any:
 
 
 def _plain(parameters: list[Any]) -> list[Any]:
-    """Take types of arguments and ranges, which typer adds, out of help: words and descriptions say them."""
+    """Remove types and ranges, which typer adds, from help: descriptions state them."""
     for one in parameters:
         one._get_number_range_help_str = lambda: None
         if one.param_type_name == "argument" or one.name in ("help", "version"):
@@ -148,14 +148,14 @@ def _plain(parameters: list[Any]) -> list[Any]:
 
 
 class PlainCommand(TyperCommand):
-    """A command whose help has no types of Python."""
+    """A command whose help shows no Python types."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _plain(super().get_params(ctx))
 
 
 class PlainGroup(TyperGroup):
-    """A group of commands whose help has no types of Python."""
+    """A group of commands whose help shows no Python types."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _plain(super().get_params(ctx))

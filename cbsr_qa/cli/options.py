@@ -1,4 +1,4 @@
-"""Options that commands share, and those of a plugin: KEY=VALUE, each value as in a recipe."""
+"""Options shared by commands, and plugin options: KEY=VALUE, each value as in a recipe."""
 
 import re
 import tomllib
@@ -17,7 +17,7 @@ from cbsr_qa.plugin import echo
 
 _Word = TypeVar("_Word", bound=StrEnum)
 
-#: Options that most commands have.
+#: Options of most commands.
 Database = Annotated[
     str | None, typer.Option(metavar="URL|FILE", help="SQLAlchemy URL or SQLite file; by default var/cbsr-qa.db.")
 ]
@@ -28,7 +28,7 @@ PageOutput = Annotated[Path | None, typer.Option("--output", help="HTML page to 
 
 
 def one_of(words: type[_Word], given: str, option: str) -> _Word:
-    """Return the word that was given. RefusedError, with the nearest one, if it is not allowed."""
+    """Return the given word. RefusedError, with the nearest one, if it is not allowed."""
     allowed = [str(word) for word in words]
     if given in allowed:
         return words(given)
@@ -39,7 +39,7 @@ def one_of(words: type[_Word], given: str, option: str) -> _Word:
 
 def given_options(context: typer.Context) -> set[str]:
     """Return the names of the parameters that were given on the command line or in the environment."""
-    # A source is an enumeration of click's, which typer brings a copy of: told apart by name.
+    # Compared by name, as typer may use its own copy of click's enumeration.
     sources = {name: context.get_parameter_source(name) for name in context.params}
     return {name for name, source in sources.items() if source is not None and source.name != "DEFAULT"}
 
@@ -58,16 +58,16 @@ _REMEDY = "give KEY=VALUE, e.g. noise_figure=0.5, choose=gcv or 'target_diameter
 
 
 def plugin_options(given: Sequence[str]) -> dict[str, Any]:
-    """Read options as the tables of a recipe hold them.
+    """Parse options as in the tables of a recipe.
 
     Parameters
     ----------
-    given : each ``KEY=VALUE``, the value in TOML; what is not TOML is text.
+    given : each ``KEY=VALUE``, the value in TOML, otherwise text.
 
     Raises
     ------
     ConfigError
-        If one is not of that form, its value is missing or not finite, or a key is given twice.
+        If one is malformed, its value is missing or not finite, or a key is repeated.
     """
     options: dict[str, Any] = {}
     for text in given:

@@ -64,14 +64,14 @@ def announce(stage: str) -> None:
 
 
 def lost_output() -> str:
-    """Return why output on stdout was lost, and reset it; empty if none was, or its reader (``head``) has gone."""
+    """Return why output on stdout was lost, and reset it; empty if it was not, or its reader (``head``) has ended."""
     why = "; ".join(_lost)
     _lost.clear()
     return why
 
 
 def reader_has_gone() -> bool:
-    """Whether stdout is a pipe without a reader, and output is left in its buffer."""
+    """Whether stdout is a pipe without a reader, with output left in its buffer."""
     stream = _stream()
     if stream is None:
         return False
@@ -86,7 +86,7 @@ def reader_has_gone() -> bool:
 def claim_stdout(stream: TextIO | None = None) -> None:
     """Keep stdout for :func:`emit_json` and :func:`say`; redirect all other output of this process to stderr.
 
-    That includes C code and subprocesses. Does nothing if ``sys.stdout`` was replaced (by a test), or is None.
+    This includes C code and subprocesses. Does nothing if ``sys.stdout`` was replaced (by a test), or is None.
 
     Parameters
     ----------
@@ -108,16 +108,16 @@ def _stream() -> TextIO | None:
     return sys.stdout if _claimed is None else _claimed
 
 
-#: What stdout was before it was claimed.
+#: The original stdout.
 _claimed: TextIO | None = None
 
-#: Why output was lost; a command goes on to its end without a reader, and its exit code says what came of it.
+#: Why output was lost; a command continues without a reader, and its exit code reports its result.
 _lost: list[str] = []
 
 
 def _print(text: str) -> None:
     stream = _stream()
-    if stream is None:  # closed by whoever started the program, who wants none
+    if stream is None:  # closed by the caller, who wants no output
         return
     try:
         stream.write(_shown(text) + "\n")
@@ -136,14 +136,14 @@ def _shown(text: str) -> str:
 
 
 def _discard_the_rest(stream: TextIO) -> None:
-    """Send the buffer and all that follows to nowhere: the interpreter would fail to flush it at exit."""
+    """Discard the buffer and further output: the interpreter would fail to flush it at exit."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
 
 
-#: Answers that end the run instead of being handed on.
+#: Answers that end the run instead of being passed on.
 STOP: Final = ("stop", "abort")
 
 
@@ -175,7 +175,7 @@ class Counting:
 
     Parameters
     ----------
-    what : that is counted, e.g. ``"frames"``.
+    what : counted things, e.g. ``"frames"``.
     stream : by default the process's stderr.
     """
 
@@ -195,7 +195,7 @@ class Counting:
         print(f"{name} …", file=self._stream, flush=True)
 
     def count(self, done: int, of: int) -> None:
-        """Say how much of the stage is done."""
+        """Report progress of the stage."""
         if self._bar is None and self._stream.isatty():
             self._bar = _Bar(self._what, self._stream)
         if self._bar is not None:

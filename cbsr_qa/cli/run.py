@@ -9,7 +9,7 @@ from cbsr_qa.cli.options import AsJson, Database, given_options, option_names
 from cbsr_qa.cli.output import announce, note, operator_at_terminal, show
 from cbsr_qa.cli.supervised import begun
 
-#: What a new run cannot do without, and what may be given with --resume.
+#: Options a new run requires, and those allowed with --resume.
 _NEEDED = ("station", "recipe", "serial")
 _WITH_RESUME = ("resume", "operator", "database", "as_json")
 
@@ -89,7 +89,7 @@ def run(
 
 
 def _check_given(context: typer.Context, *, resuming: bool) -> None:
-    """Refuse options that cannot change when a run is resumed, and a new run without those it needs."""
+    """Refuse options that cannot change when a run is resumed, and a new run without required ones."""
     given = given_options(context)
     if resuming:
         extra = [name for name in context.params if name in given and name not in _WITH_RESUME]

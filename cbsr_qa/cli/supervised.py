@@ -1,4 +1,4 @@
-"""A command in a child process, and its parent, which enters no plugin's code; see docs/decisions/0024."""
+"""A command in a child process, and its parent, which runs no plugin code; see docs/decisions/0024."""
 
 import errno
 import io
@@ -15,13 +15,13 @@ from typing import Any, ClassVar, Final
 from cbsr_qa.cli.output import claim_stdout, note, say
 from cbsr_qa.domain import BrokenError, BrokenRunError, CbsrError
 
-#: Signals that are handed on to the child; a run stops in order.
+#: Signals passed on to the child; a run then stops in order.
 _HANDED_ON: Final = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
     if hasattr(signal, name)  # Windows knows two
 )
-#: How long the child may take to say that a signal has reached it as well [s].
+#: How long the child may take to echo a signal [s].
 _ECHO_S: Final = 0.25
 
 _Mask = set[int | signal.Signals]
@@ -32,7 +32,7 @@ class BrokenProcessError(BrokenError):
 
 
 def begun(run: str, database: str | None) -> None:
-    """Tell the parent, if any, which run this is and in which database (None: the default)."""
+    """Report run and database (None: the default) to the parent, if any."""
     _Child.tell(run=run, database=database)
 
 
@@ -41,7 +41,7 @@ def supervise(*, judges: bool) -> int | None:
 
     Parameters
     ----------
-    judges : success means that a sensor has passed: the database must then hold that verdict.
+    judges : whether success means that a sensor passed, which the database must confirm.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def supervise(*, judges: bool) -> int | None:
     BrokenRunError, BrokenProcessError
         In the parent, if the child ended in any other way.
     """
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)  # until handlers are in place, signals wait
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)  # signals wait until handlers are in place
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     report, alive, echo = os.pipe(), os.pipe(), os.pipe()
     child = os.fork()
@@ -78,7 +78,7 @@ def end_child(code: int) -> None:
 
 
 class _Child:
-    """The process that enters plugins' code."""
+    """The process that runs plugin code."""
 
     report: ClassVar[int | None] = None
     pipe: ClassVar[os.stat_result]
@@ -86,20 +86,20 @@ class _Child:
 
     @classmethod
     def tell(cls, **message: Any) -> None:
-        """Report to the parent. OSError if a plugin has closed the pipe; another file may have its number by now."""
+        """Report to the parent. OSError if a plugin closed the pipe, or its number now belongs to another file."""
         if cls.report is None:
             return
         if not os.path.samestat(os.fstat(cls.report), cls.pipe):
             raise OSError(errno.EBADF, "the pipe to the parent was closed")
         line = f"{_mark(os.getpid())}{json.dumps(message)[1:]}".encode()
-        left = b"\n" + line + b"\n"  # what a plugin has written there stays a line of its own
+        left = b"\n" + line + b"\n"  # keeps anything a plugin wrote there on a separate line
         while left:
             left = left[os.write(cls.report, left) :]
 
     @classmethod
     def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int) -> None:
-        """Keep what is printed for the parent, and hear signals."""
-        encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # what cannot be shown is escaped by it
+        """Redirect output to the parent, and install signal handlers."""
+        encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # for escaping what cannot be shown
         cls.report, cls.pipe = report, os.fstat(report)
         cls.printed = io.TextIOWrapper(io.BytesIO(), encoding, newline="")
         claim_stdout(cls.printed)
@@ -116,12 +116,12 @@ class _Child:
             signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)
             _name_what_runs()
             cls.printed.seek(0)
-            with suppress(OSError):  # without a report the parent says so
+            with suppress(OSError):  # the parent notices a missing report
                 cls.tell(code=code, printed=cls.printed.read())
             if sys.stderr is not None:
                 sys.stderr.flush()
         finally:
-            os._exit(code)  # neither threads nor hooks at the interpreter's end are waited for
+            os._exit(code)  # does not wait for threads or exit hooks
 
 
 def _mark(child: int) -> str:
@@ -146,10 +146,10 @@ def _end_with_parent(alive: int) -> None:
 
 
 class _Parent:
-    """Waits for the child, and hands signals on to it.
+    """Waits for the child, and passes signals on to it.
 
-    The keyboard's signals reach both processes, those sent to the parent do not. What the child has not heard within
-    :data:`_ECHO_S` is handed on: never twice, which would mean "at once" to a run.
+    The keyboard's signals reach both processes, those sent to the parent do not. A signal the child has not echoed
+    within :data:`_ECHO_S` is passed on, but never twice, which would mean "at once" to a run.
     """
 
     def __init__(self, child: int, report: int, echo: int, mask: _Mask) -> None:
@@ -203,7 +203,7 @@ class _Parent:
         while self._reads and (more := _read(self._report)) is not None:
             self._received += more
             self._reads = bool(more)
-            if self._loads is None and b'"run":' in more:  # it has begun: its end need not wait for this
+            if self._loads is None and b'"run":' in more:  # a run has begun: its end need not wait for this
                 self._loads = threading.Thread(target=_load_the_store, daemon=True)
                 self._loads.start()
 
@@ -211,7 +211,7 @@ class _Parent:
         unheard = self._unheard(numbers)
         for number in unheard:
             os.kill(self._child, number)
-        self._unheard(unheard)  # its echo is no answer to the next one
+        self._unheard(unheard)  # so that its echo does not answer the next one
 
     def _unheard(self, numbers: set[int]) -> set[int]:
         """Wait for the echoes of signals; return those without."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
-#: Characters of what is said of a row.
+#: Longest description of a row, in characters.
 LONGEST_PROBLEM: Final = 300
 
 
@@ -35,7 +35,7 @@ class CbsrError(Exception):
     Parameters
     ----------
     reason : what was found, naming the file, key, row or role.
-    remedy : what the reader can do about it; may be empty where the reason says it all.
+    remedy : what the reader can do about it; may be empty.
     """
 
     exit_code: ClassVar[int] = 2
@@ -71,7 +71,7 @@ class RecordingError(RefusedError):
 
     Parameters
     ----------
-    problems : rows that were rejected or noted before the file was given up.
+    problems : rows rejected or noted before reading stopped.
     """
 
     def __init__(self, reason: str, *, remedy: str = "", problems: Sequence[RowProblem] = ()) -> None:
@@ -97,8 +97,8 @@ class InstrumentError(CbsrError):
     Parameters
     ----------
     role : the instrument's role in the station file, e.g. ``"load_cell"``.
-    address : where it was looked for.
-    retryable : whether the same request may simply be made again (a lost reply, not a broken rule).
+    address : where it was expected.
+    retryable : whether the request may be repeated (after a lost reply, not a broken rule).
     """
 
     exit_code = 3
@@ -123,7 +123,7 @@ class SafetyError(CbsrError):
 class BrokenRunError(CbsrError):
     """A run had begun and could not be completed; its stored data stay (exit code 3).
 
-    Its document is the run's, as far as it exists.
+    Its document is that of the run, as far as it exists.
     """
 
     exit_code = 3
@@ -149,11 +149,11 @@ class BrokenError(CbsrError):
 
 
 class NotReproducedError(BrokenError):
-    """A simulated sensor of a reproduction gave no values: its run stopped, or has no analysis (exit code 3)."""
+    """A simulated sensor of a reproduction has no values: its run stopped, or has no analysis (exit code 3)."""
 
 
 class StoppedError(CbsrError):
-    """Somebody stopped a command outside of a run (exit code 3)."""
+    """A command was stopped outside of a run (exit code 3)."""
 
     exit_code = 3
     heading = "aborted"
@@ -164,8 +164,8 @@ class UnconcludedError(StoppedError):
 
     Parameters
     ----------
-    again : command that works it out from what is stored; nothing moves where the run had finished.
-    by : who or what stopped it.
+    again : command that computes the result from what is stored; nothing moves if the run had finished. by : who or
+        what stopped it.
     """
 
     stated = ("run", "reason", "remedy")

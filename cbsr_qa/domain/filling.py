@@ -1,4 +1,4 @@
-"""Dataclasses filled from other objects and from JSON: what has one name holds the same."""
+"""Conversion of other objects and JSON to dataclasses; equal names hold equal content."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -26,7 +26,7 @@ def fitted(kind: type[T], values: Mapping[str, Any], /, **rest: Any) -> T:
 def typed(hint: Any, value: Any) -> Any:
     """Return JSON as the type of a field: tables as dataclasses, lists as tuples, words as members of enumerations.
 
-    Of several dataclasses it is the first that has all keys. Numbers and texts stay as they are.
+    Of several dataclasses the first with all keys is used. Numbers and texts are unchanged.
 
     Raises
     ------
@@ -62,7 +62,6 @@ def _table(kinds: list[Any], value: Any) -> Any:
 
 
 def _hints(kind: Any) -> dict[str, Any]:
-    """Types of a dataclass's fields by name."""
     return _cached_hints(kind)
 
 

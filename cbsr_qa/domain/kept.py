@@ -1,8 +1,8 @@
-"""How the fields of a dataclass are kept in a file: what their names and types do not say already.
+"""How the fields of a dataclass are kept in a file, beyond what their names and types imply.
 
 A field is kept as one dataset. Its path is the field's name without its unit, its unit the one the name ends with,
 its kind follows from its type: ``radius_mm: float`` is ``radius`` in mm, one float64. A field that is a dataclass is
-a group, a tuple of dataclasses a group with a list for every field. ``Annotated[type, Kept(...)]`` says the rest.
+a group, a tuple of dataclasses a group with a list for every field. ``Annotated[type, Kept(...)]`` states the rest.
 """
 
 import dataclasses
@@ -12,7 +12,7 @@ from operator import attrgetter
 from types import UnionType
 from typing import Any, Final, get_type_hints
 
-#: Units of a field that are those of what holds it.
+#: Units of a field that has those of its parent.
 OWN: Final = "own"
 _SUFFIXES: Final = {
     **{unit: unit for unit in ("mm", "s", "A", "N", "kPa", "deg")},
@@ -26,19 +26,17 @@ class Kept:
 
     Parameters
     ----------
-    path : within the group of what holds it, behind a ``/`` within the file; a group's own ends with ``/``.
-    units : of a value; of a group those its fields call their :data:`OWN`.
-    since : first version of the file that has it. Files without it are read with the field's default, and files of a
-        calibration that holds the default are written without it.
-    omitted : left out like that where it is the default, though the first version had it.
+    path : within its parent's group, or from the root of the file if it begins with ``/``; a group's ends with ``/``.
+    units : of a value; of a group, those its fields inherit by :data:`OWN`.
+    since : first version of the file that has it. Files without it are read with the default, which is not written.
+    omitted : not written if it is the default, though the first version had it.
     prepared : follows from the rest of the file.
-    single : kept in single precision; ``shortest``: where that loses nothing.
+    single : kept in single precision; ``shortest``: if lossless.
     step : a value is rounded to multiples of this when it is issued.
-    dims : names of the axes, whose lengths are alike throughout a dataclass, e.g. ``"n r"``.
-    least, most : what is allowed; given either, numbers must be finite.
-    source : where a run's observation has it, e.g. ``"settings.size_ratio"``.
-    given : fields of a group that its path says: (name, value).
-    not_kept : a field of the program alone, or (``from_above``) one that what holds this dataclass has as well.
+    dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
+    least, most : allowed range; given either, numbers must be finite. source : its attribute in a run's observation,
+        e.g. ``"settings.size_ratio"``. given : fields of a group that follow from its path: (name, value). not_kept :
+        a field not in the file, or (``from_above``) one that the parent has as well.
     """
 
     path: str | None = None
@@ -59,7 +57,7 @@ class Kept:
 
     @property
     def limited(self) -> bool:
-        """Whether there are numbers that are not allowed."""
+        """Whether its range is limited."""
         return self.least is not None or self.most is not None
 
 
@@ -77,19 +75,19 @@ class KeptField:
     kept: Kept
 
     def path(self, within: str, *, group: bool = False) -> str:
-        """Return the path of its dataset or group, given that of the group it is in."""
+        """Return the path of its dataset or group, given that of its parent group."""
         own = self.kept.path
         if own is None:
             own = self.name.removesuffix(f"_{self._suffix()}") + ("/" if group else "")
         return own[1:] if own.startswith("/") else within + own
 
     def units(self, of_group: str, default: str) -> str:
-        """Return its units, given those of the group it is in."""
+        """Return its units, given those of its group."""
         found = self.kept.units or _SUFFIXES.get(self._suffix(), default)
         return of_group if found == OWN else found
 
     def is_left_out(self, value: object) -> bool:
-        """Whether files of before had no such field, and a value says no more than they did."""
+        """Whether earlier files had no such field, and the value is its default."""
         optional = self.kept.omitted or self.kept.since > 1
         return optional and (value is self.default or (type(value) is type(self.default) and value == self.default))
 
@@ -115,14 +113,14 @@ def _kept_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
 
 
 def group_of(hint: Any) -> type | None:
-    """Return the dataclass of a field that is one, or may be None instead; None for other types."""
+    """Return the dataclass of a field, which may be optional; None for other types."""
     types = hint.__args__ if isinstance(hint, UnionType) else (hint,)
     found = [one for one in types if isinstance(one, type) and dataclasses.is_dataclass(one)]
     return found[0] if len(found) == 1 else None
 
 
 def tabulated(of: type, within: str = "") -> Iterator[tuple[str, KeptField]]:
-    """Yield every field a dataclass keeps under its path, groups before what is in them."""
+    """Yield every field a dataclass keeps, groups before their members."""
     for field in kept_fields(of):
         group = group_of(field.hint)
         if not field.kept.not_kept:

@@ -18,13 +18,12 @@ Mask = NDArray[np.bool_]  #: which entries of another array
 def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[np.float64]:
     """Return real numbers as float64; an array of float64 is not copied.
 
-    Complex numbers, text and truth values are refused instead of cast: a cast drops imaginary parts, and reads text.
+    Complex numbers, text and booleans are refused, as a cast drops imaginary parts and parses text.
 
     Parameters
     ----------
     values : any shape; lists of lists as well.
-    what : they are, in the plural, as a message begins.
-    remedy : for values of another type; by default what helps there.
+    what : plural noun that begins the message. remedy : for values of another type; there is a default.
 
     Raises
     ------
@@ -39,16 +38,16 @@ def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[n
 
 
 def finite_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Return numbers as float64, none of them NaN or infinite.
+    """Return numbers as float64, all of them finite.
 
     Parameters
     ----------
-    what : they are, in the plural, as a message begins.
+    what : plural noun that begins the message.
 
     Raises
     ------
     NumericsError
-        If one is, naming the first.
+        If one is NaN or infinite, naming the first.
     """
     array = np.asarray(values, dtype=np.float64)
     bad = np.flatnonzero(~np.isfinite(array))
@@ -66,7 +65,7 @@ def array_of(values: ArrayLike, what: str) -> NDArray[Any]:
     Raises
     ------
     NumericsError
-        If they are nested lists that do not make one.
+        If nested lists have different lengths.
     """
     try:
         return np.asarray(values)
@@ -108,7 +107,7 @@ def with_type(found: object) -> str:
 
 
 def did_you_mean(name: str, known: Collection[str], otherwise: str = "") -> str:
-    """Ask whether the nearest of the known names was meant; ``otherwise`` where none is near."""
+    """Suggest the nearest known name; ``otherwise`` if none is near."""
     near = get_close_matches(name, known, n=1)
     return f"did you mean {near[0]!r}?" if near else otherwise
 

@@ -34,16 +34,16 @@ _REMEDY: Final = "name a recording of the same domain, empty, by the same instru
 
 
 def with_reference(recording: Recording, empty: Recording) -> Recording:
-    """Return a recording with another one's frames as its reference.
+    """Return a recording that takes its reference from another one.
 
     Parameters
     ----------
-    recording, empty : each as its own format read it.
+    recording, empty : as read by their formats.
 
     Raises
     ------
     RecordingError
-        If the two are not of one instrument and scale: then every reading would have "changed".
+        If instrument or scale differ, so that every reading would have "changed".
     """
     name = f"{empty.path.name}:{empty.dataset}" if empty.dataset else empty.path.name
     why = _difference(recording, empty)
@@ -90,7 +90,7 @@ def _shape(recording: Recording) -> str:
 
 
 def _scale_difference(recording: Recording, empty: Recording) -> str:
-    """Compare level, size and pattern of the typical frames, over readings both hold."""
+    """Compare level, size and pattern of the typical frames, over the readings they share."""
     missing = ReadingFlag.MISSING.value
     held = ((recording.frames.flags & missing) == 0).any(axis=0) & ((empty.frames.flags & missing) == 0).any(axis=0)
     own, other = (np.median(each.frames.voltages, axis=0)[held] for each in (recording, empty))
@@ -101,7 +101,7 @@ def _scale_difference(recording: Recording, empty: Recording) -> str:
     )
     size, other_size = _size(own - offset), _size(other - other_offset)
     if size == 0.0:
-        return ""  # an unconnected recording is refused for that
+        return ""  # an unconnected recording is refused as such
     if other_size == 0.0:
         return f"all its readings are {other[0]:.4g} {empty.frames.unit.value}: nothing was connected"
     if not 1 / _MOST_SCALE <= other_size / size <= _MOST_SCALE:
@@ -117,7 +117,7 @@ def _size(readings: Array) -> float:
     return float(np.sqrt(np.mean(readings**2)))
 
 
-#: Told of each step, in words.
+#: Called with each step, in words.
 Tell = Callable[[str], None]
 
 
@@ -128,13 +128,12 @@ class AnalyseRequest:
     Parameters
     ----------
     format : name of a recording plugin; None to let the plugins recognise the file.
-    sensor_type : file or shipped name; None for what the recording states, else the nominal disc.
+    sensor_type : file or shipped name; None for the one the recording states, else the nominal disc.
     dataset : one of several data sets in a file.
-    reference : a file, and a data set in it, that holds the unloaded domain; it is recognised by itself.
+    reference : file, and a data set in it, with the unloaded domain; its format is recognised separately.
     correct_carry_over : None to decide by the estimate.
     report : whether to write one.
-    reconstruction : plugin that images the events; None for the usual one.
-    options : of it.
+    reconstruction, options : plugin that images the events (None for the usual one), and its options.
     """
 
     format: str | None = None
@@ -148,13 +147,13 @@ class AnalyseRequest:
 
     @property
     def chosen(self) -> PluginChoice:
-        """What images the events."""
+        """Plugin that images the events."""
         name = DEFAULT_RECONSTRUCTION if self.reconstruction is None else self.reconstruction
         return PluginChoice(name, self.options)
 
 
 def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda said: None) -> Analysed:
-    """Analyse one file. A refusal is returned, not raised; nothing is written then."""
+    """Analyse one file. A refusal is returned, not raised, and nothing is written."""
     plugins = discover()
     recording: Recording | None = None
     datasets: tuple[str, ...] = ()
@@ -196,7 +195,7 @@ def _read(path: Path, format_: RecordingFormat, name: str, options: ReadOptions)
 def _empty(
     other: Path, dataset: str | None, path: Path, format_: RecordingFormat, name: str, plugins: Plugins
 ) -> Recording:
-    """Read the reference by its own format; its problems are its own, not the file's."""
+    """Read the reference by its own format; its problems are reported separately from the file's."""
     if other != path:
         format_, name = recognised(other, None, plugins)
     try:
@@ -237,7 +236,7 @@ def _sensor_type(recording: Recording, request: AnalyseRequest) -> tuple[SensorT
         return load_sensor_type(request.sensor_type).value, []
     if recording.sensor_type is None:
         return None, []
-    # A name, never a path: a file of unknown origin opens no other.
+    # A name, never a path: a file of unknown origin must not open others.
     if recording.sensor_type in shipped_names(DocumentKind.SENSOR_TYPE):
         return load_sensor_type(recording.sensor_type).value, []
     said = f"the recording states sensor type {echo(recording.sensor_type)}, which is not a shipped one"

@@ -28,7 +28,7 @@ _USED_FOR: Final = "images of the events and their descriptions; events are foun
 
 @dataclass(frozen=True, slots=True)
 class ChosenParameter:
-    """A regularisation parameter, what chose it and why, and the noise figure of the matrix (Adler et al. 2009)."""
+    """A regularisation parameter, its criterion and reason, and the matrix's noise figure (Adler et al. 2009)."""
 
     name: str
     value: float
@@ -47,9 +47,7 @@ class ReadRecording:
 
     Parameters
     ----------
-    problems : rows that were left out, or used with reservations.
-    clock : the clock of the times.
-    loads_documented : presses that the file states.
+    problems : rows left out, or used with reservations. loads_documented : presses that the file states.
     """
 
     format: str | None
@@ -86,13 +84,13 @@ class ReadRecording:
 
     @classmethod
     def failed(cls, format_: str | None, problems: Sequence[RowProblem]) -> Self:
-        """Return what is known of a file that could not be read; ``format_`` is None if it was not recognised."""
+        """Return the outcome for an unreadable file; ``format_`` is None if it was not recognised."""
         return cls(format_, rows_rejected=sum(problem.rejected for problem in problems), problems=tuple(problems))
 
 
 @dataclass(frozen=True, slots=True)
 class EventReconstruction:
-    """How images of the events were made; no parameter where nothing was imaged."""
+    """How the events were imaged; no parameter if nothing was."""
 
     name: str
     options: dict[str, Any]
@@ -278,11 +276,11 @@ class AnalysedFiles:
 
 
 def analyse_outcome(analysed: Analysed, *, imaged: bool) -> CommandOutcome[Analysed]:
-    """Lay a recording that was analysed out for a terminal; its own page is the report.
+    """Lay out an analysed recording for a terminal; its page is the report.
 
     Parameters
     ----------
-    imaged : whether to say what the images of the events show: somebody chose how they are made.
+    imaged : whether to describe the images of the events, because a reconstruction was chosen.
     """
     assert analysed.result is not None
     result, channels, noise = analysed.result, analysed.result.channels, analysed.result.noise

@@ -17,8 +17,8 @@ _REMEDY: Final = "restore the database from a copy; nothing is shown of a verdic
 def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Limit]) -> None:
     """Decide an analysis again.
 
-    Limits are compared with those of the configuration if the run is chained, the reason's wording if this version
-    of the program wrote it: earlier versions may have read a configuration, or worded a reason, differently.
+    Limits are compared with the configuration only if the run is chained, and the reason's wording only if this
+    version wrote it: earlier versions may differ.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
 
 
 def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) -> None:
-    """Judge measurements again by the limits of the configuration; None: by their own."""
+    """Judge measurements again by the limits of the configuration, or by their own if None."""
     own = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
     if limits is not None:
         again = judge(own, [replace(limit, version="") for limit in limits])

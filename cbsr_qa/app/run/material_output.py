@@ -42,7 +42,7 @@ def write_material(result: RunResult) -> Path:
 def material_of(result: RunResult) -> Material:
     """Return the characterised material, with the lines against stress and strain *under the head*.
 
-    Noise is not a property of the material: it is taken over from the material the run was configured with.
+    Noise is not a property of the material: it is copied from the configured material.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _range(characterised: Characterisation) -> str:
 
 
 def _comments(result: RunResult) -> list[str]:
-    """What a reader of the file must know."""
+    """Return comments for a reader of the file."""
     characterised, identity = result.characterisation, result.record.identity
     assert characterised is not None
     lines = [

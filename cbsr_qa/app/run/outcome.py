@@ -1,4 +1,4 @@
-"""The outcome of ``cbsr-qa run``: the verdict, what was measured, and where files and the next command are."""
+"""The outcome of ``cbsr-qa run``: the verdict, measurements, files and the next command."""
 
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -23,7 +23,7 @@ from cbsr_qa.report import run_page
 
 @dataclass(frozen=True, slots=True)
 class UsedReconstruction:
-    """How a run was imaged; ``weight_ratio`` is that of the largest to the smallest weight of a reading."""
+    """How a run was imaged; ``weight_ratio`` is largest over smallest weight of a reading."""
 
     name: str
     parameter: ChosenParameter
@@ -51,7 +51,7 @@ class UsedReconstruction:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredValue:
-    """A measurement and the limit that judged it; None for what it does not have."""
+    """A measurement and the limit that judged it; absent parts are None."""
 
     name: str
     value: float | None
@@ -133,9 +133,8 @@ class RunOutcome:
     reason : of the verdict.
     resume : command that resumes it; None if it finished.
     report, calibration, material : files; None if none was issued, or it could not be written (a warning says so).
-    material_why : why there is no material file; empty if the recipe characterises none.
-    warnings : those of the result and of writing the files.
-    station_s : how long the sensor occupied the station.
+    material_why : why there is no material file; empty if the recipe characterises none. warnings : of the result and
+        of writing the files. station_s : time the sensor occupied the station.
     """
 
     run: str
@@ -216,7 +215,7 @@ class RunOutcome:
 
 
 def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
-    """Lay the outcome of a run out for a terminal; its own page is the report."""
+    """Lay out the outcome of a run for a terminal; its page is the report."""
     result, identity = tested.result, tested.result.record.identity
     tries = "" if result.sensor_history is None else result.sensor_history.words
     facts = [

@@ -1,4 +1,4 @@
-"""What a run leaves behind besides the database: its calibration file and its report."""
+"""Files a run writes besides the database: calibration and report."""
 
 from pathlib import Path
 
@@ -64,7 +64,7 @@ def _material(result: RunResult, failed: list[str]) -> tuple[Path | None, str]:
 
 def calibration_path(identity: RunIdentity) -> Path:
     """Return the path of a run's calibration file."""
-    name = report_name(identity.sensor.serial, identity.run)  # safe whatever a serial of an old database holds
+    name = report_name(identity.sensor.serial, identity.run)  # safe for any serial of an old database
     return calibrations_folder() / Path(name).with_suffix(".h5")
 
 

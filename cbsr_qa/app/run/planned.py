@@ -27,7 +27,7 @@ class PlannedPhase:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedRun:
-    """What a run would take, whether the station allows it, and the runs of the sensor so far.
+    """Cost of a run, whether the station allows it, and the sensor's earlier runs.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class PlannedRun:
 
 
 def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
-    """Lay a dry run out; the exit code is 2 where the run would be refused."""
+    """Lay out a dry run; the exit code is 2 if the run would be refused."""
     time = duration(planned.dry.duration_s)
     banner = Banner("pass", "✓", "The station allows this run", f"{time} of station time; nothing has moved")
     if planned.refused is not None:

@@ -152,7 +152,7 @@ def _check_named(limits: Iterable[Limit], measured: Mapping[str, str]) -> None:
 
 
 def _unloaded_frames(steps: Iterable[object]) -> int | None:
-    """Count frames between the first mark and the first press behind it; None where nothing is marked."""
+    """Count frames between the first mark and the next press; None without a mark."""
     taken: int | None = None
     for step in steps:
         match step:

@@ -39,7 +39,7 @@ from cbsr_qa.system import Stages
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendered:
-    """What was rendered, where it is, and what its page warns of."""
+    """The rendered page, its path, and its warnings."""
 
     run: str
     serial: str
@@ -64,7 +64,7 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     Raises
     ------
     StoreError
-        If there is no such database, run or sensor, or the run is not what was stored.
+        If database, run or sensor does not exist, or the run was altered.
     RefusedError
         If the folder cannot be written to; nothing was written then.
     """
@@ -106,7 +106,7 @@ def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins
 
 
 def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
-    """Lay out which run's report was rendered, and its verdict."""
+    """Lay out a run's rendered report and its verdict."""
     page = run_page(rendered.result)
     facts = (("Run", rendered.result.record.identity.words), ("Rows", rendered.chain.words))
     printed = (("Report", str(rendered.report)),)
@@ -118,7 +118,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     """Rebuild the result of a stored run.
 
     Measurements, verdict and calibration are those of the latest stored analysis; images are computed again from the
-    stored frames and configuration. A run that was never analysed is analysed here, and nothing of that is stored.
+    stored frames and configuration. A run that was never analysed is analysed here, without storing the result.
 
     Returns
     -------
@@ -158,7 +158,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
 def _computed(
     record: RunRecord, recipe: Recipe, plugins: Plugins
 ) -> tuple[RunObservation | None, Characterisation | None, str]:
-    """Compute images, or the material of a strip, from the stored frames; a text says why there is neither."""
+    """Compute images, or the material of a strip, from the stored frames; otherwise return a reason."""
     if record.end is not EndReason.FINISHED:
         return None, None, ""
     try:
@@ -182,7 +182,7 @@ def _calibration(
     if stored.calibration is None:
         return None, ""
     file = store.calibration_file(stored.calibration)
-    if file is None:  # stored by rows, which are checked also where they cannot be shown
+    if file is None:  # stored as rows, which are checked even if they cannot be shown
         store.calibration_of_before(stored.calibration, None, prepared_force)
         if observation is None:
             return None, f"{stored.calibration} was issued, but cannot be shown without images"
@@ -213,7 +213,7 @@ def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunRes
 
 
 def with_versions(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
-    """Give the limits of stored measurements their version back, which is stored with the recipe alone."""
+    """Restore the versions of stored measurements' limits, which only the recipe states."""
     versions = {replace(limit, version=""): limit.version for limit in limits}
     return tuple(
         m if m.limit is None else replace(m, limit=replace(m.limit, version=versions.get(m.limit, "")))

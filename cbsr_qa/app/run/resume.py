@@ -1,4 +1,4 @@
-"""Resume a run that was interrupted, from what is stored of it."""
+"""Resume an interrupted run from the database."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -38,12 +38,12 @@ def resume_run(
 ) -> RunOutcome:
     """Resume a run at its next unfinished load, after homing and finding surfaces again.
 
-    Station, recipe, sensor type, material and seed are those it was begun with. If all steps were carried out and
-    only the result is missing, nothing moves.
+    Station, recipe, sensor type, material and seed are the original ones. If only the result is missing, nothing
+    moves.
 
     Parameters
     ----------
-    tell, ask : as of :func:`cbsr_qa.app.run.run_sensor`.
+    tell, ask : see :func:`cbsr_qa.app.run.run_sensor`.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def _resumed(store: Repository, run: str, operator: str, stages: Stages, ask: As
 
 
 def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
-    """Return a warning if software versions differ from those a run was begun with."""
+    """Return a warning if software versions differ from those at the start of the run."""
     before, after = dict(stored.software), dict(now.software)
     differing = ", ".join(
         f"{name} {before.get(name, 'not installed')} → {after.get(name, 'not installed')}"
@@ -111,7 +111,7 @@ def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
 
 
 def changed_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:
-    """Return a warning for each instrument that is not the one a run was begun with."""
+    """Return a warning for each instrument that differs from the one at the start of the run."""
     before = {instrument.role: _who(instrument) for instrument in stored.instruments}
     return [
         f"{role} is another instrument than the run was begun with: {before.get(role, 'none')} → {who}"

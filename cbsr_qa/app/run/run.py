@@ -31,7 +31,7 @@ from cbsr_qa.station import configure, on_stderr
 from cbsr_qa.store import check_usable, database_exists, open_store, parsed_url, sqlite_file
 from cbsr_qa.system import RealClock, Stages
 
-#: Seeds are kept to what every tool that reads a run can hold as an integer.
+#: Seeds are limited to integers that every tool can represent.
 _SEED_BITS = 31
 
 
@@ -71,7 +71,7 @@ class RunRequest:
 
 
 def default_seed(serial: str, earlier_runs: int) -> int:
-    """Return the default seed: the same for the same try of the same sensor."""
+    """Return the default seed, which depends on sensor and number of the try."""
     digest = hashlib.sha256(f"{serial}/{earlier_runs}".encode()).digest()
     return int.from_bytes(digest[:4]) >> (32 - _SEED_BITS)
 
@@ -81,12 +81,12 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
 
     Parameters
     ----------
-    attended : whether an operator could answer prompts; nobody is asked.
+    attended : whether an operator could answer prompts; none is shown.
 
     Raises
     ------
     RefusedError
-        As :func:`run_sensor`; limits of the station that would be broken are listed in the result instead.
+        As :func:`run_sensor`, but violated limits of the station are listed in the result.
     """
     plugins = _checked(request.checked())
     configuration = request.configuration(_seed(request))
@@ -110,14 +110,13 @@ def run_sensor(
 
     Parameters
     ----------
-    tell : told what the computer is busy with.
-    ask : shows a text to the operator and returns the answer; None if nobody is there: prompts and instruments
-        worked by hand are then refused.
-    begun : told the run's identifier before anything of it is stored.
+    tell : called with the current activity. ask : shows a text to the operator and returns the answer; None without
+        an operator: prompts and instruments worked by hand are then refused. begun : called with the run's identifier
+        before anything is stored.
 
     Returns
     -------
-    The outcome; a run that was aborted or broken is one too, stored and reported.
+    The outcome, also of a run that was aborted or broken; it is stored and reported.
 
     Raises
     ------
@@ -146,10 +145,10 @@ def _stored_run(
     session: Session,
     begun: Callable[[str], None],
 ) -> RunOutcome | None:
-    """Run a session that was walked; None, with nothing moved, where another run of the sensor has its seed."""
+    """Run a checked session; None, with nothing moved, if another run of the sensor has its seed."""
     for folder in _folders():
         writable_folder(folder)
-    # Frames of a virtual clock can be made again after a power cut; those of a bench cannot.
+    # Frames of a virtual clock can be simulated again after a power cut; those of a bench are lost.
     durable = configuration.station.clock == "real"
     with open_store(database_url(request.database), durable=durable, tell=on_stderr) as store, ExitStack() as held:
         run = store.new_id()
@@ -180,7 +179,7 @@ def _checked(request: RunRequest) -> Plugins:
 
 
 def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:
-    """Return the seed given, or the first default one that no run of the sensor has; makes no database."""
+    """Return the given seed, or the first default one that no run of the sensor has; creates no database."""
     if request.seed is not None:
         return request.seed
     url = database_url(request.database)

@@ -66,7 +66,7 @@ def stoppable() -> Iterator[None]:
     here = threading.current_thread() is threading.main_thread()
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if here and hasattr(signal, name)]
     numbers = [getattr(signal, name) for name in names]
-    # One that was inherited as ignored stays so: whoever started the program wanted that.
+    # A signal inherited as ignored stays ignored, as the caller intended.
     before = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) not in (signal.SIG_IGN, None)}
     try:
         with redelivery:
@@ -87,8 +87,7 @@ class Done:
 
     Parameters
     ----------
-    loads : (phase, index) of presses that were held to their end.
-    phases : that ended.
+    loads : (phase, index) of finished presses. phases : finished ones.
     until_s : start of this session on the run's time line [s].
     """
 
@@ -112,14 +111,13 @@ class Session:
     Parameters
     ----------
     configuration : checked, see :func:`check_configuration`.
-    ask : shows a text to the operator and returns the answer; None if nobody is there.
-    done : by earlier sessions of the same run.
-    why : the operator's reason for files that differ from those of earlier runs.
+    ask : shows a text to the operator and returns the answer; None without an operator. done : by earlier sessions of
+        the same run. why : operator's reason for files that differ from those of earlier runs.
 
     Raises
     ------
     InstrumentError, ConfigError
-        If an instrument does not answer, or is not what the station file says.
+        If an instrument does not answer, or differs from the station file.
     """
 
     def __init__(
@@ -155,7 +153,7 @@ class Session:
         self._bench.close()
 
     def walk(self) -> DryRun:
-        """Return what is left to do, and what the station would not allow."""
+        """Return the remaining plan, and what the station would not allow."""
         check_samplers(self._plan, self._bench.samplers)
         return dry_run(
             self._plan,
@@ -166,7 +164,7 @@ class Session:
         )
 
     def instruments(self) -> tuple[InstrumentIdentity, ...]:
-        """Ask every instrument who it is."""
+        """Ask every instrument for its identity."""
         return self._bench.identities()
 
     def run(self, identity: RunIdentity, store: Repository) -> RunOutcome:
@@ -175,7 +173,7 @@ class Session:
         Raises
         ------
         BrokenRunError
-            If the run or its result could not be stored or read back; what was stored of it stays.
+            If the run or its result could not be stored or read back; stored rows are kept.
         """
         self.warnings += filter(None, [store.from_the_future()])
         self.warnings += overdue(identity.instruments, RealClock().wall().date())
@@ -185,7 +183,7 @@ class Session:
         return concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
 
     def _asked(self, text: str) -> str:
-        """Ask the operator; what shows progress on the terminal makes room meanwhile."""
+        """Ask the operator; progress display pauses meanwhile."""
         assert self._asks is not None
         with nullcontext() if self._progress is None else self._progress.paused():
             return self._asks(text)
@@ -215,7 +213,7 @@ class Session:
             )
 
     def _hooks(self, identity: RunIdentity) -> Callable[[RunEvent], None]:
-        """Tell plugins what happens; one that fails becomes a warning of the run."""
+        """Notify plugins of events; a failing plugin becomes a warning of the run."""
         tell, warn = self._plugins.tell, self.warnings.append
         names: dict[int, str] = {}
 
@@ -260,7 +258,7 @@ def concluded(
     Raises
     ------
     BrokenRunError
-        If the result could not be stored or read back; what was stored of the run stays.
+        If the result could not be stored or read back; the run's rows are kept.
     UnconcludedError
         If a signal or the keyboard stopped it.
     """

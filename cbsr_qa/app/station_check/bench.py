@@ -30,7 +30,7 @@ from cbsr_qa.station import (
 )
 from cbsr_qa.system import Clock
 
-#: Told a text, says whether the operator did what it asks for; None where nobody is there.
+#: Called with a request, returns whether the operator carried it out; None without an operator.
 Confirm = Callable[[str], bool] | None
 
 #: Subject of lines about all instruments together.
@@ -66,13 +66,13 @@ def look_at_bench(
     Parameters
     ----------
     ring : to measure, if any.
-    confirm : asked before the ring is measured, on a real bench.
-    ask : for instruments worked by hand; None if nobody is there.
+    confirm : called before the ring is measured on a real bench. ask : for instruments worked by hand; None without
+        an operator.
 
     Raises
     ------
     ConfigError
-        If the ring does not fit the sensor type, or what the station emulates cannot be started.
+        If the ring does not fit the sensor type, or an emulator cannot be started.
     """
     resistances = _resistances(configuration, ring)
     seen = with_ring(configuration, resistances) if resistances and simulates_frames(configuration.station) else None
@@ -122,7 +122,7 @@ def _resistances(configuration: Configuration, ring: ReferenceRing | None) -> tu
 
 
 class _Look:
-    """One check of a bench: what is open, and the findings so far."""
+    """One check of a bench: open instruments, and the findings so far."""
 
     def __init__(self, configuration: Configuration, clock: Clock, tell: Callable[[str], None]) -> None:
         self.configuration = configuration
@@ -152,7 +152,7 @@ class _Look:
             self._add(due)
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
-        """Ask an instrument for identity and self-test; ``emulated`` as of :func:`identity_of`."""
+        """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""
         role = mounted.spec.role
         try:
             identity = identity_of(mounted, emulated=emulated)
@@ -176,11 +176,11 @@ class _Look:
             self._add(_failed(mounted.spec.role, "self-test", error))
 
     def has_ring(self, resistances_ohm: tuple[float, ...], confirm: Confirm) -> bool:
-        """Ask for the ring, before instruments that look at their contacts are put together."""
+        """Request the ring, before instruments that check their contacts are linked."""
         return not self._missing and confirm is not None and confirm(_connect_words(resistances_ohm))
 
     def put_together(self, after: tuple[Action, ...]) -> None:
-        """Make a bench of the instruments if none is missing, and ask those that work through others."""
+        """Build a bench if no instrument is missing, and query those that work through others."""
         linked = [mounted for mounted in self._mounted if isinstance(mounted.instrument, Linked)]
         if self._missing:
             for mounted in linked:
@@ -199,7 +199,7 @@ class _Look:
             self._add(_failed(error.role if isinstance(error, InstrumentError) else _WHOLE, "together", error))
 
     def sample(self) -> None:
-        """Check that every channel has samples after the time that data may be old."""
+        """Check that every channel has samples within the allowed age of data."""
         if self._bench is None:
             return
         stale_s, begun_s = self.configuration.station.safety.stale_s, self._clock.now()
@@ -279,7 +279,7 @@ def _simulated(identity: InstrumentIdentity) -> list[str]:
 
 
 def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | None:
-    """Line about a calibration date; None where the station file states none."""
+    """Line about a calibration date; None if the station file has none."""
     if spec.calibration_due is None:
         return None
     days = (date.fromisoformat(spec.calibration_due) - today).days

@@ -31,7 +31,7 @@ from cbsr_qa.system import RealClock
 
 #: Shipped recipe of a golden sensor's run.
 GOLDEN_RECIPE: Final = "golden-check"
-#: Limits of a ring that only the command line knows: those of an empty [reference_ring] table.
+#: Limits for a ring given only on the command line: those of an empty [reference_ring] table.
 _RING_LIMITS: Final[Mapping[str, float]] = {
     "tolerance": 1e-3,
     "gain": 1e-2,
@@ -41,10 +41,10 @@ _RING_LIMITS: Final[Mapping[str, float]] = {
     "lead_ohm": 100.0,
 }
 _RING_FRAMES: Final = 16
-#: A resistor that a station file would take.
+#: Resistances that a station file may state.
 _OHM: Final = (1e-3, 1e9)
 
-#: Lines without which nothing is pressed.
+#: Lines that must pass before the golden sensor is pressed.
 _NEEDED: Final = ("identity", "together", "safe state", "closing")
 
 
@@ -74,7 +74,7 @@ def check_station(
 
     Parameters
     ----------
-    ask : shows a text to the operator and returns the answer; None if nobody is there: what must be connected first
+    ask : shows a text to the operator and returns the answer; None without an operator: what must be connected first
         is then not measured, and instruments worked by hand do not answer.
 
     Raises
@@ -93,11 +93,11 @@ def check_station(
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
     confirm: Confirm = None if ask is None else lambda words: _confirmed(ask, words)
-    # An operator is asked once for one thing, whoever wants to know.
+    # The operator is asked only once for each thing.
     placed: Confirm = None if simulated or confirm is None else cache(confirm)
     with open_store(database_url(request.database), tell=on_stderr) as store:
         if placed is not None and request.golden is not None and ring is None:
-            # Contacts are looked at while the instruments are put together: something must be connected by then.
+            # Contacts are checked while the instruments are linked: something must be connected by then.
             placed(_place_words(request.golden))
         with stoppable():
             findings = look_at_bench(
@@ -166,7 +166,7 @@ def _configuration(request: CheckRequest, plugins: Plugins) -> Configuration:
 
 
 def _ring(request: CheckRequest, stated: ReferenceRing | None) -> ReferenceRing | None:
-    """The ring to measure: the station file's, with the resistance of the command line where it gives one."""
+    """Return the station file's ring, with the resistance of the command line if given."""
     ohm = request.ring_ohm
     if not request.ring:
         if ohm is not None:
@@ -182,7 +182,7 @@ def _ring(request: CheckRequest, stated: ReferenceRing | None) -> ReferenceRing 
 
 
 def _confirmed(ask: Callable[[str], str], words: str) -> bool:
-    """Ask the operator to connect something; only an empty answer means that it was done."""
+    """Ask the operator to connect something; only an empty answer confirms it."""
     return not ask(f"{words}. Press Enter when it is done, or type s to skip it.").strip()
 
 
@@ -220,7 +220,7 @@ def _golden(
     ask: Callable[[str], str] | None,
     tell: Callable[[str], None],
 ) -> RunIdentity | None:
-    """Run the golden sensor and add a line for each of its figures; returns the run, None where none was begun."""
+    """Run the golden sensor and add a line for each of its values; return the run, or None if not started."""
     subject = _subject(serial)
 
     def line(outcome: CheckOutcome, said: str, remedy: str = "") -> None:

@@ -1,4 +1,4 @@
-"""A golden sensor's run held against its earlier runs, at this station and at others."""
+"""A golden sensor's run compared with its earlier runs, at this station and at others."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from cbsr_qa.stats import FEWEST_VALUES, Prediction, predicted
 from cbsr_qa.store import Repository
 from cbsr_qa.studies import measuring_digest
 
-#: What is compared: measurement, and qualifier where it has one. A figure of several places is its mean over them.
+#: Compared values: measurement, and its qualifier if any. Values at several places are averaged.
 FIGURES: Final = (
     ("force", ""),
     ("amplitude_response", ""),
@@ -28,7 +28,7 @@ FIGURES: Final = (
     ("reciprocity_error", ""),
     ("drift", ""),
 )
-#: Confidence that an unchanged station is outside in no value at all: beyond it fails, or warns.
+#: Joint confidence that an unchanged station is within all intervals: beyond it fails, or warns.
 FAILS_BEYOND: Final = 0.99
 WARNS_BEYOND: Final = 0.95
 _MOST_DECIMALS: Final = 9
@@ -90,7 +90,7 @@ def golden_history(store: Repository, run: str) -> GoldenHistory:
 
 
 def figures_of(measurements: Sequence[Measurement]) -> dict[str, Figure]:
-    """Return the values of a run that can be compared: measured at every place, and not just bounded."""
+    """Return the comparable values of a run: measured at every place, and not only bounded."""
     figures = {}
     for name, qualifier in FIGURES:
         of = [m for m in measurements if (m.name, m.qualifier) == (name, qualifier)]
@@ -106,8 +106,8 @@ def compare_golden(
     """Compare a golden run with its history: one line per value, and one for the number of runs.
 
     Each value is compared with earlier runs at this station and, separately, at all others. Prediction intervals for
-    one further run (Student's t) hold together for all comparisons (Bonferroni). Fewer than three earlier runs give
-    no verdict.
+    one further run (Student's t) hold jointly for all comparisons (Bonferroni). Fewer than three earlier runs give no
+    verdict.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def compare_golden(
 
 
 def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
-    """Line of a figure that could not be measured: a failure where earlier runs had it."""
+    """Line of a value that could not be measured: a failure if earlier runs had it."""
     why, lost = "it could not be measured in this run", len(had) >= FEWEST_VALUES
     return CheckResult(
         metric_words(name),
@@ -147,7 +147,7 @@ def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
 
 
 def _values(name: str, figure: Figure, runs: Sequence[GoldenRun]) -> list[float]:
-    """Values of a figure in earlier runs, of as many places and in the same unit."""
+    """Values in earlier runs, over as many places and in the same unit."""
     of = [run.figures[name] for run in runs if name in run.figures]
     return [other.value for other in of if (other.places, other.unit) == (figure.places, figure.unit)]
 
@@ -198,7 +198,7 @@ def _line(
 
 
 def _like(value: float, prediction: Prediction) -> str:
-    """Write a bound with the digits that the spread of the values makes worth while."""
+    """Write a bound with digits that match the spread of the values."""
     decimals = 1 - floor(log10(prediction.deviation)) if prediction.deviation > 0 else _MOST_DECIMALS
     few = abs(prediction.mean) >= 0.01 and 0 <= decimals <= _MOST_DECIMALS
     return fixed(value, decimals) if few else number(value)

@@ -29,7 +29,7 @@ _GOLDEN_WORDS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class AnsweringInstrument:
-    """An instrument that answered; see :class:`~cbsr_qa.domain.run.InstrumentIdentity`."""
+    """See :class:`~cbsr_qa.domain.run.InstrumentIdentity`."""
 
     role: str
     driver: str
@@ -66,12 +66,12 @@ def check_outcome(
     *,
     golden_run: str = "",
 ) -> CommandOutcome[CheckedStation]:
-    """Lay a check out; the exit code is 1 where something failed, and 3 where no instrument answered.
+    """Lay out a check; the exit code is 1 if something failed, and 3 if no instrument answered.
 
     Parameters
     ----------
-    ring, allowed : its frames and the limits they were held against; None where none were taken.
-    golden_run : its name for people; empty where none was made.
+    ring, allowed : its frames and their limits; None if not measured. golden_run : its name for people; empty if not
+        run.
     """
     instruments = tuple(filled(AnsweringInstrument, one, notes=dict(one.notes)) for one in check.instruments)
     checked = filled(CheckedStation, check, instruments=instruments)

@@ -78,13 +78,13 @@ def charts(
         operator=operator,
         why=why,
     )
-    check_page(output)  # before anything is worked out or stored
+    check_page(output)  # before anything is computed or stored
     outcome = charts_outcome(control_charts(request, database=database))
     raise typer.Exit(show(outcome, output=output, as_json=as_json))
 
 
 def _check_stored_holds(of_new: Mapping[str, object]) -> None:
-    """Refuse options of a new reference where none is set: they would change nothing, and look as if they did."""
+    """Refuse options of a new reference if none is set: they would silently change nothing."""
     given = [name for name, value in of_new.items() if value not in (None, "", False)]
     if given:
         raise RefusedError(

@@ -90,6 +90,6 @@ def compare(
         detect=read_amounts(detect or (), "--detect"),
     )
     selection = RunSelection(recipe=recipe, since=to_day(since), until=to_day(until))
-    check_page(output)  # before anything is worked out
+    check_page(output)  # before anything is computed
     comparison = compare_groups(selection, terms, database=database, now=RealClock().wall())
     raise typer.Exit(show(compare_outcome(comparison), output=output, as_json=as_json))

@@ -7,7 +7,7 @@ from cbsr_qa.domain import CbsrError
 
 
 def main() -> int:
-    """Build the fleet and say where it is; exit code as of the command line."""
+    """Build the fleet and print its location; return the exit code."""
     from cbsr_qa.studies import ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet
 
     try:

@@ -25,7 +25,7 @@ _CLOCKS: Final = {
 _NEWTONS: Final = {"N": 1.0, "mN": 1e-3}
 _SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
 _MILLIMETRES: Final = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "cm": 10.0}
-#: Options of the simulated sweep, and of one's own presses.
+#: Options of the simulated sweep, and of recorded presses.
 _SIMULATED: Final = frozenset({"clock", "force_error", "budget", "fresh", "recipe", "png"})
 _RECORDED: Final = frozenset({"presses", "pattern", "sensor_type", "differences", "rest", "place_error"})
 

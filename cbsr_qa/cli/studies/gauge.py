@@ -9,7 +9,7 @@ from cbsr_qa.cli.command import command
 from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, given_options, option_names, to_day
 from cbsr_qa.cli.output import check_page, show
 
-#: What goes beside a study's file: it says all the rest.
+#: Options allowed with a study's file, which states the others.
 _BESIDE_STUDY: Final = {"study", "output", "database", "as_json"}
 
 
@@ -87,7 +87,7 @@ def gauge(
 
 
 def _check_alone(context: typer.Context, study: Path) -> None:
-    """Refuse options that say something else than a study's file: what was studied is what its digest stands for.
+    """Refuse options that would override a study's file, whose digest identifies the study.
 
     Raises
     ------

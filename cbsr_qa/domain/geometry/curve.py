@@ -92,7 +92,7 @@ class ClosedCurve:
         ):
             rise, run = y1 - y0, x1 - x0
             side = run * (y - y0) - rise * (x - x0)  # positive left of the chord
-            # What is exactly on a chord is taken as a little to its right in x; so it is on one side for both tests.
+            # A point exactly on a chord counts as slightly to its right in x, so both tests put it on one side.
             right = (side < 0) | ((side == 0) & (rise > 0 or (rise == 0 and run < 0)))
             inside ^= ((y0 > y) != (y1 > y)) & (right if rise < 0 else ~right)
             if curvature:
@@ -142,7 +142,7 @@ def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:
     turn = corner_turns(corners)
     cut: Array = radius * np.tan(np.abs(turn) / 2)
     ahead = np.column_stack([np.cos(heading), np.sin(heading)])
-    # Two pieces a corner: the straight stretch that leads to it, and its arc.
+    # Two pieces per corner: the straight stretch that leads to it, and its arc.
     straight: Array = np.roll(length, 1) - cut - np.roll(cut, 1)
     before: Array = np.roll(heading, 1)
     leaves: Points = np.roll(corners, 1, axis=0) + np.roll(cut, 1)[:, None] * np.roll(ahead, 1, axis=0)

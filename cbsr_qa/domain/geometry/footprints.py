@@ -125,7 +125,7 @@ class PolygonFootprint:
     Raises
     ------
     NumericsError
-        If it is no simple polygon, see :func:`cbsr_qa.domain.geometry.polygons.simple_polygon`.
+        If it is not a simple polygon, see :func:`cbsr_qa.domain.geometry.polygons.simple_polygon`.
     """
 
     corners_mm: Points

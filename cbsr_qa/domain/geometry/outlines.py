@@ -13,7 +13,7 @@ from cbsr_qa.domain.geometry.curve import ClosedCurve, circle_curve, corner_turn
 
 Points = NDArray[np.float64]
 
-#: A corner that is sharper would need elements as thin as itself.
+#: A sharper corner would need elements as thin as itself.
 SHARPEST_DEG: Final = 10.0
 #: Edges closer together than this, and edges shorter than a hundredth of it, in radii of the disc of equal area.
 _NARROWEST: Final = 0.01
@@ -94,10 +94,7 @@ class Polygon:
 
     @property
     def centre_mm(self) -> tuple[float, float]:
-        """Place of a central load: the origin, or else the place furthest from the edge.
-
-        The origin it is where it lies at least half as far from the edge as any place does.
-        """
+        """Place of a central load: the origin, unless another place is over twice as far from the edge."""
         return _centre(self)
 
     @property
@@ -125,7 +122,7 @@ SheetOutline = Disc | Polygon
 def polygon_problems(corners_mm: Sequence[Sequence[float]]) -> Iterator[tuple[int | None, str]]:
     """Yield problems of an outline: the corner (from 0; None for the whole) and a description.
 
-    What presupposes that something is right is not looked at where that is wrong.
+    Checks that presuppose a valid property are skipped if it is invalid.
     """
     if len(corners_mm) < 3:
         yield None, f"has {len(corners_mm)} corner{'' if len(corners_mm) == 1 else 's'}; at least 3 are needed"

@@ -13,7 +13,7 @@ from cbsr_qa.domain.errors import NumericsError
 Points = NDArray[np.float64]
 Values = NDArray[np.float64]
 
-#: Points on (0, 1) at which edges no longer than their distance from a circle's centre are integrated: to 1e-16.
+#: Points on (0, 1) that integrate edges no longer than their distance from a circle's centre to 1e-16.
 _GAUSS_NODES, _GAUSS_WEIGHTS = (np.polynomial.legendre.leggauss(14) + np.array([[1.0], [0.0]])) * 0.5
 
 

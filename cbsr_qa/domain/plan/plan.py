@@ -17,7 +17,7 @@ class PluginChoice:
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
-#: Of recipes that image nothing; no plugin has this name.
+#: Reconstruction of recipes that image nothing; no plugin has this name.
 NO_RECONSTRUCTION = PluginChoice("none")
 
 
@@ -35,7 +35,7 @@ class InstrumentSpec:
         ``multiplexer``, or the channel it samples.
     options : everything else in the table, for the driver.
     calibration_due : ISO date or None.
-    model, serial : what the instrument must say it is; empty where the table does not say.
+    model, serial : identity the instrument must report; empty to accept any.
     """
 
     role: str
@@ -48,7 +48,6 @@ class InstrumentSpec:
 
     @property
     def emulated(self) -> bool:
-        """Whether its address asks for an emulator."""
         return self.options.get("address") == EMULATED
 
     @property
@@ -80,14 +79,14 @@ class SafetyLimits:
 
     Parameters
     ----------
-    strain : highest strain a press may ask for.
+    strain : highest strain of a press.
     travel_radius_mm : furthest the head's centre may go from the sheet's centre.
     stale_s : force data older than this while pressed stop the run.
     dwell_s : longest time the head may stay down.
     compliance : share of a frame's readings at the source's compliance or the meter's limit that stops the run.
-    heartbeat_s : instruments that can say they are there are asked at least this often while the runner waits.
-    answer_s : beyond what its work takes, an instrument may be silent for this long before it counts as hanging.
-    temperature_C : lowest and highest; None where it does not matter.
+        heartbeat_s : longest interval between liveness checks while the runner waits. answer_s : beyond the time of
+        its work, an instrument may be silent for this long before it counts as hanging. temperature_C : lowest and
+        highest; None if unlimited.
     """
 
     force_N: float
@@ -109,8 +108,8 @@ class ReferenceRing:
     Parameters
     ----------
     resistance_ohm : of each resistor between neighbouring electrodes, the first between electrodes 0 and 1; a single
-        one where all are alike.
-    tolerance : of a resistor, as a fraction: readings may differ by this much with nothing wrong.
+        one if they are equal.
+    tolerance : of a resistor, as a fraction: readings may differ by this much.
     gain : largest error of the gain, as a fraction.
     reading : largest deviation of a reading from the closed form, as a fraction, beside the tolerance.
     noise : largest rms noise of a reading, as a fraction of it.
@@ -133,7 +132,7 @@ class ReferenceRing:
         Raises
         ------
         ConfigError
-            If there are neither as many as electrodes nor a single one.
+            If their number is neither 1 nor that of the electrodes.
         """
         count = len(self.resistance_ohm)
         if count not in (1, electrodes):
@@ -152,10 +151,9 @@ class Station:
     ----------
     clock : ``"real"`` or ``"virtual"``; virtual only where every instrument is simulated.
     sensor_type, material : names of the files used unless the command line says otherwise.
-    emulated_scene : of the world that its emulated instruments share: a name, or a scene file's content; None where
-        it emulates none.
-    overdue : what happens to runs where an instrument is past its calibration date: ``"warn"`` or ``"refuse"``.
-    reference_ring : that ``cbsr-qa station check`` measures; None where the station has none.
+    emulated_scene : scene shared by its emulated instruments: a name, or a scene file's content; None if it has none.
+    overdue : policy for runs with an instrument past its calibration date: ``"warn"`` or ``"refuse"``. reference_ring
+        : measured by ``cbsr-qa station check``; None if the station has none.
     """
 
     name: str
@@ -188,7 +186,7 @@ class AnalysisSettings:
     ----------
     masks : percentage masks to report, as fractions.
     main_mask : the one the verdict uses; must be among ``masks``.
-    noise_floor_frames : unloaded frames the floor is taken from (the paper's first eight).
+    noise_floor_frames : unloaded frames for the noise floor (the paper's first eight).
     reference : ``"run"`` (mean of the rested frames without the noise-floor ones) or ``"load"`` (before each press).
     reference_frames : frames before each press that ``"load"`` averages.
     steady_frames : at most this many frames at the end of a hold make the steady image.
@@ -202,9 +200,9 @@ class AnalysisSettings:
     perimeter : ``"length"`` or ``"nodes"``.
     outline : of a sensed region: ``"contour"`` (inside the elements) or ``"elements"`` (whole ones, the paper's).
     noise_weighting : ``"equal"`` (all readings count alike) or ``"measured"`` (by their noise when unloaded).
-    calibrate_phases : names of the phases whose loads the calibration is taken from; loads of others test it.
-    transients : of short holds, for the force model: ``"averaged"`` (their last frames count as they are) or
-        ``"predicted"`` (to where the run's longest holds end).
+    calibrate_phases : names of the phases whose loads calibrate; those of others test the calibration.
+    transients : of short holds, for the force model: ``"averaged"`` (their last frames as measured) or
+        ``"predicted"`` (extrapolated to the end of the run's longest holds).
     """
 
     masks: tuple[float, ...]
@@ -234,10 +232,10 @@ class Recipe:
     Parameters
     ----------
     sections : report sections in order; empty for every installed one.
-    calibrate_phases : names of the phases whose loads the calibration is taken from.
-    limits_version : of those limits that carry one; None where none does.
-    characterisation : how press cycles on a strip become a material's parameters; None where sensors are imaged.
-        Where it is there, ``reconstruction`` is NO_RECONSTRUCTION and of ``analysis`` nothing is used.
+    calibrate_phases : names of the phases whose loads calibrate.
+    limits_version : of those limits that carry one; may be None. characterisation : how press cycles on a strip
+        become a material's parameters; None for recipes that image sensors. If given, ``reconstruction`` is
+        NO_RECONSTRUCTION and ``analysis`` is not used.
     """
 
     name: str
@@ -261,9 +259,8 @@ class Scene:
     effects : those that are on, in the order they are applied.
     frame_period_s : time of one frame (256 readings).
     sheet_mesh_size_mm : element size of the forward model far from the electrodes.
-    not_modelled : what this world leaves out, in words.
-    reference_ring_ohm : resistors of a ring that is connected in place of the sheet, the first between electrodes 0
-        and 1; empty where the sheet is.
+    not_modelled : neglected effects, in words. reference_ring_ohm : resistors of a ring connected in place of the
+        sheet, the first between electrodes 0 and 1; empty for a sheet.
     """
 
     name: str

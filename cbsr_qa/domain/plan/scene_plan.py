@@ -47,9 +47,9 @@ class ScenePlan:
     Parameters
     ----------
     scene : current, mesh and effects.
-    sensor_type, material : names of files; None where the scene leaves them to a station.
+    sensor_type, material : names of files; None if the station states them.
     indenter, motion : of every head.
-    seed, duration_s : of the recording; None where the scene has none.
+    seed, duration_s : of the recording; None if the scene has none.
     loads : in the order of the file.
     """
 

@@ -1,6 +1,6 @@
 """Steps of a sequence. The runner executes them; a dry run only checks them.
 
-How long the head takes, as a station's motion tells: the dry run counts with it before anything has moved.
+Also the head's travel times from a station's motion, for the dry run.
 
 Speeds are taken as constant: at the rig's 200 mm/s² reaching 10 mm/s costs 0.05 s a move, under 1 % of a cycle.
 """
@@ -51,8 +51,8 @@ class Press:
 class StrainStep:
     """Bring the pressed head to another strain at the same place, deeper or less deep, without leaving the sheet.
 
-    At the press speed. A press that is eased is one load: it is stored, and done again after an interruption, as a
-    whole.
+    Moves at the press speed. A press with several strains is one load: it is stored, and repeated after an
+    interruption, as a whole.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Hold:
 
     Parameters
     ----------
-    acquire : whether frames are taken all the while.
+    acquire : whether frames are taken meanwhile.
     """
 
     hold_s: float
@@ -102,7 +102,7 @@ class Prompt:
 Step = Home | FindSurface | Press | StrainStep | Hold | Release | AcquireFrames | MarkUnloaded | Prompt
 
 
-#: Above a surface the head goes at its press speed, because the surface may lie a little higher than expected.
+#: Just above a surface the head moves at its press speed, because the surface may be higher than expected.
 CLEARANCE_MM: Final = 0.2
 #: The surface search begins this far above the nominal surface,
 SEARCH_FROM_MM: Final = 0.5

@@ -58,7 +58,7 @@ class SimulatedPress:
         """Strain under the head at a time."""
         if not self.steps or time_s <= self.steps[0].start_s:
             return 0.0
-        if time_s >= self.end_s:  # as most presses of a run are
+        if time_s >= self.end_s:  # true of most presses of a run
             return sum([step.change for step in self.steps])
         return sum(s.change * min(max((time_s - s.start_s) / s.ramp_s, 0.0), 1.0) for s in self.steps)
 
@@ -85,7 +85,7 @@ class SceneSetting:
 
 @dataclass(frozen=True, slots=True)
 class HeadRing:
-    """One of the nested outlines that a head's pressure is made of.
+    """One of the nested outlines that make up a head's pressure.
 
     Parameters
     ----------
@@ -105,10 +105,10 @@ class SheetDesign:
     ----------
     sensor_type, indenter : what it is, and the head that presses on it.
     contact_mm : (electrodes,) contact impedance over the sheet's mean resistance [mm].
-    shift_mm : (electrodes, 2) how far each electrode is from where its sensor type says.
+    shift_mm : (electrodes, 2) displacement of each electrode from its nominal place.
     conductance, response, thickness : factors by place, each 1 on average; several multiply. Conductance is that of
         the material: the sheet's is thicker where the sheet is.
-    rings : what the head's pressure is made of; the weights' areas add up to the head's.
+    rings : the head's pressure; the weighted areas add up to the head's.
     """
 
     sensor_type: SensorType
@@ -153,7 +153,7 @@ class Dump:
     Parameters
     ----------
     frame, row : before which row of which frame.
-    pause_s : how much later the rest of the frame, and all that follow, are read.
+    pause_s : delay of the rest of the frame and of all later ones.
     """
 
     frame: int
@@ -202,22 +202,19 @@ class Moment:
     presses : all so far, also those released whose residue may linger.
     response : relative conductance change under the head, per press.
     stress_kPa : under the head, per press.
-    voltages : (drives, measures) [V]; None until the sheet was solved.
+    voltages : (drives, measures) [V]; None until solved.
     force_N : what the load cell reads.
-    place_mm : where the head is, from the sheet's centre. In stage ``position`` where it was told to go.
-    depth_mm : how deep below the nominal surface it was told to go; hovering is a negative depth.
-    from_mm, from_depth_mm : where it is before it moves there.
-    surface_mm : how far the sheet's surface there lies below nominal.
+    place_mm : the head's place from the sheet's centre; in stage ``position`` the commanded one. depth_mm : commanded
+        depth below the nominal surface; negative when hovering. from_mm, from_depth_mm : its place and depth before
+        the move. surface_mm : depth of the sheet's surface there below nominal.
     reading_scale_V : mean magnitude of the used readings of the unloaded sheet [V], for effects that are stated
         relative to it.
     reading_offsets_s : (drives, measures) when each reading of a frame is taken, from the frame's time; None where
         all are taken at once.
     contact_mm : (electrodes,) contact impedance over the sheet's mean resistance; None away from a frame.
     impedance_ohm : (electrodes, electrodes) electrode potentials per electrode current; None before it was solved.
-    current_A : (drives, measures) what flows while each reading is taken; None before the source is on.
-    drive_ohm : (drives, measures) resistance that its driven pair shows to the source then; None before the sheet
-        was solved.
-    measure_ohm : (drives, measures) resistance between the electrodes of its measured pair then; None before that.
+    current_A : (drives, measures) current during each reading; None before the source is on. drive_ohm, measure_ohm :
+        (drives, measures) resistance between the driven, and the measured, electrodes then; None until solved.
     flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.ReadingFlag`; None away from a frame.
     """
 

@@ -1,7 +1,7 @@
 """Carry-over between readings: each keeps a share of the one taken just before it.
 
-A multiplexer and a converter that do not settle fully mix a share m of the previous reading into each one,
-s[n] = (1 − m) x[n] + m s[n−1]. A passive sheet is reciprocal (V_ij = V_ji), the memory is not, so m shows in the
+A multiplexer and a converter that do not settle fully mix a share m of the previous reading into each one, s[n] = (1
+− m) x[n] + m s[n−1]. A passive sheet is reciprocal (V_ij = V_ji), carry-over is not, so m appears in the
 antisymmetric part of the frame: A(s)[n] = m A(s[n−1]) + noise, a regression through the origin.
 """
 
@@ -17,11 +17,11 @@ Mask = NDArray[np.bool_]
 
 #: An estimate counts only if it is this many of its own standard errors away from zero …
 _SIGNIFICANT = 5.0
-#: … and taking it out makes reciprocity better by at least this share.
+#: … and its removal improves reciprocity by at least this share.
 _WORTHWHILE = 0.2
 _LARGEST = 0.5
-#: Above this, more than a quarter of the readings' power is not reciprocal: no passive sheet was measured. A
-#: correction that hardly gets below it has not explained the readings.
+#: Above this, more than a quarter of the readings' power is not reciprocal, so no passive sheet was measured. A
+#: correction must get clearly below it to explain the readings.
 RECIPROCITY_LIMIT = 1.0
 
 
@@ -42,7 +42,7 @@ class CarryOver:
 
     @property
     def worth_correcting(self) -> bool:
-        """Whether the estimate is significant, plausible, and its correction makes reciprocity clearly better."""
+        """Whether the estimate is significant and plausible, and its correction clearly improves reciprocity."""
         return _SIGNIFICANT * self.stderr < self.share < _LARGEST and self.error_corrected < (1 - _WORTHWHILE) * min(
             self.error, RECIPROCITY_LIMIT
         )
@@ -51,7 +51,7 @@ class CarryOver:
 def scan_order(block: FrameBlock) -> NDArray[np.int64]:
     """Order in which a frame was read, (drives·measures,) indices into the flattened frame.
 
-    From the readings' own times where there are any, else row by row (the boards' order).
+    From the readings' own times if recorded, else row by row (the boards' order).
     """
     count = block.voltages[0].size
     if block.reading_time_s is None:
@@ -103,7 +103,7 @@ def estimate_carry_over(block: FrameBlock, used: Mask) -> CarryOver | None:
 
     Returns
     -------
-    CarryOver, or None where drives and measures are not the same pairs or the frame says nothing.
+    CarryOver, or None if drives and measures are not the same pairs or the frame is uninformative.
     """
     both = used & used.T if used.shape[0] == used.shape[1] else np.zeros_like(used)
     order = scan_order(block)

@@ -1,6 +1,6 @@
 """Frames of voltages, and samples of other channels, as instruments deliver them.
 
-A recording somebody else's rig, or ours, wrote to a file.
+Also recordings that any rig wrote to a file.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ SMALLEST_CURRENT_A: Final = 1e-15
 
 
 class VoltageUnit(StrEnum):
-    """Unit of the readings. Counts stay counts: an unknown scale is not guessed."""
+    """Unit of the readings. Counts are not converted: an unknown scale is not guessed."""
 
     VOLT = "V"
     COUNT = "count"
@@ -39,7 +39,7 @@ class ReadingFlag(IntFlag):
     MISSING = 4  #: not recorded; the voltage stored is 0
 
 
-#: Flags of readings that say nothing of a sheet.
+#: Flags of readings that carry no information about a sheet.
 UNUSABLE: Final = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
 
 
@@ -206,22 +206,20 @@ class Recording:
 
     Parameters
     ----------
-    path, format, dataset : where it came from; ``dataset`` is empty where a file holds only one.
+    path, format, dataset : its origin; ``dataset`` is empty if a file holds only one.
     scan : what a frame covers. For ``DRIVEN_PAIRS`` blocks have shape (n, 1, pairs).
     frames : the complete frames; times count from the first, on the board's clock where there is one.
-    reference : frames of the unloaded domain recorded apart (tank data); None where the recording holds its own.
-    still : True for single or averaged images, whose times say nothing (no frame rate).
-    magnitudes_only : readings are absolute values (the sign of the pattern's geometry is to be put back).
-    samples : force and other channels; empty where none was recorded.
-    loads : presses the recording itself documents (our own exports); empty where nobody said.
+    reference : frames of the unloaded domain recorded apart (tank data); None if the recording holds its own.
+    still : True for single or averaged images, which have no frame rate. magnitudes_only : readings are absolute
+        values (the sign must be restored from the pattern's geometry). samples : force and other channels; may be
+        empty. loads : presses the recording documents (our own exports); may be empty.
     problems : rows left out or noteworthy, by line.
     clock : which clock the times are from: ``"board"``, ``"computer"``, ``"station"`` (our own runs),
         ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
-    layout : electrode numbering the format documents, or their places; None where it is unknown.
-    sensor_type : name of the sensor type where the recording states it.
-    notes : facts worth telling a reader, in words.
-    frames_dropped : frames that are in the file but not whole; the ones cut by its beginning and end do not count.
-    simulated : in words, what was simulated; empty where a real rig measured.
+    layout : documented electrode numbering, or their places; None if unknown. sensor_type : name of the sensor type
+        if stated. notes : facts for a reader, in words. frames_dropped : incomplete frames within the file; those cut
+        by its beginning and end do not count.
+    simulated : what was simulated, in words; empty for a real rig.
     """
 
     path: Path
@@ -255,8 +253,8 @@ class ReadOptions:
     Parameters
     ----------
     dataset : one of several data sets in a file; None to take the only one.
-    reference : a file (and data set within it) holding the unloaded domain. The analysis reads it, by that file's
-        own format; a format only leaves out a reference it would find by itself.
+    reference : a file (and data set within it) holding the unloaded domain. The analysis reads it by its own format;
+        a format only ignores a reference it would find itself.
     """
 
     dataset: str | None = None

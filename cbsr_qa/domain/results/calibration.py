@@ -1,8 +1,6 @@
-"""What a passed run issues for its sensor: its fields, and how each is kept (:class:`~cbsr_qa.domain.kept.Kept`).
+"""The calibration issued for a passed sensor: its fields, and how each is kept (:class:`~cbsr_qa.domain.kept.Kept`).
 
-A field that is added here is written, read, digested, exported, stored and shown.
-
-What turns a sensor's readings into newtons: fields of its head by place, and how strongly each place answers.
+A field added here is written, read, digested, exported, stored and shown.
 """
 
 from dataclasses import dataclass
@@ -21,13 +19,13 @@ from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity, SensorT
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: More than any number of a force model is, so that its square is a number, and more than any logarithm in one is.
+#: Larger than any number of a force model, with a finite square; and larger than any logarithm in one.
 _LARGEST: Final = 1e12
 _LARGEST_LOG: Final = 50.0
-#: Nodes along an axis: more than any lattice has, and few enough for their product to be a number.
+#: Nodes along an axis: more than any lattice has, with a representable product.
 _MOST_NODES: Final = 10_000
 #: Steps of a template, whose length is one, and of its slope with the size of the head. Errors of a template add up
-#: to 7e-8 of a strength; those of the slope to four times as much for a head of twice the area.
+#: to 7e-8 of a strength; those of the slope to four times that for a head of twice the area.
 _TEMPLATE_STEP: Final = 2.0**-22
 _SLOPE_STEP: Final = 2.0**-20
 
@@ -62,15 +60,15 @@ class Lattice:
 class ForceModel:
     """How readings become the contrast under a head, and contrast becomes stress.
 
-    A head that changes the conductance under it by κ = Δγ/γ changes the readings in proportion to its *strength*
-    a = 2κ/(2 + κ), but for some 0.2 %. At node k of the lattice the readings' change per strength, in standard
-    errors of one frame, is row k of ``templates``. Relative response: κ = S (α_σ σ + β_σ) with S = ρ̄₀ over its
-    nominal value, 1 for a sheet that answers as its material (paper Eqs 1 and 7).
+    A head that changes the conductance under it by κ = Δγ/γ changes the readings in proportion to its *strength* a =
+    2κ/(2 + κ), within 0.2 %. At node k of the lattice the readings' change per strength, in standard errors of one
+    frame, is row k of ``templates``. Relative response: κ = S (α_σ σ + β_σ) with S = ρ̄₀ over its nominal value, 1
+    for a sheet that responds like its material (paper Eqs 1 and 7).
 
     Parameters
     ----------
     lattice : of the places.
-    node : (rows, columns) int64 index of each place into the arrays below; −1 where no head can be.
+    node : (rows, columns) int64 index of each place into the arrays below; −1 outside the reachable places.
     merging : (r, m) [1/V] turns changes of the m used readings into r rows of unit noise.
     templates : (n, r) rows of unit length: the readings' change under the calibrated head is strength × e^log_size ×
         template.
@@ -87,13 +85,12 @@ class ForceModel:
     stress_kPa : (lowest, highest) of the loads the map was learned from.
     threshold : least detectability d′ (signal over noise of the readings) that counts as a load.
     misfit : largest share of a load's signal, as energy, that the template of a second head may explain before the
-        frame counts as one of several. In files of before it was that of all that a template leaves, 0.04 at least.
-    residue_share, residue_stderr : share of what earlier loads left just before a press that is still there at its
-        steady frames, as the calibration took it.
-    residue_strength : root mean square of the strength that earlier loads had left where a load was then pressed.
-    steady_s : how long after the ramp's end the map's loads were looked at; forces are of loads held so long [s].
+        frame counts as one of several. In earlier files: of the whole residual of a template, at least 0.04.
+    residue_share, residue_stderr : share of earlier loads' residue before a press that remains at its steady frames.
+    residue_strength : root mean square of the strength of that residue at the places of loads. steady_s : time after
+        the ramp's end at which the map's loads were evaluated; forces are of loads held so long [s].
     place_scatter_mm : standard deviation of a found place about the true one, along an axis, beyond noise.
-    loading, unloading : how loads get there, and how they fade; None where it was not learned.
+    loading, unloading : kernels of rise and decay of loads; None if not learned.
     """
 
     lattice: Annotated[Lattice, Kept(prepared=True)]
@@ -131,9 +128,8 @@ class BaselineConductance:
     Parameters
     ----------
     location : label of the load, e.g. ``"L0"``.
-    value, stderr : relative image units; ``value`` is None where the load says nothing about it.
-    loads : how many loads it was taken from.
-    why : reason where there is no value, or a remark.
+    value, stderr : relative image units; ``value`` is None if the load does not determine it. loads : their number.
+        why : reason for a missing value, or a remark.
     """
 
     location: str
@@ -174,8 +170,8 @@ class LoadRelaxation:
     ----------
     location, trial : of the load.
     signal, loading : as in :class:`SettlingSummary`.
-    phase, load, strain : of the load; with phase and index (as in :class:`~cbsr_qa.domain.run.LoadRecord`), loads
-        of one label and trial at several strains stay apart. None where they are not known.
+    phase, load, strain : of the load; with phase and index (as in :class:`~cbsr_qa.domain.run.LoadRecord`), loads of
+        one label and trial at several strains stay apart. None if unknown.
     unit : of the trace, and so of level, amplitudes and band.
     """
 
@@ -197,8 +193,8 @@ class Validity:
 
     Parameters
     ----------
-    force_N, strain : (lowest, highest) calibrated, or tried and found to be told within the stated error.
-    temperature_C : (lowest, highest), None where it was not measured.
+    force_N, strain : (lowest, highest) calibrated, or tested within the stated error. temperature_C : (lowest,
+        highest), None if not measured.
     radius_mm : loads further out than this were neither calibrated nor tried.
     reduced : reasons why the range is smaller than the recipe intended.
     """
@@ -234,14 +230,14 @@ class Calibration:
     noise_floor, mask : image pre-processing.
     baseline : ρ̄₀ per location.
     against_stress, against_strain : α, β with their sources; "assumed" unless this sensor was characterised.
-    assumed : names of what was taken from the material file and not measured on this sensor.
+    assumed : names of parameters taken from the material file, not measured on this sensor.
     overlap_bands, overlap_threshold : thresholds on area overlap [%].
-    size_ratio : lowest and highest blob area over head area for which a band counts; None where nobody said.
+    size_ratio : lowest and highest blob area over head area for which a band counts; None if not recorded.
     simulated : what was simulated in the issuing run; empty for a real one.
     relaxations : every fit the summaries were taken from.
-    noise_figure : measured on this sensor with its own matrix; None where it was not. That of the matrix on the
-        nominal model is in ``reconstruction.choice``.
-    force : what turns readings into newtons; None where the run's loads gave none.
+    noise_figure : measured on this sensor with its own matrix, or None. That of the matrix on the nominal model is in
+        ``reconstruction.choice``.
+    force : model that converts readings to newtons; None if the run's loads do not determine it.
     no_force : why there is no force model; empty if there is one.
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibration.file` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
