@@ -45,8 +45,8 @@ class FramePlace:
 
     Parameters
     ----------
-    x_mm, y_mm, covariance_mm2 : None where there is no place.
-    flags : what is unusual: names of :class:`~cbsr_qa.calibration.Flag`.
+    x_mm, y_mm, covariance_mm2 : None if no place was found.
+    flags : names of :class:`~cbsr_qa.calibration.Flag`.
     in_model : whether the readings are like those that calibrated.
     force_N, depth_mm : None where it was not learned, or no press is detected.
     force_68_N, force_95_N, depth_68_mm, depth_95_mm : lowest and highest of the interval that holds it with that
@@ -74,8 +74,8 @@ class AppliedPlaces:
 
     Parameters
     ----------
-    q68, q95 : the region of that probability is all d with dᵀ Σ⁻¹ d ≤ q, Σ a frame's covariance and d a place less
-        its own.
+    q68, q95 : the region of that probability is dᵀ Σ⁻¹ d ≤ q, with d the distance from a frame's place and Σ its
+        covariance.
     """
 
     calibration: Path
@@ -94,13 +94,13 @@ def apply_to_table(
     ----------
     calibration : file, learned from labelled presses.
     readings : table with a column for each row of ``pattern``.
-    differences : whether the readings are changes; else they are frames, and changes are against ``rest`` or, without
-        it, the unloaded frames that the calibration was made with.
+    differences : whether the readings are changes; else they are frames, compared with ``rest`` or, without it, the
+        calibration's unloaded frames.
 
     Raises
     ------
     CalibrationError
-        If the calibration is not sound or of another kind, or a calibrated pair is missing.
+        If the calibration is damaged or of another kind, or a calibrated pair is missing.
     RecordingError
         If a table cannot be used.
     """

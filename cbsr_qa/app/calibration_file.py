@@ -31,8 +31,8 @@ class Converted:
 
     Parameters
     ----------
-    digest : SHA-256 of the content; for a firmware file, of its calibration. loss : what a firmware file omits; None
-        if nothing is lost.
+    digest : SHA-256 of the content; for a firmware file, of its calibration.
+    loss : what a firmware file omits; None if nothing is lost.
     """
 
     file: Path

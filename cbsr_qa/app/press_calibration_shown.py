@@ -22,8 +22,9 @@ class ShownPressCalibration:
 
     Parameters
     ----------
-    made_by : states that no station made it. sources : files it was made from, with their SHA-256. readings :
-        distinct ones; ``rest`` whether changes refer to its own unloaded frames.
+    made_by : states that no station made it.
+    sources : files it was made from, with their SHA-256.
+    readings : distinct ones; ``rest`` whether changes refer to its own unloaded frames.
     """
 
     file: Path

@@ -29,10 +29,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-#: Whether the command was asked for a document, once its line was read: "--json" may be another option's value.
+#: Whether a document was requested, after parsing: "--json" may be another option's value.
 _asked_for_json: list[bool] = []
 
-#: Whether commands get a process of their own: only where this process ends with the command.
+#: Whether commands run in a child process: only if this process ends with the command.
 _supervising = False
 
 
@@ -43,7 +43,7 @@ def _supervised(command: Command) -> Callable[..., Any]:
     def begun(*arguments: Any, **options: Any) -> Any:
         _asked_for_json.append(bool(options.get("as_json")))
         judging = command.words == "run" and not options["dry_run"]
-        # Here the command line is parsed, by nobody but click, and no plugin has been entered.
+        # Click parses the command line here, before any plugin code runs.
         if _supervising and (code := supervise(judges=judging)) is not None:
             return code
         claim_stdout()
@@ -88,26 +88,26 @@ _REPORT_IT = "stored data are kept; please report this with the output of CBSR_Q
 
 _LOST = "free some space, or name another file; stored data are kept: cbsr-qa db status, cbsr-qa report RUN"
 
-#: What typer raises for a misused command line. It brings its own copy of click, or uses the installed one.
+#: Errors of typer for a misused command line. It has its own copy of click, or uses the installed one.
 _UsageError = cast(type[Exception], typer.BadParameter.__mro__[1])
 
-#: What typer makes of Ctrl-C where it is not the one to end the program.
+#: Raised by typer for Ctrl-C when it does not end the program.
 _INTERRUPTED = 130
 
 #: Numerical libraries take their number of threads from these when they are loaded.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-#: Reference cycles are searched for this much less often than by default: loading libraries and reading a fleet make
-#: millions of objects and hardly a cycle, and a third of the time of ``compare`` went into searching.
+#: Factor by which garbage collection is rarer than by default: loading libraries and reading a fleet create millions
+#: of objects and hardly a cycle, and searching took a third of the time of ``compare``.
 _COLLECTED = (200_000, 20, 20)
 
 
 def entry() -> None:
     """Run the command line: exit code 0 passed or done, 1 failed, 2 refused, 3 aborted, broken or not measured.
 
-    Numerical libraries are held to one thread: with more, last digits depend on the number of cores, and matrices of
-    this size are slower.
+    Numerical libraries use one thread: with more, last digits depend on the number of cores, and matrices of this
+    size are slower.
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     gc.set_threshold(*_COLLECTED)
@@ -154,7 +154,7 @@ def _ended(arguments: list[str]) -> int:
     except _UsageError as error:
         return _misused(error, arguments)
     except (typer.Abort, KeyboardInterrupt):
-        # A command that has no end of its own for that, as a run has.
+        # Commands other than a run, which handles this itself.
         return _told(StoppedError("stopped from the keyboard", remedy="start it again"), arguments, "aborted")
     except BaseException as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
         return 0 if _help_unread(error) else _unexpected(error, arguments)
@@ -162,7 +162,7 @@ def _ended(arguments: list[str]) -> int:
 
 
 def _help_unread(error: BaseException) -> bool:
-    """Whether help was piped into a program that has gone; a broken pipe of an instrument is another thing.
+    """Whether help was piped into a program that has ended, as opposed to a broken pipe of an instrument.
 
     Rich raises SystemExit for it, with stdout redirected to nowhere; no command has begun then.
     """
@@ -172,7 +172,7 @@ def _help_unread(error: BaseException) -> bool:
 
 
 def _told(error: CbsrError, arguments: list[str], words: str = "") -> int:
-    """Print an error, as a document too where one was asked for, and return its exit code."""
+    """Print an error, also as a document if requested, and return its exit code."""
     if _wants_json(arguments):
         emit_json(error.document())
     note(f"cbsr-qa: {words or error}")
@@ -189,7 +189,7 @@ def _unexpected(error: BaseException, arguments: list[str]) -> int:
     return code
 
 
-#: What pydantic and click say of a value → what an engineer reads.
+#: Wording of pydantic and click → wording for engineers.
 _WORDS = {
     r"Input should be a valid integer.*": "it must be a whole number",
     r"Input should be a valid number.*": "it must be a number",

@@ -164,8 +164,8 @@ class UnconcludedError(StoppedError):
 
     Parameters
     ----------
-    again : command that computes the result from what is stored; nothing moves if the run had finished. by : who or
-        what stopped it.
+    again : command that computes the result from what is stored; nothing moves if the run had finished.
+    by : who or what stopped it.
     """
 
     stated = ("run", "reason", "remedy")

@@ -34,9 +34,10 @@ class Kept:
     single : kept in single precision; ``shortest``: if lossless.
     step : a value is rounded to multiples of this when it is issued.
     dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
-    least, most : allowed range; given either, numbers must be finite. source : its attribute in a run's observation,
-        e.g. ``"settings.size_ratio"``. given : fields of a group that follow from its path: (name, value). not_kept :
-        a field not in the file, or (``from_above``) one that the parent has as well.
+    least, most : allowed range; given either, numbers must be finite.
+    source : its attribute in a run's observation, e.g. ``"settings.size_ratio"``.
+    given : fields of a group that follow from its path: (name, value).
+    not_kept : a field not in the file, or (``from_above``) one that the parent has as well.
     """
 
     path: str | None = None

@@ -23,7 +23,8 @@ def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[n
     Parameters
     ----------
     values : any shape; lists of lists as well.
-    what : plural noun that begins the message. remedy : for values of another type; there is a default.
+    what : plural noun that begins the message.
+    remedy : for values of another type; there is a default.
 
     Raises
     ------

@@ -47,7 +47,8 @@ class ReadRecording:
 
     Parameters
     ----------
-    problems : rows left out, or used with reservations. loads_documented : presses that the file states.
+    problems : rows left out, or used with reservations.
+    loads_documented : presses that the file states.
     """
 
     format: str | None

@@ -133,8 +133,9 @@ class RunOutcome:
     reason : of the verdict.
     resume : command that resumes it; None if it finished.
     report, calibration, material : files; None if none was issued, or it could not be written (a warning says so).
-    material_why : why there is no material file; empty if the recipe characterises none. warnings : of the result and
-        of writing the files. station_s : time the sensor occupied the station.
+    material_why : why there is no material file; empty if the recipe characterises none.
+    warnings : of the result and of writing the files.
+    station_s : time the sensor occupied the station.
     """
 
     run: str

@@ -110,9 +110,10 @@ def run_sensor(
 
     Parameters
     ----------
-    tell : called with the current activity. ask : shows a text to the operator and returns the answer; None without
-        an operator: prompts and instruments worked by hand are then refused. begun : called with the run's identifier
-        before anything is stored.
+    tell : called with the current activity.
+    ask : shows a text to the operator and returns the answer; None without an operator: prompts and instruments
+        worked by hand are then refused.
+    begun : called with the run's identifier before anything is stored.
 
     Returns
     -------

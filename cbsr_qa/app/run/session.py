@@ -87,7 +87,8 @@ class Done:
 
     Parameters
     ----------
-    loads : (phase, index) of finished presses. phases : finished ones.
+    loads : (phase, index) of finished presses.
+    phases : finished ones.
     until_s : start of this session on the run's time line [s].
     """
 
@@ -111,8 +112,9 @@ class Session:
     Parameters
     ----------
     configuration : checked, see :func:`check_configuration`.
-    ask : shows a text to the operator and returns the answer; None without an operator. done : by earlier sessions of
-        the same run. why : operator's reason for files that differ from those of earlier runs.
+    ask : shows a text to the operator and returns the answer; None without an operator.
+    done : by earlier sessions of the same run.
+    why : operator's reason for files that differ from those of earlier runs.
 
     Raises
     ------

@@ -66,8 +66,8 @@ def look_at_bench(
     Parameters
     ----------
     ring : to measure, if any.
-    confirm : called before the ring is measured on a real bench. ask : for instruments worked by hand; None without
-        an operator.
+    confirm : called before the ring is measured on a real bench.
+    ask : for instruments worked by hand; None without an operator.
 
     Raises
     ------

@@ -70,8 +70,8 @@ def check_outcome(
 
     Parameters
     ----------
-    ring, allowed : its frames and their limits; None if not measured. golden_run : its name for people; empty if not
-        run.
+    ring, allowed : its frames and their limits; None if not measured.
+    golden_run : its name for people; empty if not run.
     """
     instruments = tuple(filled(AnsweringInstrument, one, notes=dict(one.notes)) for one in check.instruments)
     checked = filled(CheckedStation, check, instruments=instruments)

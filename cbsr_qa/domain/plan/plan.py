@@ -84,9 +84,9 @@ class SafetyLimits:
     stale_s : force data older than this while pressed stop the run.
     dwell_s : longest time the head may stay down.
     compliance : share of a frame's readings at the source's compliance or the meter's limit that stops the run.
-        heartbeat_s : longest interval between liveness checks while the runner waits. answer_s : beyond the time of
-        its work, an instrument may be silent for this long before it counts as hanging. temperature_C : lowest and
-        highest; None if unlimited.
+    heartbeat_s : longest interval between liveness checks while the runner waits.
+    answer_s : beyond the time of its work, an instrument may be silent for this long before it counts as hanging.
+    temperature_C : lowest and highest; None if unlimited.
     """
 
     force_N: float
@@ -152,8 +152,8 @@ class Station:
     clock : ``"real"`` or ``"virtual"``; virtual only where every instrument is simulated.
     sensor_type, material : names of the files used unless the command line says otherwise.
     emulated_scene : scene shared by its emulated instruments: a name, or a scene file's content; None if it has none.
-    overdue : policy for runs with an instrument past its calibration date: ``"warn"`` or ``"refuse"``. reference_ring
-        : measured by ``cbsr-qa station check``; None if the station has none.
+    overdue : policy for runs with an instrument past its calibration date: ``"warn"`` or ``"refuse"``.
+    reference_ring : measured by ``cbsr-qa station check``; None if the station has none.
     """
 
     name: str
@@ -233,9 +233,9 @@ class Recipe:
     ----------
     sections : report sections in order; empty for every installed one.
     calibrate_phases : names of the phases whose loads calibrate.
-    limits_version : of those limits that carry one; may be None. characterisation : how press cycles on a strip
-        become a material's parameters; None for recipes that image sensors. If given, ``reconstruction`` is
-        NO_RECONSTRUCTION and ``analysis`` is not used.
+    limits_version : of those limits that carry one; may be None.
+    characterisation : how press cycles on a strip become a material's parameters; None for recipes that image
+        sensors. If given, ``reconstruction`` is NO_RECONSTRUCTION and ``analysis`` is not used.
     """
 
     name: str
@@ -259,8 +259,9 @@ class Scene:
     effects : those that are on, in the order they are applied.
     frame_period_s : time of one frame (256 readings).
     sheet_mesh_size_mm : element size of the forward model far from the electrodes.
-    not_modelled : neglected effects, in words. reference_ring_ohm : resistors of a ring connected in place of the
-        sheet, the first between electrodes 0 and 1; empty for a sheet.
+    not_modelled : neglected effects, in words.
+    reference_ring_ohm : resistors of a ring connected in place of the sheet, the first between electrodes 0 and 1;
+        empty for a sheet.
     """
 
     name: str

@@ -204,17 +204,19 @@ class Moment:
     stress_kPa : under the head, per press.
     voltages : (drives, measures) [V]; None until solved.
     force_N : what the load cell reads.
-    place_mm : the head's place from the sheet's centre; in stage ``position`` the commanded one. depth_mm : commanded
-        depth below the nominal surface; negative when hovering. from_mm, from_depth_mm : its place and depth before
-        the move. surface_mm : depth of the sheet's surface there below nominal.
+    place_mm : the head's place from the sheet's centre; in stage ``position`` the commanded one.
+    depth_mm : commanded depth below the nominal surface; negative when hovering.
+    from_mm, from_depth_mm : its place and depth before the move.
+    surface_mm : depth of the sheet's surface there below nominal.
     reading_scale_V : mean magnitude of the used readings of the unloaded sheet [V], for effects that are stated
         relative to it.
     reading_offsets_s : (drives, measures) when each reading of a frame is taken, from the frame's time; None where
         all are taken at once.
     contact_mm : (electrodes,) contact impedance over the sheet's mean resistance; None away from a frame.
     impedance_ohm : (electrodes, electrodes) electrode potentials per electrode current; None before it was solved.
-    current_A : (drives, measures) current during each reading; None before the source is on. drive_ohm, measure_ohm :
-        (drives, measures) resistance between the driven, and the measured, electrodes then; None until solved.
+    current_A : (drives, measures) current during each reading; None before the source is on.
+    drive_ohm, measure_ohm : (drives, measures) resistance between the driven, and the measured, electrodes then; None
+        until solved.
     flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.ReadingFlag`; None away from a frame.
     """
 

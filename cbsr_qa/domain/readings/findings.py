@@ -20,7 +20,7 @@ def place_in_words(electrode: float, r_over_R: float, electrodes: int) -> str:
     Parameters
     ----------
     electrode : direction as a fractional 0-based electrode number.
-    electrodes : how many there are; just before the first one is rounded to 0.0.
+    electrodes : their number; a direction just before the first is rounded to 0.0.
     """
     if r_over_R < _AT_CENTRE:
         return f"centre (r/R {r_over_R:.2f})"
@@ -28,7 +28,7 @@ def place_in_words(electrode: float, r_over_R: float, electrodes: int) -> str:
 
 
 class _OnDisc:
-    """What follows from a place on a disc, ``x_over_R`` and ``y_over_R``, and its direction ``electrode``."""
+    """A place on a disc, ``x_over_R`` and ``y_over_R``, and its direction ``electrode``."""
 
     __slots__ = ()
     x_over_R: float
@@ -43,7 +43,7 @@ class _OnDisc:
 
     @property
     def central(self) -> bool:
-        """Whether it is so near the centre that its direction says nothing."""
+        """Whether it is too near the centre to have a direction."""
         return self.r_over_R < _AT_CENTRE
 
     @property
@@ -77,9 +77,9 @@ class NoiseReport:
     rms : median over channels of the rms noise of one reading, in ``unit``; None where too few frames exist.
     unit : the recording's, ``"V"`` or ``"count"``.
     drift_per_min : median over channels of the slope, in ``unit`` per minute; None where time is unknown.
-    steps : changes of level or noise; where there are any, ``rms`` is that of the longest quiet stretch.
-    quiet_s : (start, end) of the stretch the figures are from; None where there is none.
-    frames : how many frames that is.
+    steps : changes of level or noise; if any, ``rms`` is that of the longest quiet stretch.
+    quiet_s : (start, end) of that stretch; may be None.
+    frames : number of its frames.
     outliers : share of all readings further than six times the noise from their channel's level in that stretch.
     """
 
@@ -101,12 +101,12 @@ class ChannelReport:
     saturated, stuck : (drive, measure) index pairs at the converter's end, or that never change (any more).
     not_connected : whether nothing was connected at all.
     used : number of readings that were imaged.
-    snr_db : median over used channels of level over noise; None where there is no noise estimate.
+    snr_db : median over used channels of level over noise; None without a noise estimate.
     reciprocity_error : rms |V_ij − V_ji| over rms |V| on used pairs, as recorded; None for one-row scans.
     reading_memory : share m of the previous reading estimated from reciprocity; None where not estimated.
-    reciprocity_error_corrected : the same after the memory was taken out.
+    reciprocity_error_corrected : the same after the correction.
     memory_corrected : whether the correction was applied before imaging.
-    suspect_electrodes : whose readings changed together and were left out: a contact, not a load.
+    suspect_electrodes : excluded because their readings changed together: a contact, not a load.
     """
 
     saturated: tuple[tuple[int, int], ...]
@@ -130,7 +130,7 @@ class ImagedPlace(_OnDisc):
     x_over_R, y_over_R : centre of mass of its region, in units of the sheet's radius.
     electrode : its direction as a fractional 0-based electrode number, of ``electrodes``.
     largest : relative conductance change of largest size in the region.
-    area_share : of the sheet, where the image is above half of that.
+    area_share : share of the sheet where the image exceeds half of that.
     """
 
     x_over_R: float
@@ -148,7 +148,7 @@ class EventImaging:
     Parameters
     ----------
     reconstruction : the plugin, and the options it was given.
-    choice : of its parameter; None where there was no event to image.
+    choice : of its parameter; None if there was no event to image.
     elements : of an image; None likewise.
     """
 
@@ -164,9 +164,9 @@ class Motion:
     Parameters
     ----------
     begins, ends : electrode (direction as a fractional number) and r/R of its first and last place.
-    turns : round the centre, positive towards higher electrode numbers; means nothing for a way through the centre.
-    nearest_r_over_R : how near it comes to the centre.
-    electrodes : how many there are.
+    turns : round the centre, positive towards higher electrode numbers; undefined for a path through the centre.
+    nearest_r_over_R : smallest distance from the centre.
+    electrodes : their number.
     """
 
     begins: tuple[float, float]
@@ -200,18 +200,18 @@ class LoadEvent(_OnDisc):
 
     Parameters
     ----------
-    start_s, peak_s, end_s : on the recording's clock [s]; ``end_s`` is the last frame where it goes on to the end.
+    start_s, peak_s, end_s : on the recording's clock [s]; ``end_s`` is the last frame if it lasts to the end.
     x_over_R, y_over_R : place in units of the sheet's radius, x towards electrode 0's direction as drawn.
     electrode : its direction as a fractional 0-based electrode number, of ``electrodes``.
-    sign : +1 where the place conducts more, −1 less.
+    sign : +1 if the place conducts more, −1 less.
     snr : detection statistic over its noise, dimensionless.
-    x_mm, y_mm : only where a sensor type was named.
+    x_mm, y_mm : only if a sensor type was named.
     force_N : peak force while it lasted; None where not recorded.
     track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
-    motion : how an object moves; None where it stays, and for a press.
+    motion : of an object; None if it stays, and for a press.
     fate : beside others held at its peak, whether the image shows it ``"apart"``, ``"merged"`` with one of them, or
         it was ``"missed"``; empty where it was alone.
-    imaged : where its own image shows it; None where the image shows nothing near its place.
+    imaged : its place in its image; None if the image shows nothing near it.
     goodness : of the fit of loads on the modelled sheet.
     """
 
@@ -242,9 +242,9 @@ class RecordingResult:
     Parameters
     ----------
     frame_rate_hz : None for still images.
-    events_why : why there is no event, where there is none ("nothing stands out of the noise", …).
-    sensor_type : what was measured; None where nobody named it.
-    imaging : how the images were made; None where no image can be made of such a recording.
+    events_why : why there is no event ("nothing stands out of the noise", …), else empty.
+    sensor_type : None if not stated.
+    imaging : how the images were made; None if such a recording cannot be imaged.
     """
 
     recording: Recording

@@ -210,15 +210,17 @@ class Recording:
     scan : what a frame covers. For ``DRIVEN_PAIRS`` blocks have shape (n, 1, pairs).
     frames : the complete frames; times count from the first, on the board's clock where there is one.
     reference : frames of the unloaded domain recorded apart (tank data); None if the recording holds its own.
-    still : True for single or averaged images, which have no frame rate. magnitudes_only : readings are absolute
-        values (the sign must be restored from the pattern's geometry). samples : force and other channels; may be
-        empty. loads : presses the recording documents (our own exports); may be empty.
+    still : True for single or averaged images, which have no frame rate.
+    magnitudes_only : readings are absolute values (the sign must be restored from the pattern's geometry).
+    samples : force and other channels; may be empty.
+    loads : presses the recording documents (our own exports); may be empty.
     problems : rows left out or noteworthy, by line.
     clock : which clock the times are from: ``"board"``, ``"computer"``, ``"station"`` (our own runs),
         ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
-    layout : documented electrode numbering, or their places; None if unknown. sensor_type : name of the sensor type
-        if stated. notes : facts for a reader, in words. frames_dropped : incomplete frames within the file; those cut
-        by its beginning and end do not count.
+    layout : documented electrode numbering, or their places; None if unknown.
+    sensor_type : name of the sensor type if stated.
+    notes : facts for a reader, in words.
+    frames_dropped : incomplete frames within the file; those cut by its beginning and end do not count.
     simulated : what was simulated, in words; empty for a real rig.
     """
 

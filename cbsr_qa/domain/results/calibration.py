@@ -87,8 +87,9 @@ class ForceModel:
     misfit : largest share of a load's signal, as energy, that the template of a second head may explain before the
         frame counts as one of several. In earlier files: of the whole residual of a template, at least 0.04.
     residue_share, residue_stderr : share of earlier loads' residue before a press that remains at its steady frames.
-    residue_strength : root mean square of the strength of that residue at the places of loads. steady_s : time after
-        the ramp's end at which the map's loads were evaluated; forces are of loads held so long [s].
+    residue_strength : root mean square of the strength of that residue at the places of loads.
+    steady_s : time after the ramp's end at which the map's loads were evaluated; forces are of loads held so long
+        [s].
     place_scatter_mm : standard deviation of a found place about the true one, along an axis, beyond noise.
     loading, unloading : kernels of rise and decay of loads; None if not learned.
     """
@@ -128,8 +129,9 @@ class BaselineConductance:
     Parameters
     ----------
     location : label of the load, e.g. ``"L0"``.
-    value, stderr : relative image units; ``value`` is None if the load does not determine it. loads : their number.
-        why : reason for a missing value, or a remark.
+    value, stderr : relative image units; ``value`` is None if the load does not determine it.
+    loads : their number.
+    why : reason for a missing value, or a remark.
     """
 
     location: str
@@ -193,8 +195,8 @@ class Validity:
 
     Parameters
     ----------
-    force_N, strain : (lowest, highest) calibrated, or tested within the stated error. temperature_C : (lowest,
-        highest), None if not measured.
+    force_N, strain : (lowest, highest) calibrated, or tested within the stated error.
+    temperature_C : (lowest, highest), None if not measured.
     radius_mm : loads further out than this were neither calibrated nor tried.
     reduced : reasons why the range is smaller than the recipe intended.
     """
