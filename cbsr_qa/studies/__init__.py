@@ -1,4 +1,4 @@
-"""What many runs, or many simulations, tell."""
+"""Studies of many runs, or of many simulations."""
 
 from cbsr_qa import door
 

@@ -1,4 +1,4 @@
-"""Values of one metric over many runs: in one unit, of one number of places, with what was left out noted."""
+"""Values of one metric over many runs: one unit, one number of places, with notes on omissions."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,18 +30,18 @@ class Series:
 
     @property
     def tolerance(self) -> float | None:
-        """Width of the limits; None where there is one or none."""
+        """Width of the limits; None without both."""
         return None if self.lower is None or self.upper is None else self.upper - self.lower
 
 
-#: Metric → run → its figure.
+#: Metric → run → its value.
 Figures = Mapping[MetricKey, Mapping[str, RunFigure]]
 
 
 def figures_of(table: FleetTable, *, by_location: bool = False) -> dict[MetricKey, dict[str, RunFigure]]:
     """Return the mean of each metric of a run over its loads, or over those of each location.
 
-    A metric in several units within a run has no value there, and says so.
+    A metric in several units within a run has no value there, with a note.
     """
     keys = [(replace(of.key, location=of.location) if by_location else of.key, of.unit) for of in table.kinds]
     columns = sorted(set(keys))
@@ -69,16 +69,16 @@ def figures_of(table: FleetTable, *, by_location: bool = False) -> dict[MetricKe
 
 
 def series_of(runs: Sequence[RunLine], figures: Figures, names: Sequence[str] = ()) -> list[Series]:
-    """Put figures in order, one series a metric.
+    """Arrange values, one series per metric.
 
     Parameters
     ----------
-    names : measurements wanted, all variants of each; none for those with limits, or all where none has any.
+    names : requested measurements, all variants of each; empty for those with limits, or for all if none has limits.
 
     Raises
     ------
     RefusedError
-        If no run measured a name, with the nearest one; or no run measured anything.
+        If no run measured a name (with the nearest one), or no run measured anything.
     """
     of_runs = {run.run for run in runs}
     by_key = {key: own for key, of in figures.items() if (own := {run: of[run] for run in of if run in of_runs})}
@@ -123,7 +123,7 @@ def _series(key: MetricKey, runs: Sequence[RunLine], figures: Mapping[str, RunFi
 
 
 def _why_not(figure: RunFigure | None, unit: str, places: int) -> str:
-    """Say why a run's figure cannot stand beside the others; empty where it can."""
+    """Why a run's value is not comparable with the others; empty if it is."""
     if figure is None:
         return "did not measure it"
     if figure.unit != unit and not figure.units:

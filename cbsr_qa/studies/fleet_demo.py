@@ -1,4 +1,4 @@
-"""A fleet to try comparisons on: figures of batch + station + sensor + run + place, drawn from a known truth."""
+"""A fleet for trying comparisons: values of batch + station + sensor + run + place, drawn from a known truth."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -30,23 +30,23 @@ from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.studies.simulated import configuration_of, shipped
 
-#: Of everything that is drawn; the first there is, not chosen for what comes out.
+#: Seed of all draws; the first one, not chosen for its result.
 SEED: Final = 1
 
-#: Names of the designs, which are those of their recipes.
+#: Names of the designs, which equal those of their recipes.
 ONE_STATION: Final = "each-on-one-station"
 THIRD_ON_ALL: Final = "a-third-on-all-stations"
-REPEATED: Final = "twice-on-every-station"  # what a gauge study needs
+REPEATED: Final = "twice-on-every-station"  # runs for a gauge study
 _LETTERS: Final = {ONE_STATION: "S", THIRD_ON_ALL: "T", REPEATED: "G"}
 
 BATCHES: Final = ("41", "42", "43")
 STATIONS: Final = ("A", "B", "C")
-_SENSORS: Final = 20  # of a batch
+_SENSORS: Final = 20  # sensors of a batch
 _IN_GAUGE_STUDY: Final = 6  # of batch 41, each twice on every station
-_AT_HOME: Final = 12  # of them on the batch's own station: stations and batches are much confounded
-_EFFECT: Final = 1.5  # deviations between sensors: what batch 43 differs by, and station B
+_AT_HOME: Final = 12  # share of them on the batch's own station: stations and batches are strongly confounded
+_EFFECT: Final = 1.5  # in deviations between sensors: difference of batch 43, and of station B
 
-#: Said in the database, on pages and in reports.
+#: Stated in the database, on pages and in reports.
 SAID: Final = (
     "figures are drawn from a statistical model of a fleet: nothing was measured, no sheet and no frame was simulated"
 )
@@ -57,7 +57,7 @@ _APART: Final = timedelta(minutes=40)
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """How one metric is drawn.
+    """Parameters of the random values of one metric.
 
     Parameters
     ----------
@@ -98,17 +98,17 @@ class _Run:
 
 
 def fleet_demo_path() -> Path:
-    """Where the fleet lies: a database of its own."""
+    """Return the path of the fleet, a separate database."""
     return var_folder() / "fleet-demo.db"
 
 
 def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, path: Path | None = None) -> Path:
-    """Build the fleet anew, by default in ``fleet-demo.db`` in ``var/``; an earlier one is replaced.
+    """Build the fleet, by default in ``fleet-demo.db`` in ``var/``; an earlier one is replaced.
 
     Raises
     ------
     RefusedError
-        If something else is at the path, which is left as it is.
+        If the path has other content, which is left unchanged.
     """
     path = path or fleet_demo_path()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -117,7 +117,7 @@ def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, pa
     kinds = {(run.recipe, run.station): run for run in runs}
     configurations = {kind: _configuration(run) for kind, run in kinds.items()}
     now = _BEGAN
-    # Designs draw apart, so that runs of one change nothing in another.
+    # Designs have separate random numbers, so that runs of one do not affect another.
     compared, repeated = np.random.default_rng(SEED), np.random.default_rng([SEED, len(_LETTERS)])
     draws = {ONE_STATION: compared, THIRD_ON_ALL: compared, REPEATED: repeated}
     sensors = {run.serial: draws[run.recipe].standard_normal(len(DRAWN)) for run in runs}
@@ -131,7 +131,7 @@ def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, pa
 
 
 def designed() -> Iterator[_Run]:
-    """Yield the runs of all designs in the order they are made in: batch after batch, as sensors come.
+    """Yield the runs of all designs in order of time: batch after batch, sensor after sensor.
 
     Twelve of a batch's twenty sensors are at its own station, four at each other one. In the second design every
     third sensor is run on all stations. In the third, six sensors of one batch are run twice on every station.
@@ -151,7 +151,7 @@ def designed() -> Iterator[_Run]:
 
 
 def _make_room(path: Path) -> None:
-    """Remove an earlier fleet; refuse where anything else lies there."""
+    """Remove an earlier fleet; refuse if the path has other content."""
     if not path.exists():
         return
     with open_store(f"sqlite:///{path}", create=False) as store:
@@ -166,7 +166,7 @@ def _make_room(path: Path) -> None:
 
 
 def _figures(run: _Run, sensor: np.ndarray, random: np.random.Generator) -> dict[str, np.ndarray]:
-    """Draw the figures of one run: (places,) of each metric, or (1,)."""
+    """Draw the values of one run: (places,) of each metric, or (1,)."""
     figures = {}
     for metric, deviation in zip(DRAWN, sensor, strict=True):
         systematic = metric.batch * (BATCHES[run.batch] == "43") + metric.station * (STATIONS[run.station] == "B")
@@ -191,7 +191,7 @@ def _configuration(run: _Run) -> Configuration:
 def _store(
     store: Repository, run: _Run, configuration: Configuration, figures: dict[str, np.ndarray], now: datetime
 ) -> None:
-    """Store one run with its presses and its verdict, as a station would; there are no frames."""
+    """Store one run with its presses and its verdict, as a station would, but without frames."""
     identity = RunIdentity(
         run=store.new_id(),
         sensor=SensorIdentity(run.serial, BATCHES[run.batch], configuration.sensor_type.name),

@@ -1,4 +1,4 @@
-"""Runs that were chosen for a study: refused names, and how runs differ that stand beside each other."""
+"""Runs selected for a study: refused names, and differences between compared runs."""
 
 import hashlib
 import json
@@ -15,13 +15,13 @@ from cbsr_qa.plugin import echo
 from cbsr_qa.report import named, plural
 from cbsr_qa.store import Repository
 
-#: Runs may be stored a little out of the order they began in; beyond this a clock was wrong.
+#: Runs may be stored slightly out of order of their start; beyond this a clock was wrong.
 _CLOCK_STEP: Final = timedelta(days=1)
-#: Tables of a recipe that change what is judged or shown, but no number.
+#: Tables of a recipe that affect judgement or display, but no number.
 _NOT_MEASURING: Final = ("limits", "limits_version", "report")
-#: Of known names in a remedy.
+#: Number of known names in a remedy.
 _MOST_NAMED: Final = 20
-#: What runs are selected by: noun, field of the selection, attribute of a run.
+#: Selection criteria of runs: noun, field of the selection, attribute of a run.
 _NAMES: Final = (
     ("recipe", "recipe", "recipe"),
     ("batch", "batch", "batch"),
@@ -33,7 +33,7 @@ _OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
 
 
 def nearest(name: str, known: Collection[str], there_are: str) -> str:
-    """Word the remedy of an unknown name: the nearest one, and which there are."""
+    """Remedy for an unknown name: the nearest one, and the known ones."""
     every = f"{there_are}: {named(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
     return f"{did_you_mean(name, known)} {every}".lstrip()
 
@@ -44,7 +44,7 @@ def not_measured(name: str, known: Collection[str], at: str = "") -> RefusedErro
 
 
 def absent_names(selection: RunSelection, runs: Sequence[RunLine]) -> Iterator[tuple[str, str, str, Collection[str]]]:
-    """Yield names of a selection that none of the runs has: noun, field of the selection, name, known names."""
+    """Yield names of a selection without runs: noun, field of the selection, name, known names."""
     for noun, field, attribute in _NAMES:
         wanted = getattr(selection, field)
         known = {getattr(run, attribute) for run in runs} - {""}
@@ -54,11 +54,11 @@ def absent_names(selection: RunSelection, runs: Sequence[RunLine]) -> Iterator[t
 
 
 def check_names(store: Repository, selection: RunSelection, at: Callable[[str], str] = lambda field: "") -> None:
-    """Refuse names of a selection that no stored run has: all of them, with the name nearest to the first.
+    """Refuse all names of a selection without stored runs, with the name nearest to the first.
 
     Parameters
     ----------
-    at : where a field of the selection stands in a file, to begin the sentence with.
+    at : position of a selection's field in a file, at the beginning of the message.
     """
     absent = list(absent_names(selection, store.run_lines()))
     if absent:
@@ -70,7 +70,7 @@ def check_names(store: Repository, selection: RunSelection, at: Callable[[str], 
 
 
 def software_words(runs: Sequence[RunLine]) -> list[str]:
-    """Name the software each run was analysed with: of what is not the same for all, and the program itself."""
+    """Name the software versions of the analyses: the program, and packages that differ between runs."""
     versions = {run.software for run in runs}
     common = set.intersection(*map(set, versions)) if versions else set()
     words = {
@@ -83,7 +83,7 @@ def software_words(runs: Sequence[RunLine]) -> list[str]:
 
 
 def clock_notes(runs: Sequence[RunLine]) -> tuple[str, ...]:
-    """Name runs by whose times a station's clock must have been wrong; their order is that of their names."""
+    """Name runs whose times show that a station's clock was wrong; their identifiers give the order."""
     notes = []
     for station in sorted({run.station for run in runs}):
         own = [run for run in runs if run.station == station]
@@ -99,7 +99,7 @@ def clock_notes(runs: Sequence[RunLine]) -> tuple[str, ...]:
 
 
 def likeness_notes(store: Repository, runs: Sequence[RunLine]) -> tuple[str, ...]:
-    """Say where runs were analysed with several versions, or the first and the last were not measured alike."""
+    """Report several versions of analyses, or differences in measuring between the first and the last run."""
     versions = Counter(dict(run.software).get("cbsr-qa") or "not noted" for run in runs)
     notes = []
     if len(versions) > 1:
@@ -117,12 +117,12 @@ def likeness_notes(store: Repository, runs: Sequence[RunLine]) -> tuple[str, ...
 
 
 def several_recipes(recipes: Collection[str]) -> str:
-    """Return a clause on runs of several recipes, of which a study takes one."""
+    """Return a clause on runs of several recipes, of which a study needs one."""
     return f"{len(recipes)} recipes: {named(sorted(recipes))}"
 
 
 def measuring_digest(configuration: str) -> str:
-    """SHA-256 of what in a stored configuration decides numbers: not limits, nor the seed of a simulation."""
+    """SHA-256 of what affects numbers in a stored configuration: not limits, nor the seed of a simulation."""
     content = json.loads(configuration)
     recipe = _table(content, "recipe")
     measuring = {

@@ -1,4 +1,4 @@
-"""Simulated sensors of studies: shipped documents that a study changes, and whole runs that are kept in memory."""
+"""Simulated sensors of studies: modifiable shipped documents, and whole runs in memory."""
 
 import copy
 from collections.abc import Callable, Mapping
@@ -22,7 +22,7 @@ from cbsr_qa.station import Bench, MemoryJournal, Plan, execute, open_station, p
 
 
 def shipped(kind: DocumentKind, name: str) -> dict[str, Any]:
-    """Return a shipped document that may be changed."""
+    """Return a modifiable copy of a shipped document."""
     return copy.deepcopy(dict(open_document(kind, name).data))
 
 
@@ -33,7 +33,7 @@ def configuration_of(
     *,
     seed: int,
 ) -> Configuration:
-    """Merge documents of a simulated station; the material is the station's where none is given."""
+    """Merge documents of a simulated station; the material is the station's by default."""
     at = load_station(dict(station))
     chosen = at.value.material if material is None else material
     loaded = load_material(chosen if isinstance(chosen, str) else dict(chosen))
@@ -47,7 +47,7 @@ def simulated_run(
 
     Parameters
     ----------
-    change : of the plan, before it is run.
+    change : modifies the plan before the run.
 
     Returns
     -------

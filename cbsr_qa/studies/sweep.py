@@ -1,4 +1,4 @@
-"""Long sweeps: pieces of work on every core, each kept as soon as it is done: a sweep resumes where it stopped."""
+"""Long sweeps: pieces of work on every core, each stored when done, so that a sweep can resume."""
 
 import json
 import multiprocessing
@@ -16,7 +16,7 @@ from typing import Any, Final, TypeVar
 from cbsr_qa.domain import StoreError
 from cbsr_qa.system import writing
 
-#: Called with the number of pieces done, of all, and which was the last.
+#: Called with the numbers of pieces done and in total, and the last piece.
 Tell = Callable[[int, int, str], None]
 Documents = list[dict[str, Any]]
 Job = TypeVar("Job")
@@ -32,8 +32,8 @@ class Work:
 
     Parameters
     ----------
-    key, what : what is worked out and with what, the same in every process and every sweep; and for people.
-    run : gives documents of plain numbers and text; can be pickled.
+    key, what : identity of the work and its inputs, the same in every process and sweep; and its description.
+    run : returns documents of plain numbers and text; picklable.
     """
 
     key: str
@@ -42,19 +42,19 @@ class Work:
 
 
 class Kept:
-    """Finished pieces of work in a file, a line of JSON each; None keeps nothing.
+    """Finished pieces of work in a file, one line of JSON each; without a file nothing is kept.
 
-    A line that was cut off while it was written ends the file; it is written over by the next piece.
+    A truncated last line is overwritten by the next piece.
 
     Raises
     ------
     StoreError
-        If the file is not one of finished pieces, or cannot be read.
+        If the file has other content, or cannot be read.
     """
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
-        self._cut_at: int | None = None  #: where a line that was cut off begins
+        self._cut_at: int | None = None  #: start of a truncated line
         self.found: dict[str, Documents] = {}
         if path is not None and path.exists():
             self._read(path)
@@ -68,7 +68,7 @@ class Kept:
         for number, line in enumerate(lines, 1):
             self._take(path, number, line)
         if last[: len(_START)] != _START[: len(last)]:
-            self._take(path, len(lines) + 1, last)  # not cut off: somebody else's, which is refused
+            self._take(path, len(lines) + 1, last)  # complete, so it is another file's content and is refused
         elif last:
             self._cut_at = len(text) - len(last)
 
@@ -83,7 +83,7 @@ class Kept:
         self.found[key] = documents
 
     def keep(self, key: str, documents: Documents) -> None:
-        """Keep a finished piece, in its file before anything else is done. StoreError if it cannot be written."""
+        """Store a finished piece immediately; StoreError if it cannot be written."""
         if self._path is not None:
             line = json.dumps({"key": key, "documents": documents}, allow_nan=False).encode() + b"\n"
             with writing(self._path, refusal=StoreError), self._path.open("ab") as file:
@@ -95,10 +95,10 @@ class Kept:
 
 
 def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) -> Mapping[str, Documents]:
-    """Work everything out that is not kept yet, the pieces in order handed to whichever process is free; by key.
+    """Compute all pieces that are not stored yet, in order, on the next free process; results by key.
 
-    What comes out does not depend on the number of processes. Where a piece raises, none is begun any more, those
-    that have begun are finished and kept, and its error is raised. Ctrl-C ends at once; what is finished is kept.
+    Results do not depend on the number of processes. If a piece raises, no further one is started, running ones are
+    finished and stored, and its error is raised. Ctrl-C stops at once; finished pieces are stored.
     """
     left = [piece for piece in work if piece.key not in kept.found]
     done = len(work) - len(left)
@@ -120,12 +120,12 @@ def finished(
 ) -> Generator[tuple[Job, Result], None, None]:
     """Run jobs in several processes, and yield each with its result as soon as it is done.
 
-    Where one raises, none is begun any more, those that have begun are finished, and its error is raised. Ctrl-C ends
-    all processes at once, without a word from them.
+    If one raises, no further one is started, running ones are finished, and its error is raised. Ctrl-C stops all
+    processes at once and silently.
 
     Parameters
     ----------
-    processes : at once, to which jobs are pickled; 1 works in this one, and what a job raises is raised at once.
+    processes : number in parallel, to which jobs are pickled; 1 uses this process, and errors are raised at once.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def finished(
                 elif failed is None:
                     failed = error
                     for other in futures:
-                        other.cancel()  # what has begun is finished, and kept
+                        other.cancel()  # running jobs are finished and stored
         except BaseException:
             _stop(set(multiprocessing.active_children()) - set(others))
             raise
@@ -162,7 +162,7 @@ def finished(
 
 @contextmanager
 def _heard_later() -> Iterator[None]:
-    """Hold Ctrl-C back while processes are started: those inherit that, and are deaf to it while they import."""
+    """Block Ctrl-C while processes start: they inherit that, and ignore it while they import."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -174,7 +174,7 @@ def _heard_later() -> Iterator[None]:
 
 
 def _begin_worker() -> None:
-    """Leave Ctrl-C to the process that hands out the work, and end with it: killed, it cannot stop this one."""
+    """Leave Ctrl-C to the main process, and end with it: once killed, it cannot stop this one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
 
@@ -187,6 +187,6 @@ def _end_with(parent: int) -> None:
 
 
 def _stop(workers: Iterable[BaseProcess]) -> None:
-    """End processes in the middle of a piece, which may take minutes more."""
+    """Stop processes in the middle of a piece, which may take minutes more."""
     for worker in workers:
         worker.terminate()

@@ -1,4 +1,4 @@
-"""How a station's charts stand at the end of a run: only those with a stored reference, and only the latest runs."""
+"""State of a station's charts after a run: charts with a stored reference, and the latest runs only."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -25,23 +25,23 @@ from cbsr_qa.store import Repository
 from cbsr_qa.studies.charts.charting import charts_of, reference_figures, standing
 from cbsr_qa.studies.selection import clock_notes
 
-#: Runs that are looked back; an average or a sum of earlier ones says nothing of today.
+#: Number of latest runs; an average or a sum of earlier ones does not describe the present.
 LOOK_BACK: Final = 100
 
 
 def charts_after(
     store: Repository, identity: RunIdentity, measurements: Sequence[Measurement] | None = None, *, until: str = ""
 ) -> StationCharts | None:
-    """Return how the charts of a run's station stand with it, whichever recipe and metric they are of.
+    """Return the state of all charts of a run's station after it, for any recipe and metric.
 
     Parameters
     ----------
-    measurements : of the run, where no analysis of it is stored yet; None to take what is stored.
-    until : leave out references and runs that are later than something of this name, e.g. an analysis.
+    measurements : of the run, if no analysis of it is stored yet; None to use the stored ones.
+    until : leave out references and runs later than this identifier, e.g. of an analysis.
 
     Returns
     -------
-    None where no reference is stored for the station.
+    None if no reference is stored for the station.
     """
     references = store.chart_references(identity.station, until)
     if not references:
@@ -58,7 +58,7 @@ def charts_after(
             own = _table_of(identity, measurements)
             for key, of in reference_figures(own, members).items():
                 figures.setdefault(key, {}).update(of)
-            # A run that was resumed has an earlier name than some.
+            # A resumed run has an earlier identifier than some.
             others = (run for run in lines if run.run != identity.run)
             lines = tuple(sorted((*others, *own.runs), key=lambda run: run.run))
         for reference in members:
@@ -70,7 +70,7 @@ def charts_after(
 
 
 def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> FleetTable:
-    """Return measurements of a run as the store would, which does not hold them yet."""
+    """Return measurements of a run in the form of the store, which does not hold them yet."""
     line = RunLine(
         run=identity.run,
         serial=identity.sensor.serial,

@@ -1,6 +1,6 @@
-"""Control charts of a metric's values over runs, by settings: points, limits, signals, and what they stand for.
+"""Control charts of a metric's values over runs: points, limits, signals.
 
-One metric's control charts: limits from a reference, the runs it rests on, and those since.
+Limits come from a reference, i.e. from earlier runs; later runs are judged by them.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,14 +28,14 @@ from cbsr_qa.stats import (
 )
 from cbsr_qa.studies.figure_series import Series, figures_of
 
-#: Points without a signal after which one does not stand any more: what lasts signals again and again, and false
-#: alarms are shown no longer than need be.
+#: Points without a signal after which a signal is over: lasting changes signal repeatedly, and false alarms should
+#: not be shown longer than necessary.
 STANDS: Final = 5
-#: Signals no further apart belong together: the longest pattern of Nelson's tests.
+#: Signals no further apart belong together: the length of the longest of Nelson's patterns.
 JOINED: Final = 15
-#: Drawn, and not counted: one value far off moves it twice, and of undisturbed runs it is wrong in 1 of 110.
+#: Drawn but not counted: one outlier moves it twice, and for undisturbed runs it is wrong in 1 of 110.
 UNCOUNTED: Final = "moving range"
-#: Rules by the numbers they are known by.
+#: Nelson's rules by their numbers.
 RULES: Final = dict(enumerate(Rule, start=1))
 
 
@@ -52,13 +52,13 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
 
     Parameters
     ----------
-    values : in the order of runs; of means and ranges an incomplete last group is left out.
-    reference : as of :mod:`cbsr_qa.stats.control_charts`.
+    values : in the order of runs; for means and ranges an incomplete last group is left out.
+    reference : as in :mod:`cbsr_qa.stats.control_charts`.
 
     Raises
     ------
     NumericsError
-        Too few values, or none that differ where limits are to come of them.
+        Too few values, or equal values in the reference.
     """
     count = len(values)
     single = tuple(range(count))
@@ -84,7 +84,7 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
 
 
 def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
-    """Return mean and short-term deviation of a reference period. NumericsError for too few values, or all alike."""
+    """Return mean and short-term deviation of a reference period. NumericsError for too few or equal values."""
     first = charts_of(values, settings, None)[0].chart
     centre = first.centre
     if settings.chart is ChartKind.CUSUM:
@@ -95,10 +95,10 @@ def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
 def standing(
     charts: Sequence[Charted], lines: Sequence[RunLine], reference: ChartReference, *, cut: bool
 ) -> StandingSignal | None:
-    """Return the signal that stands at the last run, or None; ``cut``: earlier runs were not looked at.
+    """Return the signal that is active at the last run, or None; ``cut``: earlier runs were left out.
 
-    A signal stands until :data:`STANDS` points in a row gave none; it began with the first that is joined to the
-    latest by others, none further apart than :data:`JOINED`.
+    A signal is active until :data:`STANDS` points in a row are without one; it began with the first signal connected
+    to the latest by gaps of at most :data:`JOINED`.
     """
     signals = [_standing(chart) for chart in charts if chart.chart.name != UNCOUNTED]
     begun = sorted(filter(None, signals), key=lambda signal: signal[0])
@@ -120,9 +120,9 @@ def standing(
 
 
 def _sum_began(charts: Sequence[Charted], begin: int) -> int | None:
-    """Value after the last at which the sum that signals at ``begin`` was zero; None where no sum does.
+    """Index after the last zero of the sum that signals at ``begin``; None for other charts.
 
-    It is the usual estimate of when a shift began (Montgomery 9.1.2): the sum grows from then on.
+    This is the usual estimate of when a shift began (Montgomery 9.1.2).
     """
     for charted in charts:
         chart = charted.chart
@@ -133,7 +133,7 @@ def _sum_began(charts: Sequence[Charted], begin: int) -> int | None:
 
 
 def _standing(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
-    """Value at which the standing signal began, and the rules that spoke since."""
+    """Index of the value at which the active signal began, and the rules that signalled since."""
     chart, first = charted.chart, len(charted.chart.points)
     for signal in reversed(chart.signals):
         if first - signal.index > (STANDS if first == len(chart.points) else JOINED):
@@ -146,9 +146,9 @@ def _standing(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
     return charted.ends[first], tuple(rules)
 
 
-#: Runs that are drawn; of longer charts only the latest.
+#: Most runs drawn; of longer charts only the latest.
 MOST_DRAWN: Final = 400
-#: Below this many runs limits are uncertain enough to be told.
+#: With fewer runs the uncertainty of limits is reported.
 FEW_RUNS: Final = 25
 
 # What is noted of a chart.
@@ -160,7 +160,7 @@ _REST: Final = "the latest {runs} do not fill a group of {size} yet, and make no
 
 @dataclass(frozen=True, slots=True)
 class PointSignal:
-    """Which rule a point breaks, by its run."""
+    """A rule broken by a point, and its run."""
 
     run: str
     rule: str
@@ -172,7 +172,7 @@ class ChartPhase:
 
     Parameters
     ----------
-    runs : of each point; of a group the last.
+    runs : of each point; for a group the last.
     """
 
     name: str
@@ -191,10 +191,10 @@ class MetricChart:
 
     Parameters
     ----------
-    why : why there is no reference and no chart.
-    reference_days : on which the reference's first and last run began (UTC).
-    runs, values : from the reference's first run on, of which ``reference_runs`` are the reference's.
-    charts : of the reference period, then of the runs since, which have the same limits.
+    why : reason for a missing reference and chart.
+    reference_days : of the first and last run of the reference (UTC).
+    runs, values : from the first run of the reference on; ``reference_runs`` of them belong to it.
+    charts : of the reference period, then of later runs, with the same limits.
     """
 
     label: str
@@ -211,12 +211,12 @@ class MetricChart:
 
 
 def no_chart(series: Series, why: str) -> MetricChart:
-    """Return what there is of a metric without limits, and why it has none."""
+    """Return a metric without limits, and the reason."""
     return MetricChart(series.key.title, series.unit, _names(series.lines), series.values, series.notes, why)
 
 
 def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
-    """Chart a metric against a reference; no charts where the runs are in another unit."""
+    """Chart a metric against a reference; no charts if the runs have another unit."""
     if series.unit != reference.unit:
         return no_chart(series, f"runs are in {series.unit}, the reference in {reference.unit}")
     lines, count = series.lines, sum(line.run <= reference.last_run for line in series.lines)
@@ -263,7 +263,7 @@ def _names(lines: Sequence[RunLine]) -> tuple[str, ...]:
 def reference_figures(
     table: FleetTable, references: Iterable[ChartReference]
 ) -> dict[MetricKey, dict[str, RunFigure]]:
-    """Return the figures that references are of, by metric and run."""
+    """Return the values behind references, by metric and run."""
     figures: dict[MetricKey, dict[str, RunFigure]] = {}
     for by_location in {bool(reference.location) for reference in references}:
         figures |= figures_of(table, by_location=by_location)

@@ -1,6 +1,6 @@
-"""Control charts of a station: a reference period chosen and stored, and the runs since held against it.
+"""Control charts of a station: a reference period chosen and stored, and later runs compared with it.
 
-A changed reference is a new row of the store. So is a retirement: nothing is charted against its limits any more.
+A changed reference is a new row of the store, and so is a retirement, after which its limits are no longer used.
 """
 
 from collections.abc import Sequence
@@ -51,12 +51,12 @@ class Charts:
 
     @property
     def signals(self) -> tuple[StandingSignal, ...]:
-        """Those that stand."""
+        """Active signals."""
         return tuple(chart.signal for chart in self.charts if chart.signal is not None)
 
 
 def control_charts(request: ChartsRequest, *, database: str | None = None) -> Charts:
-    """Chart a station's metrics, and store the reference period where a new one is given.
+    """Chart a station's metrics, and store the reference period if a new one is given.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
 
 
 def _charted_runs(store: Repository, request: ChartsRequest) -> RunSelection:
-    """Return which runs are charted, of one recipe; refuse where there are none, or several recipes."""
+    """Return the charted runs, of one recipe; refuse if there are none, or several recipes."""
     golden, here = request.golden, of_kind("station", request.station)
     selection = RunSelection(
         serials=(golden,) if golden else (), stations=(request.station,), checks=bool(golden), recipe=request.recipe
@@ -112,7 +112,7 @@ def _charted_runs(store: Repository, request: ChartsRequest) -> RunSelection:
 
 
 def _held_references(store: Repository, request: ChartsRequest, recipe: str) -> list[ChartReference]:
-    """Return the references that hold of the charts that are asked for."""
+    """Return the valid references of the requested charts."""
     return [
         reference
         for reference in store.chart_references(request.station)
@@ -122,7 +122,7 @@ def _held_references(store: Repository, request: ChartsRequest, recipe: str) -> 
 
 
 def _retired(store: Repository, request: ChartsRequest, held: Sequence[ChartReference]) -> str:
-    """Retire the charts of one kind, of the metrics that are named or of all; return a note that names them."""
+    """Retire the charts of one kind, for the named metrics or all; return a note with their names."""
     now, by, why = RealClock().wall(), request.operator, request.why
     rows = [
         replace(reference, reference=store.new_id(), operator=by, made_at=now, why=why, retired=True)
@@ -145,7 +145,7 @@ def _against_stored(
     lacking = [name for name in request.metrics if name not in {reference.name for reference in held}]
     if not held or lacking:
         of = f" for {named(lacking)}" if lacking else ""
-        series_of(lines, figures_of(table), request.metrics)  # a name that nobody measured is refused first
+        series_of(lines, figures_of(table), request.metrics)  # a metric that was never measured is refused first
         raise RefusedError(
             f"no reference period is stored{of} for recipe {recipe} on {of_kind('station', request.station)}",
             remedy="store one with --reference-runs N or --reference-until DATE, and --operator",
@@ -162,7 +162,6 @@ def _against_stored(
 def _with_period(
     store: Repository, request: ChartsRequest, period: ReferencePeriod, table: FleetTable, lines: Sequence[RunLine]
 ) -> tuple[MetricChart, ...]:
-    """Charts with limits of a new reference period."""
     own = [line for line in lines if period.since is None or line.day >= period.since]
     if not own:
         here = of_kind("station", request.station)
@@ -219,7 +218,7 @@ def _new_chart(
 
 
 def _period_runs(lines: Sequence[RunLine], period: ReferencePeriod) -> int:
-    """How many runs belong to the period: those before the first one that began after its last day."""
+    """Number of runs in the period: those before the first one that began after its last day."""
     if period.runs is not None:
         return min(period.runs, len(lines))
     assert period.until is not None

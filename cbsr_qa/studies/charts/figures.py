@@ -13,7 +13,7 @@ from cbsr_qa.studies.charts.charting import MOST_DRAWN, ChartPhase, MetricChart
 
 
 def control_charts_svg(chart: MetricChart) -> str:
-    """Draw charts below each other: a row each (individuals above their moving range), both phases side by side."""
+    """Draw charts in rows (individuals above their moving range), with both phases side by side."""
     rows = list(dict.fromkeys(part.name for part in chart.charts))
     numbers = {run: number for number, run in enumerate(chart.runs, start=1)}
     first = max(0, len(chart.runs) - MOST_DRAWN) + 1
@@ -56,7 +56,7 @@ def _draw(axes: Axes, part: ChartPhase, numbers: Mapping[str, int], first: int) 
     edges = np.array([across[0] - 0.5, across[-1] + 0.5])
     axes.plot(edges, [part.centre] * 2, color=QUIET, linewidth=0.7)
     for limits in (part.lower, part.upper):
-        # Points stand in the middle of their step, so that limits that vary follow each point.
+        # Points are drawn in the middle of their step, so that varying limits follow each point.
         steps = np.array(limits)[kept]
         across_steps, heights = np.append(across - 0.5, edges[1]), np.append(steps, steps[-1])
         axes.step(across_steps, heights, where="post", color=INK, linewidth=0.7, linestyle="--")

@@ -1,4 +1,4 @@
-"""What a person reads of a station's control charts: how each stands, then those that signal, drawn and in words."""
+"""Report of a station's control charts: the state of each, then those with signals, drawn and in words."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -40,7 +40,7 @@ _LIMITS: Final = {
 }
 _NOTHING: Final = "Nothing is charted now."
 
-# Sentences, in the order they are read.
+# Sentences, in reading order.
 _SIGNALS: Final = "{signals} of {charts} of {station} signals; the first: {words}"
 _WELL: Final = "no signal on {charts} of {station}"
 _RETIRED: Final = "all charts of {station} and this recipe are retired"
@@ -88,7 +88,6 @@ def _banner(found: Charts, charted: int) -> Banner:
 
 
 def _set(limits: ChartReference) -> str:
-    """Say who set limits when and why."""
     by = f" by {limits.operator}" if limits.operator else ""
     why = f" ({limits.why})" if limits.why else ""
     ruled = limits.chart in (ChartKind.INDIVIDUALS, ChartKind.MEANS)
@@ -134,7 +133,7 @@ def _row(chart: MetricChart) -> tuple[str | Cell, ...]:
 
 
 def _latest(chart: MetricChart) -> ChartPhase | None:
-    """Return the chart of the latest points; of a pair the first."""
+    """Return the chart of the latest points (for a pair, the first)."""
     return next((part for part in reversed(chart.charts) if part.name == chart.charts[0].name), None)
 
 
@@ -150,7 +149,7 @@ def _blocks(chart: MetricChart) -> Iterator[Block]:
 
 def _figure(chart: MetricChart) -> Figure:
     def draw() -> str:
-        # matplotlib is loaded only where something is drawn
+        # loads matplotlib
         from cbsr_qa.studies.charts.figures import control_charts_svg
 
         return control_charts_svg(chart)

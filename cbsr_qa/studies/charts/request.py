@@ -1,4 +1,4 @@
-"""What control charts are asked for: which, of which runs, and a reference period that is to be stored."""
+"""Request for control charts: which charts, of which runs, and a reference period to store."""
 
 from dataclasses import dataclass
 from datetime import date
@@ -11,21 +11,21 @@ from cbsr_qa.stats import MOST
 from cbsr_qa.stats.gauge import FEWEST_CHARTED
 from cbsr_qa.studies.charts.charting import RULES
 
-#: Fewer runs make limits that are next to none.
+#: With fewer runs limits are almost meaningless.
 FEWEST_RUNS: Final = FEWEST_CHARTED
-#: Fewer ranges of groups hardly tell a deviation.
+#: With fewer ranges of groups the deviation is almost unknown.
 FEWEST_GROUPS: Final = 3
 _DEFAULT: Final = ChartSettings()
 
 
 @dataclass(frozen=True, slots=True)
 class ReferencePeriod:
-    """A reference period that is to be set.
+    """A reference period to set.
 
     Parameters
     ----------
-    since : first day, UTC; None for the first run there is.
-    runs, until : so many runs, or all to the end of this day; one of them.
+    since : first day, UTC; None for the first run.
+    runs, until : number of runs, or last day; one of them.
     """
 
     since: date | None
@@ -39,14 +39,14 @@ class ChartsRequest:
 
     Parameters
     ----------
-    recipe : of the runs; None where the station's are of one.
+    recipe : of the runs; None if the station's runs have only one.
     golden : only runs of this sensor; None for production runs.
     metrics : names; none for all with a stored reference, or (with a new period) those the recipe limits.
-    by_location : a chart a location.
-    period : to be set; None to chart against what is stored.
-    dry_run : show what a new period would give and store nothing.
-    retire : charts of this kind are retired before; None for none.
-    operator, why : who sets the period or retires charts, and for what reason.
+    by_location : one chart per location.
+    period : to set; None to use stored references.
+    dry_run : show the result of a new period, but store nothing.
+    retire : kind of charts to retire first, or None.
+    operator, why : who sets the period or retires charts, and the reason.
     """
 
     station: str
@@ -63,13 +63,13 @@ class ChartsRequest:
 
 
 def check_request(request: ChartsRequest) -> None:
-    """Refuse what cannot be charted, before anything is read.
+    """Check a request before anything is read.
 
     Raises
     ------
     RefusedError
-        If rules or the size of groups are not allowed, the reference period has no end or is too short, or nobody
-        sets it.
+        If rules or the size of groups are not allowed, the reference period has no end, is too short, or has no
+        operator.
     """
     settings, period = request.settings, request.period
     unknown = [str(number) for number in settings.rules if number not in RULES]
@@ -94,7 +94,7 @@ def check_request(request: ChartsRequest) -> None:
 
 
 def _check_period(period: ReferencePeriod, size: int) -> None:
-    """Refuse a period without one end, and one that is too short or leaves runs in no group."""
+    """Refuse a period without exactly one end, or one that is too short or leaves runs in no group."""
     runs = period.runs
     if (runs is None) == (period.until is None):
         raise RefusedError(

@@ -1,6 +1,6 @@
-"""What is to be kept in mind of a whole comparison: runs left out, mixtures, clocks, and groups that say little.
+"""Cautions about a whole comparison: runs left out, mixtures, clocks, and groups with little information.
 
-Clocks of stations that cannot be right: from the order of runs, now, runs' identifiers, and other stations.
+Wrong clocks of stations are recognised by the order of runs, the present time, runs' identifiers, and other stations.
 """
 
 from collections import Counter, defaultdict
@@ -17,7 +17,7 @@ from cbsr_qa.studies.compare.terms import By, Terms
 from cbsr_qa.studies.selection import software_words
 
 _DAY: Final = timedelta(days=1)
-#: One batch is tested within this time, or somebody's clock is wrong.
+#: One batch is tested within this time; otherwise a clock is wrong.
 _LONGEST_BATCH: Final = timedelta(days=200)
 
 _LEFT_OUT: Final = "Left out: {runs} {why}"
@@ -48,7 +48,7 @@ _PERIODS: Final = "Periods are taken from these clocks: compare by batch, or lea
 def cautions(
     members: Sequence[RunLine], grouping: Grouping, design: Design, terms: Terms, now: datetime
 ) -> Iterator[str]:
-    """Say what is to be kept in mind of the runs that count, in the order they were made in."""
+    """Return cautions about the runs that count, in order of time."""
     for why, count in sorted(grouping.left_out.items()):
         yield _LEFT_OUT.format(runs=plural(count, "run"), why=why)
     yield from _of_groups(members, grouping, terms)
@@ -86,7 +86,7 @@ def _of_groups(members: Sequence[RunLine], grouping: Grouping, terms: Terms) -> 
 
 
 def _shared_batches(grouping: Grouping, design: Design) -> Iterator[str]:
-    """Say on which batches differences of periods or software versions rest."""
+    """Name the batches behind differences of periods or software versions."""
     if design.levels:
         shared = {name: design.shared(name, grouping.reference) for name in grouping.names[1:]}
         groups = named([f"{name} (batch {named(batches)})" for name, batches in shared.items() if batches])
@@ -101,7 +101,7 @@ def _from_the_future(runs: Sequence[RunLine], now: datetime) -> Iterator[str]:
 
 
 def _out_of_order(runs: Sequence[RunLine]) -> Iterator[str]:
-    """Name stations whose clock was set back: a run was made after another one and began before it."""
+    """Name stations whose clock was set back: a run made after another one began before it."""
     for station, members in _by_station(runs):
         latest, back = members[0], []
         for run in members:
@@ -117,9 +117,9 @@ def _out_of_order(runs: Sequence[RunLine]) -> Iterator[str]:
 
 
 def _unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
-    """Name runs that state another day than their identifiers were made on, though most runs do not.
+    """Name runs with another day than that of their identifiers, if most runs agree.
 
-    Where most do, the fleet was stored all at once (simulated, or copied), and identifiers say nothing of clocks.
+    If most do not, the fleet was stored all at once (simulated, or copied), and identifiers do not tell about clocks.
     """
     away = {run.run: (run.made_at - run.started_at) / _DAY for run in runs if run.made_at is not None}
     if not away or median(abs(days) for days in away.values()) > 1:
@@ -134,7 +134,7 @@ def _unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
 
 
 def _far_from_others(runs: Sequence[RunLine]) -> Iterator[str]:
-    """Name stations that say they tested their batches in another year than the other stations did."""
+    """Name stations that tested their batches in another year than the other stations."""
     days: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for run in runs:
         if run.batch:
@@ -146,7 +146,7 @@ def _far_from_others(runs: Sequence[RunLine]) -> Iterator[str]:
             if others:
                 gaps.append((abs(median(here) - median(others)), batch))
         far = [batch for gap, batch in gaps if gap > _LONGEST_BATCH.days]
-        # Of two stations each is far from the other; of three and more the odd one out has most gaps.
+        # Of two stations each is far from the other; of more, the outlier has most gaps.
         if far and len(far) == len(gaps):
             yield _FAR.format(station=of_kind("station", station), batches=named(far), days=max(gaps)[0])
 

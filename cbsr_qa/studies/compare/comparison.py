@@ -1,4 +1,4 @@
-"""A whole comparison: groups, every metric of them with its p values adjusted for all, and what to keep in mind."""
+"""A whole comparison: groups, every metric with its p values adjusted for all, and cautions."""
 
 import gc
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,13 +33,14 @@ from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Te
 from cbsr_qa.studies.compare.values import BoolArray, MetricValues, values_of
 from cbsr_qa.studies.selection import check_names, not_measured
 
-#: What all places of a grid share is how the disc was seated and where the axes are: the station's, not the sensor's.
+#: The common error of all places of a grid comes from seating the disc and from the axes: the station, not the
+#: sensor.
 OF_THE_STATION: Final = ("registration_shift", "registration_rotation", "registration_scale")
 _ELSEWHERE: Final = "on other stations"
 _APART: Final = f"not compared with groups {_ELSEWHERE}"
 _SHARES_PLACES: Final = {"centre_of_mass_error": "registered_centre_of_mass_error"}
 
-# What is to be kept in mind of one metric.
+# Cautions about one metric.
 _STATIONS_ALONE: Final = (
     "it describes how a station places sensors, so it is compared between stations, not between groups"
 )
@@ -53,10 +54,10 @@ class MetricComparison:
 
     Parameters
     ----------
-    differences : of each other group from the reference; empty where the metric is the station's alone.
-    stations : of each other station from the first; empty where there is one, or stations are the groups.
+    differences : of each other group from the reference; empty if the metric belongs to the station alone.
+    stations : of each other station from the first; empty for a single station, or if stations are the groups.
     samples : (group, station, values of sensors), for plots.
-    notes : weaknesses of design and fit, and what was left out.
+    notes : weaknesses of design and fit, and omissions.
     """
 
     values: MetricValues
@@ -69,13 +70,13 @@ class MetricComparison:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """What was compared, and what came of it.
+    """A comparison with its results.
 
     Parameters
     ----------
-    compared : whether any difference could be told.
-    metrics : of each metric and each other group; one without a group where a metric is not compared.
-    of_metrics : the same, metric by metric, with what is drawn.
+    compared : whether any difference could be estimated.
+    metrics : of each metric and each other group; one entry without a group if a metric is not compared.
+    of_metrics : the same, metric by metric, with data for plots.
     headline, sentences, rules : filled in by :func:`cbsr_qa.studies.compare.compare_outcome`.
     """
 
@@ -116,7 +117,7 @@ class Comparison:
 
     @property
     def others(self) -> str:
-        """What must not be taken for a group: batches too, where periods or software versions are compared."""
+        """Factors not to be mistaken for groups: batches too, if periods or software versions are compared."""
         if self.by is By.STATION:
             return "batches"
         mixed = self.by in (By.PERIOD, By.SOFTWARE) and len(self.all_batches) > 1
@@ -127,7 +128,7 @@ class Comparison:
         return difference.p is not None and difference.p < self.terms.level
 
     def side(self, metric: MetricComparison, difference: Estimated) -> str:
-        """Say on which side of its reference a group lies; better or worse where one limit says which that is."""
+        """Describe on which side of its reference a group lies; as better or worse if a single limit decides that."""
         above, values = (difference.difference or 0.0) > 0, metric.values
         one_limit = (values.lower is None) != (values.upper is None)
         if one_limit and isinstance(difference, Difference) and self.by is not By.STATION:
@@ -141,7 +142,7 @@ def compare_groups(selection: RunSelection, terms: Terms, *, database: str | Non
     Raises
     ------
     RefusedError
-        If no run fits, or a recipe, group or metric that was named is not there (with the nearest name).
+        If no run fits, or a named recipe, group or metric does not exist (with the nearest name).
     StoreError
         If the database is missing or cannot be read.
     """
@@ -154,7 +155,7 @@ def compare_groups(selection: RunSelection, terms: Terms, *, database: str | Non
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Search for no reference cycles meanwhile: a million values have none, and it takes a third of the time."""
+    """Disable garbage collection: a million values have no cycles, and it takes a third of the time."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -169,12 +170,12 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
 
     Parameters
     ----------
-    now : by the computer's clock, for times that are still to come.
+    now : by the computer's clock, to recognise future times.
 
     Raises
     ------
     RefusedError
-        If no run counts, or a group or metric that was named is not there (with the nearest name).
+        If no run counts, or a named group or metric does not exist (with the nearest name).
     """
     grouping = grouped(table.runs, terms)
     every = list(values_of(table, grouping.used))
@@ -210,7 +211,7 @@ def _not_compared(metric: MetricComparison) -> Difference:
 
 
 def _measured(every: Sequence[MetricValues], runs: int) -> BoolArray:
-    """(R,) whether a run has a value of anything."""
+    """(R,) whether a run has any value."""
     measured: BoolArray = np.zeros(runs, dtype=np.bool_)
     for values in every:
         measured |= ~np.isnan(values.mean)
@@ -235,7 +236,7 @@ def _wanted(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
 def _compared(
     metric: MetricValues, table: FleetTable, grouping: Grouping, deciding: Mapping[str, IntArray], design: Design
 ) -> MetricComparison:
-    """Compare groups and stations in one metric by the runs that decide; p values are not adjusted yet."""
+    """Compare groups and stations in one metric by the deciding runs; p values are not adjusted yet."""
     model = fitted(design.crossing, metric.mean[design.rows], metric.key.label, of_stations=design.of_stations)
     of_station = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
     known = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}
@@ -259,7 +260,6 @@ def _compared(
 
 
 def _of_the_stations(model: Fitted, metric: MetricValues, design: Design) -> Fitted:
-    """Return the model that stations are compared by."""
     if design.of_the_stations is design.crossing or not design.stations:
         return model
     return fitted(design.of_the_stations, metric.mean[design.rows], metric.key.label, of_stations=True)
@@ -282,7 +282,7 @@ def _notes(
 ) -> tuple[str, ...]:
     notes = [*metric.warnings, *(model.fit.notes if model.fit else ())]
     if design.levels:
-        # Batches at stations, which the model knows as stations; what is not compared is said elsewhere.
+        # The model's stations are batches at stations; metrics that are not compared are reported elsewhere.
         notes = [note.replace(_ELSEWHERE, "of other batches or stations") for note in notes if _APART not in note]
     if of_station:
         notes.append(_STATIONS_ALONE)
@@ -294,7 +294,7 @@ def _notes(
 
 
 def _adjusted(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricComparison]:
-    """Adjust p values: those of groups for all of groups, and so those of likeness and those of stations."""
+    """Adjust p values: jointly for all groups, for all equivalence tests, and for all stations."""
     every = [difference for metric in metrics for difference in metric.differences]
     groups = iter(_adjust([test.p_unadjusted for test in every], terms.adjustment))
     alike = iter(_adjust([test.equivalence_p_unadjusted for test in every], terms.adjustment))

@@ -1,4 +1,4 @@
-"""What each group is like by itself: yields, distributions, capability, and what sensors fail for."""
+"""Each group by itself: yields, distributions, capability, and failures."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """How many sensors failed a metric in their deciding run."""
+    """Number of sensors that failed a metric in their deciding run."""
 
     metric: str
     sensors: int
@@ -38,12 +38,12 @@ class Failures:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """A group's sensors and what became of them.
+    """A group's sensors and their results.
 
     Parameters
     ----------
-    n, runs : sensors and runs that count.
-    passed, first_pass_yield : shares of sensors, 0 to 1, with Wilson's intervals; None where no sensor was judged.
+    n, runs : number of sensors and runs that count.
+    passed, first_pass_yield : shares of sensors, 0 to 1, with Wilson's intervals; None if no sensor was judged.
     not_measured, not_judged : sensors whose deciding run could not measure a limited quantity, or had no limits.
     """
 
@@ -63,13 +63,13 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Distribution(OfMetric):
-    """One metric of one group, one value a sensor.
+    """One metric of one group, one value per sensor.
 
     Parameters
     ----------
     deviation : None for one sensor.
     quantiles : share of :data:`QUANTILES` → value; empty without values.
-    capability : None where ``no_capability`` says why.
+    capability : None for the reason ``no_capability``.
     """
 
     group: str
@@ -132,7 +132,7 @@ def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> tuple[float | No
 def distribution(
     metric: MetricValues, runs: Sequence[RunLine], name: str, indices: IntArray, terms: Terms
 ) -> Distribution:
-    """Describe one metric of a group by the runs that decide and have a value, one a sensor."""
+    """Describe one metric of a group by the deciding runs with a value, one per sensor."""
     values = metric.mean[indices]
     if not len(values):
         return Distribution(*metric.identity, name, 0, no_capability="nothing was measured")
@@ -156,7 +156,7 @@ def distribution(
 def _capability(
     metric: MetricValues, runs: Sequence[RunLine], indices: IntArray, terms: Terms
 ) -> tuple[Capability | None, str | None]:
-    """Capability of what the limit judges: of several values a run, those nearest to each limit."""
+    """Capability of the values judged: of several values per run, those nearest to each limit."""
     if not metric.limited:
         return None, "no limit"
     try:
@@ -176,12 +176,11 @@ def _capability(
 
 
 def _subgroups(values: Array, runs: Sequence[RunLine], indices: IntArray) -> list[list[float]]:
-    """Values of each batch on each station."""
     subgroups: dict[tuple[str, str], list[float]] = {}
     for index, value in zip(indices.tolist(), values[indices].tolist(), strict=True):
         subgroups.setdefault((runs[index].batch, runs[index].station), []).append(value)
     members = list(subgroups.values())
-    if len(indices) == len(members):  # every subgroup has one value: no short term to speak of
+    if len(indices) == len(members):  # single values per subgroup have no short-term deviation
         return [[value for group in members for value in group]]
     return members
 

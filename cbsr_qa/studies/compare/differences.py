@@ -1,4 +1,4 @@
-"""Differences of groups and of stations in one metric, by the mixed model and by plain tests beside it."""
+"""Differences of groups and of stations in one metric, by the mixed model and, for comparison, by plain tests."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,16 +27,16 @@ from cbsr_qa.studies.compare.groups import Design
 from cbsr_qa.studies.compare.terms import Terms
 from cbsr_qa.studies.compare.values import MetricValues, OfMetric
 
-#: The model of groups that cannot be told apart.
+#: Model name of groups that cannot be separated.
 REFUSED: Final = "refused"
-#: Locations beyond which a phase's places are random loads rather than a grid.
+#: Above this number of locations a phase has random loads rather than a grid.
 _MOST_PLACES: Final = 25
 _WITH_BATCH: Final = "group and each station's batches"
 
 
 @dataclass(frozen=True, slots=True)
 class Naive:
-    """Welch's t test of one value a sensor, which knows nothing of stations."""
+    """Welch's t test of one value per sensor, which ignores stations."""
 
     difference: float
     low: float
@@ -47,9 +47,9 @@ class Naive:
 
 @dataclass(frozen=True, slots=True)
 class Robust:
-    """Hodges and Lehmann's shift and Brunner and Munzel's test, the model's station differences taken out.
+    """Hodges and Lehmann's shift and Brunner and Munzel's test, adjusted for the model's station differences.
 
-    Interval and p are None where the sample is too small, or the groups do not overlap.
+    Interval and p are None if the sample is too small, or the groups do not overlap.
     """
 
     shift: float
@@ -73,7 +73,7 @@ class PlaceDifference:
 
 @dataclass(frozen=True, slots=True)
 class Estimated(OfMetric):
-    """A difference from a reference by the model, in ``unit``; None where refused, the first warning then says why.
+    """A difference from a reference by the model, in ``unit``; None if refused, for the reason in the first warning.
 
     Parameters
     ----------
@@ -90,13 +90,13 @@ class Estimated(OfMetric):
 
     @property
     def known(self) -> bool:
-        """Whether the model could tell it."""
+        """Whether the model could estimate it."""
         return self.difference is not None
 
 
 @dataclass(frozen=True, slots=True)
 class StationDifference(Estimated):
-    """What a station reads above the reference, the groups' differences taken out."""
+    """Difference of a station's readings from the reference, adjusted for groups."""
 
     station: str = ""
 
@@ -107,14 +107,14 @@ class Difference(Estimated):
 
     Parameters
     ----------
-    group : None where the metric is not compared between groups.
-    model : what was fitted, :data:`REFUSED`, or ``"none"``.
-    deviation : √(sensor² + run²) of the model, in the metric's unit; the effect size is in it, taken as known.
+    group : None if the metric is not compared between groups.
+    model : the fitted one, :data:`REFUSED`, or ``"none"``.
+    deviation : √(sensor² + run²) of the model, in the metric's unit; unit of the effect size, taken as known.
     equivalent : whether two one-sided tests show the difference to be within ``margin``, by ``equivalence_p``, which
         is adjusted for all such tests of the comparison.
-    sensors_to_show_alike : of each of two groups on one station, to show them alike within the margin with 80 % where
-        they do not differ, by one test of the comparison's level; None where 10⁹ do not do.
-    sensors_needed : of each group to find the difference ``detect``, likewise.
+    sensors_to_show_alike : of each of two groups on one station, to show equivalence within the margin with 80 %
+    power if they do not differ, by one test at the comparison's level; None if 10⁹ do not suffice.
+    sensors_needed : of each group to detect the difference ``detect``, likewise.
     """
 
     group: str | None = None
@@ -137,21 +137,21 @@ class Difference(Estimated):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """The model of one metric, or why there is none; ``of_stations``: its stations are the compared groups."""
+    """The model of one metric, or the reason for none; ``of_stations``: its stations are the compared groups."""
 
     fit: Fit | None
     why: str
     of_stations: bool
 
     def difference(self, group: str, reference: str) -> Contrast:
-        """Return group − reference. NumericsError where the design cannot tell it."""
+        """Return group − reference; NumericsError if the design cannot estimate it."""
         if self.fit is None:
             raise NumericsError(self.why)
         of = self.fit.station_difference if self.of_stations else self.fit.group_difference
         return of(group, reference)
 
     def station_effect(self, station: str) -> float:
-        """Return what a station reads above the first of its connected part."""
+        """Return the difference of a station from the first of its connected part."""
         assert self.fit is not None
         design = self.fit.design
         if station not in design.stations:
@@ -174,7 +174,7 @@ _Estimate = TypeVar("_Estimate", Difference, StationDifference)
 
 
 def _filled_in(estimated: _Estimate, contrast: Contrast, terms: Terms) -> _Estimate:
-    """Fill in what an estimate says, before it is adjusted."""
+    """Fill in an estimate's fields before adjustment."""
     inside = contrast.interval(terms.confidence)
     return replace(
         estimated, difference=contrast.value, low=inside.low, high=inside.high, p_unadjusted=contrast.p_value()
@@ -257,7 +257,7 @@ def _robust(
         return None
     try:
         return Robust(moved.value, moved.interval, brunner_munzel(*level, names=names).p_value, "Brunner–Munzel")
-    except NumericsError:  # groups that do not overlap, or of one sensor
+    except NumericsError:  # groups that do not overlap, or of a single sensor
         return Robust(moved.value, moved.interval, moved.p_value, "Mann–Whitney")
 
 
@@ -269,7 +269,7 @@ def _without(values: Array, stations: Sequence[str], effects: dict[str, float]) 
 def by_place(
     metric: MetricValues, table: FleetTable, pairs: Sequence[tuple[str, str]], design: Design
 ) -> dict[str, tuple[PlaceDifference, ...]]:
-    """Differences of groups by place, where there are as many places as a grid has, and the metric matters."""
+    """Differences of groups by place, if the places form a grid and the metric matters."""
     wanted = metric.limited or metric.key.name in design.terms.names
     if not pairs or not wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
         return {}
@@ -301,7 +301,7 @@ def _places_of(
 
 
 def stations_above(model: Fitted, metric: MetricValues, design: Design) -> Iterator[StationDifference]:
-    """Compare stations with the one that has most runs, the groups' differences taken out."""
+    """Compare stations with the one with most runs, adjusted for differences of groups."""
     for name in design.stations[1:]:
         bare = StationDifference(*metric.identity, design.stations[0], station=name)
         try:

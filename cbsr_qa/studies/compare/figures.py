@@ -1,4 +1,4 @@
-"""Figures of groups compared: how sensors spread by group and station, and where on the sheet groups differ."""
+"""Figures of groups compared: distributions by group and station, and differences by place on the sheet."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -26,23 +26,23 @@ from cbsr_qa.report.draw import (
 )
 from cbsr_qa.studies.compare.differences import PlaceDifference
 
-#: Sensors of one row that are drawn as points; more are drawn as an outline of their distribution.
+#: Sensors of a row drawn as points; more are drawn as an outline of their distribution.
 _MOST_POINTS: Final = 150
 _BINS: Final = 40
 _MARK_IN: Final = 0.34
-#: Of a group's or a station's name beside a row.
+#: Width of the names beside rows.
 _MOST_LETTERS: Final = 18
-#: Left of the longest name.
+#: Space to the left of the longest name.
 _LEAST_LEFT_IN: Final = 0.05
 
 
 def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequence[str]) -> str:
-    """Draw sensors by group and station as ``<svg>``: a row each, the mean as a line, quartiles as a bar.
+    """Draw sensors by group and station in rows as ``<svg>``: the mean as a line, quartiles as a bar.
 
     Parameters
     ----------
-    samples : group, station, and one value a sensor.
-    groups : in their order, which decides the colours.
+    samples : group, station, and one value per sensor.
+    groups : in order; the order determines the colours.
     """
     return svg_of(lambda: _strips(label, samples, groups))
 
@@ -61,7 +61,7 @@ def _strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Seque
         colour = CYCLE[list(groups).index(group) % len(CYCLE)]
         _row(axes, row, values, colour)
     names = [f"{_short(group)}, {_short(station)}  ({len(values)})" for group, station, values in samples]
-    name_rows(axes, names, most=len(names))  # the figure is as high as they need
+    name_rows(axes, names, most=len(names))  # the figure is as high as the rows need
     axes.set_xlabel(label)
     box = axes.yaxis.get_tightbbox(None)
     lacking = 0.0 if box is None else (_LEAST_LEFT_IN * figure.dpi - box.x0) / figure.bbox.width
@@ -71,7 +71,7 @@ def _strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Seque
 
 
 def _short(name: str) -> str:
-    """Leave out the middle of a name that is too long to stand beside a row."""
+    """Shorten a long name in the middle to fit beside a row."""
     if len(name) <= _MOST_LETTERS:
         return name
     kept = _MOST_LETTERS - 1
@@ -86,10 +86,10 @@ def _row(axes: Axes, row: int, values: Array, colour: str) -> None:
             0.5 * (edges[1:] + edges[:-1]), row - half, row + half, color=colour, alpha=0.35, linewidth=0
         )
     else:
-        # Spread evenly over the row in the order of the values: the same numbers give the same picture.
+        # Spread evenly over the row in order of the values, so that equal data give equal pictures.
         offsets = 0.22 * np.sin(2.4 * np.arange(len(values)))
         axes.plot(np.sort(values), row + offsets, "o", color=colour, markersize=2.6, alpha=0.6, markeredgewidth=0)
-    if len(values) == 1:  # the bar of one sensor would hide it
+    if len(values) == 1:  # a single sensor's bar would hide it
         return
     low, high = np.quantile(values, (0.25, 0.75))
     axes.plot((low, high), (row, row), color=INK, linewidth=2.2)

@@ -1,4 +1,4 @@
-"""Which run belongs to which group, which of a sensor's runs decides, and what the runs can tell apart."""
+"""Groups of runs, the deciding run of each sensor, and which differences the runs can estimate."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,9 +19,9 @@ from cbsr_qa.studies.compare.values import BoolArray
 from cbsr_qa.studies.selection import nearest, software_words
 
 PASSED: Final = (Outcome.PASS, Outcome.MARGINAL)
-#: What a run without a batch is of.
+#: Batch name of runs without a batch.
 NO_BATCH: Final = "batch not stated"
-#: Groupings that have nothing to do with batches, and may yet coincide with them.
+#: Groupings independent of batches that may still coincide with them.
 _GROUPS: Final = {By.PERIOD: "period", By.SOFTWARE: "software version"}
 
 
@@ -32,9 +32,9 @@ class Grouping:
     Parameters
     ----------
     names : of the groups, the reference first.
-    labels, used : (R,) group of each run, empty where it is left out; and whether it counts.
-    tests : group → sensor → indices of its runs that count, in the order they were made in.
-    left_out : why runs do not count → how many.
+    labels, used : (R,) group of each run (empty if left out), and whether it counts.
+    tests : group → sensor → indices of its runs that count, in order of time.
+    left_out : reason → number of runs that do not count.
     """
 
     names: tuple[str, ...]
@@ -49,7 +49,7 @@ class Grouping:
         return self.names[0]
 
     def deciding(self, runs: Sequence[RunLine], policy: Policy) -> dict[str, IntArray]:
-        """Return the run of each sensor that decides, by group."""
+        """Return the deciding run of each sensor, by group."""
         return {
             name: np.array([decides(runs, tests, policy) for tests in self.tests[name].values()], dtype=np.intp)
             for name in self.names
@@ -62,7 +62,7 @@ def grouped(runs: Sequence[RunLine], terms: Terms) -> Grouping:
     Raises
     ------
     RefusedError
-        If no run was finished and analysed, or a group that was named has no runs (with the nearest name).
+        If no run was finished and analysed, or a named group has no runs (with the nearest name).
     """
     labels = _labels(runs, terms.by, terms.period)
     whys = [_left_out(run, label, terms.by) for run, label in zip(runs, labels, strict=True)]
@@ -87,7 +87,7 @@ def grouped(runs: Sequence[RunLine], terms: Terms) -> Grouping:
 
 
 def decides(runs: Sequence[RunLine], tests: Sequence[int], policy: Policy) -> int:
-    """Return which of a sensor's runs decides."""
+    """Return the deciding one of a sensor's runs."""
     if policy is Policy.FIRST:
         return tests[0]
     if policy is Policy.ANY:
@@ -113,7 +113,7 @@ def _labels(runs: Sequence[RunLine], by: By, period: Period) -> list[str]:
 
 
 def _left_out(run: RunLine, label: str, by: By) -> str:
-    """Say why a run does not count; empty where it does."""
+    """Why a run does not count; empty if it does."""
     if run.of_check:
         return "of golden sensors that checked a station"
     if not run.finished:
@@ -124,9 +124,9 @@ def _left_out(run: RunLine, label: str, by: By) -> str:
 
 
 def _names(runs: Sequence[RunLine], labels: Sequence[str], terms: Terms) -> tuple[str, ...]:
-    """Names of the groups, the reference first: as they were given, or the one with most sensors and the others.
+    """Names of the groups, the reference first: as given, or the one with most sensors and the others.
 
-    Of periods the reference is the earliest: what is asked is what changed since.
+    For periods the reference is the earliest, to show changes since then.
     """
     sensors: dict[str, set[str]] = {}
     for run, label in zip(runs, labels, strict=True):
@@ -140,8 +140,8 @@ def _names(runs: Sequence[RunLine], labels: Sequence[str], terms: Terms) -> tupl
 
 
 def reference_rank(name: str, sensors: int, by: By) -> tuple[int, str]:
-    """Sort groups as references are chosen: the earliest period, or most sensors."""
-    # Names of periods of one length sort as their time does.
+    """Sort key of groups for the choice of a reference: the earliest period, or most sensors."""
+    # Names of periods of equal length sort by time.
     return (0 if by is By.PERIOD else -sensors, name)
 
 
@@ -155,20 +155,20 @@ def _check_known(wanted: Iterable[str], known: Sequence[str], by: By) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The crossing of the runs that count, and what its levels stand for.
+    """The crossing of the runs that count, and the meaning of its levels.
 
     Parameters
     ----------
-    crossing : of groups and stations; of batches and stations where stations are compared; of groups and *levels*
-        where periods or software versions are: every batch at every station is a level, so that no batch is taken
-        for a period.
+    crossing : of groups and stations; of batches and stations where stations are compared; of groups and *levels* if
+    periods or software versions are compared: every batch at every station is a level, so that batches are not
+    mistaken for periods.
     rows : (N,) indices of the runs.
-    stations : to compare beside the groups, that with most runs (of the part with most stations) first; none where
-        there is one, or they are groups.
-    levels : level → its station and batch; empty where the crossing's levels are stations.
-    of_the_stations : crossing by which the stations are compared: of batches and stations where there are levels,
-        or materials of several batches are compared; else the crossing itself.
-    sides : (R,) what the crossing has on its other side, of every run: a level, or a station.
+    stations : to compare besides the groups, the one with most runs (in the part with most stations) first; empty for
+    a single station, or if stations are the groups.
+    levels : level → its station and batch; empty if the crossing's levels are stations.
+    of_the_stations : crossing for the comparison of stations: of batches and stations if there are levels, or
+    materials of several batches are compared; else the crossing itself.
+    sides : (R,) other side of the crossing for every run: a level, or a station.
     """
 
     terms: Terms
@@ -181,7 +181,7 @@ class Design:
 
     @property
     def noun(self) -> str:
-        """What one group is, in words."""
+        """Noun for one group."""
         return _GROUPS.get(self.terms.by, str(self.terms.by))
 
     @property
@@ -190,16 +190,16 @@ class Design:
         return self.terms.by is By.STATION
 
     def shared(self, first: str, second: str) -> tuple[str, ...]:
-        """Return the batches that ran at one station in both groups: what their difference rests on most."""
+        """Return the batches that ran at one station in both groups, the main basis of their difference."""
         one, two = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
         return tuple(sorted({self.levels[level][1] for level in one & two}))
 
     def untold(self, crossing: Crossing, first: str, second: str) -> str:
-        """Say why two groups cannot be told apart; empty where the crossing's own words will do.
+        """Explain why two groups cannot be separated; empty if the crossing's own message suffices.
 
         Parameters
         ----------
-        found : the crossing of the runs that have a value.
+        found : the crossing of the runs with a value.
         """
         known = crossing.stations if self.of_stations else crossing.groups
         absent = [name for name in (first, second) if name not in known]
@@ -214,7 +214,7 @@ class Design:
         return f"{self.noun}s {cannot}: {where}; run some sensors of one batch at one station in both"
 
     def _apart(self, crossing: Crossing, names: tuple[str, str], side: int) -> bool:
-        """Whether nothing connects two groups by batches (side 1) or stations (side 0) alone."""
+        """Whether batches (side 1) or stations (side 0) alone leave two groups unconnected."""
         joined = _joined(self, crossing, side)
         one, two = (int(joined.group_parts[joined.index("group", name)]) for name in names)
         return one != two
@@ -235,24 +235,24 @@ def design_of(runs: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Desi
     stations, serials = [run.station for run in members], [run.serial for run in members]
     batches = [run.batch or NO_BATCH for run in members]
     at = tuple(run.station for run in runs)
-    if terms.by is By.STATION:  # what must not be taken for a station is the batch
+    if terms.by is By.STATION:  # batches must not be mistaken for stations
         made = crossing(batches, stations, serials)
         return Design(terms, made, rows, (), {}, made, at)
     if terms.by in _GROUPS and len(set(batches)) > 1:
         levels = {_level(run): (run.station, run.batch or NO_BATCH) for run in members}
         made = crossing(labels, [_level(run) for run in members], serials)
-        beside = crossing(batches, stations, serials)  # as where stations are the groups, so that both say one thing
+        beside = crossing(batches, stations, serials)  # as for stations as groups, so that both agree
         return Design(terms, made, rows, _by_runs(beside), levels, beside, tuple(_level(run) for run in runs))
     made = crossing(labels, stations, serials)
-    # Batches of a material differ, and not every station has the same ones.
+    # Batches of a material differ, and stations have different ones.
     beside = crossing(batches, stations, serials) if terms.by is By.MATERIAL and len(set(batches)) > 1 else made
     return Design(terms, made, rows, _by_runs(beside), {}, beside, at)
 
 
 def _by_runs(made: Crossing) -> tuple[str, ...]:
-    """Stations; none where there is nothing to compare.
+    """Stations to compare, or none.
 
-    First comes that with most runs in the part with most stations, so that something can be compared with it.
+    The first one has most runs in the part with most stations, so that others can be compared with it.
     """
     if len(made.stations) < 2:
         return ()
@@ -271,7 +271,7 @@ def _batch(name: str) -> str:
 
 @lru_cache(maxsize=4)
 def _levels_of(crossing: Crossing) -> Mapping[str, frozenset[str]]:
-    """Group → the levels its runs have; kept, because every pair of groups in a metric asks."""
+    """Group → levels of its runs; cached, as it is needed for every pair of groups in a metric."""
     pairs = np.unique(crossing.group * len(crossing.stations) + crossing.station)
     seen: dict[str, set[str]] = {}
     for group, level in zip(*divmod(pairs, len(crossing.stations)), strict=True):
@@ -290,11 +290,11 @@ def _joined(design: Design, crossed: Crossing, side: int) -> Crossing:
 
 
 def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: Terms) -> tuple[Grouping, list[str]]:
-    """Put a group first that most others can be compared with, unless groups were named; and say so in sentences.
+    """Put a group first that most others can be compared with, unless groups were named; and return notes.
 
     Parameters
     ----------
-    measured : (R,) whether a run has a value of anything.
+    measured : (R,) whether a run has any value.
     """
     part_of = _parts(grouping, design, measured)
     sizes = Counter(part_of.values())
@@ -317,7 +317,7 @@ def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: 
 
 
 def _parts(grouping: Grouping, design: Design, measured: BoolArray) -> dict[str, int]:
-    """Group → the connected part it is in; one without a value is a part of its own."""
+    """Group → its connected part; a group without a value is a separate part."""
     alone = {name: -1 - place for place, name in enumerate(grouping.names)}
     known = measured[design.rows]
     if not known.any():

@@ -1,4 +1,4 @@
-"""What a person reads of a comparison: which groups differ and by how much, and what to be careful about."""
+"""Report of a comparison: which groups differ and by how much, and cautions."""
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -84,12 +84,12 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
 
 
 def _noted(notes: Sequence[str]) -> Section:
-    """Return what changes no decision, on the page alone."""
+    """Return a section of notes that change no decision, on the page only."""
     return Section("Notes", tuple(map(Paragraph, notes)), page_only=True)
 
 
 def _headline(comparison: Comparison) -> str:
-    """Answer in one line: the largest differences, a station that reads differently, what is not shown to differ."""
+    """Answer in one line: the largest differences, a deviating station, and groups without a shown difference."""
     everyone = [group.name for group in comparison.groups]
     if not comparison.compared:
         return _NO_COMPARISON.format(groups=_listed(everyone))
@@ -118,7 +118,7 @@ def _headline(comparison: Comparison) -> str:
 
 
 def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparison: Comparison) -> Iterator[str]:
-    """Say what reads how much above or below its reference; the metric is named where it changes."""
+    """State differences from the reference; the metric is named when it changes."""
     before = ""
     for metric, difference, who in shown:
         size, low, high = (difference.difference or 0.0, difference.low or 0.0, difference.high or 0.0)
@@ -149,7 +149,7 @@ def _not_shown(differ: Collection[str | None], comparison: Comparison) -> Iterat
 
 
 def _not_compared(comparison: Comparison) -> Iterator[str]:
-    """Say which groups could not be compared, wholly or in some metrics, without those in which nothing differs."""
+    """List groups that could not be compared, in all or some metrics, except metrics in which nothing differs."""
     metrics = [metric for metric in comparison.of_metrics if metric.differences and not _idle(metric)]
     counts = Counter(
         difference.group for metric in metrics for difference in metric.differences if not difference.known
@@ -165,7 +165,7 @@ def _not_compared(comparison: Comparison) -> Iterator[str]:
 
 
 def _important(comparison: Comparison) -> Iterator[str]:
-    """Return what may change a decision: what was not compared and why."""
+    """Return what may change a decision: missing comparisons and their reasons."""
     if not comparison.of_metrics:
         yield _NO_VALUES
     yield from _refusals(comparison, of_idle=False)
@@ -176,7 +176,6 @@ def _important(comparison: Comparison) -> Iterator[str]:
 
 
 def _advice(comparison: Comparison) -> Iterator[str]:
-    """Return what to do where nothing was shown."""
     if (
         comparison.compared
         and not comparison.terms.margins
@@ -186,7 +185,7 @@ def _advice(comparison: Comparison) -> Iterator[str]:
 
 
 def _notes(comparison: Comparison) -> Iterator[str]:
-    """Return what is worth knowing: what a plain test would claim, and each note once with its metrics."""
+    """Return notes: results of a plain test, and each note once with its metrics."""
     claims = [
         f"{pair.group} − {pair.reference} in {metric.values.title} "
         f"({amount(pair.naive.difference, metric.values.unit)})"
@@ -200,7 +199,7 @@ def _notes(comparison: Comparison) -> Iterator[str]:
 
 
 def _refusals(comparison: Comparison, *, of_idle: bool) -> Iterator[str]:
-    """Say why pairs were not compared, each reason once: of metrics in which all sensors read alike, or of others."""
+    """Give each reason for missing comparisons once, separately for metrics in which all sensors read the same."""
     refused = (
         (difference.warnings[0].removeprefix(f"{metric.values.key.label}: "), metric)
         for metric, difference in comparison.pairs
@@ -233,18 +232,18 @@ def _rules(comparison: Comparison) -> Iterator[str]:
 
 
 def _known(comparison: Comparison) -> list[str]:
-    """Return the reference and the groups that could be compared with it in any metric, in their order."""
+    """Return the reference and the groups compared with it in any metric, in order."""
     known = {metric.group for metric in comparison.metrics if metric.difference is not None}
     return [group.name for group in comparison.groups if group.name in known or group.name == comparison.reference]
 
 
 def _idle(metric: MetricComparison) -> bool:
-    """Whether all sensors of all groups read the same: there is nothing to tell groups apart by."""
+    """Whether all sensors of all groups read the same, so that groups cannot differ."""
     return _same([values for *_, values in metric.samples])
 
 
 def _constant(metric: MetricComparison) -> list[str]:
-    """Return what each group reads where sensors of a group do not differ, and groups do; else nothing."""
+    """Return the reading of each group if sensors of a group do not differ but groups do; else nothing."""
     of_group: dict[str, list[Array]] = {}
     for name, _, values in metric.samples:
         of_group.setdefault(name, []).append(values)
@@ -254,7 +253,7 @@ def _constant(metric: MetricComparison) -> list[str]:
     scatter = any(sum(map(len, of_group[name])) < 2 or not _same(of_group[name]) for name in read)
     if all(difference.known for difference in metric.differences) or _idle(metric) or scatter or len(read) < 2:
         return []
-    for digits in range(3, _MOST_DIGITS + 1):  # as many as tell them apart
+    for digits in range(3, _MOST_DIGITS + 1):  # digits that separate them
         written = {name: amount(value, metric.values.unit, digits) for name, value in read.items()}
         if len(set(written.values())) == len(set(read.values())):
             break
@@ -262,7 +261,7 @@ def _constant(metric: MetricComparison) -> list[str]:
 
 
 def _same(samples: Sequence[Array]) -> bool:
-    """Whether there are values, and they are the same but for the rounding of means."""
+    """Whether there are values that are equal but for rounding of means."""
     values = np.concatenate([np.zeros(0), *samples])
     return bool(len(values)) and bool(np.ptp(values) <= 1e-12 * np.abs(values).max())
 
@@ -272,7 +271,7 @@ def _who(group: str, comparison: Comparison) -> str:
 
 
 def _listed(names: Sequence[str], most: int = 3) -> str:
-    """List groups in words: ``41, 42 and 43``; of many how many they are."""
+    """List groups in words, ``41, 42 and 43``; for many, their number."""
     if len(names) > most:
         return f"{len(names)} groups"
     return " and ".join(", ".join(part) for part in (names[:-1], names[-1:]) if part)

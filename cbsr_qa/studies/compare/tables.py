@@ -43,7 +43,7 @@ _BY_PLACE: Final = "{metric}: {pair} by place; p adjusted for the places."
 
 
 def sections(comparison: Comparison) -> Iterator[Section]:
-    """Lay out tables first, then what the page alone has."""
+    """Lay out tables first, then the parts that only the page has."""
     drawn = _drawn(comparison)
     distributions: list[Block] = [_strips(metric, comparison) for metric in drawn]
     if drawn and len(drawn) < len(comparison.of_metrics):
@@ -113,7 +113,7 @@ def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) 
 
 
 def _other_rows(metric: MetricComparison, difference: Difference) -> Iterator[tuple[str, ...]]:
-    """A row for each of the other methods that had an answer: numbers of both side by side would not fit a page."""
+    """Rows of the other methods with a result: columns for both would not fit a page."""
     if difference.robust is not None:
         robust = difference.robust
         shift = number(robust.shift), _ends(robust.interval), _p(robust.p)
@@ -187,7 +187,7 @@ def _strips(metric: MetricComparison, comparison: Comparison) -> Figure:
     shown = [sample for sample in metric.samples if len(sample[2])]
 
     def draw() -> str:
-        # matplotlib is loaded only where something is drawn
+        # loads matplotlib
         from cbsr_qa.studies.compare.figures import strips
 
         return strips(_label(metric), shown, [group.name for group in comparison.groups])
@@ -263,7 +263,7 @@ def _table(
     *,
     folded: bool = False,
 ) -> Iterator[Table]:
-    """Lay rows out, if there are any, without columns that are empty."""
+    """Lay out rows, if any, without empty columns."""
     kept = [k for k in range(len(columns)) if any(row[k] for row in rows)]
     if kept:
         cells = [[row[k] for k in kept] for row in rows]
@@ -290,7 +290,7 @@ def _label(metric: MetricComparison) -> str:
 
 
 def amount(value: float, unit: str, digits: int = 3) -> str:
-    """Write a value with its unit, as it stands in a sentence."""
+    """Format a value with its unit for a sentence."""
     return f"{number(value, digits)} {unit_shown(unit)}".rstrip()
 
 

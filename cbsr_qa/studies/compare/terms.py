@@ -1,4 +1,4 @@
-"""What is compared, and by what rules: stated with every result."""
+"""Subject and rules of a comparison, stated with every result."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from cbsr_qa.domain import RefusedError
 
 
 class By(StrEnum):
-    """What tells groups apart."""
+    """Basis of the groups."""
 
     BATCH = "batch"
     MATERIAL = "material"
@@ -19,7 +19,7 @@ class By(StrEnum):
 
 
 class Policy(StrEnum):
-    """Which of a sensor's runs decides; first-pass yield always counts the first."""
+    """Choice of a sensor's deciding run; first-pass yield always counts the first."""
 
     FIRST = "first"
     LAST = "last"
@@ -27,9 +27,9 @@ class Policy(StrEnum):
 
 
 class Quarantine(StrEnum):
-    """What becomes, in a yield, of sensors that could not be measured."""
+    """Treatment, in a yield, of sensors that could not be measured."""
 
-    APART = "apart"  #: counted apart, not in the yield
+    APART = "apart"  #: counted separately, not in the yield
     FAILED = "failed"  #: counted as not passed
 
 
@@ -43,7 +43,7 @@ class Period(StrEnum):
 
 
 class Adjustment(StrEnum):
-    """How p values are adjusted for how many there are."""
+    """Adjustment of p values for multiple tests."""
 
     HOLM = "holm"
     BENJAMINI_HOCHBERG = "benjamini-hochberg"
@@ -58,8 +58,9 @@ class Terms:
     ----------
     groups : names to compare, the reference first; empty for all, the earliest period or the largest group first.
     names : metrics to compare; empty for all.
-    margins, detect : name of a metric → difference that does not matter, or whose number of sensors is asked for.
-    power : that numbers of sensors are for.
+    margins, detect : name of a metric → difference that does not matter, or for which the number of sensors is
+    computed.
+    power : for numbers of sensors.
     """
 
     by: By
@@ -76,17 +77,17 @@ class Terms:
 
     @property
     def level(self) -> float:
-        """Of tests."""
+        """Significance level of tests."""
         return 1 - self.confidence
 
 
 def read_groups(text: str | None) -> tuple[str, ...]:
-    """Read ``A,B``: names of groups, the reference first; none where nothing was given.
+    """Read ``A,B``: names of groups, the reference first; empty for empty text.
 
     Raises
     ------
     RefusedError
-        If a name is empty, or is there twice.
+        If a name is empty or repeated.
     """
     if text is None:
         return ()
@@ -108,7 +109,7 @@ def read_amounts(pairs: Sequence[str], option: str) -> dict[str, float]:
     Raises
     ------
     RefusedError
-        If one is no such pair, its value is not a positive number, or its metric was named before.
+        If an entry is not such a pair, its value is not a positive number, or its metric is repeated.
     """
     amounts: dict[str, float] = {}
     for pair in pairs:

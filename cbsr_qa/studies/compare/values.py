@@ -1,6 +1,6 @@
-"""One value a run and metric: the mean over the loads of its recipe where there is one value a load.
+"""One value per run and metric: the mean over loads for metrics with a value per load.
 
-The limits of a recipe judge every load, so that the least and the greatest value are kept beside the mean.
+The limits of a recipe judge every load, so the least and the greatest value are kept too.
 """
 
 from collections import Counter
@@ -18,7 +18,7 @@ from cbsr_qa.stats import LARGEST
 
 BoolArray = NDArray[np.bool_]
 
-# What is to be kept in mind of one metric.
+# Cautions about one metric.
 _OTHER_UNIT: Final = "measured in {other} instead of {unit}, left out: {sensors}"
 _NEVER_MEASURED: Final = "without this measurement, left out: {sensors}"
 _OTHER_RECIPE: Final = "{runs} of recipes that do not measure it, left out: {recipes}"
@@ -31,7 +31,7 @@ _SEVERAL_LIMITS: Final = "runs had different limits; capability uses those of th
 
 @dataclass(frozen=True, slots=True)
 class OfMetric:
-    """Which metric something is of, and the unit of its values."""
+    """Identity of a metric, and the unit of its values."""
 
     name: str
     phase: str
@@ -45,12 +45,12 @@ class MetricValues:
 
     Parameters
     ----------
-    title : its name in words, with phase and qualifier where another metric has the same name.
-    lower, upper : limit of the latest run that had one, or None.
-    mean, least, most : (R,) of each run's values; NaN where it has none, or where one is only a lower bound, infinite
-        or beyond what can be squared.
-    per_run : values of the run that has most.
-    at : location → (R,) mean of the values there; empty where values have no location.
+    title : its name, with phase and qualifier if another metric has the same name.
+    lower, upper : limit of the latest run with one, or None.
+    mean, least, most : (R,) of each run's values; NaN without any, or if one is only a lower bound, infinite or too
+    large to be squared.
+    per_run : largest number of values per run.
+    at : location → (R,) mean of the values there; empty for values without location.
     failed : (R,) whether a value was outside its limit or, though limited, could not be measured.
     """
 
@@ -69,7 +69,7 @@ class MetricValues:
 
     @property
     def identity(self) -> tuple[str, str, str, str]:
-        """The fields of :class:`OfMetric`."""
+        """Return the fields of :class:`OfMetric`."""
         return self.key.name, self.key.phase, self.key.qualifier, self.unit
 
     @property
@@ -79,9 +79,9 @@ class MetricValues:
 
 
 def values_of(table: FleetTable, used: BoolArray) -> Iterator[MetricValues]:
-    """Yield the values of each metric in the runs that count (R,), in the order the metrics were measured in."""
+    """Yield the values of each metric in the runs that count (R,), in the order of measurement."""
     keys = list(dict.fromkeys(kind.key for kind in table.kinds))
-    if not keys:  # no run holds a measurement
+    if not keys:  # no run has a measurement
         return
     places = {key: place for place, key in enumerate(keys)}
     of_kind = np.array([places[kind.key] for kind in table.kinds], dtype=np.intp)
@@ -162,7 +162,7 @@ def _by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[s
 
 
 def _one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[str]]:
-    """Keep the unit most values are in; say what is in another."""
+    """Keep the most common unit; report values in others."""
     counts: Counter[str] = Counter()
     for index, count in zip(*np.unique(table.kind[rows], return_counts=True), strict=True):
         counts[table.kinds[index].unit] += int(count)
@@ -176,7 +176,7 @@ def _one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.int
 
 
 def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Iterator[str]:
-    """Name runs that count and hold no such metric at all, not even as missing."""
+    """Name runs that count but do not have such a metric, not even as missing."""
     has = np.zeros(len(table.runs), dtype=np.bool_)
     has[table.run[rows]] = True
     without = np.flatnonzero(used & ~has)
@@ -191,21 +191,20 @@ def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Itera
 
 
 def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
-    """Name values that no arithmetic can be done with."""
+    """Name values that are too large for arithmetic."""
     shown = {f"{table.runs[index].serial} ({number:g})" for index, number in zip(run, value, strict=True)}
     if shown:
         yield _BEYOND.format(values=named(sorted(shown)))
 
 
 def _sensors(template: str, table: FleetTable, runs: NDArray[np.intp], **words: str) -> Iterator[str]:
-    """Fill a template with the sensors of runs, if there are any; several runs are counted."""
+    """Fill a template with the sensors of runs, if any; several runs are counted."""
     if len(runs):
         serials = named(sorted({table.runs[run].serial for run in runs}))
         yield template.format(sensors=f"{serials} ({plural(len(runs), 'run')})", **words)
 
 
 def _limits(table: FleetTable, rows: NDArray[np.intp]) -> tuple[float | None, float | None]:
-    """Limits of the latest run that had some."""
     limited = np.array([kind.lower is not None or kind.upper is not None for kind in table.kinds])
     judged = rows[limited[table.kind[rows]]]
     if not len(judged):

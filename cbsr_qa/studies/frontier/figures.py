@@ -18,7 +18,7 @@ from cbsr_qa.studies.frontier.station import PAPER
 from cbsr_qa.system import writing
 
 _HEIGHT_IN: Final = 3.6
-_COLOURS: Final = (*CYCLE, INK)  # one a series
+_COLOURS: Final = (*CYCLE, INK)  # one per series
 
 
 def station_svg(points: Sequence[Point], chosen: Recommended | None) -> str:

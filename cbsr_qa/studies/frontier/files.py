@@ -1,4 +1,4 @@
-"""Files that ``cbsr-qa frontier`` is asked for: refused before a sweep of minutes, not after it."""
+"""Output files of ``cbsr-qa frontier``, checked before a sweep of minutes rather than after it."""
 
 import errno
 import os
@@ -14,26 +14,26 @@ from cbsr_qa.studies.frontier.point import TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommended
 from cbsr_qa.system import writing, written_whole
 
-#: First words of every recipe that is written here; what begins otherwise is somebody's own.
+#: First words of every recipe written here; files with another beginning are the user's own.
 WRITTEN_BY: Final = "Written by cbsr-qa frontier"
 
 
 @dataclass(frozen=True, slots=True)
 class Files:
-    """Where to write the recommended recipe, the page and the picture; None for what is not wanted."""
+    """Where to write the recommended recipe, the page and the picture; None if not requested."""
 
     recipe: Path | None = None
     output: Path | None = None
     png: Path | None = None
 
     def check(self, clocks: Sequence[TimeBasis]) -> None:
-        """Make sure that all can be written, and that nothing of somebody else's is written over.
+        """Make sure that all files can be written, and that none of the user's own is overwritten.
 
         Raises
         ------
         RefusedError
-            If a name is no file's of its kind, a folder cannot be written to, two are the same, or there will be
-            nothing to write because the station's clock is not swept.
+            If a name has the wrong suffix, a folder cannot be written to, two names are equal, or there will be
+            nothing to write because station time is not swept.
         """
         if self.png is not None:
             check_png(self.png)
@@ -62,7 +62,7 @@ def check_png(path: Path) -> None:
 
 
 def check_recipe(path: Path) -> None:
-    """Refuse a name that ``run --recipe`` would not take for a file's, and a file that was not written here."""
+    """Refuse a name that ``run --recipe`` would not take for a file, and a file not written here."""
     if path.suffix != ".toml":
         raise RefusedError(f"{path} is not the name of a recipe file", remedy="use a name ending in .toml")
     with writing(path):
@@ -78,7 +78,7 @@ def check_recipe(path: Path) -> None:
 
 
 def _check_place(option: str, path: Path) -> None:
-    """A file can be made there: its folder, or the nearest one above that is there, can be written to."""
+    """Refuse a place where no file can be made: its folder, or the nearest existing parent, must be writable."""
     with writing(path):
         if path.is_dir():
             raise RefusedError(f"{option}: {path} is a folder", remedy="name a file in it")
@@ -90,7 +90,7 @@ def _check_place(option: str, path: Path) -> None:
 
 
 def write_recipe(recommended: Recommended, path: Path) -> None:
-    """Write a setting as a recipe. RefusedError if the file cannot be written, or was not written so."""
+    """Write a setting as a recipe; RefusedError if the file cannot be written, or is not one written here."""
     check_recipe(path)
     name = path.stem[:64] or "frontier"
     check_encodable("the recipe's name", name)

@@ -1,4 +1,4 @@
-"""A point of the frontier: a setting, how accurate it is against known truth, and what it costs in time."""
+"""A point of the frontier: a setting, its accuracy relative to known truth, and its cost in time."""
 
 import json
 import math
@@ -11,33 +11,33 @@ from pydantic import TypeAdapter, ValidationError
 
 from cbsr_qa.domain import NumericsError, StoreError
 
-#: Which values are more accurate: larger ones, smaller ones, or those near to what is stated, which are not compared.
+#: Which values are more accurate: larger or smaller ones, or those near a stated one, which are not compared.
 Better = Literal["more", "less", "stated"]
-#: What a knob is set to: a name, whether something is on, or a number.
+#: Setting of a knob: a name, a switch, or a number.
 Knob = str | bool | int | float
 
 T = TypeVar("T")
 
-#: Fields that stored pieces do not have.
+#: Fields that stored pieces lack.
 _LATER: Final = {"pareto": None}
 
 
 class TimeBasis(StrEnum):
-    """Which time a setting costs."""
+    """Kind of time."""
 
     COMPUTER = "computer"  #: seconds of one core
     STATION = "station"  #: seconds a sensor occupies the rig
-    PRESSES = "presses"  #: presses to be made
+    PRESSES = "presses"  #: number of presses
 
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """One value of a setting against known truth, or its mean over seeds.
+    """One value of a setting relative to known truth, or its mean over seeds.
 
     Parameters
     ----------
-    stderr : of that mean; None where the value is exact, or one seed says nothing about it.
-    better : whether more is more accurate (an overlap) or less (an error), or what comes near to what is stated.
+    stderr : of that mean; None if the value is exact, or from a single seed.
+    better : whether larger (an overlap) or smaller (an error) is more accurate, or near to a stated value.
     """
 
     value: float
@@ -55,22 +55,22 @@ class Accuracy:
 
     @property
     def shortfall(self) -> float:
-        """The value with its sign such that less is better."""
+        """The value, signed so that smaller is better."""
         return -self.value if self.better == "more" else self.value
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A setting that was tried.
+    """A tried setting.
 
     Parameters
     ----------
     series : sweep it belongs to; points are compared within one.
-    accuracy : values against known truth by name; one that could not be determined is absent.
-    compute_s : time of the computer [s], of one frame or one solution; None where it was not measured.
+    accuracy : values relative to known truth by name; undetermined ones are absent.
+    compute_s : time of the computer [s], of one frame or one solution; None if it was not measured.
     station_s : time a sensor occupies the rig [s]; None for settings of the computer alone.
-    seeds : repetitions with other random numbers; 1 where nothing is random.
-    costs : what it costs besides, by name with the unit in it (``setup_s``, ``memory_bytes``, ``unknowns``).
+    seeds : repetitions with other random numbers; 1 without randomness.
+    costs : other costs, by name with the unit in it (``setup_s``, ``memory_bytes``, ``unknowns``).
     pareto : whether no other setting dominates it; None before points are compared.
     """
 
@@ -96,7 +96,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A point that is still to be measured in any process; its key says what is measured and by which versions."""
+    """A point to be measured in any process; its key states the measurement and its versions."""
 
     key: str
     what: str
@@ -109,7 +109,7 @@ def stored(kind: type[T], document: Mapping[str, Any]) -> T:
     Raises
     ------
     StoreError
-        If something is missing in it, unknown, of another type, or no finite number.
+        If a field is missing, unknown, of another type, or not finite.
     """
     try:
         adapter = TypeAdapter(kind)

@@ -12,14 +12,14 @@ from cbsr_qa.studies.frontier.setting import Setting
 from cbsr_qa.studies.frontier.station import Tried
 from cbsr_qa.studies.frontier.trial import UNITS
 
-#: What settings are compared by.
+#: Accuracies used to compare settings.
 DECIDES: Final = ("force_error",)
 
 
 def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
-    """Put the trials of each setting together, with the time of the station [s] that the setting takes.
+    """Combine the trials of each setting, with its station time [s].
 
-    Figures are root mean squares over the sensors; their standard error is that of the mean square, to first order.
+    Values are root mean squares over the sensors; their standard error is that of the mean square, to first order.
     """
     groups: dict[tuple[str, Setting], list[Tried]] = {}
     for tried in trials:
@@ -30,9 +30,9 @@ def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float])
 
 
 def worth_the_station(points: Sequence[Point]) -> tuple[bool, ...]:
-    """Return for each point whether no other of any series is as good for less of the station's time.
+    """Return for each point whether no other of any series is as good in less station time.
 
-    Settings that some sensors refused are not worth anything.
+    Settings refused on some sensors are never worth it.
     """
     members = [at for at, point in enumerate(points) if all(name in point.accuracy for name in DECIDES)]
     kept = undominated_within_errors([points[at] for at in members], lambda point: point.station_s, DECIDES)

@@ -1,4 +1,4 @@
-"""Which settings are worth their time, and the one to take."""
+"""Settings worth their time, and the recommended one."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,25 +13,25 @@ from cbsr_qa.studies.frontier.setting import Setting
 def undominated_within_errors(
     points: Sequence[Point], cost: Callable[[Point], float | None], names: Sequence[str] | None = None
 ) -> tuple[bool, ...]:
-    """Return for each point whether it buys accuracy beyond chance.
+    """Return for each point whether its accuracy is worth its cost, beyond chance.
 
     The rule: a setting is dominated where a *kept* setting
 
     - is cheaper and in no accuracy worse by more than their joint standard error √(s₁² + s₂²), or
     - costs no more and is in no accuracy worse, one of the two strictly, numbers taken as exact.
 
-    Among settings of the same cost differences within their errors are no reason to drop one. A setting of which
-    another does not state an accuracy is not dominated by it. Standard errors that are None count as zero.
+    Among settings of the same cost, differences within their errors do not count. A setting is not dominated by one
+    that lacks any of its accuracies. Standard errors that are None count as zero.
 
-    Kept means not dominated itself: without that a row of settings, each as good as the next within its error, would
-    be dropped up to the cheapest, though the last is far better than the first. No circle of settings can dominate
-    each other, since each step is cheaper, or as cheap and better; which are kept is therefore determined by the
-    points alone, at least one is, and to leave a dominated setting out changes nothing.
+    Kept means not dominated itself: otherwise a series of settings, each as good as the next within its error, would
+    be dropped down to the cheapest, though the last is far better than the first. Settings cannot dominate each other
+    in a circle, since each step is cheaper, or as cheap and better; so the kept ones depend on the points alone,
+    there is at least one, and leaving out a dominated setting changes nothing.
 
     Parameters
     ----------
     cost : of a point, finite.
-    names : of the accuracies to look at; by default all that the points state.
+    names : of the accuracies to compare; by default all of the points.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def undominated_within_errors(
 
 
 def joint_stderr(one: Accuracy, other: Accuracy) -> float:
-    """Standard error of the difference of two figures from different random numbers."""
+    """Standard error of the difference of two values from different random numbers."""
     return math.hypot(one.stderr or 0.0, other.stderr or 0.0)
 
 
@@ -71,7 +71,7 @@ def _chosen(point: Point, names: Sequence[str] | None) -> dict[str, Accuracy]:
 
 
 def _rank(cost: float, stated: Mapping[str, Accuracy]) -> tuple[float, int, list[tuple[str, float]]]:
-    """Sort key by which whoever may dominate comes first: cheaper, stating more, smaller errors."""
+    """Sort key that puts possibly dominating points first: cheaper, more accuracies, smaller errors."""
     return cost, -len(stated), sorted((name, figure.shortfall) for name, figure in stated.items())
 
 
@@ -88,7 +88,7 @@ def _dominates(cost: float, stated: Mapping[str, Accuracy], others: float, other
     return all(a <= b for a, b in zip(mine, theirs, strict=True)) and mine != theirs
 
 
-#: Without a wish: at most so long, and at most so much worse than the paper's campaign.
+#: Without a wish: longest time, and largest ratio of errors to the paper's campaign.
 USUAL_BUDGET_S: Final = 25 * 60.0
 USUAL_ROOM: Final = 1.2
 _FORCE: Final = "force_error"
@@ -96,7 +96,7 @@ _FORCE: Final = "force_error"
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What somebody wants: a force error [N] and a station time [s], at most."""
+    """Wished force error [N] and station time [s], at most."""
 
     force_error_N: float | None = None
     budget_s: float | None = None
@@ -104,7 +104,7 @@ class Wish:
 
 @dataclass(frozen=True, slots=True)
 class Recommended:
-    """The setting to take, and why, with the numbers it was chosen by."""
+    """The recommended setting, the reason, and the numbers behind the choice."""
 
     setting: Setting
     point: Point
@@ -114,14 +114,14 @@ class Recommended:
 def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Point | None) -> Recommended:
     """Choose a setting.
 
-    With a wished accuracy the cheapest setting whose force error, with its standard error added, meets it. With a
-    budget alone the most accurate within it. Without either: within 25 minutes the most accurate, which must come
-    within 20 % of the paper's campaign where that was tried.
+    With a wished accuracy, the cheapest setting whose force error plus its standard error meets it. With a budget
+    alone, the most accurate within it. Without either, the most accurate within 25 minutes, which must come within 20
+    % of the paper's campaign if that was tried.
 
     Raises
     ------
     RefusedError
-        If no setting that was tried meets the wish; names the nearest.
+        If no tried setting meets the wish; names the nearest.
     """
     usable = [
         (setting, point) for setting, point in tried if _FORCE in point.accuracy and point.station_s is not None
@@ -180,6 +180,6 @@ def _seconds(way: tuple[Setting, Point]) -> float:
 
 
 def _surely_N(way: tuple[Setting, Point]) -> float:
-    """Force error with its standard error added: what luck may have made small counts less."""
+    """Force error plus its standard error, to allow for chance."""
     force = way[1].accuracy[_FORCE]
     return force.value + (force.stderr or 0.0)

@@ -1,4 +1,4 @@
-"""What a person reads of the frontier: the setting to take, the station's plot, and one table a series."""
+"""Report of the frontier: the recommended setting, the station's plot, and one table per series."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
@@ -43,10 +43,10 @@ _NAMES: Final[Mapping[str, str]] = {
     "E_CoM": "E_CoM",
     "A_OL": "A_OL",
 }
-#: Units that names of knobs end in.
+#: Units at the end of knobs' names.
 _UNITS: Final = ("s", "mm")
 
-# Sentences, in the order they are read.
+# Sentences, in reading order.
 _SETTING: Final = (
     "{places} places at {strains} % strain, {trials}, held {hold_s:g} s, rested {rest_s:g} s, holds {transients}"
 )
@@ -119,7 +119,7 @@ def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block
     points = [point for point in frontier.points if point.clock is clock and point.series == series]
     columns, rows = table_of(points)
     texts = {knob for knob in points[0].knobs if any(isinstance(point.knobs.get(knob), str) for point in points)}
-    first = sum(knob in texts for knob in _shown_knobs(points)[:1])  # names are set to the left
+    first = sum(knob in texts for knob in _shown_knobs(points)[:1])  # names are left-aligned
     caption = _SERIES.format(repetitions=plural(points[0].seeds, "repetition").capitalize())
     yield text_table(caption, columns, rows, range(first, len(columns) - 1))
     if alike := alike_in(points, frontier.points):
@@ -128,7 +128,7 @@ def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block
 
 
 def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]:
-    """Columns and rows of one series: knobs that differ, values, cost, and whether it is worth it."""
+    """Columns and rows of one series: differing knobs, values, cost, and whether it is worth it."""
     knobs = _shown_knobs(points)
     values = list(dict.fromkeys(name for point in points for name in point.accuracy))
     rows = [
@@ -145,7 +145,7 @@ def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]
 
 
 def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
-    """Knobs that a series' table does not show, because they are alike in it, and that other series set otherwise."""
+    """Knobs left out of a series' table because they are constant in it, though other series vary them."""
     shown = _shown_knobs(members)
     others = {
         name: value
@@ -157,7 +157,7 @@ def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
 
 
 def notes_of(members: Sequence[Point]) -> list[str]:
-    """Notes on rows of one table, each with the knobs that name its row; once where it is that of all."""
+    """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
     notes = {point.note for point in members}
     if len(notes) == 1:
         return [note for note in notes if note]
@@ -168,7 +168,7 @@ def notes_of(members: Sequence[Point]) -> list[str]:
 
 
 def _shown_knobs(points: Sequence[Point]) -> list[str]:
-    """Knobs that differ between points; the first one where none does."""
+    """Knobs that differ between points, or else the first one."""
     knobs = [name for name in points[0].knobs if len({point.knobs.get(name) for point in points}) > 1]
     return knobs or list(points[0].knobs)[:1]
 
@@ -179,7 +179,7 @@ def _knobs(knobs: Mapping[str, Knob | None]) -> str:
 
 
 def _named(knob: str) -> tuple[str, str]:
-    """Name of a knob in words, and its unit; empty where it has none."""
+    """Name of a knob in words, and its unit; empty without one."""
     name, _, last = knob.rpartition("_")
     words, unit = (name, last) if name and last in _UNITS else (knob, "")
     return words.replace("_", " "), unit

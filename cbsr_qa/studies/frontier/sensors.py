@@ -1,4 +1,4 @@
-"""Simulated sensors that the frontier's settings are tried on, and what a setting costs the station."""
+"""Simulated sensors for the frontier's settings, and a setting's station time."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,8 +16,8 @@ from cbsr_qa.station import Plan, dry_run, plan_of
 from cbsr_qa.studies.frontier.setting import BASE, GRID, HELD_OUT
 from cbsr_qa.studies.simulated import configuration_of, shipped, simulated_run
 
-#: What is uneven or slow about a simulated sensor, beside the scene ``base``: its response by 20 % over 20 mm, and a
-#: residue of 3 % that fades in five minutes.
+#: Imperfections of a simulated sensor, besides those of scene ``base``: its response varies by 20 % over 20 mm, and a
+#: residue of 3 % decays in five minutes.
 SHEET: Final = (
     {"name": "uneven-response", "deviation": 0.2, "correlation_mm": 20.0},
     {"name": "residue", "share": 0.03, "decay_s": 300.0},
@@ -28,7 +28,7 @@ _FRAMES_BEFORE: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSensor:
-    """A sensor that went through a recipe, and the sheet it was simulated with: the truth."""
+    """A sensor after a recipe, and the simulated sheet, which is the truth."""
 
     record: RunRecord
     design: SheetDesign
@@ -43,19 +43,19 @@ def station_seconds(recipe: Mapping[str, Any], frame_period_s: float = 2.5) -> f
 def simulated_sensor(
     recipe: Mapping[str, Any], seed: int, frame_period_s: float = 2.5, whole_holds: bool = True
 ) -> SimulatedSensor:
-    """Put one sensor through a recipe at the simulated station, kept in memory.
+    """Run a recipe on one sensor at the simulated station, kept in memory.
 
-    Of rests, and of held-out loads, only the last frames are taken; all times stay the same.
+    Only the last frames of rests and of held-out loads are taken; all times are unchanged.
 
     Parameters
     ----------
-    frame_period_s : of a frame; the noise of a reading falls with its square root, as white noise does.
-    whole_holds : False takes only the last frames of the grid's holds too.
+    frame_period_s : of a frame; the noise of a reading falls with its square root (white noise).
+    whole_holds : False to take only the last frames of the grid's holds too.
 
     Raises
     ------
     NumericsError
-        If the run did not finish; says why.
+        If the run did not finish, with the reason.
     """
     sparse_holds = {HELD_OUT} if whole_holds else {HELD_OUT, GRID}
 
@@ -75,7 +75,7 @@ def simulated_sensor(
 
 
 def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
-    """Look at a run as ``cbsr-qa run`` does, without what is fitted to single loads over time."""
+    """Analyse a run as ``cbsr-qa run`` does, without fits over time."""
     return observe_run(record, _reconstruction(), analysis, over_time=False)
 
 
@@ -87,14 +87,13 @@ def _reconstruction() -> Reconstruction:
 
 
 class _Sparse:
-    """A sequence of whose rests only the last frames are taken, the times of all else unchanged."""
+    """A sequence with only the last frames of its rests, and unchanged times."""
 
     def __init__(self, sequence: LoadSequence, frame_s: float, whole_holds: bool) -> None:
         self._sequence, self._frame_s, self._whole_holds = sequence, frame_s, whole_holds
         self.role = getattr(sequence, "role", Role.OTHER)
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the steps of the sequence."""
         whole, kept_s = False, _FRAMES_BEFORE * self._frame_s
         for step in self._sequence.steps(context):
             if isinstance(step, Hold) and step.acquire and not whole and step.hold_s > kept_s:

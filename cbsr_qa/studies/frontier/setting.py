@@ -1,4 +1,4 @@
-"""A way to calibrate a sensor on the station: what is pressed, for how long, how it is looked at."""
+"""A way to calibrate a sensor on the station: places, durations, evaluation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,22 +12,21 @@ from cbsr_qa.domain.run import NINE_LOCATIONS_MM
 from cbsr_qa.studies.frontier.point import Knob
 from cbsr_qa.studies.simulated import shipped
 
-#: Shipped recipe whose imaging, metrics and limits the settings take over.
+#: Shipped recipe that provides imaging, metrics and limits of the settings.
 BASE: Final = "campaign"
 #: Names of the phases of every recipe of the frontier.
 START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loads", "held-out loads"
 #: Ways to choose places, see :class:`Setting`.
 SUNFLOWER, FARTHEST, LEAST_SURE = "sunflower", "farthest first", "least sure first"
-#: The paper presses to 40 mm from the centre; so does every grid here.
+#: Radius of every grid, 40 mm from the centre as in the paper.
 RADIUS_MM: Final = 40.0
-#: Whole turns between neighbours of a sunflower's seeds.
+#: Turns between neighbouring seeds of a sunflower.
 _GOLDEN: Final = 2 - (1 + 5**0.5) / 2
 _LONG_S: Final = 60.0
 _USUAL_FRAME_S: Final = 2.5
-#: Least rest around the random loads: they teach how the sensor relaxes, and what an earlier press leaves would be
-#: taught with it.
+#: Least rest around the random loads, which determine relaxation: residues would bias it.
 _CHECK_REST_S: Final = 30.0
-#: Random loads that a scatter of forces can be judged by.
+#: Number of random loads for a scatter of forces.
 _MANY: Final = 10
 
 
@@ -37,16 +36,16 @@ class Setting:
 
     Parameters
     ----------
-    places : how many; nine are the paper's, others a sunflower over the disc of 40 mm.
+    places : number; nine are the paper's, others a sunflower over the disc of 40 mm.
     strains_percent, trials : at each place.
     hold_s, rest_s : of each press.
-    predicted : whether short holds are predicted to where the long ones end (transient compensation).
+    predicted : whether short holds are extrapolated to the end of long ones (transient compensation).
     steady_frames : averaged at the end of each hold.
-    first_rest_s : before anything is pressed.
-    checks : random loads held for a minute: they say how the sensor relaxes, and what its force is worth.
+    first_rest_s : before the first press.
+    checks : random loads held for a minute, for relaxation and the accuracy of force.
     frame_period_s : of one frame; its noise falls with the square root (NPLC of the source meter).
-    choice : how the places are chosen: ``"sunflower"``, as in a recipe; or of thirty ``"farthest first"`` or
-        ``"least sure first"``, which takes a look at the loads before the next one is chosen.
+    choice : choice of places: ``"sunflower"``, as in a recipe; or out of thirty ``"farthest first"`` or ``"least sure
+    first"``, which evaluates the loads before the next choice.
     """
 
     places: int
@@ -63,7 +62,7 @@ class Setting:
 
     @property
     def knobs(self) -> dict[str, Knob]:
-        """What was set, for tables and documents."""
+        """Settings, for tables and documents."""
         return {
             "places": self.places,
             "strains": len(self.strains_percent),
@@ -78,11 +77,11 @@ class Setting:
 
     @property
     def is_recipe(self) -> bool:
-        """Whether a recipe says all of it: frame times are the source meter's, and no recipe chooses as it goes."""
+        """Whether a recipe can express it: frame times are the source meter's, and no recipe chooses as it goes."""
         return self.choice == SUNFLOWER and self.frame_period_s == _USUAL_FRAME_S
 
     def locations_mm(self) -> tuple[tuple[float, float], ...]:
-        """Return where it presses."""
+        """Return the pressed places."""
         return NINE_LOCATIONS_MM if self.places == len(NINE_LOCATIONS_MM) else sunflower_mm(self.places)
 
     def recipe(self, name: str = "frontier") -> dict[str, Any]:
@@ -99,7 +98,7 @@ class Setting:
         return recipe
 
     def _measures(self, limit: Mapping[str, Any]) -> bool:
-        """Whether a sensor calibrated so can meet a limit of the base at all: what needs more presses is left out."""
+        """Whether such a calibration can meet a limit of the base; limits that need more presses are left out."""
         needs = {
             "repeatability": self.trials > 1,
             "nonlinearity": len(self.strains_percent) > 2,
@@ -148,7 +147,7 @@ class Setting:
 
 
 def held_out_phase(count: int) -> dict[str, Any]:
-    """Return the phase of the random loads that simulated sensors are tested on, pressed as in the paper."""
+    """Return the phase of random loads used to test simulated sensors, pressed as in the paper."""
     return {
         "name": HELD_OUT,
         "sequence": "random-loads",
@@ -165,7 +164,7 @@ def held_out_phase(count: int) -> dict[str, Any]:
 def sunflower_mm(count: int) -> tuple[tuple[float, float], ...]:
     """Places spread evenly over the disc of 40 mm: the k-th at radius 40 mm √((k + ½)/n) and k golden angles.
 
-    Each lies across the sheet from the one before it, so that what is left of one load is far from the next.
+    Each lies across the sheet from the previous one, far from its residue.
     """
     number = np.arange(count)
     radius = RADIUS_MM * np.sqrt((number + 0.5) / count)

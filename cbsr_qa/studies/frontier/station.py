@@ -1,8 +1,7 @@
-"""The sweeps of the station's clock: which ways to calibrate are tried, and what comes out of each.
+"""Sweeps of station time: ways to calibrate, and their results.
 
-Long runs are simulated once a seed; cheaper ways that press a part of what they press, or hold for a part of the
-time, are taken from their stored frames. What is no such part (shorter rests, other frame times) is simulated by
-itself.
+Long runs are simulated once per seed; cheaper ways with fewer presses or shorter holds reuse their stored frames.
+Other ways (shorter rests, other frame times) are simulated separately.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,7 +19,7 @@ from cbsr_qa.studies.frontier.sensors import analysis_of, observed, simulated_se
 from cbsr_qa.studies.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, SUNFLOWER, Setting, held_out_phase
 from cbsr_qa.studies.frontier.trial import errors_of, grid_places, least_sure_first, only
 
-#: Random loads a simulated sensor is tested on, which no setting has seen.
+#: Random loads to test a simulated sensor, unknown to all settings.
 TEST_LOADS: Final = 30
 
 SEEDS: Final = tuple(range(2001, 2005))
@@ -28,7 +27,7 @@ QUICK_SEEDS: Final = (2001,)
 
 #: The paper's campaign: nine locations, six strains, three trials, a minute on and a minute off.
 PAPER: Final = Setting(9, (5.0, 10.0, 15.0, 20.0, 25.0, 30.0), 3)
-#: Thirty places at one strain, held as long; fewer where it is to be quick.
+#: Thirty places at one strain, held as long; fewer in the quick sweep.
 EVEN: Final = Setting(30)
 QUICK_EVEN: Final = Setting(16)
 
@@ -48,7 +47,7 @@ class Tried:
 
 
 def subsets_of_paper(*, quick: bool) -> list[tuple[str, Setting]]:
-    """Ways that are part of the paper's campaign, it being the first."""
+    """Parts of the paper's campaign, beginning with the whole."""
     strains = (PAPER.strains_percent, (10.0, 20.0, 30.0), (20.0,))
     trials = (3, 1)
     every = [
@@ -60,7 +59,7 @@ def subsets_of_paper(*, quick: bool) -> list[tuple[str, Setting]]:
 
 
 def subsets_of_even(*, quick: bool) -> list[tuple[str, Setting]]:
-    """Ways that are part of thirty places held for a minute, that being the first; of fewer where it is quick."""
+    """Parts of thirty places (fewer in the quick sweep) held for a minute, beginning with the whole."""
     if quick:
         short = [replace(QUICK_EVEN, hold_s=15.0, predicted=predicted) for predicted in (False, True)]
         return [("hold", setting) for setting in (QUICK_EVEN, *short)]
@@ -74,7 +73,7 @@ def subsets_of_even(*, quick: bool) -> list[tuple[str, Setting]]:
 
 
 def choices_of_even() -> list[tuple[str, Setting]]:
-    """Ways to choose fewer places of the thirty."""
+    """Ways to choose fewer of the thirty places."""
     return [
         ("choice of places", replace(EVEN, places=count, choice=choice))
         for count in (9, 12, 18)
@@ -83,7 +82,7 @@ def choices_of_even() -> list[tuple[str, Setting]]:
 
 
 def simulated_alone(*, quick: bool) -> list[tuple[str, Setting]]:
-    """Ways with rests or frames of another length; one of them is in several series, and simulated once."""
+    """Ways with other rests or frame times; one of them belongs to several series, and is simulated once."""
     short = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
     rests = [("rest", replace(short, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
     places = [("places", replace(short, places=count)) for count in (9, 12, 16, 20, 26)]
@@ -102,20 +101,20 @@ def tried_on_paper(seed: int, *, quick: bool) -> list[Tried]:
 
 
 def tried_on_even(seed: int, *, quick: bool) -> list[Tried]:
-    """Simulate thirty places (16 where it is quick) on one sensor, and try them and shorter holds."""
+    """Simulate thirty places (16 in the quick sweep) on one sensor, and try them and shorter holds."""
     run = _Simulated(QUICK_EVEN if quick else EVEN, seed)
     settings = subsets_of_even(quick=quick) + ([] if quick else choices_of_even())
     return [run.tried(series, setting) for series, setting in settings]
 
 
 def tried_alone(seed: int, series: Sequence[str], setting: Setting) -> list[Tried]:
-    """Simulate one way on one sensor, and say so in every series it belongs to."""
+    """Simulate one way on one sensor, for every series it belongs to."""
     tried = _Simulated(setting, seed).tried(series[0], setting)
     return [replace(tried, series=name) for name in series]
 
 
 class _Simulated:
-    """One sensor that went through a setting's recipe and, besides, thirty random loads held for a minute."""
+    """One sensor after a setting's recipe and thirty more random loads held for a minute."""
 
     def __init__(self, setting: Setting, seed: int, *, whole_holds: bool = True) -> None:
         self._seed = seed
@@ -128,12 +127,12 @@ class _Simulated:
         self._held_out = only(run, lambda load: load.phase == HELD_OUT)
 
     def strains_and_trials(self, setting: Setting) -> Callable[[LoadRecord], bool]:
-        """Which loads of the grid are those of a setting with fewer strains or trials."""
+        """Select the grid's loads of a setting with fewer strains or trials."""
         strains = [percent / 100 for percent in setting.strains_percent]
         return lambda load: load.load.trial < setting.trials and bool(np.isclose(load.load.strain, strains).any())
 
     def _chosen(self, setting: Setting) -> Callable[[LoadRecord], bool]:
-        """Which loads of the grid a setting with fewer places would have pressed."""
+        """Select the grid's loads of a setting with fewer places."""
         run = self._observed(setting)
         if setting.choice == LEAST_SURE:
             numbers = set(least_sure_first(run, setting.places))
@@ -142,7 +141,7 @@ class _Simulated:
         return lambda load: load.index in numbers
 
     def tried(self, series: str, setting: Setting, wanted: Callable[[LoadRecord], bool] = lambda load: True) -> Tried:
-        """Try a setting that is this one, or a part of it."""
+        """Try this setting, or a part of it."""
         try:
             chosen = wanted if setting.choice == SUNFLOWER else self._chosen(setting)
             own = only(self._observed(setting), lambda load: load.phase != GRID or chosen(load.record))
@@ -162,7 +161,7 @@ class _Simulated:
 
 
 def shortened(record: RunRecord, hold_s: float) -> RunRecord:
-    """Return a run whose grid was held for a shorter time: as it was up to then, and left out afterwards."""
+    """Return a run with the grid's holds cut to a shorter time."""
 
     def shortened_load(load: LoadRecord) -> LoadRecord:
         early_s = load.release_start_s - (load.hold_start_s + hold_s)
@@ -183,7 +182,7 @@ def shortened(record: RunRecord, hold_s: float) -> RunRecord:
 
 
 def station_work(*, quick: bool) -> Iterator[tuple[str, str, Callable[[], list[Tried]]]]:
-    """Yield what is to be simulated: a key that says so, the same in words, and what does it; longest first."""
+    """Yield simulations, longest first: key, description, function."""
     seeds: Sequence[int] = QUICK_SEEDS if quick else SEEDS
     mode = "quick" if quick else "full"
     for seed in seeds:

@@ -1,4 +1,4 @@
-"""``cbsr-qa frontier``: what accuracy costs in time, on both clocks, and the setting to take."""
+"""``cbsr-qa frontier``: the cost of accuracy in computing and station time, and a recommended setting."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,9 +23,9 @@ from cbsr_qa.studies.frontier.setting import Setting
 from cbsr_qa.studies.frontier.station import PAPER, Tried, station_work
 from cbsr_qa.studies.sweep import Documents, Kept, Work, worked_out
 
-#: Of what is simulated and how it is judged: pieces of another version are worked out again.
+#: Version of simulation and evaluation: pieces of other versions are computed again.
 _VERSION: Final = 3
-#: Pieces of work whose times count must not share a core with others.
+#: Pieces of work whose timed parts must not share a core with others.
 _ALONE: Final = 1
 
 Tell = Callable[[int, int, str], None]
@@ -33,7 +33,7 @@ Tell = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, slots=True)
 class Needed:
-    """Presses that an extrapolation asks for, and those one standard error below and above."""
+    """Presses needed by extrapolation, and the numbers one standard error below and above."""
 
     presses: int
     low: int
@@ -42,11 +42,11 @@ class Needed:
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The setting to take (None without one), why or why not, and the file its recipe was written to.
+    """The recommended setting (or None), the reason, and the file of its recipe.
 
     Parameters
     ----------
-    needed : presses for a wish that those tried do not reach; None unless their errors can be extrapolated to it.
+    needed : presses for a wish beyond those tried; None unless their errors can be extrapolated to it.
     """
 
     setting: Mapping[str, Knob] | None
@@ -59,7 +59,7 @@ class Recommendation:
 
 @dataclass(frozen=True, slots=True)
 class Frontier:
-    """What a sweep came to; no recipe is chosen unless the station was swept and a setting met the wish."""
+    """Result of a sweep; a recipe is chosen only if the station was swept and a setting met the wish."""
 
     quick: bool
     points: tuple[Point, ...]
@@ -78,21 +78,21 @@ def frontier(
     processes: int | None = None,
     folder: Path | None = None,
 ) -> Frontier:
-    """Sweep what was asked for, choose, and write the recipe.
+    """Run the requested sweep, choose a setting, and write its recipe.
 
-    Finished pieces are kept in ``frontier/`` of the var folder: a sweep that was stopped goes on where it was.
+    Finished pieces are kept in ``frontier/`` of the var folder, so that an interrupted sweep resumes.
 
     Parameters
     ----------
-    fresh : forget what was kept.
-    processes : at once, for simulations; times of the computer are always measured one after the other.
+    fresh : discard finished pieces.
+    processes : number for simulations; times of the computer are always measured one after the other.
 
     Raises
     ------
     RefusedError
-        Before anything is swept if a file cannot be written, and after it if there is no recipe to write.
+        Before the sweep if a file cannot be written, and after it if there is no recipe to write.
     ConfigError, StoreError
-        If the folder cannot be written to, or holds something else.
+        If the folder cannot be written to, or has other content.
     """
     files.check(clocks)
     where = writable_folder((folder or var_folder()) / "frontier")
@@ -157,7 +157,7 @@ def _seconds(setting: Setting) -> float:
 
 
 def _chosen(tried: Sequence[tuple[Setting, Point]], wish: Wish) -> tuple[Recommended | None, str]:
-    """The setting to take, or why there is none."""
+    """The recommended setting, or why there is none."""
     if not tried:
         return None, "only the computer's clock was swept"
     paper = next((point for setting, point in tried if setting == PAPER), None)

@@ -1,8 +1,8 @@
-"""One trial of the frontier: a simulated sensor calibrated from some loads, and how far off its calibration is.
+"""One trial of the frontier: a simulated sensor calibrated from some loads, and the errors of its calibration.
 
-Compared are map, gauge factor, settling time and forces. The loads are chosen in advance or one after the other. Next
-is the place where the map learned so far is least sure, or farthest from all that were pressed. Both ways choose
-among the places of a run that pressed them all, to find whether it pays to look at the loads before choosing.
+Map, gauge factor, settling time and forces are compared. The loads are chosen in advance or one by one: next is the
+place where the map learned so far is least certain, or the one farthest from all pressed places. Both ways choose
+among the places of a run that pressed them all, to find whether evaluating the loads before choosing pays.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,10 +29,10 @@ Array = NDArray[np.float64]
 
 #: Share of the steady change within which a hold counts as settled (paper, 4.3).
 _TOLERANCE: Final = 0.15
-#: Rings and spokes of the mean response under a head.
+#: Rings and spokes for the mean response under a head.
 _RINGS, _SPOKES = 6, 12
 
-#: Figures of a trial and their units; each is an error against truth, in both directions.
+#: Errors of a trial relative to truth and their units; in both directions.
 UNITS: Final = {
     "force_error": "N",
     "force_error_found": "N",
@@ -47,8 +47,8 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
 
     Parameters
     ----------
-    run : with the loads of a setting, and no others.
-    held_out : the same sensor's loads that the setting has not seen, held for a minute.
+    run : with only the loads of a setting.
+    held_out : loads of the same sensor outside the setting, held for a minute.
     design : of the simulated sheet: the truth.
 
     Returns
@@ -80,7 +80,7 @@ def only(run: RunObservation, wanted: Callable[[LoadObservation], bool]) -> RunO
 
 
 def long_holds(run: RunObservation) -> list[LoadObservation]:
-    """Loads that say how the sensor relaxes: all that were held longest."""
+    """Select loads that determine the sensor's relaxation: those held longest."""
     held = [load.record.release_start_s - load.record.hold_start_s for load in run.loads]
     return [load for load, seconds in zip(run.loads, held, strict=True) if seconds >= 0.9 * max(held)]
 
@@ -127,7 +127,7 @@ def _settling(run: RunObservation, traces: Sequence[TimedValues]) -> float:
 
 
 def true_settling_s(relaxation: Relaxation) -> float:
-    """When what is still to come of a step falls to 15 % of the steady change [s]."""
+    """Time until the remaining part of a step response is 15 % of the steady change [s]."""
 
     def left(time_s: float) -> float:
         terms = zip(relaxation.weights, relaxation.time_constants_s, strict=True)
@@ -136,24 +136,24 @@ def true_settling_s(relaxation: Relaxation) -> float:
     return float(brentq(left, 0.0, 100 * max(relaxation.time_constants_s)))
 
 
-#: Places that are pressed before anything can be said of a map, and how many are then chosen at a time.
+#: Places pressed before the first map, and places chosen at a time afterwards.
 FIRST: Final = 6
 _AT_A_TIME: Final = 3
-#: Places chosen together are at least so far apart: one press says much of its neighbourhood.
+#: Least distance between places chosen together: a press determines its neighbourhood too.
 _APART_MM: Final = 15.0
 
 
 def least_sure_first(run: RunObservation, count: int) -> list[int]:
-    """Choose places of a run's grid, each where the map learned from those before it is least sure.
+    """Choose places of a run's grid, each where the map learned so far is least certain.
 
     Returns
     -------
-    Numbers of the grid's loads, in the order in which they would be pressed.
+    Indices of the grid's loads, in the order of pressing.
 
     Raises
     ------
     CbsrError
-        If no map can be learned from the first ones.
+        If no map can be learned from the first loads.
     """
     grid = [load for load in run.loads if load.phase == GRID]
     places = _places(grid)
@@ -172,7 +172,7 @@ def _wanted(some: set[int]) -> Callable[[LoadObservation], bool]:
 
 
 def _next(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
-    """The least sure places, apart from each other; fewer apart where there are no others."""
+    """The least certain places, apart from each other, or closer if there are no others."""
     picked: list[int] = []
     for apart_mm in (_APART_MM, 0.0):
         for k in np.argsort(-variance).tolist():

@@ -13,9 +13,9 @@ from cbsr_qa.report.draw import BLUE, CYCLE, FAINT, QUIET, VERMILION, canvas, li
 from cbsr_qa.stats import d2_d3
 from cbsr_qa.stats.gauge import Components, Study
 
-#: Names along an axis that fit beside each other.
+#: Number of names that fit side by side along an axis.
 _MOST_NAMES: Final = 12
-#: Names beside each other in a legend, and the height of one of its rows [in].
+#: Names per row of a legend, and the height of a row [in].
 _LEGEND_COLUMNS: Final = 3
 _LEGEND_ROW_IN: Final = 0.15
 
@@ -44,7 +44,7 @@ def six_panels(study: Study, components: Components, unit: str) -> str:
 
 
 def _panels(below: float) -> tuple[Canvas, list[Axes]]:
-    """Six axes, row by row, with so much room [in] for the legend below the last."""
+    """Six axes, row by row, with space [in] for the legend below the last."""
     height = 7.7 + below
     figure = canvas(height)
     bottom, top = (0.55 + below) / height, 1 - 0.25 / height
@@ -106,7 +106,7 @@ def _means(axes: Axes, study: Study, appraiser: str) -> None:
 
 
 def _cells(axes: Axes, table: np.ndarray, study: Study, centre: float, low: float, high: float) -> None:
-    """Draw one statistic of each cell, the sensors of one appraiser after those of another, with limits."""
+    """Draw one statistic of each cell, by appraiser and then sensor, with limits."""
     count = study.shape[0]
     for column, name in enumerate(study.stations):
         across, values = column * count + np.arange(count), table[:, column]
@@ -141,7 +141,7 @@ def _legend_rows(study: Study) -> int:
 
 
 def _legend_below(axes: Axes, gap_in: float) -> None:
-    """Put the legend under the axes, where it covers nothing; ``gap_in`` is the room for names of ticks [in]."""
+    """Put the legend under the axes; ``gap_in`` is the space for tick labels [in]."""
     canvas_in = axes.figure.dpi_scale_trans.inverted()
     place = (0.5, -gap_in / axes.get_window_extent().transformed(canvas_in).height)
     small = {"fontsize": 6.5, "handlelength": 1.4, "columnspacing": 1.2, "borderaxespad": 0.0, "borderpad": 0.0}

@@ -1,4 +1,4 @@
-"""The metrics of a gauge study: those it names, in the units it names them in, with the tolerance it states."""
+"""The metrics of a gauge study, with its names, units and tolerances."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -22,13 +22,13 @@ class Toleranced:
 
 
 def wanted_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunLine]) -> list[Toleranced]:
-    """Return what a study is of, one series a metric.
+    """Return the metrics of a study, one series each.
 
     Raises
     ------
     RefusedError
-        If no run measured a metric that is named (with the nearest one), it is not in the unit that is stated, it is
-        not of locations where these are asked for, or nothing was measured.
+        If no run measured a named metric (with the nearest one), it has another unit than stated, it has no locations
+        though these are requested, or nothing was measured.
     """
     _check_known(request, {kind.key for kind in table.kinds})
     figures = _of_locations(request, figures_of(table, by_location=request.by_location))
@@ -70,7 +70,7 @@ def _of_locations(request: GaugeRequest, figures: Figures) -> Figures:
 
 
 def _toleranced(request: GaugeRequest, series: Series) -> Iterator[Toleranced]:
-    """A series with the tolerance of the study or its own; nothing where it is a variant nobody named."""
+    """A series with the tolerance of the study or its own; nothing for a variant that was not named."""
     if not request.metrics:
         yield _with_limits(series, MetricWanted(series.key.name))
         return
@@ -87,7 +87,7 @@ def _with_limits(series: Series, wanted: MetricWanted) -> Toleranced:
     if wanted.width is not None:
         return Toleranced(replace(series, lower=wanted.lower, upper=wanted.upper), wanted.width, "study")
     own = series.tolerance
-    # Limits that meet leave no width to take a share of.
+    # Coinciding limits leave no width.
     return Toleranced(series, own, "recipe") if own else Toleranced(series, None, "")
 
 

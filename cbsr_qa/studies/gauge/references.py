@@ -1,4 +1,4 @@
-"""Reference values of golden sensors: as options or a file, and a gauge held against them."""
+"""Reference values of golden sensors, as options or a file, and a gauge compared with them."""
 
 import re
 from collections.abc import Sequence
@@ -27,12 +27,12 @@ _GIVEN = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class ReferenceValue:
-    """What a sensor truly is, from elsewhere.
+    """A sensor's true value, known independently.
 
     Parameters
     ----------
-    value, uncertainty : in ``unit``; one standard deviation, 0 where none was stated.
-    unit : must be the metric's; empty where an option left it out, which means the metric's (sentences name it).
+    value, uncertainty : in ``unit``; one standard deviation, 0 if not stated.
+    unit : must be the metric's; empty if an option omits it, for the metric's unit (named in sentences).
     """
 
     serial: str
@@ -49,8 +49,8 @@ class Bias:
     Parameters
     ----------
     reference, uncertainty : of the sensor, in ``unit``.
-    runs : how many readings there are.
-    bias : None where ``why`` says why.
+    runs : number of readings.
+    bias : None for the reason ``why``.
     """
 
     serial: str
@@ -65,11 +65,11 @@ class Bias:
 
 @dataclass(frozen=True, slots=True)
 class BiasLinearity:
-    """How the bias of one appraiser depends on the value.
+    """Bias of one appraiser as a function of the value.
 
     Parameters
     ----------
-    slope, intercept : None where ``why`` says why.
+    slope, intercept : None for the reason ``why``.
     references : the smallest and the largest.
     acceptable : whether zero lies within the confidence band of the bias at every reference.
     """
@@ -84,12 +84,12 @@ class BiasLinearity:
 
 @dataclass(frozen=True, slots=True)
 class BiasStability:
-    """What the bias of one appraiser at one reference did over time.
+    """Stability of the bias of one appraiser at one reference.
 
     Parameters
     ----------
-    drift_per_day : None where ``why`` says why.
-    in_control : whether a control chart of the bias gives no signal; None with too few readings to say.
+    drift_per_day : None for the reason ``why``.
+    in_control : whether a control chart of the bias gives no signal; None with too few readings.
     signal : the rule that was broken first; empty without a signal.
     """
 
@@ -103,7 +103,7 @@ class BiasStability:
 
 @dataclass(frozen=True, slots=True)
 class AgainstReferences:
-    """One metric against reference values."""
+    """One metric compared with reference values."""
 
     bias: tuple[Bias, ...]
     linearity: tuple[BiasLinearity, ...]
@@ -128,8 +128,6 @@ class ReferenceTable(Table):
 
 
 class _ReferenceFile(FileModel[tuple[ReferenceValue, ...]]):
-    """A file of reference values."""
-
     reference: Annotated[list[ReferenceTable], Field(min_length=1)]
 
     def to_domain(self) -> tuple[ReferenceValue, ...]:
@@ -181,7 +179,7 @@ def _of_text(text: str) -> ReferenceValue:
 def against_references(
     series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue], confidence: float
 ) -> AgainstReferences | None:
-    """Compare the runs of one metric with its reference values; None where there are none."""
+    """Compare the runs of one metric with its reference values; None without any."""
     own = [reference for reference in references if reference.metric == series.key.name]
     if not own:
         return None
@@ -233,7 +231,7 @@ def _stability(
 def _linearity(
     references: Sequence[ReferenceValue], rows: Sequence[tuple[RunLine, float, str]], who: str, confidence: float
 ) -> BiasLinearity:
-    """Fit one appraiser's readings: pooled with others', differences between stations would be taken for scatter."""
+    """Fit one appraiser's readings; pooled ones would count differences between stations as scatter."""
     readings = {
         reference: [value for line, value, _ in rows if line.serial == reference.serial] for reference in references
     }

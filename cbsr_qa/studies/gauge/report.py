@@ -1,4 +1,4 @@
-"""What a person reads of a gauge study: one section per metric, with grades, tables and the six panels."""
+"""Report of a gauge study: one section per metric, with grades, tables and the six panels."""
 
 from collections.abc import Callable, Iterator, Sequence
 from math import sqrt
@@ -47,7 +47,7 @@ _READING: Final = (
     f"{_LEAST_CATEGORIES} distinct categories.",
 )
 
-# Sentences, in the order they are read.
+# Sentences, in reading order.
 _SHARE: Final = (
     "The gauge accounts for {contribution} of the variance ({confidence:g} % interval {low} to {high}) and {study} "
     "of the study variation: {grade}."
@@ -144,7 +144,7 @@ def _sentences(metric: MetricGauge, study: GaugeStudy) -> Iterator[str]:
 
 
 def _largest(metric: MetricGauge, appraiser: str) -> str:
-    """Say where most of the gauge's variance comes from."""
+    """Describe the largest part of the gauge's variance."""
     assert metric.anova is not None
     parts = {
         "the scatter of repeated runs": metric.anova.components.repeatability.variance,
@@ -158,7 +158,7 @@ def _largest(metric: MetricGauge, appraiser: str) -> str:
 
 def _figure(metric: MetricGauge, appraiser: str) -> Figure:
     def draw() -> str:
-        # matplotlib is loaded only where something is drawn
+        # loads matplotlib
         from cbsr_qa.studies.gauge.figures import six_panels
 
         assert metric.crossing is not None
@@ -237,7 +237,7 @@ def _table(
     cells: Callable[[_Row], tuple[str, ...]],
     numeric: range,
 ) -> Iterator[Table]:
-    """Lay rows out, if there are any; for many rows that are unknown the reason is the same, and stands once."""
+    """Lay out rows, if any; a reason shared by many unknown rows is given once."""
     whys = tuple(dict.fromkeys(row.why for row in rows if row.why))
     caption = f"{what}; {_NONE}: {named(whys)}." if whys else f"{what}."
     if rows:

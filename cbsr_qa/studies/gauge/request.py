@@ -1,6 +1,6 @@
-"""A study's file: which sensors, stations, metrics, tolerances and days a gauge study is of.
+"""Request for a gauge study: sensors, stations, metrics, tolerances and days.
 
-What a gauge study is asked for: by options, or by a study's file, whose lines refusals then name.
+It comes from options, or from a study's file, whose lines are then named in refusals.
 """
 
 import hashlib
@@ -19,14 +19,14 @@ from cbsr_qa.domain.results import MetricKey, RunSelection
 from cbsr_qa.plugin import KeyPath, Problem, Table, dotted, echo
 from cbsr_qa.studies.gauge.references import ReferenceTable, ReferenceValue
 
-#: What may be an appraiser.
+#: Possible appraisers.
 APPRAISERS = ("station", "operator")
 _EVERY: Final = RunSelection()
 
 
 @dataclass(frozen=True, slots=True)
 class StudySource:
-    """The file a study was read from, with the digest of its text, in which lines are found."""
+    """The file of a study with the digest of its text, for finding lines."""
 
     name: str
     file: str
@@ -42,7 +42,7 @@ class MetricWanted:
     ----------
     phase : empty for any.
     qualifier : exactly this one; None for any.
-    unit : the metric must be in; empty where no number here is in it.
+    unit : required of the metric; empty if no number here depends on it.
     lower, upper, tolerance : limits, or their width alone; all None for those of the recipe.
     """
 
@@ -55,13 +55,13 @@ class MetricWanted:
     tolerance: float | None = None
 
     def means(self, key: MetricKey) -> bool:
-        """Whether a figure is of this metric."""
+        """Whether it includes a measured value."""
         fits = self.phase in ("", key.phase) and self.qualifier in (None, key.qualifier)
         return self.name == key.name and fits
 
     @property
     def width(self) -> float | None:
-        """The tolerance that is stated here; None where the recipe's is taken."""
+        """The tolerance stated here; None to use the recipe's."""
         if self.lower is not None and self.upper is not None:
             return self.upper - self.lower
         return self.tolerance
@@ -69,16 +69,16 @@ class MetricWanted:
 
 @dataclass(frozen=True, slots=True)
 class GaugeRequest:
-    """What a study is of.
+    """Subject of a study.
 
     Parameters
     ----------
-    runs : which; with serials, a recipe or both.
-    metrics : none for those the recipe limits.
-    by_location : one study a location instead of one of the mean over all.
+    runs : selection by serials, a recipe or both.
+    metrics : empty for those limited by the recipe.
+    by_location : one study per location instead of one of the mean over all.
     appraiser : ``"station"`` or ``"operator"``.
-    largest_balanced : of a crossing that is not whole, take the largest part that is.
-    references : what golden sensors truly are.
+    largest_balanced : use the largest balanced part of an incomplete crossing.
+    references : true values of golden sensors.
     source : the file this was read from; None for options.
     """
 
@@ -92,19 +92,19 @@ class GaugeRequest:
     source: StudySource | None = None
 
     def at(self, *path: str | int) -> str:
-        """Where a refusal is about a key of the study's file, its line and the key; empty for options."""
+        """Line and key of the study's file that a refusal concerns; empty for options."""
         if self.source is None:
             return ""
         line = line_of(self.source.text, path)
         return f"{self.source.file}{f' line {line}' if line else ''}: {dotted(path)}: "
 
     def check(self) -> None:
-        """Refuse what cannot be meant, before anything is read.
+        """Check the request before anything is read.
 
         Raises
         ------
         RefusedError
-            If nothing says which runs, or the appraiser or the confidence is not allowed.
+            If no runs are selected, or the appraiser or the confidence is not allowed.
         """
         if self.appraiser not in APPRAISERS:
             raise RefusedError(f"--appraiser is {echo(self.appraiser)}", remedy=f"allowed: {', '.join(APPRAISERS)}")
@@ -139,7 +139,7 @@ class StudyTable(Table):
     confidence_percent: float = 95.0
 
     def problems(self) -> Iterator[Problem]:
-        """Yield what does not fit together within the table."""
+        """Yield contradictions within the table."""
         if not self.name.isprintable():
             yield Problem(("study", "name"), "has characters that cannot be printed; give one line")
         if self.recipe is None and self.serials is None:
@@ -168,7 +168,7 @@ class MetricTable(Table):
     tolerance: Annotated[float, Field(gt=0)] | None = None
 
     def problems(self, where: KeyPath) -> Iterator[Problem]:
-        """Yield what does not fit together within the table."""
+        """Yield contradictions within the table."""
         numbers = [key for key in ("lower", "upper", "tolerance") if getattr(self, key) is not None]
         if numbers and self.unit is None:
             yield Problem((*where, "unit"), f"is missing: {' and '.join(numbers)} of {self.name} must have one")
@@ -182,7 +182,7 @@ class MetricTable(Table):
             yield Problem((*where, "lower"), f"is {self.lower:g}, not below upper = {self.upper:g}")
 
     def overlaps(self, other: "MetricTable") -> bool:
-        """Whether one figure may be of both."""
+        """Whether a value may belong to both."""
         same = (self.name, self.qualifier) == (other.name, other.qualifier)
         return same and (self.phase == other.phase or not self.phase or not other.phase)
 
@@ -201,7 +201,7 @@ class StudyFile(FileModel[GaugeRequest]):
     reference: Annotated[list[ReferenceTable], Field(min_length=1)] | None = None
 
     def problems(self) -> Iterator[Problem]:
-        """What is named must be studied, and only once."""
+        """Yield contradictions: named items must be part of the study, and only once."""
         yield from self.study.problems()
         metrics: Sequence[MetricTable] = self.metrics or ()
         for index, metric in enumerate(metrics):
@@ -228,7 +228,7 @@ class StudyFile(FileModel[GaugeRequest]):
             seen.add((reference.serial, reference.metric))
 
     def to_domain(self) -> GaugeRequest:
-        """Return what is asked for; per cent become a fraction."""
+        """Return the request, with per cent as a fraction."""
         study = self.study
         return GaugeRequest(
             runs=RunSelection(
@@ -255,7 +255,7 @@ def read_study(path: Path) -> GaugeRequest:
     Raises
     ------
     ConfigError
-        If there is no such file, it is not TOML, or it says what is not allowed: every problem with its line.
+        If the file does not exist, is not TOML, or has entries that are not allowed: every problem with its line.
     """
     document = open_document(DocumentKind.GAUGE_STUDY, path)
     request = validated(StudyFile, document)

@@ -1,6 +1,6 @@
 """Gauge R&R from stored runs: sensors are the parts, stations or operators appraise, repeated runs are trials.
 
-The runs of a gauge study, and what is said where they are not there.
+Missing runs are refused with what is missing.
 """
 
 from collections import Counter
@@ -39,12 +39,12 @@ def appraiser_of(line: RunLine, kind: str) -> str:
 
 
 def chosen_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, tuple[RunLine, ...], tuple[str, ...]]:
-    """Return stored values, the runs of a study among them, and what is to be said of them all.
+    """Return stored values, the indices of a study's runs, and notes on them.
 
     Raises
     ------
     RefusedError
-        If none fits, a name is of no run (with the nearest one), or they are of several recipes.
+        If no run fits, a name matches none (with the nearest one), or the runs have several recipes.
     """
     table = store.fleet(request.runs)
     runs = tuple(run for run in table.runs if run.outcome is not None)
@@ -73,7 +73,7 @@ def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLin
     check_names(store, wanted, lambda field: request.at("study", field))
     of_names = store.run_lines(RunSelection(serials=wanted.serials, recipe=wanted.recipe))
     remedy = f"choose other days, other names or another recipe{_days(of_names)}"
-    # Without any run that fits, every name is absent, and it is no name that is wrong.
+    # Without any matching run every name is absent, so that names are not the cause.
     if runs:
         refusals = [
             f"{request.at('study', key)}{of_kind(noun, name)} has no analysed run that fits"
@@ -84,7 +84,7 @@ def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLin
 
 
 def _days(runs: Sequence[RunLine]) -> str:
-    """Say when runs of the sensors and the recipe were begun, whatever the days and stations; empty without any."""
+    """List the days of runs of the sensors and the recipe, for any days and stations; empty without any."""
     days = sorted(run.day for run in runs)
     return f"; runs of its sensors and recipe began from {days[0]} to {days[-1]}" if days else ""
 
@@ -96,10 +96,10 @@ class MetricGauge:
     Parameters
     ----------
     tolerance, tolerance_of : the width that the gauge is compared with, of the ``"study"`` or the ``"recipe"``.
-    runs : that have a value.
-    missing : runs that a complete crossing lacks or has too many of, in words.
-    why : why there is no study; ``sensors`` to ``average_range`` are None then.
-    crossing : the values that were studied, for the figure.
+    runs : with a value.
+    missing : missing and surplus runs of a balanced crossing, in words.
+    why : reason for a missing study; ``sensors`` to ``average_range`` are then None.
+    crossing : the studied values, for the figure.
     """
 
     name: str
@@ -131,12 +131,12 @@ class MetricGauge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaugeStudy:
-    """What stored runs say of the gauge.
+    """Gauge study of stored runs.
 
     Parameters
     ----------
-    study : the file that asked for it; None for options.
-    since, until : first and last day of the runs, UTC, as asked for.
+    study : its file; None for options.
+    since, until : first and last day of the runs, UTC, as requested.
     """
 
     study: StudySource | None
@@ -231,7 +231,7 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
 
 
 def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser: str) -> str:
-    """Say that no sensor was run twice by the same appraiser, whatever runs are chosen; empty where one was."""
+    """State that no sensor was run twice by the same appraiser in any selection; empty otherwise."""
     cells = Counter(zip(sensors, appraisers, strict=True))
     if not cells or max(cells.values()) > 1 or min(len(set(sensors)), len(set(appraisers))) < 2:
         return ""
@@ -260,7 +260,6 @@ def _studied(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], request:
 
 
 def _check_any(metrics: Sequence[MetricGauge], *, largest_balanced: bool) -> None:
-    """Refuse where no metric can be studied, saying what is missing."""
     if any(metric.anova is not None or metric.references is not None for metric in metrics):
         return
     first = metrics[0]

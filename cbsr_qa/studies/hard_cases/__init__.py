@@ -1,4 +1,4 @@
-"""Numerically hard cases, each held against truth."""
+"""Numerically hard cases, each compared with a known truth."""
 
 from cbsr_qa import door
 

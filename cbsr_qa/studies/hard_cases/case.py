@@ -1,4 +1,4 @@
-"""A numerically hard case: what makes it hard, what it is held against, and how it came out."""
+"""A numerically hard case: its difficulty, its truth, and its result."""
 
 import inspect
 import math
@@ -17,29 +17,29 @@ import numpy as np
 
 from cbsr_qa.domain import CbsrError
 
-#: Relative accuracy may be lost to conditioning up to this many times condition number times machine precision.
+#: Relative accuracy lost to conditioning may reach this many times condition number times machine precision.
 CONDITIONING_ROOM: Final = 100.0
-#: A case that takes longer hangs; the longest takes a few seconds.
+#: Time limit of a case; the longest takes a few seconds.
 LONGEST_S: Final = 120.0
 EPSILON: Final = float(np.finfo(np.float64).eps)
 
 
 class Ending(StrEnum):
-    """How a hard case came out."""
+    """Outcome of a hard case."""
 
     OK = "ok"  #: a number within its bound
     REFUSED = "refused"  #: refused with reason and remedy, as it should be
-    BROKEN = "broken"  #: out of its bound, not finite, an unexplained error or warning, or a refusal not asked for
+    BROKEN = "broken"  #: out of its bound, not finite, an unexplained error or warning, or an unexpected refusal
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a hard case gave.
+    """Answer of a hard case.
 
     Parameters
     ----------
-    error : against truth, not negative; relative where nothing else is said.
-    condition : number of what was solved; None where nothing is solved.
+    error : relative to truth, not negative; relative unless ``unit`` states otherwise.
+    condition : condition number of the solved system; None without one.
     unit : of error and bound; ``"1"`` for relative ones.
     """
 
@@ -52,12 +52,12 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class HardCase:
-    """A case that is hard for numbers: what makes it hard, for an engineer, and what it is held against.
+    """A numerically hard case: its difficulty, for an engineer, and its truth.
 
     Parameters
     ----------
     run : gives the answer, or raises the refusal.
-    refuses : the error that is the right end of this case; None where an answer is.
+    refuses : the correct error of this case; None if it has an answer.
     """
 
     name: str
@@ -88,7 +88,7 @@ class Area:
         return lambda run: self._added(run, truth, None)
 
     def refused(self, error: type[CbsrError], truth: str = "refusal") -> Callable[[_Refused], _Refused]:
-        """Add a case whose right end is an error."""
+        """Add a case that must raise an error."""
         return lambda run: self._added(run, truth, error)
 
     def _added(self, run: _Run, truth: str, refuses: type[CbsrError] | None) -> _Run:
@@ -99,14 +99,14 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """How a hard case came out.
+    """Result of a hard case.
 
     Parameters
     ----------
     outcome : within its bound, refused as it should be, or broken.
-    error, bound, unit, condition, note : of the answer; None where it was refused or failed, or is no finite number.
-    reason : of the refusal, or why it is broken; None where it is in its bound.
-    remedy : what the user can do; None where there is no advice.
+    error, bound, unit, condition, note : of the answer; None if it was refused, failed, or is not finite.
+    reason : of the refusal or failure; None if within its bound.
+    remedy : what the user can do, or None.
     """
 
     name: str
@@ -130,12 +130,12 @@ def conditioned_bound(condition: float, floor: float = 0.0) -> float:
 
 
 def conditioned(error: float, condition: float, *, unit: str = "1", note: str = "") -> Answer:
-    """Answer whose error may be what its condition number makes of rounding."""
+    """Answer with an error bound from its condition number."""
     return Answer(error, conditioned_bound(condition), condition, unit, note)
 
 
 def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
-    """Run a case; a warning of numpy or scipy, or no end within a time, counts as an unexplained answer."""
+    """Run a case; a warning of numpy or scipy, or a timeout, counts as an unexplained answer."""
     started_s = perf_counter()
     try:
         with warnings.catch_warnings(), _within(longest_s):
@@ -146,7 +146,7 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
         outcome = Ending.REFUSED if expected and refusal.reason else Ending.BROKEN
         reason = refusal.reason if expected else f"refused without need: {refusal.reason}"
         return _result(case, outcome, started_s, reason=reason, remedy=refusal.remedy)
-    except Exception as error:  # noqa: BLE001  # whatever it is: a broken case is shown, not the end of the table
+    except Exception as error:  # noqa: BLE001  # any error: a broken case is shown, and does not end the table
         return _result(case, Ending.BROKEN, started_s, reason=f"{type(error).__name__}: {error}")
     reason = _why_broken(case, answer)
     return _result(case, Ending.BROKEN if reason else Ending.OK, started_s, answer, reason)
@@ -154,7 +154,7 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
 
 @contextmanager
 def _within(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError after some seconds, where the system has timers and this is the thread they interrupt."""
+    """Raise TimeoutError after some seconds, if the system has timers and this is the main thread."""
     if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -172,10 +172,10 @@ def _within(seconds: float) -> Iterator[None]:
 
 
 def _why_broken(case: HardCase, answer: Answer | None) -> str:
-    """Say why an answer breaks its case; empty where it is within its bound."""
+    """Why an answer breaks its case; empty if it is within its bound."""
     if case.refuses is not None:
         return f"a number where {case.refuses.__name__} was to be raised"
-    assert answer is not None  # of a case that answers
+    assert answer is not None  # of a case with an answer
     if not (math.isfinite(answer.error) and math.isfinite(answer.bound)):
         return "its error or its bound is no finite number"
     within = 0 <= answer.error <= answer.bound

@@ -1,4 +1,4 @@
-"""Truth in fifty digits, worked out with mpmath from the very doubles a case was given.
+"""Truth in fifty digits, computed with mpmath from the exact doubles of a case.
 
 Images are of sensors of any size: twenty million products are too many for mpmath. Products of matrices are split
 into slices of 21 bits, whose products and sums are exact in doubles (Ozaki et al. 2012), and only the small system is
@@ -20,28 +20,28 @@ _Exact = NDArray[np.object_]
 #: In extended precision, 64 bits of mantissa.
 Long = NDArray[np.longdouble]
 
-#: Digits that truth is worked out with.
+#: Digits of truth.
 DIGITS: Final = 50
 
 _BITS: Final = 21
 _SLICES: Final = 5  # 105 bits below the largest entry of a row
 _SUMMED: Final = 2048  # products of 42 bits each add up within 53 bits
 
-#: Of the model of a response: variance of every load beside its own, and scales of the priors.
+#: Model of a response: variance of every load besides its own, and scales of the priors.
 _LEAST_VARIANCE: Final = 1e-12
 _USUAL_DEVIATION: Final = 0.2
 _USUAL_SCATTER: Final = 0.02
 
 
 def relative_error(computed: float, truth: Any) -> float:  # an mpmath number
-    """Difference of a number from the truth over the truth's size; over 1 where the truth is zero."""
+    """Relative difference of a number from the truth; absolute if the truth is zero."""
     with mp.workdps(DIGITS):
         size = abs(truth)
         return float(abs(mp.mpf(float(computed)) - truth) / (size if size else 1))
 
 
 def largest_relative_error(computed: Iterable[float], truth: Iterable[Any]) -> float:
-    """Largest relative error of several numbers, each against its own truth."""
+    """Largest relative error of several numbers, each relative to its own truth."""
     return max(relative_error(computed_value, exact) for computed_value, exact in zip(computed, truth, strict=True))
 
 
@@ -69,7 +69,7 @@ def circle_overlap(corners: NDArray[np.float64], centre: Sequence[float], radius
 
 
 def _under_side(start: Any, end: Any, radius: Any) -> Any:
-    """Signed area between the origin and a directed side, as far as it is inside a circle about the origin."""
+    """Signed area between the origin and a directed side, as far as inside a circle about the origin."""
     along = end - start
     length2 = abs(along) ** 2
     middle = -mp.re(start * mp.conj(along)) / length2
@@ -103,13 +103,13 @@ def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance
             system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(own)
         coefficients = mp.cholesky_solve(mp.matrix(system), mp.matrix(readings.tolist()))
         split = [_in_parts(value) for value in coefficients]
-    parts = np.array(split, dtype=np.longdouble)  # (m, 3), each a double of what the ones before leave
+    parts = np.array(split, dtype=np.longdouble)  # (m, 3), each a double of the remainder of the previous ones
     image: Array = ((scaled.T @ parts).sum(axis=1) / root).astype(np.float64)
     return image
 
 
 def exact_gram(rows: Long) -> list[list[Any]]:
-    """A Aᵀ of rows (m, e), entries in fifty digits: exact but for what lies 105 bits below a row's largest."""
+    """A Aᵀ of rows (m, e), entries in fifty digits: exact except for parts 105 bits below a row's largest."""
     exponents = np.frexp(np.abs(rows).max(axis=1))[1]
     slices, rest = [], np.ldexp(rows, -exponents[:, None])
     for number in range(1, _SLICES + 1):
@@ -147,7 +147,7 @@ def exact_line(x: Array, y: Array, stderr: Array) -> tuple[Any, Any]:
 
 
 def line_condition(x: Array, y: Array, stderr: Array) -> float:
-    """Σ |x ∂s/∂x| + Σ |y ∂s/∂y| over |s|: what small relative changes of every place and value make of a slope s."""
+    """Σ |x ∂s/∂x| + Σ |y ∂s/∂y| over |s|: sensitivity of a slope s to relative changes of every place and value."""
     slope, intercept = exact_line(x, y, stderr)
     with mp.workdps(DIGITS):
         a, b, errors = (_exact(values) for values in (x, y, stderr))
@@ -173,7 +173,8 @@ def exact_map(
 ) -> tuple[list[Any], list[Any]]:
     """Mean and variance at places (w, 2) of the mixture of Gaussian processes with an unknown mean, from all n loads.
 
-    Rasmussen & Williams 2006, equations 2.25, 2.26, 2.42 and 2.45; ``learned`` only says which processes were kept.
+    Rasmussen & Williams 2006, equations 2.25, 2.26, 2.42 and 2.45; ``learned`` only gives the processes that were
+    kept.
     """
     with mp.workdps(DIGITS):
         kinds = {(process.smooth, process.length_mm) for process in learned.members}
@@ -194,7 +195,7 @@ def exact_map(
 
 
 def _process(alike: _Exact, deviation: Any, noise: _Exact, y: _Exact) -> tuple[Any, _Exact, _Exact]:
-    """Logarithm of the marginal likelihood, and means and variances at the wanted places, of one process."""
+    """Logarithm of the marginal likelihood, and means and variances at the given places, of one process."""
     count, square = len(y), deviation**2
     root = np.array(mp.cholesky(mp.matrix(square * alike[:, :count] + np.diag(noise))).tolist(), dtype=object)
     solved = _forward(root, np.column_stack([np.full(count, mp.one), y, square * alike[:, count:]]))
@@ -226,7 +227,7 @@ def _forward(root: _Exact, right: _Exact) -> _Exact:
 
 
 def _exact(values: Array) -> _Exact:
-    """The very doubles, as numbers of any precision."""
+    """The exact doubles, as numbers of any precision."""
     numbers: _Exact = np.frompyfunc(mp.mpf, 1, 1)(np.asarray(values, dtype=np.float64).astype(object))
     return numbers
 

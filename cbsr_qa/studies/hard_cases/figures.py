@@ -1,4 +1,4 @@
-"""Errors of numerically hard cases: against their bounds, and against condition numbers."""
+"""Plots of errors of numerically hard cases against their bounds, and against condition numbers."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -13,7 +13,7 @@ from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, ligh
 from cbsr_qa.studies.hard_cases.case import CONDITIONING_ROOM, EPSILON, CaseResult, Ending
 
 _SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_EXACT: Final = 1e-18  # where an error of exactly zero is drawn
+_EXACT: Final = 1e-18  # position of errors that are exactly zero
 
 
 def errors_svg(results: Sequence[CaseResult]) -> str:
@@ -47,7 +47,7 @@ def _error(axes: Axes, row: int, result: CaseResult) -> None:
 
 
 def _powers(axis: Axis, low: float, high: float) -> None:
-    """Number a logarithmic axis by every second power of ten or so."""
+    """Label a logarithmic axis at about every second power of ten."""
     first, last = int(np.ceil(np.log10(low))), int(np.floor(np.log10(high)))
     powers = range(first, last + 1, max(1, -(-(last - first) // 10)))
     axis.set_major_locator(FixedLocator([10.0**power for power in powers]))

@@ -1,4 +1,4 @@
-"""What a person reads of numerically hard cases: what came of each, by area, and how to read that."""
+"""Report of numerically hard cases: the result of each, by area, and how to read it."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +28,7 @@ _READING: Final = (
 _CELLS: Final = {Ending.OK: Outcome.PASS, Ending.REFUSED: Outcome.NOT_JUDGED, Ending.BROKEN: Outcome.FAIL}
 _WORDS: Final = {Ending.OK: "within its bound", Ending.REFUSED: "refused", Ending.BROKEN: "BROKEN"}
 
-# Sentences, in the order they are read.
+# Sentences, in reading order.
 _COUNTS: Final = "{cases}: {ok} within their bound, {refused} refused as they should be, {broken} broken"
 _ENDED: Final = "{name}, {outcome}: {reason}."
 _REMEDY: Final = " What to do: {remedy}."
@@ -44,7 +44,7 @@ _ALTERNATIVE: Final = "Errors of {cases}; the tables have the numbers."
 
 
 def stability_outcome(stability: Stability) -> CommandOutcome[Stability]:
-    """Lay results out; the exit code is 1 where a case is broken."""
+    """Lay results out; the exit code is 1 if a case is broken."""
     cases = stability.cases
     areas = dict.fromkeys(case.area for case in cases)
     columns = ("case", "area", "what is hard", "compared with", "note")

@@ -1,7 +1,7 @@
-"""Sheets of the hard cases: the usual sensor as a linear problem, and a small one that fifty digits can be had of.
+"""Sheets of the hard cases: the usual sensor as a linear problem, and a small one that can be solved in fifty digits.
 
 Readings of the small sheet are solved by the complete electrode model's textbook form (Vauhkonen et al. 1999): first
-order, the electrodes' potentials among the unknowns, stiffness from the corners' places. It shares no line with
+order, the electrodes' potentials among the unknowns, stiffness from the corners' places. It shares no code with
 :mod:`cbsr_qa.eit.forward`, which eliminates those potentials in doubles.
 """
 
@@ -43,7 +43,7 @@ def _plugins() -> Plugins:
 
 
 def prepared(name: str, problem: ImagingProblem, options: Mapping[str, Any]) -> PreparedReconstruction:
-    """Prepare a method that is installed, as ``analyse`` does."""
+    """Prepare an installed method, as ``analyse`` does."""
     method: PreparedReconstruction = _plugins().factory(Kind.RECONSTRUCTION, name)(**options).prepare(problem)
     return method
 
@@ -116,7 +116,7 @@ def inclusion(contrast: float) -> Array:
 
 
 def islands(parted: float) -> Array:
-    """Good conductors round the electrodes, parted by a poor one that all current has to pass."""
+    """Good conductors round the electrodes, separated by a poor one that all current must pass."""
     x, y = small_model().mesh.centroids_mm.T
     turn = np.arctan2(y, x) / (2 * np.pi) * ELECTRODES % 1
     return np.where((turn < 0.5) & (np.hypot(x, y) > 30), 1.0, parted)
@@ -138,8 +138,8 @@ def relative_error(computed: Array, exact: Array, pattern: DrivePattern) -> floa
 def reading_condition(model: ForwardModel, before: Array | None = None) -> float:
     """Relative condition number of the readings for small relative changes of every conductance and contact.
 
-    ‖Σ_e |∂V/∂γ_e| γ_e + Σ_l |∂V/∂z_l| z_l‖ / ‖V‖ (Skeel 1979): what one rounding of the data does at worst. Where
-    conductances are given as those ``before`` and a change of them, both are data.
+    ‖Σ_e |∂V/∂γ_e| γ_e + Σ_l |∂V/∂z_l| z_l‖ / ‖V‖ (Skeel 1979): the worst effect of one rounding of the data. If
+    conductances are given as those ``before`` and a change, both are data.
     """
     used = model.pattern.usable()
     given = model.conductance if before is None else before + np.abs(model.conductance - before)
@@ -155,7 +155,7 @@ def exact_readings(
 
     Parameters
     ----------
-    mesh : of some hundred nodes at most: a second of time.
+    mesh : of some hundred nodes at most, which take a second.
     conductance : (e,) [S]. contact_impedance : (electrodes,) [Ω·mm].
     """
     with mp.workdps(DIGITS):
@@ -176,7 +176,7 @@ def exact_derivatives(
         potentials = _potentials(mesh, pattern, conductance, contact_impedance)
         changes = []
         for unknowns, own in _pieces(mesh, conductance, contact_impedance):
-            drops = potentials[:, unknowns] - potentials[:, unknowns[-1:]]  # faint beside the potentials
+            drops = potentials[:, unknowns] - potentials[:, unknowns[-1:]]  # small compared with the potentials
             changes.append((unknowns, (drops @ own @ drops.T).astype(np.float64)))
     count, elements = len(mesh.nodes_mm), len(mesh.elements)
     by_contact = np.zeros((len(potentials), len(potentials), len(mesh.electrode_edges)))
@@ -223,7 +223,7 @@ def _pieces(
 
 
 def _solve(system: _Exact, right: _Exact) -> None:
-    """Put the solution in the place of the right sides (n, k); no pivots, as the system is positive definite."""
+    """Replace the right sides (n, k) by the solution; without pivoting, as the system is positive definite."""
     for pivot in range(len(system)):
         rows, columns = (pivot + 1 + np.flatnonzero(line[pivot + 1 :]) for line in (system[:, pivot], system[pivot]))
         factors = system[rows, pivot] / system[pivot, pivot]

@@ -1,4 +1,4 @@
-"""All numerically hard cases, by area, run and held against truth."""
+"""All numerically hard cases, by area, run and compared with truth."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -33,14 +33,14 @@ _AREAS: Final = (
 #: Every case, in order of area.
 CASES: Final[tuple[HardCase, ...]] = tuple(case for area in _AREAS for case in area.cases)
 
-#: Areas, in the order they are shown in.
+#: Areas, in the order of display.
 AREAS: Final[tuple[str, ...]] = tuple(dict.fromkeys(case.area for case in CASES))
-#: Names that fit in a message.
+#: Number of names that fit in a message.
 _FEW: Final = 10
 
 
 def chosen_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[HardCase, ...]:
-    """Return the cases of some areas or with some names; all where neither is given. ConfigError for unknown ones."""
+    """Return the cases of some areas or with some names; all if neither is given. ConfigError for unknown ones."""
     for what, wanted, known in (("area", areas, AREAS), ("case", names, [case.name for case in CASES])):
         for name in wanted:
             if name not in known:
@@ -51,7 +51,7 @@ def chosen_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[
 
 
 def _nearest(what: str, name: str, known: Sequence[str]) -> str:
-    """Names that may have been meant: all of a few, of many those that look alike or hold the same word."""
+    """Suggest names: all of a few; of many, those that look alike or contain the same word."""
     if len(known) <= _FEW:
         return f"there are: {', '.join(known)}"
     near = [other for other in known if name in other] or get_close_matches(name, known, n=_FEW, cutoff=0.5)
@@ -62,7 +62,7 @@ def _nearest(what: str, name: str, known: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """How hard cases came out, in the order of the catalogue."""
+    """Results of hard cases, in the order of the catalogue."""
 
     cases: tuple[CaseResult, ...]
 
@@ -74,23 +74,23 @@ def examine_cases(
     progress: Callable[[int, int], None] = lambda done, of: None,
     processes: int | None = None,
 ) -> Stability:
-    """Run the cases of some areas or names; all where neither is given.
+    """Run the cases of some areas or names; all if neither is given.
 
     Parameters
     ----------
-    progress : called with the number of cases done and of all.
-    processes : how many work at once; by default two, or one where there is one core.
+    progress : called with the numbers of cases done and in total.
+    processes : number in parallel; by default two, or one on a single core.
 
     Raises
     ------
     ConfigError
-        If there is no such area or case.
+        If an area or case does not exist.
     """
     cases = chosen_cases(areas, names)
     count = min(2, cpu_count() or 1, len(cases)) if processes is None else processes
     examined: dict[str, CaseResult] = {}
     progress(0, len(cases))
-    # Processes are given names: functions of cases need not be picklable.
+    # Processes receive names: functions of cases need not be picklable.
     with closing(finished([case.name for case in cases], _examine_named, count)) as results:
         for name, result in results:
             examined[name] = result

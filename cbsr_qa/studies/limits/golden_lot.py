@@ -22,12 +22,12 @@ _GOOD = (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)
 
 @dataclass(frozen=True, slots=True)
 class LotChoice:
-    """Which stored runs are the golden lot.
+    """Selection of the golden lot from stored runs.
 
     Parameters
     ----------
-    include_failed : take runs that failed, or in which something could not be measured.
-    allow_mixed : take runs of several recipes or software versions.
+    include_failed : include runs that failed, or with missing measurements.
+    allow_mixed : accept several recipes or software versions.
     """
 
     runs: RunSelection
@@ -36,7 +36,7 @@ class LotChoice:
     allow_mixed: bool = False
 
     def words(self) -> str:
-        """Return the choice as a reader would say it."""
+        """Describe the choice for a reader."""
         wanted = self.runs
         parts = [f"batch {wanted.batch}"] if wanted.batch is not None else []
         parts += [f"recipe {wanted.recipe}"] if wanted.recipe is not None else []
@@ -61,7 +61,7 @@ class Lot:
     ----------
     sensors : serial → its runs, oldest first; sensors by serial.
     software : (distribution, version) of the first run's analysis.
-    not_good, mixed : what was accepted although it is not good, or not alike; in words.
+    not_good, mixed : accepted runs that are not good, or differ; in words.
     analysed : the same runs with their analyses.
     """
 
@@ -81,7 +81,7 @@ class Lot:
         return tuple(run for runs in self.analysed.values() for run in runs)
 
     def data_sha256(self) -> str:
-        """SHA-256 of every measurement of the lot, whatever order it is read in."""
+        """SHA-256 of every measurement of the lot, independent of order."""
         rows = sorted(canonical_json(row) for run in self.runs for row in _data_rows(run))
         return hashlib.sha256("\n".join(rows).encode()).hexdigest()
 
@@ -92,17 +92,17 @@ def _data_rows(run: LotRun) -> Iterable[list[Any]]:
         yield [run.line.serial, run.line.run, m.name, m.unit, *where, m.value, m.uncertainty, str(m.bound)]
 
 
-#: More than a list of serial numbers has.
+#: More than the size of any list of serial numbers.
 _LARGEST_BYTES: Final = 2**24
 
 
 def read_serials(path: Path) -> tuple[str, ...]:
-    """Read serial numbers, one a line; ``#`` begins a comment.
+    """Read serial numbers, one per line; ``#`` begins a comment.
 
     Raises
     ------
     RefusedError
-        If the file cannot be read, holds none, or a line is no serial number (with its number).
+        If the file cannot be read, has none, or a line is not a serial number (with its line number).
     """
     try:
         if path.is_char_device() or path.is_block_device() or path.stat().st_size > _LARGEST_BYTES:
@@ -130,7 +130,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
     Raises
     ------
     RefusedError
-        If nothing was chosen or nothing fits, a sensor is not stored, a run is not good, or runs are not alike.
+        If nothing is selected or matches, a sensor is not stored, a run is not good, or runs differ.
     """
     if not choice.words():
         raise RefusedError(
@@ -168,7 +168,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
 
 
 def _simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
-    """Say what was simulated, each thing once: seeds differ from run to run."""
+    """Describe simulated parts, each once: seeds differ from run to run."""
     words = {what for run in runs for what in run.line.simulated}
     return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in words}))
 
@@ -195,7 +195,7 @@ def _fate(run: RunLine) -> str:
 
 
 def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tuple[str, ...]:
-    """Say in what the runs differ that changes numbers; refuse it unless it was asked for."""
+    """Describe differences of the runs that affect numbers; refuse them unless they were allowed."""
     recipes = _shared_by((run, _recipe_words(run, store.configuration(run.line.run))) for run in runs)
     software = _shared_by(zip(runs, software_words([run.line for run in runs]), strict=True))
     mixed = tuple(
@@ -221,5 +221,5 @@ def _shared_by(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
 
 
 def _recipe_words(run: LotRun, configuration: str) -> str:
-    """Name a recipe with the digest of all that decides its numbers."""
+    """Name a recipe with the digest of everything that affects its numbers."""
     return f"{run.line.recipe} {measuring_digest(configuration)[:8]}"

@@ -1,4 +1,4 @@
-"""A lot's measurements by what one limit judges: the same name, phase and qualifier, every location and trial."""
+"""A lot's measurements grouped by limit: the same name, phase and qualifier, every location and trial."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Taken = Mapping[MetricKey, tuple[Measurement, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """What one limit judges in every run of a lot (one tuple a run), and the limit of the latest run, if any."""
+    """Values judged by one limit in every run of a lot (one tuple per run), and the latest run's limit, if any."""
 
     key: MetricKey
     unit: str
@@ -22,11 +22,11 @@ class Group:
 
     @property
     def values(self) -> int:
-        """How many values a run has; of runs that differ, the most."""
+        """Number of values per run; if runs differ, the largest."""
         return max(len(run) for runs in self.sensors.values() for run in runs)
 
     def why_not(self) -> str:
-        """Say why no statistics can be made of it; empty where they can."""
+        """Why no statistics are possible; empty if they are."""
         for serial, runs in self.sensors.items():
             for run in runs:
                 nothing = [m for m in run if m.value is None]
@@ -48,12 +48,12 @@ def _censored(run: Iterable[Measurement]) -> bool:
 
 
 def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, ...]:
-    """Group a lot's measurements: the named ones, all, or those the recipe limits (all where it limits none).
+    """Group a lot's measurements: the named ones, all, or those limited by the recipe (all if it has no limits).
 
     Raises
     ------
     RefusedError
-        If nobody measured a name (with the nearest one), or one measurement has several units.
+        If no run measured a name (with the nearest one), or one measurement has several units.
     """
     runs = {serial: tuple(_by_key(run) for run in members) for serial, members in lot.analysed.items()}
     latest = _by_key(max(lot.runs, key=lambda run: run.line.started_at))

@@ -1,4 +1,4 @@
-"""From a golden lot to proposed limits: bounds, guard bands, risks, and what they would do to the lot itself."""
+"""From a golden lot to proposed limits: bounds, guard bands, risks, and their effect on the lot itself."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ _DISTRIBUTIONS: Final = {
     "any": Distribution.ANY,
 }
 
-# Why there is no guard band, or nothing is known of the risks.
+# Reasons for missing guard bands or risks.
 _NOTHING_LEFT: Final = "guard bands of {width:.3g} {unit} would leave nothing between the limits: measure better"
 _UNSTATED: Final = "{few}, and {silent} of {values} values state no uncertainty"
 _NEVER_TWICE: Final = "no sensor was run twice"
@@ -45,13 +45,13 @@ _ALL_UNCERTAIN: Final = "the uncertainty of a run explains all of the lot's spre
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """What is asked of every limit.
+    """Requirements on every limit.
 
     Parameters
     ----------
-    coverage, confidence : share of good sensors that each limit holds by itself, and how sure that is to be.
+    coverage, confidence : share of good sensors within each limit by itself, and its confidence.
     guard_factor : width of the guard band over the expanded uncertainty.
-    distribution : of single values; None for the widest limit of those the lot does not refute.
+    distribution : of single values; None for the widest limit of those the lot does not reject.
     """
 
     coverage: float = 0.99
@@ -63,12 +63,12 @@ class Terms:
     def of_words(
         cls, coverage_percent: float, confidence_percent: float, guard_factor: float, distribution: str
     ) -> "Terms":
-        """Return the terms somebody typed.
+        """Return terms from a user's input.
 
         Raises
         ------
         RefusedError
-            If a number is out of range, or there is no such distribution.
+            If a number is out of range, or the distribution does not exist.
         """
         ranges = (("coverage", coverage_percent, 99.99), ("confidence", confidence_percent, 99.9))
         for name, percent, most in ranges:
@@ -84,12 +84,12 @@ class Terms:
 
 @dataclass(frozen=True, slots=True)
 class RunUncertainty:
-    """How well one run measures, in the measurement's unit.
+    """Uncertainty of one run, in the measurement's unit.
 
     Parameters
     ----------
-    standard, coverage_factor, expanded : u, k and k u; None where ``source`` says why there is no guard band.
-    degrees_of_freedom : None where it was stated and not found from repeats.
+    standard, coverage_factor, expanded : u, k and k u; None if there is no guard band, for the reason ``source``.
+    degrees_of_freedom : None if stated rather than found from repeats.
     """
 
     standard: float | None
@@ -101,7 +101,7 @@ class RunUncertainty:
 
 @dataclass(frozen=True, slots=True)
 class ProposedRisks:
-    """Risks of all sensors, where marginal passes are accepted and where they are not."""
+    """Risks of all sensors, if marginal passes are accepted and if they are not."""
 
     marginal_accepted: Risks
     marginal_refused: Risks
@@ -109,7 +109,7 @@ class ProposedRisks:
 
 @dataclass(frozen=True, slots=True)
 class BareLimits:
-    """Limits alone; None on a side that is not limited, and on both where ``why`` says why there are none."""
+    """Limits alone; None on a side without a limit, and on both if there are none for the reason ``why``."""
 
     lower: float | None
     upper: float | None
@@ -118,7 +118,7 @@ class BareLimits:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What one limit judges: a measurement, in its unit, of a phase and with a qualifier."""
+    """A judged measurement, in its unit, of a phase and with a qualifier."""
 
     measurement: str
     unit: str
@@ -127,13 +127,13 @@ class Judged:
 
     @property
     def label(self) -> str:
-        """Name with phase and qualifier, as a reader would say it."""
+        """Name with phase and qualifier, for a reader."""
         return MetricKey(self.measurement, self.phase, self.qualifier).label
 
 
 @dataclass(frozen=True, slots=True)
 class NoLimit(Judged):
-    """A measurement without a proposed limit, why, and the serials far from the others."""
+    """A measurement without a proposed limit, the reason, and the serials far from the others."""
 
     why: str
     far_out: tuple[str, ...] = ()
@@ -141,18 +141,18 @@ class NoLimit(Judged):
 
 @dataclass(frozen=True, slots=True)
 class ProposedLimit(Judged):
-    """A limit that is proposed.
+    """A proposed limit.
 
     Parameters
     ----------
-    sensors, values : how many sensors have it, and how many values a run has.
-    mean : of all values, every sensor alike.
+    sensors, values : number of sensors, and of values per run.
+    mean : of all values, with equal weight of sensors.
     marginal : width of the guard band, in ``unit``.
-    bounds : what each side rests on.
+    bounds : basis of each side.
     positive : whether no value of the lot is zero or negative.
-    risks : None where ``no_risks`` says why nobody can tell.
-    far_out, without_far_out : serials far from the others, which are in the lot all the same; limits without them.
-    present : the limit that the recipe has now.
+    risks : None if unknown for the reason ``no_risks``.
+    far_out, without_far_out : serials far from the others, which remain in the lot; limits without them.
+    present : current limit of the recipe.
     lot_fails_present, lot_fails, lot_marginal : serials of the lot that fail the present limit, that fail the
         proposed one, and that pass it marginally.
     """
@@ -177,13 +177,13 @@ class ProposedLimit(Judged):
     lot_marginal: tuple[str, ...]
 
     def limit(self, version: str) -> Limit:
-        """Return it as a recipe would hold it."""
+        """Return it as a recipe's limit."""
         ends = self.lower, self.upper, self.marginal
         return Limit(self.measurement, self.unit, *ends, self.phase, self.qualifier, version)
 
 
 def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
-    """Propose a limit for what one limit judges, or give the reason for none."""
+    """Propose a limit for one group of measurements, or give the reason for none."""
     key = group.key
     identity = key.name, group.unit, key.phase, key.qualifier
     if why := group.why_not():
@@ -260,7 +260,7 @@ def _without(limits: LotLimits, smallest: Runs, largest: Runs, values: int, ask:
 
 
 def _guard(group: Group, bounds: dict[str, Bound], lot: Lot, terms: Terms) -> tuple[Uncertainty | None, float, str]:
-    """Return how well one run measures, the guard band, and where both come from or why there are none."""
+    """Return the uncertainty of one run and the guard band, with their source or the reason for none."""
     uncertainty, source = _uncertainty(group, bounds, lot)
     if uncertainty is None:
         return None, 0.0, source
@@ -271,7 +271,7 @@ def _guard(group: Group, bounds: dict[str, Bound], lot: Lot, terms: Terms) -> tu
 
 
 def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncertainty | None, str]:
-    """Find how well one run measures: from repeated runs, else from what the measurements state of themselves."""
+    """Find the uncertainty of one run: from repeated runs, else as stated by the measurements."""
     picks = [min if side == "lower" else max for side in bounds]
     repeats = sum(len(runs) - 1 for runs in group.sensors.values())
     moved = any(len({run.line.station for run in runs}) > 1 for runs in lot.analysed.values())
@@ -294,7 +294,6 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
 
 
 def _risks(bounds: Iterable[Bound], width: float, uncertainty: Uncertainty) -> ProposedRisks | None:
-    """Return the risks of all bounds together."""
     sums = [Risks(0.0, 0.0), Risks(0.0, 0.0)]
     for bound in bounds:
         for place, guard in enumerate((0.0, width)):
@@ -313,7 +312,7 @@ def _why_no_risks(bounds: Iterable[Bound], uncertainty: Uncertainty | None) -> s
 
 
 def _failing(group: Group, limit: Limit, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:
-    """Name the sensors whose worst outcome over all their runs is this one."""
+    """Name the sensors with this worst outcome over all their runs."""
     failing = []
     for serial, runs in group.sensors.items():
         outcomes = {limit.judge(m.value, m.bound) for run in runs for m in run}

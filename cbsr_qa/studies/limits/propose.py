@@ -23,24 +23,24 @@ RULE: Final = (
     " reaches beyond the limit; any other passes (JCGM 106:2012, 8.3.2); guard band = {factor:g} × expanded"
     " uncertainty"
 )
-#: Why a recipe may refuse a limit of the overlap.
+#: Why a recipe may refuse a limit on the overlap.
 SIZELESS: Final = "{label}: a recipe takes this in only with area_ratio limited there too, above 0 and on both sides"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProposedLimits:
-    """What a golden lot says.
+    """Proposed limits of a golden lot.
 
     Parameters
     ----------
     version : name of these limits.
-    coverage, confidence : share of good sensors that each limit holds by itself, and how sure that is to be.
+    coverage, confidence : share of good sensors within each limit by itself, and its confidence.
     rule : the decision rule, in words.
     data_sha256 : of every measurement of the lot.
     limits, not_proposed : in the order of the recipe's measurements.
     lot_fails_any : sensors of the lot that fail at least one of the limits.
-    without_size : overlaps that a recipe takes in only if it bounds the blob's size itself: these limits do not.
-    output : the file that was written; None where none was asked for.
+    without_size : overlaps that a recipe accepts only if it also bounds the blob's size, which these limits do not.
+    output : the written file, or None.
     """
 
     version: str
@@ -69,19 +69,19 @@ def propose_limits(
     database: str | None = None,
     made: date,
 ) -> ProposedLimits:
-    """Propose limits from a golden lot, and write them to a file where one is asked for.
+    """Propose limits from a golden lot, and write them to a file if requested.
 
     Parameters
     ----------
-    names, everything : measurements; by default those the recipe limits now (all where it limits none).
+    names, everything : measurements; by default those limited by the recipe (all if it has no limits).
     version : of the limits; by default the day and the first digits of the data's digest.
     output : must not exist yet.
 
     Raises
     ------
     RefusedError
-        If the lot or what is asked of it cannot be used, or nothing can be proposed for a measurement that was named,
-        or for any; nothing is written then.
+        If the lot or the terms cannot be used, or nothing can be proposed for a named measurement, or for any;
+        nothing is written then.
     """
     if version is not None and not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", version):
         raise RefusedError(
@@ -116,7 +116,7 @@ def propose_limits(
 
 
 def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str, ...]) -> None:
-    """Refuse where a measurement that was named came to nothing, or all did."""
+    """Refuse if there is no limit for a named measurement, or for any."""
     for name in names or (None,):
         members = [proposal for proposal in proposals if name in (None, proposal.measurement)]
         refused = [member for member in members if isinstance(member, NoLimit)]
@@ -132,7 +132,7 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
 
 
 def far_from_others(refusal: NoLimit) -> str:
-    """Name the sensors that lie far from the others, in brackets after a blank; empty without any."""
+    """List sensors far from the others, in brackets after a space; empty without any."""
     return f" ({', '.join(refusal.far_out)} far from the others)" if refusal.far_out else ""
 
 
@@ -154,7 +154,7 @@ def lot_words(lot: Lot) -> str:
 
 
 def limits_toml(proposed: ProposedLimits) -> str:
-    """Return the file that a recipe takes in, its limits sealed by their digest."""
+    """Return the file for a recipe, its limits sealed by their digest."""
     tables = [_limit_table(limit.limit(proposed.version)) for limit in proposed.limits]
     header = {
         "version": proposed.version,
@@ -184,7 +184,6 @@ def _remarks(proposed: ProposedLimits) -> Iterator[str]:
 
 
 def _limit_table(limit: Limit) -> dict[str, Any]:
-    """Return a limit as a recipe's table; what it does not have is left out."""
     table = {
         "measurement": limit.measurement,
         "unit": limit.unit,
@@ -199,14 +198,14 @@ def _limit_table(limit: Limit) -> dict[str, Any]:
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a file, whole or not at all. RefusedError if it exists, or its folder cannot be written to."""
+    """Write a new file, whole or not at all; RefusedError if it exists, or its folder cannot be written to."""
     refuse_existing(path)
     with writing(path), written_whole(path) as file:
         file.write(text.encode())
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse to write over a file: limits that runs were judged by stay as they were."""
+    """Refuse to overwrite a file: limits used to judge runs must not change."""
     with writing(path):
         there = path.exists()
     if path.suffix != ".toml":

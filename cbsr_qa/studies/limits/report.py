@@ -1,4 +1,4 @@
-"""What a person reads of proposed limits: a table of limits, what each rests on, guard bands and risks."""
+"""Report of proposed limits: a table of limits, the basis of each, guard bands and risks."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -10,9 +10,9 @@ from cbsr_qa.studies.limits.proposals import ProposedLimit
 from cbsr_qa.studies.limits.propose import SIZELESS, ProposedLimits, far_from_others, lot_words
 
 _NONE: Final = "–"
-_LEAST_SHARE: Final = 1e-6  #: smaller risks say nothing: no distribution is known that far out
+_LEAST_SHARE: Final = 1e-6  #: smaller risks are meaningless: no distribution is known that far out
 
-# Sentences, in the order they are read.
+# Sentences, in reading order.
 _EACH: Final = "each holds {coverage:g} % of good sensors, with {confidence:g} % confidence{together}; {fails}"
 _TOGETHER: Final = "; all {count} together may fail up to {percent:.3g} %"
 _LOT_FAILS: Final = "of this lot {failing} of {sensors} sensors fail{names}"
@@ -202,5 +202,5 @@ def _sides(lower: float | None, upper: float | None) -> str:
 
 
 def _exact(value: float | None) -> str:
-    """Write a limit; proposed ones are rounded already."""
+    """Format a limit; proposed ones are rounded already."""
     return _NONE if value is None else f"{value:.6g}".replace("-", "\N{MINUS SIGN}")

@@ -13,7 +13,7 @@ from cbsr_qa.eit.imaging import overlap_grade
 
 
 class Rule(StrEnum):
-    """When a number of ours agrees with a printed one."""
+    """Criterion for agreement with a printed number."""
 
     DEVIATION = "within one printed deviation"
     DIGITS = "within the printed digits and two of our standard deviations"
@@ -24,7 +24,7 @@ class Rule(StrEnum):
 
 
 class ValueOrigin(StrEnum):
-    """Where a number of ours comes from."""
+    """Origin of our number."""
 
     INPUT = "input"  #: the simulation is given it, and measures it back
     OUTCOME = "outcome"  #: it follows from the simulation
@@ -41,7 +41,7 @@ class PrintedRange:
 
 @dataclass(frozen=True, slots=True)
 class Printed:
-    """What a publication prints of one quantity: a value with a deviation, or ranges alone.
+    """Printed numbers of one quantity: a value with a deviation, or ranges alone.
 
     Parameters
     ----------
@@ -61,8 +61,8 @@ class Ours:
 
     Parameters
     ----------
-    value : None where it could not be determined; ``uncertainty_is`` then says why.
-    count : number of values it is of.
+    value : None if undetermined, for the reason ``uncertainty_is``.
+    count : number of values behind it.
     at_least : the value is a lower bound.
     """
 
@@ -77,13 +77,13 @@ class Ours:
 
 @dataclass(frozen=True, slots=True)
 class ComparedRow:
-    """One printed number beside ours.
+    """One printed number and ours.
 
     Parameters
     ----------
-    beside : further simulated ones, only shown.
-    agrees : None where the two are not compared, or cannot be.
-    reason : why they differ, or a remark if they do not.
+    beside : further simulated numbers, for display only.
+    agrees : None if the two are not compared, or cannot be.
+    reason : reason for a difference, or a remark.
     """
 
     group: str
@@ -117,14 +117,14 @@ def compared_table(title: str, notes: tuple[str, ...], rows: Iterable[ComparedRo
 
 
 def within_digits(value: float, printed: float, half_digit: float, uncertainty: float) -> bool:
-    """Say whether a value is within half a printed digit and two of our standard deviations of a printed one."""
+    """Return whether a value is within half a printed digit and two of our standard deviations of a printed one."""
     return abs(value - printed) <= half_digit + 2 * uncertainty
 
 
 def deviations_agree(ours: float, count: int, printed: float, printed_count: int) -> bool:
-    """Say whether two standard deviations are within two standard errors of their difference.
+    """Return whether two standard deviations are within two standard errors of their difference.
 
-    That of a deviation s of n ≥ 2 normal values is s / √(2 (n − 1)).
+    The standard error of a deviation s of n ≥ 2 normal values is s / √(2 (n − 1)).
 
     Raises
     ------
@@ -148,13 +148,13 @@ def compared(
     why: str = "",
     printed_count: int = 0,
 ) -> ComparedRow:
-    """Compare by a rule the first of our values; the others are shown beside it.
+    """Compare the first of our values by a rule; the others are only shown.
 
     ``agrees`` is None where we have no value, or only a lower bound that does not decide.
 
     Parameters
     ----------
-    why : the reason given where the two do not agree.
+    why : reason given for a disagreement.
     printed_count : values behind a printed deviation, for ``Rule.SCATTER``.
     """
     ours, *beside = simulated
@@ -165,7 +165,7 @@ def compared(
         agrees, note = _in_ranges(ours, value, paper)
     else:
         assert printed is not None
-        if rule is Rule.BAND:  # the paper's bands know no size
+        if rule is Rule.BAND:  # the paper's bands do not depend on size
             paper = replace(paper, band=overlap_grade(printed, 1.0))
             ours = replace(ours, band=overlap_grade(value, 1.0))
         agrees = _agree(rule, paper, printed, ours, value, printed_count)
@@ -174,12 +174,12 @@ def compared(
 
 
 def not_compared(group: str, name: str, unit: str, paper: Printed, ours: Ours, why: str) -> ComparedRow:
-    """Show a number beside a printed one that means something else, and say why."""
+    """Show a number beside a printed one with another meaning, and explain."""
     return ComparedRow(group, name, unit, ValueOrigin.OUTCOME, Rule.NONE, paper, ours, reason=why)
 
 
 def mean_of_deviations(sheet: str, errors: NDArray[np.float64]) -> Ours:
-    """Return the standard deviation of some errors with its own standard error, which is that of normal values."""
+    """Return the standard deviation of some errors with its standard error for normal values."""
     deviation, count = float(errors.std(ddof=1)), len(errors)
     of = f"standard error of the deviation of {count} presses; bias {float(errors.mean()):+.2f} N"
     return Ours(sheet, deviation, deviation / np.sqrt(2 * (count - 1)), of, count)
@@ -196,7 +196,7 @@ def _agree(rule: Rule, paper: Printed, printed: float, ours: Ours, value: float,
 
 
 def _in_ranges(ours: Ours, value: float, paper: Printed) -> tuple[bool | None, str]:
-    """Whether a value is in any printed range, give or take its uncertainty, and in which."""
+    """Whether a value is in any printed range, within its uncertainty, and in which."""
     if ours.at_least and value <= max(printed.high for printed in paper.ranges):
         return None, "a lower bound: not all loads had settled"
     slack = ours.uncertainty or 0.0

@@ -24,7 +24,7 @@ from cbsr_qa.studies.reproduce.reproduce import CentreForces
 
 
 def bars_svg(table: Sequence[ComparedRow]) -> str:
-    """Draw every row with the paper's mean and ± beside ours, one panel a quantity."""
+    """Draw every row with the paper's mean and ± beside ours, one panel per quantity."""
     names = list(dict.fromkeys(row.name for row in table))
     groups = list(dict.fromkeys(row.group for row in table))
 
@@ -67,15 +67,13 @@ def _bar(axes: Axes, y: float, value: float | None, spread: float | None, colour
 
 
 def _limits(rows: Sequence[ComparedRow]) -> tuple[float, float]:
-    """Scale that holds the paper's bars and our uniform sheet's; the bench sheet may leave it."""
+    """Scale for the paper's bars and our uniform sheet's; the bench sheet may exceed it."""
     ends = [(row.paper.value or 0.0) + (row.paper.deviation or 0.0) for row in rows]
     ends += [(row.ours.value or 0.0) + (row.ours.uncertainty or 0.0) for row in rows]
     return 0.0, 1.06 * max(ends)
 
 
 def _two_panels(height_in: float, draw: Callable[[list[Axes]], None]) -> str:
-    """Draw two panels side by side with room for their axes."""
-
     def build() -> Canvas:
         figure = canvas(height_in)
         grid = figure.add_gridspec(1, 2, left=0.08, right=0.985, bottom=0.42 / height_in, top=0.88, wspace=0.12)

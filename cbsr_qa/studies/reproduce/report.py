@@ -1,4 +1,4 @@
-"""What a person reads of a reproduction: one section per table, with printed and simulated numbers side by side."""
+"""Report of a reproduction: one section per table, with printed and simulated numbers side by side."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -12,7 +12,7 @@ _NONE: Final = "–"
 _AGREES: Final = {True: "yes", False: "no", None: _NONE}
 _COLUMNS: Final = ("", "quantity", "paper", "simulated", "bench, simulated", "agrees", "why", "bands")
 
-# Sentences, in the order they are read.
+# Sentences, in reading order.
 _COUNTS: Final = "{agreeing} of {compared} numbers that can be compared agree; every row that does not says why"
 _AGREE: Final = "{agreeing} of {compared} numbers that are compared agree."
 _NUMBERS: Final = "Numbers of the paper and of our simulation"
@@ -66,7 +66,7 @@ def _table(table: ComparedTable, reproduction: Reproduction) -> Iterator[Block]:
 
 
 def _figures(table: ComparedTable, reproduction: Reproduction) -> Iterator[Figure]:
-    # matplotlib is loaded only where something is drawn
+    # loads matplotlib
 
     def bars() -> str:
         from cbsr_qa.studies.reproduce.draw import bars_svg
@@ -125,6 +125,6 @@ def _ours_text(ours: Ours) -> str:
     spread = ours.uncertainty
     if spread is None:
         return f"{sign}{number(ours.value)}"
-    if spread < 5e-4 * abs(ours.value):  # more digits than the printed number has would say nothing
+    if spread < 5e-4 * abs(ours.value):  # more digits than the printed number are meaningless
         return f"{sign}{number(ours.value, 4)}"
     return f"{sign}{with_uncertainty(ours.value, spread)}"

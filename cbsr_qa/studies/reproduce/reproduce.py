@@ -20,7 +20,7 @@ SOURCE: Final = (
     "Artificial Soft Skin Pressure Sensor"
 )
 
-#: What every number of ours is of.
+#: Origin of our numbers.
 SIMULATED: Final = (
     "every number called ours: sensors of 8 and 9 wt% on the simulated bench",
     "uniform sheet: scene base, a sheet that is alike everywhere, responds, relaxes and is read with noise",
@@ -33,7 +33,7 @@ Values = SheetValues | StripValues
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What was simulated: sensors, the runs they went through, and the time the simulated station was at work."""
+    """Simulated sensors, their runs, and the time of the simulated station."""
 
     source: str
     simulated: tuple[str, ...]
@@ -55,7 +55,7 @@ class CentreForces:
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
-    """The paper's tables beside ours; ``presses`` are what the force figure shows."""
+    """The paper's tables and ours; ``presses`` are for the force figure."""
 
     about: About
     table1: ComparedTable
@@ -70,7 +70,7 @@ class Reproduction:
 
     @property
     def tables(self) -> tuple[ComparedTable, ...]:
-        """All tables, in the order they are read."""
+        """All tables, in reading order."""
         return (
             self.table1, self.table2, self.table3, self.table4, self.table5, self.tableF6, self.settling, self.force,
         )  # fmt: skip
@@ -90,13 +90,13 @@ def reproduce_paper(
     Parameters
     ----------
     quick : fewer trials and strains.
-    tell : called with what is done, in words.
-    processes : how many work at once; by default two, or one where there is one core.
+    tell : receives the progress in words.
+    processes : number in parallel; by default two, or one on a single core.
 
     Raises
     ------
     NotReproducedError
-        If a simulated sensor gave no values; the others are given up.
+        If a simulated sensor gave no values; the others are abandoned.
     """
     jobs = all_jobs(quick=quick)
     tell(f"simulating {len(jobs)} sensors with seed {SEED}: {', '.join(job.words for job in jobs)}")

@@ -14,10 +14,10 @@ from cbsr_qa.studies.reproduce.values import SheetValues, StripValues, sheet_val
 from cbsr_qa.studies.simulated import configuration_of as merged, shipped, simulated_run
 from cbsr_qa.system import Stages
 
-#: Of every simulated sensor; the first there is, not chosen for what comes out.
+#: Seed of every simulated sensor; the first one, not chosen for its result.
 SEED: Final = 1
 
-#: Sheet → station, recipe, scene instead of the station's own.
+#: Sheet → station, recipe, scene replacing the station's own.
 _SETTINGS: Final = {
     "uniform": ("simulated", "paper", "base"),
     "bench": ("simulated", "paper", "everything"),
@@ -26,7 +26,7 @@ _SETTINGS: Final = {
 
 _Options = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
-#: Sheet → phase → options of its recipe that are replaced. The bench sheet only stands beside the uniform one.
+#: Sheet → phase → replaced options of its recipe. The bench sheet is only shown beside the uniform one.
 _SHORTER: Final[_Options] = {
     "bench": {
         "noise figure": {"frames": 64, "trials": 1},
@@ -35,7 +35,7 @@ _SHORTER: Final[_Options] = {
     },
 }
 
-#: The same where it is to be quick.
+#: The same for the quick version.
 _QUICK: Final[_Options] = {
     "uniform": {
         "noise figure": {"frames": 64},
@@ -45,7 +45,7 @@ _QUICK: Final[_Options] = {
     "strip": {"press cycles": {"strains_percent": [10.0, 20.0, 30.0], "cycles": 4}},
 }
 
-#: What is simulated, in words.
+#: Simulated sensors, in words.
 FULL_WORDS: Final = (
     "the uniform sheet (scene base) as in the paper: nine locations at six strains three times, its ten random loads "
     "three times; the bench sheet (scene everything) at three strains twice and the random loads once; the strip "
@@ -68,12 +68,12 @@ class Job:
 
     @property
     def words(self) -> str:
-        """Name for people."""
+        """Name for a reader."""
         return f"{self.percent} wt% {'strip' if self.sheet == 'strip' else f'{self.sheet} sheet'}"
 
 
 def all_jobs(*, quick: bool) -> tuple[Job, ...]:
-    """Every sensor the publication is reproduced on, the longest first."""
+    """Every sensor of the reproduction, the longest first."""
     sheets = ("uniform", "strip") if quick else ("bench", "uniform", "strip")
     return tuple(Job(sheet, percent, quick) for sheet in sheets for percent in (8, 9))
 
@@ -84,7 +84,7 @@ def simulate(job: Job) -> SheetValues | StripValues:
     Raises
     ------
     NotReproducedError
-        If the run stopped or could not be analysed; names the run and says why.
+        If the run stopped or could not be analysed; names the run and the reason.
     """
     started, plugins = time.perf_counter(), discover()
     configuration = configuration_of(job)
@@ -106,7 +106,7 @@ def simulate(job: Job) -> SheetValues | StripValues:
 
 
 def not_reproduced(job: Job, why: str) -> NotReproducedError:
-    """Return the error that ends a reproduction, for the sensor that gave no figures."""
+    """Return the error that ends a reproduction, for the sensor without results."""
     station, recipe, scene = _SETTINGS[job.sheet]
     return NotReproducedError(
         f"the simulated {job.words} (station {station}, recipe {recipe}, scene {scene}, seed {job.seed}) gave no "

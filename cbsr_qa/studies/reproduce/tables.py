@@ -21,13 +21,13 @@ from cbsr_qa.studies.reproduce.compare import (
 from cbsr_qa.studies.reproduce.reasons import NOTES, REASONS as WHY, TITLES
 from cbsr_qa.studies.reproduce.values import ForcePress, SettlingOf, SheetValues, StripValues
 
-#: Sheet and percentage → what was simulated.
+#: Sheet and percentage → simulated sensor.
 Sheets = Mapping[tuple[str, int], SheetValues]
 Strips = Mapping[int, StripValues]
 Tables = Mapping[str, Any]
 
 _PERCENTS: Final = (8, 9)
-#: Presses behind the paper's force error: six strains in three trials at L0, as we read 3.3.2.
+#: Presses behind the paper's force error: six strains in three trials at L0, as we interpret 3.3.2.
 _PAPER_PRESSES: Final = 18
 _SPATIAL: Final = (("E_CoM", "mm"), ("A_OL", "%"), ("SD", "mm²"))
 
@@ -48,7 +48,7 @@ def compared_tables(paper: Tables, sheets: Sheets, strips: Strips) -> dict[str, 
 
 
 def _both(sheets: Sheets, percent: int) -> list[SheetValues]:
-    """The uniform sheet of a material, then the bench sheet where it was simulated."""
+    """The uniform sheet of a material, then the bench sheet if simulated."""
     return [sheets[sheet, percent] for sheet in ("uniform", "bench") if (sheet, percent) in sheets]
 
 
@@ -168,7 +168,7 @@ def _force(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
 
 
 def force_error(sheet: SheetValues) -> Ours:
-    """Standard deviation of estimated less measured force at L0, trials left out of what estimates them [N]."""
+    """Standard deviation of estimated less measured force at L0, for left-out trials [N]."""
     errors = np.array([press.global_N - press.measured_N for press in centre_presses(sheet)])
     if len(errors) < 3:
         return Ours(sheet.sheet, None, uncertainty_is="fewer than three presses at L0 could be left out")
@@ -176,12 +176,12 @@ def force_error(sheet: SheetValues) -> Ours:
 
 
 def centre_presses(sheet: SheetValues) -> tuple[ForcePress, ...]:
-    """Presses at L0 that were left out of what estimates their force."""
+    """Presses at L0 left out of their own force model."""
     return tuple(press for press in sheet.presses if press.place == "L0")
 
 
 def least_force(sheet: SheetValues) -> Ours:
-    """Force whose change of conductance is the noise floor: floor / α_σ × area of the head [N] (paper 3.3.2)."""
+    """Force whose conductance change equals the noise floor: floor / α_σ × area of the head [N] (paper 3.3.2)."""
     floor = sheet.noise_floor
     if floor.value is None:
         return floor

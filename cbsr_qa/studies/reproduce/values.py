@@ -61,8 +61,8 @@ class SheetValues:
     by_place : location → the same with the main mask.
     random : place of the list → error and deviation over trials, steady images.
     settlings : of the conductance under the load, by strain.
-    presses : left out of what estimates them, and pressed alone.
-    stress_slope_per_kPa, head_mm2 : what a detection limit follows with.
+    presses : single ones, left out of their own force model.
+    stress_slope_per_kPa, head_mm2 : for the detection limit.
     """
 
     sheet: str
@@ -167,7 +167,7 @@ def _slope(fitted: FittedLine, where: str) -> Ours:
 def _run_value(
     measurements: Iterable[Measurement], name: str, qualifier: str, sheet: str, of: str, scale: float = 1.0
 ) -> Ours:
-    """Take the measurement of the whole run; that of one location has a location."""
+    """Take the measurement of the whole run, or of its only location."""
     for measured in measurements:
         if (measured.name, measured.qualifier, measured.location) == (name, qualifier, ""):
             if measured.value is None:
@@ -178,7 +178,7 @@ def _run_value(
 
 
 def _noise_floor(run: RunObservation, sheet: str) -> Ours:
-    """Mean and deviation of the floor over disjoint sets of eight unloaded frames, each against the others' mean."""
+    """Mean and deviation of the floor over disjoint sets of eight unloaded frames, relative to the others' mean."""
     frames, problem = run.unloaded.voltages, run.reconstruction.problem
     floors = []
     for start in range(0, len(frames) - _FLOOR_FRAMES + 1, _FLOOR_FRAMES):
@@ -232,7 +232,7 @@ def _spatial(run: RunObservation, mask: float, sheet: str, place: str = "") -> S
 
 
 def _size_ratio(run: RunObservation, mask: float) -> float:
-    """Mean A_b/A_FA of the steady images at the tables' strain; 0 where nothing was seen."""
+    """Mean A_b/A_FA of the steady images at the tables' strain; 0 without blobs."""
     views = [(load.mask(mask), load.indenter.area_mm2) for load in _grid(run)]
     ratios = [view.region.area_mm2 / area for view, area in views if view is not None and view.region is not None]
     return float(np.mean(ratios)) if ratios else 0.0

@@ -16,14 +16,14 @@ from cbsr_qa.plugin import AnyEffect
 from cbsr_qa.simulate import SAMPLE_RATE_HZ, EffectFactory, SimulatedWorld, planned_middles_s, press_loads
 from cbsr_qa.studies.scenes.setting import SceneSetup, made_world, naming
 
-#: Stages that change how much is solved: their effects cost more than the time within them.
+#: Stages that affect how much is solved: their effects cost more than the time within them.
 SOLVED_STAGES: Final = ("sheet", "times", "response", "contacts")
-_FRAMES: Final = 5  # of which the median is taken
+_FRAMES: Final = 5  # number of frames for a median
 _REPEATS: Final = 4
-#: Time of this process alone, so that what else the computer does is no effect's cost; on Windows that is counted in
-#: steps of 15.6 ms, which is longer than a frame takes.
+#: Time of this process alone, independent of the computer's other load; on Windows it has steps of 15.6 ms, longer
+#: than a frame takes.
 _clock_s: Final = time.perf_counter if sys.platform == "win32" else time.process_time
-_STAND_IN: Final = SceneLoad(0.0, 0.0, 0.2, 0.0, 30.0)  # for scenes that are made for a station
+_STAND_IN: Final = SceneLoad(0.0, 0.0, 0.2, 0.0, 30.0)  # for scenes that run at a station
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,11 @@ class Costs:
 
     Parameters
     ----------
-    effect_ms : of each effect that is on, a frame, with its share of what happens once a scene.
+    effect_ms : per frame, of each enabled effect, with its share of work done once per scene.
     each_ms : the same without that share.
-    once_ms : what happens once a scene, in all: as the sheet is made, as heads move, before frames are written.
+    once_ms : total work once per scene: when the sheet is made, when heads move, before frames are written.
     frame_ms : of a whole frame during a load, with its force samples.
-    compute_s : estimated, of all the recording.
+    compute_s : estimate for the whole recording.
     """
 
     effect_ms: dict[str, float]
@@ -55,17 +55,17 @@ class Watched:
         self.spent_s: dict[str, float] = {}
 
     def __call__(self, name: str) -> Callable[..., Any]:
-        """Find a factory whose effects are watched."""
+        """Find a factory and watch its effects."""
         plain = self._factory(name)
 
-        @wraps(plain, updated=())  # a chain looks at its signature
+        @wraps(plain, updated=())  # a chain inspects its signature
         def make(*setting: Any, **parameters: Any) -> Any:
             effect = plain(*setting, **parameters)
             self.effects[name] = effect
             self.spent_s[name] = 0.0
             for method in ("apply", "design", "record"):
                 if hasattr(effect, method):
-                    with suppress(AttributeError):  # one with slots cannot be watched
+                    with suppress(AttributeError):  # an effect with slots cannot be watched
                         setattr(effect, method, self._timed(name, getattr(effect, method)))
             return effect
 
@@ -80,7 +80,7 @@ class Watched:
         return timed
 
     def within(self, work: Callable[[], object]) -> dict[str, float]:
-        """Call a function and return the time spent within each effect meanwhile [s]."""
+        """Call a function and return the time spent within each effect [s]."""
         before = dict(self.spent_s)
         work()
         return {name: spent - before.get(name, 0.0) for name, spent in self.spent_s.items()}
@@ -94,14 +94,14 @@ def measured_costs(
 ) -> Costs:
     """Measure on a few frames, spread over the recording, during loads.
 
-    An effect costs the time within it; what happens once a scene (the sheet, the head's movements, what is lost) is
-    shared out over its frames. One that changes how much is solved costs at least what a whole frame takes longer
-    with it than without it and those that need it.
+    An effect costs the time within it; work done once per scene (the sheet, the head's movements, losses) is
+    distributed over its frames. An effect that changes how much is solved costs at least the difference between
+    frames with it and frames without it and its dependents.
 
     Raises
     ------
     ConfigError
-        If a frame cannot be taken; names the scene's file.
+        If a frame cannot be taken, with the scene's file.
     """
     plan = recorded_plan(setup)
     watched = Watched(effect_factory)
@@ -119,7 +119,7 @@ def measured_costs(
 
 
 def recorded_plan(setup: SceneSetup) -> ScenePlan:
-    """Return the scene's plan; for a station's scene, with a recording and a load to stand in."""
+    """Return the scene's plan; for a station's scene, with a substitute recording and load."""
     plan = setup.plan
     if plan.duration_s is not None:
         return plan
@@ -131,7 +131,7 @@ def recorded_plan(setup: SceneSetup) -> ScenePlan:
 
 
 class _Bench:
-    """A scene's world with its loads pressed, watched or not, and the frames taken of it."""
+    """A scene's world with its loads pressed, watched or not, and its frames."""
 
     def __init__(self, setup: SceneSetup, plan: ScenePlan, watched: Watched, effect_factory: EffectFactory) -> None:
         self._setup, self._plan, self._watched = setup, plan, watched
@@ -157,16 +157,16 @@ class _Bench:
         return world
 
     def within_ms(self) -> dict[str, float]:
-        """Time within each effect a frame."""
+        """Time per frame within each effect."""
         frames = [self._watched.within(partial(self._taken, self._seen, index)) for index in self._loaded]
         return {name: 1e3 * median(each[name] for each in frames) for name in self._watched.effects}
 
     def once_ms(self) -> dict[str, float]:
-        """Time within each effect outside of frames, in all."""
+        """Total time within each effect outside frames."""
         return {name: 1e3 * sum(once.get(name, 0.0) for once in self._once) for name in self._watched.effects}
 
     def difference_ms(self, name: str) -> float:
-        """How much longer frames take with an effect than without it and those that need it; 0 where unclear."""
+        """Difference between frames with an effect and without it and its dependents; 0 if unclear."""
         effects = self._watched.effects
         without = _with_dependents(name, effects)
         kept = tuple(choice for choice in self._plan.scene.effects if choice.name not in without)
@@ -176,11 +176,11 @@ class _Bench:
         return 1e3 * _clear([_longer_s(self._plain, other, self._times(index)) for index in self._loaded])
 
     def frame_ms(self) -> float:
-        """A whole frame during a load, and its force samples."""
+        """Time of a whole frame during a load, and of its force samples."""
         return 1e3 * median(self._whole_s(index) for index in self._loaded)
 
     def compute_s(self) -> float:
-        """All of the recording, extrapolated from frames all over it."""
+        """Time of the whole recording, extrapolated from frames spread over it."""
         count = self._plan.frame_count
         spread = np.unique(np.linspace(0, count - 1, 2 * _FRAMES).astype(int)).tolist()
         return self._setup_s + count * mean(self._whole_s(index) for index in spread)
@@ -189,13 +189,12 @@ class _Bench:
         return (index + 0.5) * self._plan.scene.frame_period_s, index
 
     def _whole_s(self, index: int) -> float:
-        self._plain.frame(*self._times(index))  # what is kept between frames of one place is there
+        self._plain.frame(*self._times(index))  # caches between frames of one place are filled
         start_s = _clock_s()
         self._taken(self._plain, index)
         return _clock_s() - start_s
 
     def _taken(self, world: SimulatedWorld, index: int) -> None:
-        """Take a frame, and the force samples of its time."""
         world.frame(*self._times(index))
         period_s = self._plan.scene.frame_period_s
         first, last = (int(each * period_s * SAMPLE_RATE_HZ) for each in (index, index + 1))
@@ -204,19 +203,18 @@ class _Bench:
 
 
 def _clear(differences_s: list[float]) -> float:
-    """The middle one of differences between frames, or none where they are noise.
+    """Median of differences between frames; zero if they are noise.
 
-    No frame is shorter for something that is done more: what is below zero shows how large the noise is.
+    More work cannot make a frame shorter: negative differences show the size of the noise.
     """
     middle_s, noise_s = median(differences_s), -min(differences_s)
     return middle_s if middle_s > 2 * noise_s else 0.0
 
 
 def _longer_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int]) -> float:
-    """How much longer a frame takes in one world than in another.
+    """Difference between the times of a frame in two worlds.
 
-    Tries alternate, so that a computer that becomes slower does so for both; the shortest of each count, after one
-    that does not.
+    Tries alternate, so that a slowing computer affects both; the shortest of each counts, after a warm-up.
     """
     tries_s: dict[bool, list[float]] = {True: [], False: []}
     for _ in range(1 + _REPEATS):
@@ -228,7 +226,7 @@ def _longer_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int
 
 
 def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:
-    """An effect and all that need it, also through others; those come after it."""
+    """An effect and all its direct and indirect dependents, which come after it."""
     dependents = {name}
     for other, effect in effects.items():
         if dependents & set(effect.needs):
@@ -237,7 +235,7 @@ def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:
 
 
 def _loaded_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
-    """A few frames in the middle of holds, or else spread over the recording."""
+    """A few frames in the middle of holds, or spread over the recording."""
     times = [press_times(load, load.strain * thickness_mm, plan.motion) for load in plan.loads]
     middles = sorted((each.down_s + each.lifts_s) / 2 for each in times)
     frames: Iterable[int] = (int(middle / plan.scene.frame_period_s) for middle in middles)

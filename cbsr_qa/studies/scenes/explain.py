@@ -19,11 +19,11 @@ class ExplainedEffect:
 
     Parameters
     ----------
-    perturbs : its stage; empty where that is not known before it is made.
-    cost_ms_per_frame : with its share of what happens once a scene; 0 of one that is off, None where not measured.
-    parameters : as the scene gives them.
-    does : first line of what its author says of it.
-    each_ms, once_ms : what a frame costs without that share, and what happens once a scene, in all.
+    perturbs : its stage; empty if unknown before it is created.
+    cost_ms_per_frame : with its share of work once per scene; 0 if disabled, None if not measured.
+    parameters : as given by the scene.
+    does : first line of its docstring.
+    each_ms, once_ms : cost per frame without that share, and total once per scene.
     """
 
     name: str
@@ -43,10 +43,10 @@ class Explained:
 
     Parameters
     ----------
-    effects : those that are on in their order, then the others by name.
+    effects : enabled ones in order, then the others by name.
     frames : of the scene's recording; None without one.
-    frame_ms, compute_s : measured; None where nothing was.
-    measured_with : sensor type, material and load, in words; None where nothing was measured.
+    frame_ms, compute_s : measured, or None.
+    measured_with : sensor type, material and load, in words; None if nothing was measured.
     """
 
     scene: str
@@ -65,11 +65,11 @@ def explain_scene(
     tell: Callable[[str], None] = lambda stage: None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> Explained:
-    """Explain a scene. Every installed effect is imported, which simulating it does not do.
+    """Explain a scene. Every installed effect is imported, unlike in a simulation.
 
     Parameters
     ----------
-    measure : whether frames are taken to measure costs.
+    measure : whether to take frames to measure costs.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _off(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
             yield ExplainedEffect(name, False, (), "", 0.0, {}, error.reason)
             continue
         needs, perturbs = getattr(factory, "needs", ()), getattr(factory, "perturbs", "")
-        # Of a factory that is no class, or an effect that decides as it is made, they are not known before.
+        # Unknown before creation if the factory is not a class, or the effect decides when created.
         known = tuple(needs) if isinstance(needs, tuple | list) else ()
         stage = perturbs if isinstance(perturbs, str) else ""
         yield ExplainedEffect(name, False, known, stage, 0.0, {}, _does(factory))

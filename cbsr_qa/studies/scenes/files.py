@@ -15,7 +15,7 @@ from cbsr_qa.plugin import Kind, Plugins, RecordingWriter, create_plugin
 from cbsr_qa.simulate import RecordedScene
 from cbsr_qa.system import writing
 
-#: Format every scene is written in.
+#: Format in which every scene is written.
 OWN_FORMAT = "cbsr-recording"
 #: Last word of a format's name → suffix of its files.
 _SUFFIXES = {"csv": ".csv", "mat": ".mat", "text": ".txt", "txt": ".txt", "json": ".json", "recording": ".h5"}
@@ -23,7 +23,7 @@ _SUFFIXES = {"csv": ".csv", "mat": ".mat", "text": ".txt", "txt": ".txt", "json"
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A file to write, and what writes it."""
+    """A file to write, and its writer."""
 
     format: str
     path: Path
@@ -32,11 +32,11 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A file that was written.
+    """A written file.
 
     Parameters
     ----------
-    notes : what the format cannot say, in words.
+    notes : information that the format cannot hold, in words.
     """
 
     format: str
@@ -47,7 +47,7 @@ class Written:
 def checked_targets(
     scene: str, seed: int, output: Path | None, formats: tuple[str, ...], plugins: Plugins
 ) -> tuple[Target, ...]:
-    """Say where a scene goes in each format, our own first; nothing of it exists yet.
+    """Return the file of a scene in each format, our own first; none exists yet.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def checked_targets(
     targets = [Target(OWN_FORMAT, own, _writer(OWN_FORMAT, plugins))]
     for name in dict.fromkeys(formats):
         if name != OWN_FORMAT:
-            writer = _writer(name, plugins)  # first: an unknown name may be no part of a file's
+            writer = _writer(name, plugins)  # first: an unknown name may not be valid in a file name
             beside = own.with_name(f"{own.stem}.{name}{_SUFFIXES.get(name.rpartition('-')[2], '')}")
             targets.append(Target(name, beside, writer))
     _check_suffix(own)
@@ -72,7 +72,7 @@ def checked_targets(
 
 
 def _check_suffix(own: Path) -> None:
-    """Refuse to write HDF5 under a name that promises, to people and to other programs, something else."""
+    """Refuse to write HDF5 under a name that suggests another format."""
     if own.suffix.lower() in set(_SUFFIXES.values()) - {_SUFFIXES["recording"]}:
         raise RefusedError(
             f"{own} must be an HDF5 file; its suffix is {own.suffix}",
@@ -81,24 +81,24 @@ def _check_suffix(own: Path) -> None:
 
 
 def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Written, ...]:
-    """Write every file or, where one is refused, none.
+    """Write every file or, if one is refused, none.
 
     Raises
     ------
     RefusedError
-        If a format cannot hold such a recording, or a file is there by now.
+        If a format cannot hold such a recording, or a file exists by now.
     """
     begun: list[Path] = []
     try:
         written: list[Written] = []
         for target in targets:
-            if os.path.lexists(target.path):  # simulating takes a while; what came meanwhile is somebody's
+            if os.path.lexists(target.path):  # the simulation takes a while; files created meanwhile are the user's
                 raise RefusedError(f"{target.path} was created in the meantime", remedy="name another file")
             begun.append(target.path)
             written.append(_written(recorded, target))
     except BaseException:
         for path in begun:
-            with suppress(OSError):  # a folder, or a name that no file can have
+            with suppress(OSError):  # a folder, or an impossible file name
                 path.unlink()
         raise
     return tuple(written)
@@ -142,23 +142,23 @@ def _writable(plugins: Plugins) -> list[str]:
         try:
             if isinstance(create_plugin(plugins, Kind.RECORDING, PluginChoice(name), "--format"), RecordingWriter):
                 names.append(name)
-        except Exception:  # noqa: BLE001 - a stranger's code may raise anything; it is no help here
+        except Exception:  # noqa: BLE001 - a plugin's code may raise anything; its error is no help here
             continue
     return names
 
 
 def _file_name(scene: str) -> str:
-    """A scene's name as part of a file's: other signs than letters, digits, . _ - become a dash."""
+    """A scene's name as part of a file name: other characters than letters, digits, . _ - become a dash."""
     return re.sub(r"[^\w.-]+", "-", scene).strip(".-") or "scene"
 
 
 @contextmanager
 def made_folder(folder: Path, output: Path | None) -> Iterator[None]:
-    """Make the folder that a scene is written to, and take away what of it is new and empty if it fails.
+    """Make the output folder of a scene, and remove new, empty folders on failure.
 
     Parameters
     ----------
-    output : what the user named, if anything; the remedy depends on it.
+    output : named by the user, or None; the remedy depends on it.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def made_folder(folder: Path, output: Path | None) -> Iterator[None]:
         yield
     except BaseException:
         for above in new:
-            with suppress(OSError):  # somebody's files are in it
+            with suppress(OSError):  # it has files of the user
                 above.rmdir()
         raise
 

@@ -1,4 +1,4 @@
-"""What a person reads of a scene: its effects with their costs and parameters, or what was recorded of it."""
+"""Report of a scene: its effects with their costs and parameters, or its recording."""
 
 import json
 import re
@@ -13,12 +13,13 @@ from cbsr_qa.studies.scenes.explain import Explained, ExplainedEffect
 from cbsr_qa.studies.scenes.run import SceneRun
 
 _NONE: Final = "–"
-#: Effects of these stages act as the sheet is made, as heads move or before frames are written, and not in a frame.
+#: Effects of these stages act when the sheet is made, when heads move or before frames are written, not within a
+#: frame.
 _ONCE_STAGES: Final = ("sheet", "position", "geometry", "recording")
 _COLUMNS: Final = ("stage", "effect", "ms/frame", "share", "parameters; needs")
-_BAR: Final = 5  # signs of an effect that costs as much as a whole frame
+_BAR: Final = 5  # characters of the bar of an effect that costs as much as a whole frame
 
-# Sentences, in the order they are read.
+# Sentences, in reading order.
 _ON: Final = "{on} of {effects} on"
 _NOT_MEASURED: Final = "costs not measured"
 _FRAME: Final = "a frame takes {frame} ms{recording}"
@@ -57,7 +58,7 @@ def _total(explained: Explained) -> str:
 
 
 def _on(effects: Sequence[ExplainedEffect], frame_ms: float | None) -> Table:
-    """Effects in order of stage, which stands at the first of each."""
+    """Effects in order of stage, which is given for the first of each."""
     columns = (*_COLUMNS[:2], *_COLUMNS[4:]) if frame_ms is None else _COLUMNS
     rows, last = [], ""
     for effect in effects:
@@ -70,7 +71,7 @@ def _on(effects: Sequence[ExplainedEffect], frame_ms: float | None) -> Table:
 
 
 def _cost(effect: ExplainedEffect, frame_ms: float) -> tuple[str, str]:
-    """Milliseconds a frame and a bar as long as their share of a whole one, or what happens once a scene."""
+    """Milliseconds per frame and a bar for their share of a whole frame, or the cost once per scene."""
     if effect.perturbs in _ONCE_STAGES:
         return _milliseconds(effect.once_ms or 0.0), "once"
     each_ms = effect.each_ms or 0.0
@@ -87,7 +88,7 @@ def _parameters(parameters: Mapping[str, Any]) -> str:
 
 
 def plainly(value: Any) -> str:
-    """Write a parameter as people write it in a scene file."""
+    """Format a parameter as written in a scene file."""
     if isinstance(value, Mapping):
         return f"{{{_parameters(value)}}}"
     if isinstance(value, list | tuple):
@@ -107,7 +108,7 @@ def _off(effects: Iterable[ExplainedEffect]) -> Table:
 
 
 def scene_outcome(run: SceneRun) -> CommandOutcome[SceneRun]:
-    """Lay out what was recorded, with what each format does not say."""
+    """Lay out the recording, with the losses of each format."""
     headline = _FRAMES.format(frames=plural(run.frames, "frame"), seconds=run.duration_s)
     reason = _LOST.format(lost=run.frames_lost) if run.frames_lost else ""
     reason += _DUMPS.format(dumps=plural(run.dumps, "watchdog dump")) if run.dumps else ""

@@ -21,7 +21,7 @@ _MOST_REHEARSED: Final = 200  # frames
 
 @dataclass(frozen=True, slots=True)
 class SceneRunRequest:
-    """What a user asks for; see the options of ``cbsr-qa scene run``."""
+    """A user's request; see the options of ``cbsr-qa scene run``."""
 
     scene: str
     output: Path | None = None
@@ -31,7 +31,7 @@ class SceneRunRequest:
 
 @dataclass(frozen=True, slots=True)
 class RecordedLoad:
-    """A load as it was commanded and timed, and where it truly pressed, and how far (no place if it never touched).
+    """A load as commanded and timed, with its true place and depth (no place if it never touched).
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ class RecordedLoad:
 
 @dataclass(frozen=True, slots=True)
 class SceneRun:
-    """A scene that was simulated and written.
+    """A simulated and written scene.
 
     Parameters
     ----------
     frames_lost, dumps : frames cut by lost rows, and pauses of a board.
-    duration_s : when the last frame is over, pauses included.
+    duration_s : end of the last frame, including pauses.
     files : the HDF5 recording first.
     analyse : the command to try with the recording.
     """
@@ -93,8 +93,8 @@ def run_scene(
     Raises
     ------
     RefusedError
-        With nothing written: a file is wrong, a load or an effect impossible, a format cannot be written or does not
-        hold such a recording, or a file exists already.
+        If a file is wrong, a load or an effect is impossible, a format cannot be written or cannot hold such a
+        recording, or a file exists already; nothing is written then.
     """
     plugins = discover()
     setup = set_up(request.scene, plugins, recorded=True)
@@ -118,7 +118,7 @@ def _scene_run(
     setup: SceneSetup, seed: int, recorded: RecordedScene, files: tuple[Written, ...], remarks: Mapping[int, str]
 ) -> SceneRun:
     plan, dumps = setup.plan, recorded.transcript.dumps
-    # A recording states a sensor type by name, which stands for a shipped one.
+    # A recording names its sensor type, which means a shipped one.
     own = setup.sensor_type.document.path
     named = [] if own is None else ["--sensor-type", str(own)]
     return SceneRun(
@@ -139,9 +139,9 @@ def _scene_run(
 
 
 def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, ...]) -> None:
-    """Write unloaded frames in every format, so a format that fails is refused before the simulation.
+    """Write unloaded frames in every format, so that failing formats are refused before the simulation.
 
-    One frame, or those up to the first in which a board pauses.
+    One frame, or those up to a board's first pause.
     """
     if len(targets) == 1 or not setup.plan.frame_count:
         return
@@ -158,7 +158,6 @@ def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, .
 def _labelled(
     recorded: RecordedScene, world: SimulatedWorld, setup: SceneSetup, plugins: Plugins, notes: tuple[str, ...]
 ) -> RecordedScene:
-    """Describe the simulation and the software in the recording."""
     on = set(world.chain.names)
     theirs = {(r.distribution, r.version) for r in plugins.registrations(Kind.EFFECT) if r.name in on}
     others = sorted(theirs - {("cbsr-qa", cbsr_qa.__version__)})

@@ -11,10 +11,10 @@ from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.plugin import Kind, Plugins
 from cbsr_qa.simulate import EffectFactory, SimulatedSheet, SimulatedWorld
 
-#: What a scene is explained with that leaves its sensor to a station.
+#: Sensor and material used to explain a scene that leaves them to a station.
 USUAL_SENSOR_TYPE, USUAL_MATERIAL = "disc-100mm", "cbsr-8wt"
 
-#: What a scene that is to be recorded may lack → what it does not say then, and the lines to add.
+#: Optional parts of a scene that a recording needs → the complaint, and the lines to add.
 _LACKING = {
     "sensor": ("what to simulate", f'[sensor]\nsensor_type = "{USUAL_SENSOR_TYPE}"\nmaterial = "{USUAL_MATERIAL}"'),
     "recording": ("for how long", "[recording]\nseed = 7\nduration_s = 60.0"),
@@ -28,7 +28,7 @@ class SceneSetup:
     Parameters
     ----------
     loaded : the scene's plan and document.
-    sensor_type, material : what is simulated.
+    sensor_type, material : simulated ones.
     """
 
     loaded: Loaded[ScenePlan]
@@ -37,12 +37,12 @@ class SceneSetup:
 
     @property
     def plan(self) -> ScenePlan:
-        """All the file says."""
+        """Content of the scene's file."""
         return self.loaded.value
 
     @property
     def label(self) -> str:
-        """How messages name the scene."""
+        """Name of the scene in messages."""
         return self.loaded.document.label
 
 
@@ -52,13 +52,13 @@ def set_up(scene: str, plugins: Plugins | None = None, *, recorded: bool) -> Sce
     Parameters
     ----------
     scene : path or shipped name.
-    plugins : with them the parameters of effects are checked with the rest of the file.
-    recorded : whether it must say what is simulated and recorded; otherwise the usual sensor stands in.
+    plugins : used to check the parameters of effects with the rest of the file.
+    recorded : whether it must state what is simulated and recorded; otherwise the usual sensor is used.
 
     Raises
     ------
     ConfigError
-        If a file is missing or wrong, a load cannot be pressed, or the scene does not say what is recorded.
+        If a file is missing or wrong, a load cannot be pressed, or the scene does not state what is recorded.
     """
     loaded = load_scene_plan(scene, plugins)
     if recorded:
@@ -102,7 +102,7 @@ def made_world(
     Raises
     ------
     ConfigError
-        If its effects do not fit together; names the scene's file.
+        If its effects do not fit together, with the scene's file.
     """
     chosen = setup.plan if plan is None else plan
     with naming(setup.label):

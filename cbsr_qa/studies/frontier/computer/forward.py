@@ -1,6 +1,6 @@
-"""Voltages of a sheet: what exactness costs in unknowns, time and memory, by size and order of the elements.
+"""Voltages of a sheet: the cost of accuracy in unknowns, time and memory, by size and order of the elements.
 
-Time is processor time of one core, so that what else a machine does is not counted.
+Time is processor time of one core, independent of the machine's other load.
 """
 
 import time
@@ -40,26 +40,26 @@ _ARC_CONTACT_MM: Final = 2.5  # z γ of the arcs; 0.05 radii
 _PIN_CONTACT_MM: Final = 0.2
 _INCLUSION: Final = (0.5, 3.0)  # radius over the sheet's, and conductance over the sheet's
 _HEAD_MM, _CONTRAST = 6.5, 0.5
-_ENTRY_BYTES: Final = 12  # a double and where it stands
-_LEAST_S: Final = 2e-3  # shorter bursts are as long as the clock is coarse on some systems
+_ENTRY_BYTES: Final = 12  # a double and its index
+_LEAST_S: Final = 2e-3  # shorter bursts are below the clock's resolution on some systems
 _REPEATS: Final = 7
 
 
 def timed(run: Callable[[], T]) -> tuple[T, float]:
-    """Run once and return what came of it and the processor time [s]; with several threads, the sum over them."""
+    """Run once and return the result and the processor time [s]; with several threads, the sum over them."""
     before = time.process_time()
     result = run()
     return result, time.process_time() - before
 
 
 def fastest_s(run: Callable[[], object], repeats: int = _REPEATS) -> float:
-    """Processor time of one call [s]: the fastest of some bursts, each of as many calls as fill two milliseconds."""
+    """Processor time of one call [s]: the fastest of several bursts of two milliseconds."""
     calls = _calls(run)
     return min(_burst_s(run, calls) for _ in range(repeats)) / calls
 
 
 def _calls(run: Callable[[], object]) -> int:
-    """How many calls a burst needs; the first ones also fill caches."""
+    """Number of calls per burst; the first ones also fill caches."""
     calls = 1
     while _burst_s(run, calls) < _LEAST_S:
         calls *= 2
@@ -112,14 +112,14 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
 
 
 def memory_bytes(elements: FiniteElements, electrodes: int) -> float:
-    """What a prepared sheet holds [bytes]: factors, matrix, element matrices, potentials of its electrodes.
+    """Memory of a prepared sheet [bytes]: factors, matrix, element matrices, potentials of its electrodes.
 
-    The factors of contacts are left out: a part in a thousand.
+    Factors of contacts, a part in a thousand, are left out.
     """
     cells, stiffness = elements.cells, elements.stiffness
     k = cells.shape[1]
     rows, columns = np.append(np.repeat(cells, k, axis=1), 0), np.append(np.tile(cells, k), 0)
-    values = np.append(stiffness, 1.0)  # the last holds a node: potentials have a free constant
+    values = np.append(stiffness, 1.0)  # the last has a fixed node: potentials have a free constant
     matrix = sparse.csc_matrix((values, (rows, columns)), shape=(elements.count,) * 2)
     options = {"SymmetricMode": True, "Equil": False}
     factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, relax=1, panel_size=1, options=options)

@@ -1,6 +1,6 @@
-"""Images: what methods, smoothing and the density of the mesh do to where loads are put, and what they cost in time.
+"""Images: effect of methods, smoothing and mesh density on the places of loads, and their cost in time.
 
-Of applying an imaging matrix: what single precision and large blocks of frames cost in digits and save in time.
+For imaging matrices: digits lost and time saved by single precision and large blocks of frames.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -31,7 +31,7 @@ BATCHES: Final = (1, 16, 256, 4096)
 SERIES_METHODS: Final = "reconstruction"
 SERIES_MESHES: Final = "image mesh"  # and the method's name
 
-#: λ over a method's own choice; for a count of components, the count over its own.
+#: λ relative to a method's own choice; for a count of components likewise.
 FACTORS: Final[Mapping[str, tuple[float, ...]]] = {
     "hyperparameter": (0.03, 0.1, 0.3, 3.0, 10.0, 30.0),
     "components": (0.25, 0.5, 0.75, 1.5, 2.0),
@@ -39,7 +39,7 @@ FACTORS: Final[Mapping[str, tuple[float, ...]]] = {
 IMAGE_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0, 2.5, 2.0)
 USUAL_IMAGE_SIZE_MM: Final = 3.0
 
-_SLOW_SEEDS: Final = 2  # of methods that are not one matrix: a frame takes them a thousand times as long
+_SLOW_SEEDS: Final = 2  # for methods that are not a single matrix: a frame takes them a thousand times as long
 
 _DIGITS: Final = 4096
 _CHOOSING: Final = frozenset({"noise_figure", "choose"})
@@ -57,17 +57,17 @@ class MethodSetting:
     smoothing: str = ""
 
 
-#: What the shipped recipes image with.
+#: Method of the shipped recipes.
 RECIPES_METHOD: Final = MethodSetting(
     "gauss-newton-noser", (("noise_figure", 1.0), ("exponent", 0.25)), "hyperparameter"
 )
 
 
 def registered_methods() -> Iterator[MethodSetting]:
-    """Registered reconstructions that image single frames as differences, with what they are given λ by.
+    """Registered reconstructions that image single frames as differences, with their option for λ.
 
-    Left out are those that want neighbouring frames or a sensor's own readings, or that are not installed. λ is
-    varied only where ``prepare`` declares to return one matrix: images of others take too long.
+    Those that need neighbouring frames or a sensor's own readings, or are not installed, are left out. λ is varied
+    only if ``prepare`` declares to return one matrix: images of others take too long.
     """
     plugins = discover()
     for name in plugins.names(Kind.RECONSTRUCTION):
@@ -91,11 +91,11 @@ def _smoothing_of(factory: Callable[..., Any]) -> str:
 def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
     """Measure one method with one λ on the base scene's nine loads; a refusal is a point with the reason as its note.
 
-    ``compute_s`` is the image of one frame, ``setup_s`` preparing the method for a problem that is there already.
+    ``compute_s`` is the image of one frame, ``setup_s`` preparing the method for an existing problem.
 
     Parameters
     ----------
-    factor : λ, or the number of components, over the method's own choice.
+    factor : λ, or the number of components, relative to the method's own choice.
     seeds : simulated sensors; methods that are not one matrix get two.
     """
     knobs: dict[str, Knob] = {"method": method.name, **dict(method.options), "smoothing_over_own": factor}
@@ -145,9 +145,9 @@ def _imaged(
 
 
 def _unseen(problem: ImagingProblem, knobs: Mapping[str, Knob]) -> ImagingProblem:
-    """The same problem but for the last digits of a reading, so that no method finds what it kept of another setting.
+    """The same problem except for the last digits of a reading, so that methods reuse no cache of another setting.
 
-    Which digits follows from the setting alone: figures are the same in every process.
+    The digits follow from the setting alone, so that results are the same in every process.
     """
     reference = problem.reference.copy()
     reference[0] *= 1 + (1 + crc32(repr(knobs).encode()) % _DIGITS) * np.finfo(np.float64).eps
@@ -159,7 +159,7 @@ def _repeats(prepared: PreparedReconstruction) -> int:
 
 
 def _linearise(sensor_type: SensorType, image_size_mm: float) -> None:
-    """What a problem is made of, anew: the image's mesh, and its Jacobian for one reading of each reciprocal pair."""
+    """Compute a problem again: the image's mesh, and its Jacobian for one reading of each reciprocal pair."""
     group, _ = sensor_type.pattern.reading_groups()
     drive, measure = np.unravel_index(np.unique(group, return_index=True)[1], group.shape)
     mesh = image_mesh(sensor_type, size_mm=image_size_mm)
@@ -167,7 +167,7 @@ def _linearise(sensor_type: SensorType, image_size_mm: float) -> None:
 
 
 def made(method: MethodSetting, **instead: float) -> Reconstruction:
-    """The method with its options; one that is given instead takes the place of those by which λ is chosen."""
+    """The method with its options; a given option replaces those by which λ is chosen."""
     options = {name: value for name, value in method.options if not (instead and name in _CHOOSING)}
     made: Reconstruction = discover().factory(Kind.RECONSTRUCTION, method.name)(**options, **instead)
     return made
@@ -175,7 +175,7 @@ def made(method: MethodSetting, **instead: float) -> Reconstruction:
 
 @lru_cache(maxsize=64)
 def _own_choice(method: MethodSetting) -> float:
-    """λ, or what stands for it, that a method chooses on the sensor type's nominal problem."""
+    """λ, or its equivalent, chosen by a method on the sensor type's nominal problem."""
     problem = imaging_problem(base_scene_readings(1).sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
     return made(method).prepare(problem).choice.value
 
@@ -187,7 +187,7 @@ def _smoothed(method: MethodSetting, value: float, problem: ImagingProblem) -> P
     whole = max(1, round(value))
     try:
         return made(method, components=whole).prepare(problem)
-    except NumericsError:  # two components that belong together: there is a count beside it that parts no pair
+    except NumericsError:  # a pair of components: an adjacent count splits no pair
         return made(method, components=whole + 1).prepare(problem)
 
 
@@ -245,7 +245,7 @@ def _matrix() -> Array:
 
 @lru_cache(maxsize=1)
 def _changes() -> Array:
-    """Changes of the nine loads of a simulated sensor, (9, m)."""
+    """Changes of a simulated sensor for the nine loads, (9, m)."""
     readings = base_scene_readings(1)
     problem = imaging_problem(readings.sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
     return sensor_changes(readings, 0, made(RECIPES_METHOD).prepare(problem))[1]

@@ -1,4 +1,4 @@
-"""Where images put nine loads, and how large they make them: simulated noisy readings of the base scene, judged."""
+"""Places and sizes of nine loads in images, from simulated noisy readings of the base scene."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,24 +20,24 @@ from cbsr_qa.studies.frontier.point import Accuracy
 
 Array = NDArray[np.float64]
 
-NOISE_FRAMES: Final = 8  # as the recipes: the noise floor is of these
+NOISE_FRAMES: Final = 8  # as in the recipes: frames of the noise floor
 REFERENCE_FRAMES: Final = 4
 STEADY_FRAMES: Final = 4
 
 _SCENE: Final = "base"
 _HOLD_S: Final = 120.0  # longer than the material needs to settle
-_APART_S: Final = 600.0  # of each load nothing is left when the next one comes
+_APART_S: Final = 600.0  # long enough for the residue of each load to vanish
 _FIRST_S: Final = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedReadings:
-    """Readings of one simulated sensor after the other, each with its own seed.
+    """Readings of simulated sensors, each with its own seed.
 
     Parameters
     ----------
-    unloaded : (seeds, frames, drives, measures) [V], of the rested sheet: those of the noise floor, then those of
-        the reference.
+    unloaded : (seeds, frames, drives, measures) [V], of the rested sheet: for the noise floor, then for the
+    reference.
     loaded : (seeds, n, drives, measures) [V] under n heads, each the mean of the last frames of a hold.
     """
 
@@ -51,12 +51,12 @@ class SimulatedReadings:
 def base_scene_readings(seeds: int) -> SimulatedReadings:
     """Simulate the shipped base scene's nine loads of 20 % strain, with seeds from 1 on; once per process.
 
-    Loads press so far apart in time that nothing of the one before is left; all else is as in the scene.
+    Loads are so far apart in time that no residue remains; otherwise the scene is unchanged.
 
     Raises
     ------
     ConfigError
-        If there is no seed.
+        If there are no seeds.
     """
     if seeds < 1:
         raise ConfigError(f"{seeds} seeds, and no sensor to simulate", remedy="simulate at least one sensor")
@@ -101,7 +101,6 @@ def _frame(world: SimulatedWorld, index: int) -> Array:
 
 
 def _steady(world: SimulatedWorld, pressed: PressedLoad) -> Array:
-    """Mean of the last whole frames of a hold."""
     last = int(pressed.record.release_start_s / world.setting.frame_period_s)
     frames = np.array([_frame(world, index) for index in range(last - STEADY_FRAMES, last)])
     mean: Array = frames.mean(axis=0)
@@ -109,8 +108,8 @@ def _steady(world: SimulatedWorld, pressed: PressedLoad) -> Array:
 
 
 _MASK: Final = 0.85  # the recipes' main mask
-_ROUNDING: Final = 1e-9  # values below are no signal, however quiet the unloaded frames
-#: Figures of merit: unit, and what is better.
+_ROUNDING: Final = 1e-9  # smaller values are not signal, however quiet the unloaded frames
+#: Figures of merit: unit, and direction of improvement.
 _FIGURES: Final[dict[str, tuple[str, Literal["more", "less"]]]] = {
     "E_CoM": ("mm", "less"),
     "A_OL": ("%", "more"),
@@ -143,10 +142,10 @@ def sensor_changes(readings: SimulatedReadings, number: int, prepared: PreparedR
 
 
 def _sensor(prepared: PreparedReconstruction, readings: SimulatedReadings, number: int) -> list[Array]:
-    """Figures of each load of one sensor, (n, 3); not a number where it left no blob."""
+    """Figures of each load of one sensor, (n, 3); NaN without a blob."""
     quiet, loaded = sensor_changes(readings, number, prepared)
     floor = max(noise_floor(prepared.images(quiet)), _ROUNDING)
-    # One frame at a time, as on a rig: an image must not depend on the frames beside it.
+    # One frame at a time, as on a rig: an image must not depend on its neighbours.
     return [
         _load(prepared.images(change[None])[0], prepared.problem.mesh, head, floor)
         for change, head in zip(loaded, readings.heads, strict=True)
@@ -162,7 +161,7 @@ def _load(image: Array, mesh: Mesh, head: Footprint, floor: float) -> Array:
 
 
 def _mean(values: Array, unit: str, better: Literal["more", "less"] = "less") -> Accuracy:
-    """Mean over sensors with its standard error, which a single sensor does not tell."""
+    """Mean over sensors with its standard error, which needs at least two."""
     count = len(values)
     stderr = float(values.std(ddof=1) / np.sqrt(count)) if count > 1 else None
     return Accuracy(float(values.mean()), stderr, unit, better)

@@ -1,4 +1,4 @@
-"""The sweeps of the computer's clock: tasks that can be measured in any order and any process."""
+"""Sweeps of computing time: tasks that can be measured in any order and any process."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -32,22 +32,22 @@ from cbsr_qa.studies.frontier.recommend import undominated_within_errors
 SEEDS: Final = 8
 QUICK_SEEDS: Final = 3
 
-_VERSION: Final = 1  # of what is measured: points of another are not comparable
+_VERSION: Final = 1  # of the measured quantity: points of different versions are not comparable
 _QUICK_SIZES_MM: Final[Mapping[str, Mapping[int, tuple[float, ...]]]] = {
     "arc": {1: (3.0,), 2: (10.0, 7.5)},
     "pin": {1: (3.0,), 2: (12.0, 8.0)},
 }
 _LAPLACE: Final = MethodSetting("gauss-newton-laplace", (), "hyperparameter")
 _GREIT: Final = MethodSetting("greit", (), "hyperparameter")
-#: Settings of image and mesh that the quick sweep tries.
+#: Settings of image and mesh in the quick sweep.
 _QUICK_METHODS: Final = ((RECIPES_METHOD, 0.3), (RECIPES_METHOD, 1.0), (RECIPES_METHOD, 3.0), (_LAPLACE, 1.0))
 _QUICK_MESHES: Final = ((RECIPES_METHOD, 6.0), (RECIPES_METHOD, 3.0), (_GREIT, 6.0))
-_GREIT_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0)  # its training takes seconds on finer ones
+_GREIT_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0)  # its training takes seconds on finer meshes
 _QUICK_BATCHES: Final = (1, 256)
 
 
 def computer_tasks(*, quick: bool = False) -> list[Task]:
-    """Return every point of the computer's clock, still to be measured; a few of each series if it is to be quick."""
+    """Return the tasks of computing time; for the quick sweep a few of each series."""
     return [
         *_forward(_QUICK_SIZES_MM if quick else SIZES_MM),
         *_precision(_QUICK_BATCHES if quick else BATCHES),
@@ -57,10 +57,10 @@ def computer_tasks(*, quick: bool = False) -> list[Task]:
 
 
 def worth_their_time(points: Sequence[Point]) -> tuple[bool, ...]:
-    """Tell of every point whether it is undominated within errors among those of its series.
+    """Return for every point whether it is undominated within errors among those of its series.
 
-    Settings that are one matrix of the same size do the same arithmetic: what the clock says of them apart is chance,
-    and each costs the least that was measured. A setting that was refused is not worth anything.
+    Settings with one matrix of the same size do the same arithmetic: measured differences are chance, and each gets
+    the lowest cost. A refused setting is never worth its time.
     """
     costs = _shared_costs(points)
     flags = [False] * len(points)
@@ -117,13 +117,12 @@ def _task(series: str, knobs: Mapping[str, Knob], run: Callable[[], Point], **mo
 
 
 def _distribution(method: MethodSetting) -> str:
-    """Distribution and version that a method comes from."""
     registered = (plugin for plugin in discover().registrations(Kind.RECONSTRUCTION) if plugin.name == method.name)
     return next((f"{plugin.distribution} {plugin.version}" for plugin in registered), "")
 
 
 def _shared_costs(points: Sequence[Point]) -> dict[int, float]:
-    """Time of every point that has one, by its place [s]."""
+    """Time of every point that has one, by index [s]."""
     costs, least = {}, dict[tuple[str, float], float]()
     for at, point in enumerate(points):
         if point.compute_s is not None and point.accuracy:
@@ -135,5 +134,5 @@ def _shared_costs(points: Sequence[Point]) -> dict[int, float]:
 
 
 def _matrix_bytes(point: Point) -> float:
-    """Size of the one matrix an image is made with; 0 for anything else."""
+    """Size of the single matrix of an image; 0 otherwise."""
     return point.costs.get("memory_bytes", 0.0) if point.series == SERIES_METHODS else 0.0

@@ -1,4 +1,4 @@
-"""Accuracy against the number of presses, on presses of one's own."""
+"""Accuracy as a function of the number of presses, for the user's own recording."""
 
 from cbsr_qa import door
 

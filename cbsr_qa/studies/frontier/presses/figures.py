@@ -1,4 +1,4 @@
-"""Error of place against the number of presses, and what the regions hold."""
+"""Error of place and coverage of the regions against the number of presses."""
 
 from collections.abc import Sequence
 from typing import Final

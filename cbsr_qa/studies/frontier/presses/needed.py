@@ -1,4 +1,4 @@
-"""How many presses to make for a wished error of place: tried, or by a power law where the errors follow one."""
+"""Number of presses for a wished error of place: among those tried, or by a power law if the errors follow one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ from cbsr_qa.studies.frontier.recommend import joint_stderr
 from cbsr_qa.studies.frontier.study import Needed, Recommendation
 
 PLACE: Final = "place_error"
-#: Numbers of presses that a power law is fitted to at least: two parameters, and two to contradict them.
+#: Least number of points for a power law: two parameters, and two to contradict them.
 _FEWEST_FITTED: Final = 4
-#: A law fits unless deviations as large as its own have a smaller probability.
+#: A law fits unless deviations as large as its own are less probable than this.
 _FITS: Final = 0.05
-#: Exponent over its standard error, below which errors are not known to fall.
+#: Least exponent, over its standard error, of errors that decrease.
 _FALLS: Final = 2.0
-#: Times the largest number that was tried, beyond which no law is believed.
+#: Extrapolation is limited to this factor of the largest number tried.
 _FURTHEST: Final = 8.0
 
 
 def recommended_presses(points: Sequence[Point], wish_mm: float | None) -> Recommendation:
-    """Choose the smallest number of presses whose error, with its standard error, is at most what is wished.
+    """Choose the smallest number of presses whose error plus its standard error meets the wish.
 
     Without a wish, the smallest that no larger number beats by more than their joint standard error.
     """
@@ -49,9 +49,10 @@ def recommended_presses(points: Sequence[Point], wish_mm: float | None) -> Recom
 
 
 def needed_presses(points: Sequence[Point], wish_mm: float) -> tuple[Needed | None, str]:
-    """Extrapolate errors to a wish, and say it; None where no power law fits, or the wish is too far away.
+    """Extrapolate errors to a wish, and describe it; None if no power law fits, or the wish is too far away.
 
-    A law error = a n^(−b) is fitted to logarithms with their standard errors, from as small a number on as it fits.
+    A law error = a n^(−b) is fitted to logarithms with their standard errors, from the smallest number from which it
+    fits.
     """
     law = next(filter(None, (_PowerLaw.of(points[first:]) for first in range(len(points)))), None)
     if law is None:
@@ -79,7 +80,7 @@ class _PowerLaw:
 
     @classmethod
     def of(cls, points: Sequence[Point]) -> "_PowerLaw | None":
-        """Fit by weighted least squares; None if it does not fit or nothing falls."""
+        """Fit by weighted least squares; None if it does not fit or does not decrease."""
         errors = [point.accuracy[PLACE] for point in points]
         if len(points) < _FEWEST_FITTED or not all(error.stderr and error.value > 0 for error in errors):
             return None

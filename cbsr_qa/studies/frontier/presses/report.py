@@ -1,4 +1,4 @@
-"""What a person reads of accuracy against the number of presses."""
+"""Report of accuracy against the number of presses."""
 
 from collections.abc import Sequence
 from typing import Final

@@ -1,4 +1,4 @@
-"""One draw of presses: learned from as ``cbsr-qa calibrate`` does, others located."""
+"""One draw of presses, learned as by ``cbsr-qa calibrate``; others are located."""
 
 import time
 from dataclasses import dataclass, replace
@@ -10,20 +10,20 @@ from cbsr_qa.calibration.place import PlaceEstimator, mahalanobis
 from cbsr_qa.calibration.presses import LabelledPresses, learn_presses
 from cbsr_qa.domain import Array, Indices, Mask
 
-#: Frames that are located one by one for their time.
+#: Frames located one by one to measure the time.
 _TIMED: Final = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """Presses located with what was learned from others.
+    """Presses located after learning from others.
 
     Parameters
     ----------
-    located : (k,) rows of these presses.
+    located : (k,) rows of the located presses.
     error_mm : (k,) distance of the places found from the true ones.
     inside : (k, 2) whether the regions of 68 and 95 % hold the true places.
-    in_model : (k,) whether each was taken for a touch like those learned from.
+    in_model : (k,) whether each was recognised as a touch like those learned from.
     learning_s, frame_s : time of registering and learning, and of locating one frame.
     """
 
@@ -36,7 +36,7 @@ class Trial:
 
 
 def in_random_order(labelled: LabelledPresses) -> LabelledPresses:
-    """The same without times: presses drawn at random lie between those that they locate, and need no drift."""
+    """The same without times: randomly drawn presses lie between those located, and need no drift."""
     return replace(labelled, presses=replace(labelled.presses, time_s=None))
 
 

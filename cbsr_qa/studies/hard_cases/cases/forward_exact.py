@@ -68,8 +68,6 @@ def _against_series(
 
 
 def _with_inclusion(contrast: float) -> Answer:
-    """A concentric inclusion against its Fourier series."""
-
     def model_of(disc: ForwardModel) -> ForwardModel:
         inside = np.hypot(*disc.mesh.centroids_mm.T) < _INSIDE
         return disc.changed(conductance=np.where(inside, contrast, 1.0))
