@@ -21,10 +21,10 @@ from cbsr_qa.plugin import (
     shown,
 )
 
-#: ``effect_factory(name)`` returns what makes the effect: ``factory(setting, **parameters)``.
+#: ``effect_factory(name)`` returns the factory of an effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
 
-#: What an effect may perturb, in the order in which a world comes to it.
+#: What an effect may perturb, in the order of evaluation.
 STAGES: Final = (
     "sheet",
     "position",
@@ -40,13 +40,13 @@ STAGES: Final = (
     "recording",
 )
 
-#: Stages whose effects have a method of their own instead of ``apply``: the method, and what has it.
+#: Stages whose effects have their own method instead of ``apply``: the method, and what has it.
 _OWN_METHODS: Final[Mapping[str, tuple[str, type]]] = {
     "sheet": ("design(design)", SheetEffect),
     "recording": ("record(transcript)", RecordingEffect),
 }
 
-#: What effects of a stage change of a moment, and must leave finite.
+#: What effects of a stage change in a moment, and must leave finite.
 _CHANGED: Final[Mapping[str, tuple[str, ...]]] = {
     "position": ("place_mm", "depth_mm"),
     "geometry": ("surface_mm",),
@@ -95,10 +95,10 @@ class Chain:
     def apply(self, stage: str, moment: Moment) -> None:
         """Apply the effects of a stage to a moment, in order.
 
-        PluginError if one fails, or leaves what is no finite number.
+        PluginError if one fails, or leaves a value that is not finite.
         """
         for name, effect in self._stages[stage]:
-            try:  # not _blaming: this is most of what is called
+            try:  # not _blaming: this is the most frequent call
                 effect.apply(moment)
                 finite = _finite(stage, moment)
             except CbsrError:
@@ -126,7 +126,6 @@ def _applied(named: Iterable[tuple[str, AnyEffect]], stage: str) -> Iterator[tup
 
 
 def _finite(stage: str, moment: Moment) -> bool:
-    """Whether the values of a stage are finite, or flagged as missing."""
     for attribute in _CHANGED[stage]:
         value = getattr(moment, attribute)
         if attribute == "voltages" and value is not None and moment.flags is not None:
@@ -144,7 +143,6 @@ def _all_finite(value: Any) -> bool:
 
 @contextmanager
 def _blaming(name: str) -> Iterator[None]:
-    """Name the effect whose code fails."""
     try:
         yield
     except CbsrError:
@@ -163,10 +161,9 @@ def _failed(name: str, error: BaseException, when: str = "") -> PluginError:
 def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFactory) -> Chain:
     """Create a scene's effects, in its order.
 
-    ConfigError if an effect is on twice, lacks what it needs or comes before it, or before one that is on and that it
-    says it acts ``after``; perturbs nothing known, or is given a parameter it does not have; PluginError if there is
-    no such effect (raised by ``effect_factory``). ``effect_factory``: finds an effect's factory by name; only names
-    that are on are asked for.
+    ConfigError if an effect is enabled twice, comes before (or without) one that it needs, comes before one that it
+    acts ``after``, perturbs nothing known, or gets an unknown parameter; PluginError if it does not exist (raised by
+    ``effect_factory``). ``effect_factory``: finds an effect's factory by name; called for enabled effects only.
     """
     made: dict[str, AnyEffect] = {}
     for choice in scene.effects:
@@ -238,7 +235,7 @@ def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[st
             )
 
 
-#: In words, for every scene; docs/explanation/simulation.md has what each effect leaves out by itself.
+#: In words, for every scene; docs/explanation/simulation.md lists the omissions of each effect.
 NOT_MODELLED: Final[tuple[str, ...]] = (
     "the third dimension of the sheet, and heating by the current",
     "capacitance: currents are direct",

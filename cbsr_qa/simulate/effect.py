@@ -1,4 +1,4 @@
-"""What effects of a scene have in common: options that are read before anything is simulated."""
+"""Base of a scene's effects: options are validated before anything is simulated."""
 
 from typing import Annotated, Any, ClassVar, Final
 
@@ -8,7 +8,7 @@ from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import SceneSetting
 from cbsr_qa.plugin import PluginOptions
 
-#: Beyond any quantity of a scene: its square is still a number, and so is its ratio to the smallest that counts.
+#: Above any quantity of a scene: its square is still finite, and so is its ratio to the smallest relevant one.
 BEYOND: Final = 1e15
 
 Amount = Annotated[float, Field(ge=0, le=BEYOND)]
@@ -17,15 +17,15 @@ Electrode = Annotated[int, Field(ge=0, le=10**6, description="the number of an e
 
 
 class SceneEffect:
-    """An effect that is made of its options and the scene's setting.
+    """An effect created from its options and the scene's setting.
 
-    Subclasses say what they perturb, and have the method of that stage (``apply``, ``design`` or ``record``).
-    ConfigError naming every option that is unknown, missing or wrong, or does not fit the setting. ``options``: as of
-    the class's own ``Options``; without one there are none.
+    Subclasses declare what they perturb, and have the method of that stage (``apply``, ``design`` or ``record``).
+    ConfigError naming every option that is unknown, missing or wrong, or does not fit the setting. ``options``: those
+    of the class's own ``Options``, if any.
     """
 
     Options: ClassVar[type[PluginOptions]] = PluginOptions
-    #: Effects that must be on and come before this one, and those that come before it where they are on.
+    #: Effects that must be enabled and come before this one, and those that come before it if they are enabled.
     needs: tuple[str, ...] = ()
     after: tuple[str, ...] = ()
     options: PluginOptions
@@ -39,13 +39,13 @@ class SceneEffect:
 
 
 def check_at_most(name: str, value: float, most: float, why: str) -> None:
-    """Refuse an option that is too large for the scene it is used in. ConfigError naming option, value and limit."""
+    """Refuse an option that is too large for its scene. ConfigError naming option, value and limit."""
     if value > most:
         raise ConfigError(f"{name} is {value}", remedy=f"it must be at most {most:g}: {why}")
 
 
 def check_electrode(name: str, value: int, setting: SceneSetting) -> None:
-    """Refuse an electrode that the sensor type does not have (ConfigError)."""
+    """Refuse an electrode that the sensor type lacks (ConfigError)."""
     last = setting.sensor_type.electrodes.count - 1
     if value > last:
         raise ConfigError(f"{name} is {value}", remedy=f"electrodes are numbered from 0 to {last}")

@@ -18,13 +18,13 @@ from cbsr_qa.simulate.sheet import Place, SimulatedSheet
 class SimulatedRing:
     """Resistors between neighbouring electrodes, in place of a sheet.
 
-    It is plugged in where the sensor is, so that what leads, source, meter and converter do to a reading they do here
-    too. Effects on the sheet and its contacts do nothing: the resistors are soldered, and there is nothing to press.
-    ConfigError if there are not as many as electrodes; NumericsError if one is not above zero.
+    It is connected in place of the sensor, so that leads, source, meter and converter affect its readings too.
+    Effects on the sheet and its contacts do nothing: the resistors are soldered, and nothing is pressed. ConfigError
+    if there are not as many as electrodes; NumericsError if one is not above zero.
 
     Parameters
     ----------
-    design : of the sheet that is not there; its electrodes are the ring's terminals.
+    design : of the replaced sheet; its electrodes are the ring's terminals.
     resistances_ohm : the first between electrodes 0 and 1, the last between the last one and 0.
     """
 
@@ -56,12 +56,12 @@ class SimulatedRing:
         return 0.0
 
 
-#: Relative conductance changes below this are not solved for. A used reading changes by less than the change itself,
-#: in units of the mean reading, even with the head beside a pin: what is left out is three orders below the noise of
-#: the quieter shipped material (1.9e-4 in the same units).
+#: Relative conductance changes below this are not solved for. A used reading changes by less than that, in units of
+#: the mean reading, even with the head beside a pin: the error is three orders below the noise of the quieter shipped
+#: material (1.9e-4 in the same units).
 NEGLIGIBLE_CHANGE: Final = 1e-7
 
-_SHORTEST_S: Final = 1e-6  # between two ends of ramps that are told apart
+_SHORTEST_S: Final = 1e-6  # between distinct ends of ramps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,9 +72,9 @@ class SimulatedFrame:
     ----------
     voltages : (drives, measures) [V].
     flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.ReadingFlag`.
-    time_s : (drives, measures) of each reading on the station's clock; None where all are taken at once.
-    current_A : (drives, measures) what flowed while each reading was taken.
-    drive_ohm : (drives, measures) resistance that its driven pair showed to the source then.
+    time_s : (drives, measures) of each reading on the station's clock; None if all are simultaneous.
+    current_A : (drives, measures) current during each reading.
+    drive_ohm : (drives, measures) resistance of its driven pair at that time.
     """
 
     voltages: Array
@@ -87,9 +87,9 @@ class SimulatedFrame:
 class FrameMaker:
     """Computes frames of a sheet with the effects of a scene.
 
-    Readings that are taken one after the other see the sheet at different times. It is solved where ramps begin and
-    end within the frame, and once between, and readings are read off the parabola through each three: the change of a
-    frame of 2.5 s that relaxes with a time constant of 5 s is followed to 2e-3 of itself.
+    Sequential readings see the sheet at different times. It is solved at the ends of ramps within the frame, and once
+    between, and readings are interpolated by parabolas: a relaxation with a time constant of 5 s in a frame of 2.5 s
+    is accurate to 2e-3 of its change.
     """
 
     def __init__(self, sheet: SimulatedSheet | SimulatedRing, chain: Chain) -> None:
@@ -106,7 +106,7 @@ class FrameMaker:
         Parameters
         ----------
         moment_at : makes the moment of a time, always with the frame's own index.
-        pauses_s : (drives,) how much later each row is read, where readings are not all taken at once.
+        pauses_s : (drives,) delay of each row, if readings are not simultaneous.
         """
         moment = moment_at(time_s)
         self._chain.apply("times", moment)
@@ -114,7 +114,7 @@ class FrameMaker:
             moment.reading_offsets_s = moment.reading_offsets_s + pauses_s[:, None]
         offsets = moment.reading_offsets_s
         moment.impedance_ohm, per_ampere, drive_ohm, measure_ohm = self._solved(moment_at, moment)
-        # A dead short is nothing but rounding, of either sign; so is a parabola at the end of one.
+        # A dead short is only rounding, of either sign; so is a parabola at the end of one.
         moment.drive_ohm, moment.measure_ohm = np.maximum(drive_ohm, 0.0), np.maximum(measure_ohm, 0.0)
         moment.current_A = np.full(self._pattern.shape, moment.setting.current_A)
         moment.flags = np.zeros(self._pattern.shape, dtype=np.uint8)
@@ -125,7 +125,7 @@ class FrameMaker:
         return SimulatedFrame(moment.voltages, moment.flags, own_s, moment.current_A, moment.drive_ohm)
 
     def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array, Array, Array]:
-        """Transfer impedance in the middle; readings per ampere and the ohms of their two pairs, at their times."""
+        """Transfer impedance in the middle; readings per ampere and resistances of their pairs, at their times."""
         offsets = moment.reading_offsets_s
         contact_mm = self._contacts(moment)
         if offsets is None or not self._changes(moment):
@@ -179,13 +179,13 @@ class FrameMaker:
 
 
 def _between(pairs: Array, impedance_ohm: Array) -> Array:
-    """Resistance that each of some pairs (electrodes, pairs) shows: (pairs,)."""
+    """Resistance of some pairs (electrodes, pairs): (pairs,)."""
     ohm: Array = np.einsum("ep,ep->p", pairs, impedance_ohm @ pairs)
     return ohm
 
 
 def _by_place(moment: Moment) -> dict[Place, float]:
-    """Sum the changes of presses at one place; faded ones are left out."""
+    """Sum the changes of presses at one place, without faded ones."""
     total: dict[Place, float] = {}
     for press, change in zip(moment.presses, moment.response, strict=True):
         place = (press.x_mm, press.y_mm)
@@ -194,8 +194,8 @@ def _by_place(moment: Moment) -> dict[Place, float]:
 
 
 def _knots(presses: Sequence[SimulatedPress], switches: Sequence[float], first_s: float, last_s: float) -> Array:
-    """Times between which everything is smooth: the ends of a frame, of ramps and steps within it, (k,) rising."""
-    # A step is a piece of its own, too short for a reading: those before it do not see what comes after.
+    """Times between which everything is smooth: ends of the frame, and of ramps and steps within it, (k,) rising."""
+    # A step is a separate piece, too short for a reading: readings before it are not affected by it.
     steps = {end for at_s in switches for end in (at_s - 2 * _SHORTEST_S, at_s) if first_s < end < last_s}
     knots = sorted({first_s, last_s} | steps)
     for end in [end for p in presses for step in p.steps for end in (step.start_s, step.start_s + step.ramp_s)]:

@@ -36,13 +36,13 @@ class Sheet(Protocol):
         ...
 
     def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
-        """Place that the head reaches when told to go somewhere; the index counts its movements."""
+        """Place that the head reaches for a commanded place; the index counts its movements."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class _Stroke:
-    """The last vertical movement, as it really is."""
+    """The last true vertical movement."""
 
     start_s: float
     duration_s: float
@@ -55,7 +55,7 @@ class PressWriter:
     """Tracks the true position of a head, and records presses below the true surface.
 
     Presses are appended to the sheet's list; their ramps begin and end on ticks of the clock where movements do.
-    ``at`` is where the head begins, and ``first_index`` the address of its first movement's random numbers.
+    ``at`` is the initial place, and ``first_index`` the address of the first movement's random numbers.
     """
 
     def __init__(self, sheet: Sheet, at: HeadPosition, *, first_index: int = 0) -> None:
@@ -67,7 +67,7 @@ class PressWriter:
 
     @property
     def true(self) -> HeadPosition:
-        """Place that the last movement leads to."""
+        """True place after the last movement."""
         return self._true
 
     def count_from(self, index: int) -> None:
@@ -79,7 +79,7 @@ class PressWriter:
         self._true = self._arrival(to, time_s)
 
     def stroke(self, to: HeadPosition, start_s: float, duration_s: float, speed_mm_s: float) -> None:
-        """Start to move up or down; the part below the true surface is recorded now."""
+        """Start to move up or down; the part below the true surface is recorded immediately."""
         x_mm, y_mm, true_mm = self._true
         surface = self._sheet.surface_mm(x_mm, y_mm, start_s)
         self._true = (x_mm, y_mm, self._arrival(to, start_s)[2])
@@ -93,7 +93,7 @@ class PressWriter:
             self._pressing = None
 
     def halt(self, time_s: float) -> None:
-        """Stop the head at a given time: the rest of its last stroke is dropped."""
+        """Stop the head at a given time: the rest of its last stroke is discarded."""
         stroke, self._stroke = self._stroke, None
         if stroke is None or time_s >= stroke.start_s + stroke.duration_s:
             return
@@ -135,14 +135,14 @@ def _until(step: StrainRamp, time_s: float) -> StrainRamp:
 
 
 _CONTACT_FORCE_N: Final = 0.2  # the rig's
-_SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; deeper than any seat is wrong
+_SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; a greater depth is always wrong
 
 
 class SimulatedHead:
     """A head over a sheet. Depths are below the nominal surface, so that hovering is a negative depth.
 
-    Every movement takes whole ticks of the clock; where the head is below the true surface, it is appended to the
-    sheet's presses as a strain ramp. ``first_index`` is the address of the first movement's random numbers.
+    Every movement takes whole ticks of the clock; the part below the true surface is appended to the sheet's presses
+    as a strain ramp. ``first_index`` is the address of the first movement's random numbers.
     """
 
     def __init__(self, clock: Clock, sheet: Sheet, motion: Motion, *, role: str, first_index: int = 0) -> None:
@@ -173,7 +173,7 @@ class SimulatedHead:
         self._written.travel((*self._place, self._depth_mm), self._clock.now())
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
-        """Move to a depth below the surface found here (or else found nearest, or else nominal)."""
+        """Move to a depth below the surface found here (or else the nearest found, or else nominal)."""
         surface = self._surface_mm()
         self._speed_mm_s = speed_mm_s
         if self._depth_mm < surface - CLEARANCE_MM:
@@ -188,7 +188,7 @@ class SimulatedHead:
         self._go(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
 
     def drop_everything(self) -> None:
-        """Start lifting at the travel speed and return; the next movement waits until the head is up."""
+        """Start lifting at the travel speed and return; the next movement waits for the lift."""
         up_s = self._start(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
         self._free_at_s = max(self._free_at_s, up_s)
 
@@ -236,7 +236,7 @@ class SimulatedHead:
         )
 
     def _surface_mm(self) -> float:
-        """Assumed height of the surface: found here, or else found nearest, or else nominal."""
+        """Assumed height of the surface: found here, or else the nearest found, or else nominal."""
         if not self._found:
             return 0.0
         return self._found[min(self._found, key=lambda place: math.dist(place, self._place))]
@@ -249,7 +249,7 @@ class SimulatedHead:
         """Start a movement now; the part below the true surface is recorded; return its end."""
         start = self._clock.now()
         if depth_mm == self._depth_mm:
-            return start  # told to stay, it does: no new error, no ramp of no length
+            return start  # commanded to stay, it does: no new error, no ramp of zero length
         duration_s = in_ticks(abs(depth_mm - self._depth_mm) / speed_mm_s)
         self._depth_mm = depth_mm
         self._written.stroke((*self._place, depth_mm), start, duration_s, speed_mm_s)

@@ -1,8 +1,8 @@
 """Linear viscoelasticity of presses: hereditary integrals over linear ramps, exactly.
 
-A quantity that answers a unit step of strain with K(t) answers the history ε(t) with ∫ K(t − s) ε̇(s) ds
-(Boltzmann superposition). A press is a few linear ramps, so the integral is a sum of closed forms: no time step,
-no memory between frames, and any moment can be asked for in any order.
+A quantity with the step response K(t) to strain responds to the history ε(t) with ∫ K(t − s) ε̇(s) ds (Boltzmann
+superposition). A press is a few linear ramps, so the integral is a sum of closed forms: no time step, no memory
+between frames, and moments can be computed in any order.
 """
 
 import math
@@ -13,11 +13,11 @@ from typing import Final
 from cbsr_qa.domain.plan import SimulatedPress, StrainRamp
 from cbsr_qa.domain.sensor import QuasiStatic, Relaxation
 
-#: A relative change below which a press is forgotten; a hundredth of what is solved for.
+#: Relative change below which a press is forgotten; a hundredth of the smallest change solved for.
 FORGOTTEN: Final = 1e-9
 
 #: Strain over which the intercept of a quasi-static line fades in: one step of the surface search, 0.05 mm of 4 mm.
-#: Below it the fitted line says nothing, and without load there is no response.
+#: Below it the fitted line is meaningless, and without load there is no response.
 CONTACT_STRAIN: Final = 0.0125
 
 
@@ -74,14 +74,13 @@ def quasi_static(line: QuasiStatic, strain: float) -> float:
 class Transients:
     """Transients of presses.
 
-    While a press moves its ramps are added up one by one; once it is over they are one exponential for each time
-    constant, and what that begins with is kept: a run's presses are over most of the time.
+    While a press moves its ramps are added up one by one; after its end they are one exponential per time constant,
+    with cached amplitudes, since most presses of a run are over.
 
     Parameters
     ----------
-    loading, lifting : kernels that answer ramps on which the head presses harder, and on which it lifts; None for
-        none.
-    line : turns ramps of strain into ramps of the quasi-static change; None to take those of strain.
+    loading, lifting : kernels for ramps on which the head presses harder, and on which it lifts, or None.
+    line : turns ramps of strain into ramps of the quasi-static change; None to use those of strain.
     """
 
     def __init__(

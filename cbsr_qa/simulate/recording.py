@@ -27,7 +27,7 @@ from cbsr_qa.simulate.head import SimulatedHead
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.system import VirtualClock
 
-#: Movements of a head, the addresses of their random numbers, are counted from this multiple of its number less one.
+#: Addresses of a head's movements start at this multiple of its number less one.
 HEAD_BLOCK: Final = 1 << 24
 
 
@@ -38,8 +38,8 @@ class PressedLoad:
     Parameters
     ----------
     index : in the scene's list, from 0.
-    record : as a rig would have noted it: where and how deep its head was told to go, and when it did.
-    press : what the sheet had of it; None where the head did not reach the true surface.
+    record : as noted by a rig: commanded place and depth, and times.
+    press : as felt by the sheet; None if the head did not reach the true surface.
     """
 
     index: int
@@ -49,7 +49,7 @@ class PressedLoad:
 
     @property
     def true_strain(self) -> float:
-        """Deepest true strain: the sheet may lie off nominal, and heads may err."""
+        """Deepest true strain: the sheet may be off nominal, and heads may err."""
         if self.press is None:
             return 0.0
         return max(self.press.strain_at(step.start_s + step.ramp_s) for step in self.press.steps)
@@ -58,8 +58,8 @@ class PressedLoad:
 def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[PressedLoad, ...]:
     """Let every head of a scene press its loads, each on its own clock.
 
-    Returns in the scene's order. RefusedError if a load strains the sheet, as it truly lies and is, by 100 % or more.
-    ``world``: presses are appended to its list, those of head 1 first.
+    Returns them in the scene's order. RefusedError if a load strains the true sheet by 100 % or more. ``world``:
+    presses are appended to its list, those of head 1 first.
     """
     pressed: list[PressedLoad] = []
     for number, loads in plan.heads().items():
@@ -121,7 +121,7 @@ def _rested(pressed: list[PressedLoad]) -> list[PressedLoad]:
 def head_path(plan: ScenePlan, thickness_mm: float, time_s: Array) -> tuple[SampleBlock, ...]:
     """Commanded position of head 1 at some times: x, y from the sheet's centre and z over the hover height [mm].
 
-    As in the rig's CSV: z falls from 0, and is −hover at the nominal surface. Between presses the head goes on at
+    As in the rig's CSV: z falls from 0, and is −hover at the nominal surface. Between presses the head moves on at
     once and waits over the next place; without a load it stays over the centre.
     """
     corners = [(0.0, 0.0, 0.0, 0.0)]
@@ -139,7 +139,7 @@ def head_path(plan: ScenePlan, thickness_mm: float, time_s: Array) -> tuple[Samp
     )
 
 
-#: Samples of force and place a second: of the rig's load cell; a power of two, so that their times are exact.
+#: Samples of force and place per second: of the rig's load cell; a power of two, so that their times are exact.
 SAMPLE_RATE_HZ: Final = 8
 
 
@@ -149,7 +149,7 @@ class RecordedScene:
 
     Parameters
     ----------
-    transcript : which rows those are, and where a board paused.
+    transcript : recorded rows, and pauses of a board.
     """
 
     recording: Recording
@@ -170,11 +170,10 @@ def planned_middles_s(plan: ScenePlan) -> Array:
 def frame_times_s(transcript: Transcript) -> tuple[Array, Array]:
     """Times of frames from a board that pauses.
 
-    A frame's time is its planned middle and what the board had paused up to the row in the frame's middle (of 16 rows
-    the ninth, the first that is read after it): a dump before that row makes the frame itself late, one behind it
-    only the rest of its rows. Returns (frames,) times of the frames, and (frames, drives) how much later than with
-    its frame's time each row is read, [s]; below zero for rows that were read before a dump in the frame's first
-    half.
+    A frame's time is its planned middle plus the board's pauses up to the row in its middle (the ninth of 16, the
+    first one read after it): a dump before that row delays the frame, a later one only the rest of its rows. Returns
+    (frames,) times, and (frames, drives) delays of rows relative to their frame's time [s], negative for rows read
+    before a dump in the frame's first half.
     """
     pauses_s = transcript.pauses_s()
     middle_s = pauses_s[:, pauses_s.shape[1] // 2]
@@ -188,7 +187,7 @@ def record_scene(
 
     Everything is addressed (frames by their number, force samples by theirs) and done one after the other, so that
     the same scene and seed give the same bytes everywhere. RefusedError if a load strains the sheet by 100 % or more,
-    or an effect leaves nothing that can be solved. ``progress``: told how many frames of how many are taken.
+    or an effect leaves an unsolvable sheet. ``progress``: called with the numbers of frames taken and in total.
     """
     transcript = world.transcript(planned_middles_s(plan))
     paused_s = sum(dump.pause_s for dump in transcript.dumps)
@@ -197,7 +196,7 @@ def record_scene(
     cell = _LoadCell(world, end_s)
 
     def taken(done: int, of: int) -> None:
-        cell.read_up_to(done / of)  # along with the frames: of slow frames they take most of the time
+        cell.read_up_to(done / of)  # along with the frames: they take most of the time of slow frames
         progress(done, of)
 
     frames = _frames(world, transcript, taken)
@@ -254,6 +253,5 @@ class _LoadCell:
         self._count = end
 
     def samples(self, plan: ScenePlan) -> tuple[SampleBlock, ...]:
-        """All force samples, and the path of head 1."""
         cell = SampleBlock("force", "N", self._time_s, self._force_N)
         return (cell, *head_path(plan, self._world.setting.sensor_type.thickness_mm, self._time_s))

@@ -18,10 +18,10 @@ from cbsr_qa.eit.mesh import sheet_mesh
 Place = tuple[float, float]
 
 _ORDER: Final = 2  # of the elements; the image's Jacobian is another mesh's
-_PLACES: Final = 512  # whose covers are kept
+_PLACES: Final = 512  # number of cached covers
 
 
-#: Finest mesh, of the sheet's radius: a minute to prepare; half of it has more points than the mesher makes.
+#: Finest mesh, of the sheet's radius, which takes a minute; half of it exceeds the mesher's points.
 _FINEST: Final = 0.02
 
 
@@ -34,9 +34,9 @@ class SimulatedSheet:
     """A sheet scaled to the material's mean inter-electrode resistance.
 
     The model is solved for a mean sheet conductance of 1 S and contact impedances in mm: all voltages of a sheet of
-    mean conductance γ₀ whose contacts scale with it are 1/γ₀ of these, exactly. RefusedError if electrodes were moved
-    out of place: off the sheet, or onto each other. ``size_mm``: element size far from the electrodes; keep it
-    different from the image's.
+    mean conductance γ₀ whose contacts scale with it are exactly 1/γ₀ of these. RefusedError if electrodes were moved
+    off the sheet, or onto each other. ``size_mm``: element size far from the electrodes; keep it different from the
+    image's.
     """
 
     def __init__(self, design: SheetDesign, *, size_mm: float, interelectrode_resistance_ohm: float) -> None:
@@ -58,7 +58,7 @@ class SimulatedSheet:
     def voltages(self, changes: Mapping[Place, float]) -> Array:
         """Readings per ampere for local changes under heads: (drives, measures) [V/A].
 
-        Parameters and errors as of :meth:`impedance`.
+        Parameters and errors as for :meth:`impedance`.
         """
         return self.readings(self.impedance(changes))
 
@@ -67,7 +67,7 @@ class SimulatedSheet:
 
         Returns (electrodes, electrodes) float64 [V/A], for currents that sum to zero and differences of potentials.
         RefusedError if a head lies wholly outside the sheet; NumericsError if a change would leave an element without
-        conductance. Places that are changed together are right to 1e-8 of the mean reading, single ones to rounding.
+        conductance. Several changed places are accurate to 1e-8 of the mean reading, single ones to rounding.
 
         Parameters
         ----------
@@ -81,8 +81,8 @@ class SimulatedSheet:
     def impedances(self, changes: Sequence[Mapping[Place, float]], contact_mm: Array | None = None) -> Array:
         """The same at moments within a frame, up to third-order terms in the change since the first.
 
-        Parameters and errors as of :meth:`impedance`; a place that has not changed at a moment may be left out there.
-        Returns (moments, electrodes, electrodes) float64 [V/A].
+        Parameters and errors as for :meth:`impedance`; unchanged places may be left out. Returns (moments,
+        electrodes, electrodes) float64 [V/A].
         """
         places = {place: self.load_at(place) for moment in changes for place in moment}
         loads = [{load: moment.get(place, 0.0) for place, load in places.items()} for moment in changes]
@@ -151,7 +151,6 @@ class SimulatedSheet:
 
 
 def _moved(sensor_type: SensorType, shift_mm: Array) -> SensorType:
-    """The sensor type with displaced electrodes."""
     if not shift_mm.any():
         return sensor_type
     layout = sensor_type.electrodes

@@ -4,10 +4,9 @@ A counter-based generator (Philox 4×64; Salmon et al. 2011, "Parallel random nu
 each address an independent sequence that can be reached at once. So turning an effect on changes no other
 effect's numbers, and neither the number of cores nor a restart changes any.
 
-Addresses of a simulated bench's random numbers within a run: what is measured, never when.
+Addresses of a simulated bench's random numbers depend on what is measured, never on when.
 
-A step that is done again after an interruption gives the numbers it would have given at first, whatever happened
-before it and however long the head travelled to get there.
+A step repeated after an interruption gives the same numbers as at first, independent of its history.
 """
 
 import hashlib
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain import Array, RefusedError
 from cbsr_qa.system import Clock
 
-#: Keeps these keys apart from any other use of the same hash.
+#: Separates these keys from any other use of the same hash.
 _PURPOSE: Final = b"cbsr-qa stream"
 _INDICES: Final = 1 << 64
 
@@ -38,7 +37,7 @@ class RandomStream:
         self._key = np.frombuffer(digest, dtype="<u8").astype(np.uint64)
         self._bits = np.random.Philox(key=self._key)
         self._generator = np.random.Generator(self._bits)
-        # Putting the one generator elsewhere costs a fifth of making a new one.
+        # Repositioning the one generator costs a fifth of creating one.
         self._state = self._bits.state
 
     def generator(self, index: int) -> np.random.Generator:
@@ -62,8 +61,8 @@ def _counter(index: int) -> NDArray[np.uint64]:
     return np.array([0, 0, 0, index], dtype=np.uint64)
 
 
-# A phase, a step of it, what the head was told in it, a count: 11, 17, 12 and 24 bits. The runner allows 100 000
-# steps a phase; 2^24 samples of 8 a second are 24 days. A count that runs over goes on in the field above.
+# A phase, a step, an act of the head, a count: 11, 17, 12 and 24 bits. The runner allows 100 000 steps per phase;
+# 2^24 samples at 8 per second are 24 days. An overflowing count continues in the next field.
 _COUNTS: Final = 1 << 24
 _ACTS: Final = 1 << 12
 _STEPS: Final = 1 << 17
@@ -72,9 +71,9 @@ _STEPS: Final = 1 << 17
 class StepAddresses:
     """Counts frames and force samples within the current step and act of the head.
 
-    Samples come at a fixed rate, counted from the beginning of their step or from the last order to the head in it:
-    they stand at the same times from a press whenever it is made. ``rate_hz``: of the samples; a power of two, so
-    that their times are exact.
+    Samples come at a fixed rate, counted from the beginning of their step or from the last order to the head in it,
+    and so have the same times relative to a press. ``rate_hz``: of the samples; a power of two, so that their times
+    are exact.
     """
 
     def __init__(self, clock: Clock, rate_hz: int) -> None:

@@ -1,7 +1,7 @@
 """The simulated world: a sheet, the presses on it, and the effects of a scene.
 
-A moment of it depends on its time, its index and the presses so far, on nothing else: any moment can be asked for,
-in any order, any number of times.
+A moment depends only on its time, its index and the presses so far, so that moments can be computed in any order and
+repeatedly.
 """
 
 from typing import Final
@@ -25,7 +25,7 @@ from cbsr_qa.simulate.chain import EffectFactory, build_chain
 from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame, SimulatedRing
 from cbsr_qa.simulate.sheet import SimulatedSheet, finest_mesh_mm
 
-_TOUCHING: Final = 1e-9  # strain that is more than rounding
+_TOUCHING: Final = 1e-9  # larger strains are not rounding
 
 
 class SimulatedWorld:
@@ -36,9 +36,9 @@ class SimulatedWorld:
     Parameters
     ----------
     effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.build_chain`.
-    contact_length_mm : contact impedance over sheet resistance, where no effect says otherwise.
-    began_s : when on the run's time line the station's clock began, see :class:`~cbsr_qa.domain.plan.SceneSetting`.
-    sheet : made already for another scene with the same effects on the sheet; by default it is made.
+    contact_length_mm : contact impedance over sheet resistance, unless an effect changes it.
+    began_s : start of the station's clock on the run's time line, see :class:`~cbsr_qa.domain.plan.SceneSetting`.
+    sheet : reused from a scene with the same effects on the sheet; by default it is created.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class SimulatedWorld:
         )
         self.chain = build_chain(scene, self.setting, effect_factory)
         self.sheet = self._made(scene, contact_length_mm) if sheet is None else sheet
-        # Noise is the station's, in volts: what is stated relative to the sheet's readings is so beside a ring too.
+        # Noise is the station's, in volts: noise stated relative to the sheet's readings is the same for a ring.
         self._scale_V = _mean_reading_ohm(self.sheet, sensor_type) * scene.current_A
         ring = scene.reference_ring_ohm
         self._connected = SimulatedRing(self.sheet.design, ring) if ring else self.sheet
@@ -88,20 +88,20 @@ class SimulatedWorld:
         """Take one frame.
 
         RefusedError if a press lies outside the sheet, or a change leaves an element without conductance.
-        ``pauses_s``: (drives,) how much later each of its rows is read, where readings are not all taken at once.
+        ``pauses_s``: (drives,) delay of each row, if readings are not simultaneous.
         """
         reach_s = self._frame_reach_s + (float(np.abs(pauses_s).max()) if pauses_s is not None else 0.0)
         felt = [press for press in self.presses if self._is_felt(press, time_s, reach_s)]
         return self._frames.frame(lambda at_s: self._moment(at_s, index, felt), time_s, pauses_s)
 
     def transcript(self, time_s: Array) -> Transcript:
-        """How frames at these times (frames,) [s] are recorded: what is lost, where a board pauses."""
+        """Transcript of frames at these times (frames,) [s]: losses, and pauses of a board."""
         transcript = Transcript.complete(self.setting, time_s)
         self.chain.record(transcript)
         return transcript
 
     def voltages_V(self, time_s: float, index: int) -> Array:
-        """Readings of one frame, (drives, measures) [V]; parameters and errors as of :meth:`frame`."""
+        """Readings of one frame, (drives, measures) [V]; parameters and errors as for :meth:`frame`."""
         return self.frame(time_s, index).voltages
 
     def force_N(self, time_s: float, index: int) -> float:
@@ -128,7 +128,7 @@ class SimulatedWorld:
         return float(self.sheet.design.thickness_mm_at(np.array([[x_mm, y_mm]]))[0])
 
     def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
-        """Place that the head reaches when told to go somewhere; the index counts its movements."""
+        """Place that the head reaches for a commanded place; the index counts its movements."""
         moment = self._moment(time_s, index, [])
         moment.place_mm, moment.from_mm = (to[0], to[1]), (before[0], before[1])
         moment.depth_mm, moment.from_depth_mm = to[2], before[2]
@@ -136,7 +136,7 @@ class SimulatedWorld:
         return (*moment.place_mm, moment.depth_mm)
 
     def _is_felt(self, press: SimulatedPress, time_s: float, reach_s: float) -> bool:
-        """Whether a frame around a time can be affected by a press: it has begun, and has not faded."""
+        """Whether a press can affect a frame around a time: it has begun, and has not faded."""
         if not press.steps or press.steps[0].start_s > time_s + reach_s:
             return False
         lifted = time_s - reach_s - press.end_s
@@ -150,7 +150,7 @@ class SimulatedWorld:
 
 
 class _Moving:
-    """Index of current presses: a run has many samples, and most of them see one press or none."""
+    """Index of current presses: most samples of a run see one press or none."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -162,7 +162,7 @@ class _Moving:
         """Return the presses that may act at a time."""
         last = presses[-1] if presses else None
         if len(presses) != self._count or last is not self._last:
-            # One that is not lifted yet may go on; it is looked at again when the next one has come.
+            # A press not yet lifted may continue; it is checked again when the next one comes.
             lifted = [press.strain_at(press.end_s) <= _TOUCHING for press in presses]
             self._from_s = np.array([p.steps[0].start_s if p.steps else -np.inf for p in presses])
             self._to_s = np.array([p.end_s if up else np.inf for p, up in zip(presses, lifted, strict=True)])

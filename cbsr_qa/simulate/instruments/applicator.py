@@ -1,4 +1,4 @@
-"""An emulated Cartesian force applicator that is told G-code: a Prusa MK3, or a printer with stock Marlin."""
+"""An emulated Cartesian force applicator controlled by G-code: a Prusa MK3, or a printer with stock Marlin."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -11,7 +11,7 @@ from cbsr_qa.simulate.instruments.head import Position
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.streams import Fault
 
-#: A longer line is cut off by the firmware's buffer.
+#: Longer lines are truncated by the firmware's buffer.
 LONGEST_LINE: Final = 96
 
 
@@ -70,10 +70,10 @@ _HOMING_LIFT_MM: Final = 5.0
 #: Mesh levelling, which a plain G28 does on a Prusa [s].
 _LEVELLING_S: Final = 60.0
 _FASTEST_MM_S: Final = (200.0, 200.0, 12.0)
-#: Moves that wait for their turn; another one waits for its acknowledgement.
+#: Most queued moves; another one waits before it is acknowledged.
 _BUFFER: Final = 16
 _BUSY_EVERY_S: Final = 2.0
-#: How long a told BUSY lasts: so many messages, so far apart [s, real time].
+#: Number and spacing of messages of a BUSY fault [s, real time].
 BUSY_MESSAGES: Final = 3
 BUSY_PAUSE_S: Final = 0.45
 
@@ -96,9 +96,9 @@ _FIRMWARE: Final = {
 class EmulatedApplicator:
     """Moves the rig's head by G-code.
 
-    An ``ok`` to a move means that it waits for its turn. Its position is what it believes: until it has homed, and
-    after every reset, that is zero wherever the head stands. ``options``: of the driver's table: ``firmware``,
-    ``steps_per_mm``, ``centre_mm``, ``hover_height_mm``, ``z_axis``.
+    An ``ok`` to a move means that it is queued. Its position is the assumed one: until homing, and after every reset,
+    that is zero wherever the head is. ``options``: of the driver's table: ``firmware``, ``steps_per_mm``,
+    ``centre_mm``, ``hover_height_mm``, ``z_axis``.
     """
 
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
@@ -181,12 +181,12 @@ class EmulatedApplicator:
             return "ok T:21.3 /0.0 B:20.9 /0.0 T0:21.3 /0.0 @:0 B@:0\n"
         if code == "M118":
             return command.partition(" ")[2] + "\nok\n"
-        if code in ("G21", "M17", "M201", "M204"):  # millimetres it has anyway; speeds are constant here
+        if code in ("G21", "M17", "M201", "M204"):  # already in millimetres; speeds are constant here
             return "ok\n"
         doing = getattr(self, f"_{code.lower()}", None) if code[:1] in ("G", "M") and code[1:].isdigit() else None
         return f'echo:Unknown command: "{command}"\nok\n' if doing is None else f"{doing(parameters)}ok\n"
 
-    # --- commands; each returns what it says before its ok ---
+    # --- commands; each returns its output before its ok ---
 
     def _g0(self, parameters: Parameters) -> str:
         return self._g1(parameters)
@@ -216,7 +216,7 @@ class EmulatedApplicator:
     def _g28(self, parameters: Parameters) -> str:
         """Home the named axes, or all.
 
-        A Prusa lifts before it, and levels the mesh after it where no axis was named.
+        A Prusa lifts first, and levels the mesh afterwards if no axis was named.
         """
         reply = self._m400({})
         named = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]

@@ -13,29 +13,28 @@ from cbsr_qa.simulate.instruments.streams import Fault, Port
 Counts = Indices
 
 _PAIRS: Final = 16
-#: Readings away from the driven electrodes fill this much of the converter, so that loads find room.
+#: Readings away from the driven electrodes use this much of the converter, to leave room for loads.
 _FILLED: Final = 0.4
 _UNSIGNED: Final = (0, 2**16 - 1)
 _SIGNED: Final = (-(2**15), 2**15 - 1)
-#: More than this waiting at the other end, and the next row finds no room: somebody does not read [bytes].
+#: With more bytes unread at the other end the next row is lost: nothing reads them.
 _ROOM: Final = 2048
-#: After this much time at once nobody can want every row: what is older than two frames was lost [frames].
+#: After a longer jump in time rows older than two frames are lost [frames].
 _KEPT_FRAMES: Final = 2
-#: How long it starts before its first frame, and what it prints then.
+#: Start-up time before the first frame, and what it prints then.
 _BOOT_S: Final = 0.3
 _BOOT: Final = b"ets Jul 29 2019 12:21:46\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST_FLASH_BOOT)\r\n"
-#: Rounding of times that fall due; far below a row's time [s].
+#: Rounding of due times; far below a row's time [s].
 _NOW_S: Final = 1e-9
 
 
 class EmulatedErtBoard:
     """Sends a row of counts whenever one is due on the clock.
 
-    Counts are ``zero_counts`` plus the reading times a scale that its range is well used by; what lies beyond its
-    range is cut there. Every frame is of the moment in its middle, which is still to come when its first row is sent:
-    only a movement that begins within the frame is not in it, and a driver throws such a frame away. ``options``:
-    ``format``, ``frame_period_s``, ``signed``, ``zero_counts``, ``order`` and ``first_reading`` as the driver takes
-    them.
+    Counts are ``zero_counts`` plus the reading times a scale that uses the range well, clipped to the range. Every
+    frame is computed for its middle, which is still in the future when its first row is sent: only movements that
+    begin within the frame are missing, and drivers discard such frames. ``options``: ``format``, ``frame_period_s``,
+    ``signed``, ``zero_counts``, ``order`` and ``first_reading`` as for the driver.
     """
 
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
@@ -51,7 +50,7 @@ class EmulatedErtBoard:
         self._origin_s = rig.clock.now()
         self._next_row = 0
         self._frame: tuple[int, Counts] | None = None
-        # Addresses of random numbers: others after a restart, and in a session that goes on with a run.
+        # Addresses of random numbers: different after a restart, and in a session that resumes a run.
         self._session = math.ceil(1e3 * rig.world.setting.began_s)
         self._silent = False
         self._last = b""
@@ -77,7 +76,6 @@ class EmulatedErtBoard:
             self._frame = None
 
     def _time_passed(self, now_s: float) -> None:
-        """Send the rows that are due."""
         self._next_row = max(self._next_row, self._due(now_s) - _KEPT_FRAMES * _PAIRS)
         while self._next_row < self._due(now_s) and self._line is not None and not self._silent:
             row, self._next_row = self._next_row, self._next_row + 1
@@ -85,7 +83,6 @@ class EmulatedErtBoard:
                 self._send_row(self._line, row)
 
     def _due(self, now_s: float) -> int:
-        """Number of rows due since scanning began."""
         return int((now_s - self._origin_s + _NOW_S) / self._row_s)
 
     def _send_row(self, line: Port, row: int) -> None:
@@ -107,7 +104,7 @@ class EmulatedErtBoard:
         return None
 
     def _said(self, row: int) -> bytes:
-        """Bytes sent for a row; the text marker is sent as soon as the frame before it ends."""
+        """Bytes sent for a row; the text marker follows as soon as the previous frame ends."""
         frame, pair = divmod(row, _PAIRS)
         counts = self._counts(frame).ravel()[_PAIRS * pair : _PAIRS * (pair + 1)].tolist()
         if self._text:

@@ -15,10 +15,10 @@ from cbsr_qa.system import in_ticks
 
 Position = tuple[float, float, float]
 
-#: Where the machine stands when it is switched on: beside its end stops, not where its firmware believes.
+#: Position of the machine when switched on: beside its end stops, not where its firmware assumes.
 _PARKED_MM: Final = (10.0, 10.0, 40.0)
 _NEAR_MM: Final = 1e-6
-#: A resumed session may begin at any millisecond, and make so many movements (as a power of two).
+#: A resumed session may begin at any millisecond, and make this many movements (as a power of two).
 _MOVEMENTS_BITS: Final = 32
 
 
@@ -41,7 +41,8 @@ class _Way:
 class EmulatedHead:
     """A head on three axes; commands queue motions, which happen as time passes on the clock.
 
-    Speeds are constant: what acceleration costs at 200 mm/s² is left out, as in :mod:`cbsr_qa.domain.plan.steps`.
+    Speeds are constant: the time lost to acceleration at 200 mm/s² is left out, as in
+    :mod:`cbsr_qa.domain.plan.steps`.
     """
 
     def __init__(self, clock: WatchedClock, world: SimulatedWorld, motion: Motion) -> None:
@@ -53,7 +54,7 @@ class EmulatedHead:
         self._upward = 1.0
         self._ways: deque[_Way] = deque()
         self._rests: Position = _PARKED_MM
-        #: How often it was moved sideways while it was in the sheet: never by a driver that lifts first.
+        #: Number of sideways moves within the sheet: zero with a driver that lifts first.
         self.dragged = 0
         self._written = self._writer()
         clock.watch(self._follow)
@@ -61,7 +62,7 @@ class EmulatedHead:
     def mounted(self, centre_mm: tuple[float, float], hover_z_mm: float, *, up: bool = True) -> None:
         """Set the sheet's position in machine coordinates.
 
-        ``hover_z_mm``: where the head is at its hover height, in the machine's z.
+        ``hover_z_mm``: machine z of the hover height.
         """
         self._centre_mm, self._hover_z_mm, self._upward = centre_mm, hover_z_mm, 1.0 if up else -1.0
         self._written = self._writer()
@@ -137,7 +138,7 @@ class EmulatedHead:
             self._ways.clear()
 
     def _writer(self) -> PressWriter:
-        """Start a stroke from the head's position; a resumed session has its own position errors."""
+        """Start a stroke from the head's position; a resumed session has different position errors."""
         first = math.ceil(1e3 * self._world.setting.began_s) << _MOVEMENTS_BITS
         return PressWriter(self._world, self._sheet_position(self._rests), first_index=first)
 

@@ -7,13 +7,13 @@ from typing import Any, Final
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.streams import Fault
 
-#: How long a step takes [s]: the byte, its echo, and the switches.
+#: Duration of a step [s]: the byte, its echo, and the switches.
 _STEP_S: Final = 2e-4
-#: A log line comes after so many steps, before the echo and behind it in turn.
+#: Steps between log lines, which come alternately before and after the echo.
 _LOG_EVERY: Final = 50
-#: The counter has no line end and waits for the next log line [s, real time]; in the firmware it is up to a second.
+#: The counter has no line end and waits for the next log line [s, real time]; in the firmware for up to a second.
 _COUNTER_LATE_S: Final = 0.02
-#: Readings that are further apart do not belong to one round.
+#: Readings further apart belong to different rounds.
 _LONGEST_READING_S: Final = 1.0
 
 _BOOT: Final = (
@@ -24,7 +24,7 @@ _BOOT: Final = (
 
 
 class EmulatedMultiplexer:
-    """Steps through all combinations of its pairs, one of the two in the inner loop.
+    """Steps through all combinations of its pairs, with one of the two in the inner loop.
 
     Its firmware knows no sensor types: it counts, and its pairs are k and k + 1 + skip. ``options``: of the driver's
     table: ``inner``, ``current_skip``, ``voltage_skip``.
@@ -94,7 +94,7 @@ class EmulatedMultiplexer:
         drive, measure = self._pairs()
         wiring = self._rig.wiring
         wiring.frame += counter == 0
-        # Pairs that the sensor type does not name are not simulated; the driver refuses such a firmware.
+        # Pairs missing in the sensor type are not simulated; the driver refuses such a firmware.
         wiring.drive = self._drives.get(frozenset(drive), 0)
         wiring.measure = self._measures.get(frozenset(measure), 0)
 

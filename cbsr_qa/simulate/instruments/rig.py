@@ -14,9 +14,9 @@ from cbsr_qa.simulate.instruments.head import EmulatedHead
 from cbsr_qa.simulate.instruments.streams import Fault, FreeRunning, Port, PtyPort, Served, TcpPort, WatchedClock
 from cbsr_qa.simulate.world import SimulatedWorld
 
-#: More rounds than a session has.
+#: More rounds than in any session.
 _ROUNDS_BITS: Final = 32
-#: A round that takes so many times as long as expected was broken off.
+#: A round that takes so many times longer than expected was interrupted.
 _LATEST_ROUNDS: Final = 3.0
 
 
@@ -27,7 +27,7 @@ class Wiring:
     Parameters
     ----------
     current_A : of the source; None while its output is off.
-    reading_s : time from one reading to the next, as it was last.
+    reading_s : last time between two readings.
     drive, measure : pairs of the sensor type's pattern that the multiplexer connects.
     frame : counts the multiplexer's rounds; readings of one round belong to one frame.
     """
@@ -52,9 +52,9 @@ class Electrical:
 class EmulatedRig:
     """The simulated world shared by emulated instruments.
 
-    The world moves on by commands, never by the computer's time: an instrument that takes time for a command sleeps
-    on the clock, and whoever waits on it moves everything on. Every access holds :attr:`lock`. ``world``: the
-    simulated sheet; its scene says at which current its readings are.
+    Time in the world advances by commands, never by the computer's time: an instrument that takes time for a command
+    sleeps on the clock, which advances everything. Every access holds :attr:`lock`. ``world``: the simulated sheet;
+    its scene gives the current of its readings.
     """
 
     def __init__(self, clock: WatchedClock, world: SimulatedWorld, motion: Motion) -> None:
@@ -62,14 +62,15 @@ class EmulatedRig:
         self.lock = clock.lock
         self.world = world
         self.motion = motion
-        # Rounds count on from elsewhere in a session that goes on with a run: their noise is addressed by the count.
+        # In a session that resumes a run, rounds are counted from another start: their noise is addressed by the
+        # count.
         self.wiring = Wiring(frame=math.ceil(1e3 * world.setting.began_s) << _ROUNDS_BITS)
-        # It watches the clock before any instrument does: what they say of a moment rests on where the head was.
+        # Watches the clock before any instrument does: their readings depend on where the head was.
         self.head = EmulatedHead(clock, world, motion)
         self._taken: tuple[int, float, SimulatedFrame] | None = None
 
     def electrical(self) -> Electrical:
-        """Apply Ohm's law: the commanded current flows, or what the voltage limit drives through the sheet."""
+        """Apply Ohm's law: the commanded current flows, or the one limited by the voltage limit."""
         wiring = self.wiring
         if wiring.current_A is None:
             return Electrical(0.0, 0.0, limited=False)
@@ -83,8 +84,8 @@ class EmulatedRig:
     def frame(self) -> SimulatedFrame:
         """Readings of the multiplexer's current round, at its middle [V at the scene's current].
 
-        The sheet is solved once a round, when its first reading is taken; and again for what is left of a round that
-        was broken off and is gone on with much later.
+        The sheet is solved once per round, at its first reading, and again for the rest of a round that is resumed
+        much later.
         """
         number, now_s = self.wiring.frame, self.clock.now()
         if self._taken is None or self._taken[0] != number or now_s > self._taken[1]:
@@ -128,7 +129,7 @@ class Emulation:
     def addressed(self, spec: InstrumentSpec) -> InstrumentSpec:
         """Return an instrument's table with its emulator's address; unchanged if it is not emulated.
 
-        The table says no more that it is emulated: ask the one it came from.
+        The new table no longer shows that it is emulated: use the original one for that.
         """
         if spec.role not in self.ports:
             return spec

@@ -10,28 +10,29 @@ from cbsr_qa.simulate.instruments.streams import Fault, Port
 from cbsr_qa.simulate.streams import RandomStream
 from cbsr_qa.system import RealClock
 
-#: How long lines that come late are held back, and how long a restart takes [s].
+#: Delay of late lines, and duration of a restart [s].
 LATE_S: Final = 3.0
 _BOOT_S: Final = 1.0
-#: The kernel hands bytes to the far end of a pseudo terminal a moment after they were written [s, real time].
+#: The kernel delivers bytes to the far end of a pseudo terminal a moment after they were written [s, real time].
 _HANDED_OVER_S: Final = 0.01
-#: From so many unread bytes on nobody reads.
+#: With so many unread bytes, nothing reads them.
 _FULL: Final = 3000
 
 
 class LineSender(ABC):
-    """Sends due lines as time passes on the clock, and can be told to do so faultily.
+    """Sends due lines as time passes on the clock, optionally with faults.
 
-    Faults of the link are met here too, since nobody sends commands that could meet them.
+    Faults of the link are handled here too, since there are no commands to trigger them.
     """
 
-    #: What it reads too much once it is told to, in its own unit.
+    #: Excess reading after an overload fault, in its own unit.
     overload: float
 
     def __init__(self, rig: EmulatedRig, send: Callable[[bytes], None], rate_hz: float, banner: str) -> None:
         self._rig, self._send, self._rate_hz, self._banner = rig, send, rate_hz, banner
         self._more = 0.0
-        # A resumed session draws noise of its own: a block of 2³² samples for each millisecond it may have begun at.
+        # A resumed session draws different noise: a block of 2³² samples for each millisecond at which it may have
+        # begun.
         self._first = math.ceil(1e3 * rig.world.setting.began_s) << 32
         self._port: Port | None = None
         self._told: list[Fault] = []
@@ -41,7 +42,7 @@ class LineSender(ABC):
         self._last = b""
         with rig.lock:
             self._sent = int(rig.clock.now() * rate_hz)
-            #: When it was switched on or restarted [s].
+            #: Time of switching on or of the last restart [s].
             self.started_s = rig.clock.now()
             rig.clock.watch(self._follow)
 
@@ -54,7 +55,7 @@ class LineSender(ABC):
         return b""
 
     def misbehave(self, fault: Fault) -> None:
-        """Inject a fault into the next line; an overload lasts from there on."""
+        """Inject a fault into the next line; an overload persists."""
         with self._rig.lock:
             self._told.append(fault)
 
@@ -103,7 +104,6 @@ class LineSender(ABC):
         return line
 
     def _in_time(self, line: bytes, due_s: float) -> bytes:
-        """Return the bytes to send now: a line, nothing, or all lines held back."""
         self._last = line
         self._late += line
         if self._late_until_s is not None and due_s < self._late_until_s:
@@ -112,7 +112,7 @@ class LineSender(ABC):
         return all_of_it
 
     def _hand_over(self, due: bytes) -> None:
-        """Send, and wait until the driver can read it; only then time goes on."""
+        """Send, and wait until the driver can read it before time advances."""
         before = _FULL if self._port is None else self._port.unread()
         self._send(due)
         clock = RealClock()
@@ -125,7 +125,7 @@ class LineSender(ABC):
 _NEWTON_PER_G: Final = 9.80665e-3
 #: Its clock runs fast by this much, as a ceramic resonator's does.
 _DRIFT: Final = 4e-5
-#: What it reads too much once it is told to [N].
+#: Excess reading after an overload fault [N].
 OVERLOAD_N: Final = 200.0
 
 
@@ -160,18 +160,18 @@ _MEAN_C: Final = 22.0
 _SWING_K: Final = 0.3
 _PERIOD_S: Final = 1200.0
 _NOISE_K: Final = 0.01
-#: What it reads too much once it is told to [K].
+#: Excess reading after an overload fault [K].
 OVERLOAD_K: Final = 100.0
 
 
 class EmulatedThermometer(LineSender):
     """Sends the temperature, in the scale that the driver converts back.
 
-    It has a room of its own: the world's effects do not say at which temperature they are.
+    Its temperature is independent: the world's effects do not state theirs.
 
     Parameters
     ----------
-    rig : whose clock it runs by, and whose seed its noise has.
+    rig : gives the clock, and the seed of its noise.
     options : of the driver's table: ``scale``, ``offset``, ``rate_hz``.
     """
 

@@ -13,14 +13,14 @@ from cbsr_qa.simulate.instruments.tsp import RUNTIME_ERROR, Interpreter, TspErro
 
 _IDENTITY: Final = "Keithley Instruments Inc., Model 2634B, 4123456, 3.2.2"
 _LINE_HZ: Final = 50.0
-#: What the instrument prints where there is no number.
+#: Printed by the instrument for a missing number.
 NO_NUMBER: Final = 9.91e37
 _OUT_OF_RANGE: Final = -222
 _COMPLIANCE: Final = 0x40
 _SEVERITY: Final = 20.0
-#: A meter's range ends this far above its nominal end.
+#: Overrange: a meter's range ends this far above its nominal end.
 _OVERRANGE: Final = 1.02
-#: Share of the asked current that a source gives which is at its limit though the sheet would let it.
+#: Share of the requested current that a source at its limit gives, even if the sheet would allow more.
 _STUCK_SHARE: Final = 0.1
 
 _CONSTANTS: Final[Mapping[str, float]] = {
@@ -45,7 +45,7 @@ _CHANNEL_CONSTANTS: Final[Mapping[str, float]] = {
     "SENSE_LOCAL": 0,
     "SENSE_REMOTE": 1,
 }
-#: Attributes of a channel, their values after a reset, and what they may be.
+#: Attributes of a channel, their values after a reset, and allowed values.
 _CHANNEL: Final[Mapping[str, tuple[float, float, float]]] = {
     "sense": (0, 0, 1),
     "source.func": (1, 0, 1),
@@ -69,7 +69,7 @@ _FORMAT: Final[Mapping[str, tuple[float, float, float]]] = {
     "format.byteorder": (1, 0, 1),
     "format.asciiprecision": (6, 1, 16),
 }
-#: What a reset leaves as it is.
+#: Unchanged by a reset.
 _NODE: Final[Mapping[str, tuple[float, float, float]]] = {"localnode.prompts": (0, 0, 1)}
 
 
@@ -90,8 +90,8 @@ class EmulatedSourceMeter:
 
     Parameters
     ----------
-    options : of the driver's table: which channel drives and which measures.
-    send : unused; the instrument only speaks when asked.
+    options : of the driver's table: the driving and the measuring channel.
+    send : unused; the instrument only answers.
     """
 
     def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
@@ -140,7 +140,7 @@ class EmulatedSourceMeter:
         self._attributes[name] = float(value)
         ranges_itself = name.replace(".range", ".autorange")
         if ranges_itself != name and ranges_itself in self._attributes:
-            self._attributes[ranges_itself] = 0.0  # as in the instrument: a range that is set is kept
+            self._attributes[ranges_itself] = 0.0  # as in the instrument, a fixed range is kept
         self._wire()
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
@@ -190,7 +190,6 @@ class EmulatedSourceMeter:
         self._reset()
 
     def _readable(self) -> dict[str, Callable[[], Any]]:
-        """Values of names that are not attributes."""
         fixed = {**_CONSTANTS, "localnode.linefreq": _LINE_HZ}
         for channel in self._buffers:
             fixed.update({f"{channel}.{name}": value for name, value in _CHANNEL_CONSTANTS.items()})
@@ -233,7 +232,7 @@ class EmulatedSourceMeter:
         return ()
 
     def _measured(self, channel: str, quantity: str, buffer: _Buffer | None = None) -> float:
-        """Take the time of one reading; put it into a buffer."""
+        """Take one reading, with its duration; put it into a buffer."""
         self._rig.clock.sleep(self._attributes[f"{channel}.measure.nplc"] / _LINE_HZ)
         value = self._volts(channel) if quantity == "v" else self._amperes(channel)
         limit = self._attributes[f"{channel}.measure.range{quantity}"] * _OVERRANGE
@@ -260,7 +259,6 @@ class EmulatedSourceMeter:
         return self._rig.electrical().current_A * (_STUCK_SHARE if self._stuck else 1.0)
 
     def _limited(self, channel: str) -> bool:
-        """Whether a channel is at its voltage limit."""
         there = self._rig.electrical()
         if channel == self._drives:
             return self._rig.wiring.current_A is not None and (there.limited or self._stuck)

@@ -21,9 +21,9 @@ from typing import Final, Protocol, runtime_checkable
 from cbsr_qa.system import VirtualClock
 
 _READ_BYTES: Final = 4096
-#: How often a thread looks whether it should end [s, real time].
+#: Interval at which a thread checks whether to end [s, real time].
 _LOOK_S: Final = 0.2
-#: How late a delayed reply is: later than any driver waits for an answer [s, real time].
+#: Delay of a delayed reply: longer than any driver waits [s, real time].
 LATE_S: Final = 3.0
 
 
@@ -31,13 +31,13 @@ class WatchedClock(VirtualClock):
     """A virtual clock for several threads, which notifies its watchers as time passes.
 
     The runner sleeps in its own thread, emulated instruments in theirs; a free-running instrument (a load cell that
-    sends eight samples a second) watches, and sends what fell due before the sleep returns. ``start``: the wall time
-    at second 0; by default now.
+    sends eight samples a second) watches, and sends due lines before the sleep returns. ``start``: the wall time at
+    second 0; by default now.
     """
 
     def __init__(self, start: datetime | None = None) -> None:
         super().__init__(start)
-        #: Held while time passes, and by an emulated instrument while it obeys a command.
+        #: Held while time passes, and by an emulated instrument while it executes a command.
         self.lock = threading.RLock()
         self._watchers: list[Callable[[float], None]] = []
 
@@ -63,14 +63,14 @@ class Fault(StrEnum):
     """One fault, triggered by the next command after it was armed."""
 
     DROP = "drop"  #: the link hangs up and stays down
-    SILENCE = "silence"  #: commands are taken, and nothing is ever answered again
-    GARBLE = "garble"  #: one byte of the reply is another one
-    DELAY = "delay"  #: the reply comes after the driver has given up waiting for it
-    STALE = "stale"  #: the reply before comes once more, ahead of the right one
-    RESET = "reset"  #: the instrument restarts and has forgotten everything
+    SILENCE = "silence"  #: commands are accepted, but never answered again
+    GARBLE = "garble"  #: one byte of the reply is wrong
+    DELAY = "delay"  #: the reply comes after the driver's timeout
+    STALE = "stale"  #: the previous reply is repeated before the right one
+    RESET = "reset"  #: the instrument restarts and has lost its state
     COMPLIANCE = "compliance"  #: the source is at its voltage limit from now on
-    RESEND = "resend"  #: the line is asked for once more
-    BUSY = "busy"  #: it says it is busy for a while before it answers
+    RESEND = "resend"  #: a resend of the line is requested
+    BUSY = "busy"  #: it reports busy for a while before it answers
     OVERLOAD = "overload"  #: the force reads far above any ceiling from now on
 
 
@@ -135,7 +135,7 @@ class Port(ABC):
         self._silent = False
         self._last = b""
         self._thread: threading.Thread | None = None
-        #: What the instrument raised, for whoever looks why it fell silent.
+        #: Exception of the instrument, to diagnose its silence.
         self.failure: BaseException | None = None
 
     def serve(self, instrument: Served) -> None:
@@ -199,7 +199,7 @@ class PtyPort(Port):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._master, self._slave = pty.openpty()
-        # The slave stays open here, so that the line lives while no driver has it open.
+        # The slave stays open here, so that the line survives while no driver has it open.
         tty.setraw(self._slave, termios.TCSANOW)
         os.set_blocking(self._master, False)
         self.address = os.ttyname(self._slave)
@@ -224,7 +224,7 @@ class PtyPort(Port):
             if ends[0] >= 0:
                 os.write(self._wake, b"!")
         if self._thread is not None and self._thread is not threading.current_thread():
-            # A descriptor somebody waits on stays open behind its closing: the driver would not see it hang up.
+            # A descriptor that is waited on stays open when closed: the driver would not see the hang-up.
             self._thread.join(timeout=_LOOK_S)
         for end in ends:
             if end >= 0:
@@ -249,7 +249,7 @@ class PtyPort(Port):
                 continue
             except (OSError, ValueError) as error:
                 if isinstance(error, OSError) and error.errno == errno.EIO and self._slave >= 0:
-                    continue  # nobody has it open at the moment
+                    continue  # not open at the moment
                 return
             if not data:
                 continue
@@ -288,7 +288,7 @@ class TcpPort(Port):
         """Close the connection and accept no other."""
         for connection in (self._talking, self._listening):
             if connection is not None:
-                # Closing alone would not wake the thread that waits on it.
+                # Closing alone would not wake the waiting thread.
                 with suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
                 with suppress(OSError):

@@ -61,8 +61,7 @@ class Interpreter:
     def run(self, line: str) -> None:
         """Run a line.
 
-        TspError with -285 if it is not in the language (nothing is run), -286 or the machine's if something fails in
-        it.
+        TspError -285 for a syntax error (nothing is run), -286 or the machine's error if the line fails.
         """
         parser = _Parser(line, self)
         statements = parser.block(within=False)
@@ -95,8 +94,6 @@ class Interpreter:
 
 
 class _Parser:
-    """Parser of one line into statements that can run repeatedly."""
-
     def __init__(self, line: str, interpreter: Interpreter) -> None:
         self._tokens = _tokens(line)
         self._at = 0
