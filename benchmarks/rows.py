@@ -15,7 +15,7 @@ class Row:
     goal : to reach, in words; empty for a figure that is only reported.
     here : what was measured.
     peer : what somebody else's software does in the same run, or its published figure with the source.
-    met : whether the goal is reached; None where there is none.
+    met : whether the goal is reached; None if there is none.
     """
 
     what: str

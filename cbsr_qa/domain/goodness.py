@@ -57,7 +57,7 @@ def explained_share(gain: Array, left: Array, noise: float) -> Array:
     Parameters
     ----------
     gain, left : squares that the model explains and leaves.
-    noise : squares that noise is expected to leave; 0 where it is not known.
+    noise : squares that noise is expected to leave; 0 if unknown.
     """
     signal = np.maximum(gain, np.finfo(np.float64).tiny)
     share: Array = signal / (signal + np.maximum(left - noise, 0.0))

@@ -27,7 +27,7 @@ class Registration:
     Parameters
     ----------
     target : ``"package.module:factory"``, imported on first use.
-    distribution, version : where it came from.
+    distribution, version : its origin.
     """
 
     kind: Kind
@@ -50,7 +50,7 @@ class PluginFailure:
 
 
 class Plugins:
-    """What is installed. Made by :func:`discover`; there is no global instance."""
+    """Installed plugins. Created by :func:`discover`; there is no global instance."""
 
     def __init__(self) -> None:
         self.manager = pluggy.PluginManager(PROJECT)
@@ -59,7 +59,7 @@ class Plugins:
         self._registered: dict[tuple[Kind, str], Registration] = {}
 
     def registrations(self, kind: Kind | None = None) -> tuple[Registration, ...]:
-        """What is registered, sorted by kind and name, whatever order the plugins were found in."""
+        """Registered plugins, sorted by kind and name."""
         chosen = (r for r in self._registered.values() if kind in (None, r.kind))
         return tuple(sorted(chosen, key=lambda r: (r.kind, r.name)))
 
@@ -72,12 +72,12 @@ class Plugins:
         return tuple(r.name for r in self._registered.values() if r.kind is kind)
 
     def factory(self, kind: Kind, name: str) -> Factory:
-        """Import what a name stands for.
+        """Import the factory of a name.
 
         Raises
         ------
         PluginError
-            If nobody registered the name, or its module cannot be imported; says which plugins failed to load.
+            If the name is not registered, or its module cannot be imported; names plugins that failed to load.
         """
         registration = self._registered.get((kind, name))
         if registration is None:
@@ -98,7 +98,7 @@ class Plugins:
         Parameters
         ----------
         hook : name of the hook.
-        warn : told about implementations that fail.
+        warn : called with implementations that fail.
         may_abort : whether an implementation may stop the run.
         arguments : of the hook.
 
@@ -140,7 +140,7 @@ class Plugins:
             self._registered |= pending
 
     def unknown(self, kind: Kind | None, name: str) -> PluginError:
-        """Return the refusal of a name that nobody registered; no kind stands for all of them."""
+        """Return the refusal of an unregistered name; ``kind`` None means all kinds."""
         known = sorted({registration.name for registration in self.registrations(kind)})
         near = get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
@@ -160,7 +160,7 @@ def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None 
     """
     plugins = Plugins()
     available = entry_points(group=PROJECT) if found is None else found
-    # The built-ins go first, so that a stranger cannot take one of their names away.
+    # The built-ins go first, so that third parties cannot take their names.
     for point in sorted(available, key=lambda p: (_provenance(p)[0] != "cbsr-qa", _provenance(p))):
         distribution, version = _provenance(point)[:2]
         if distribution in set(blocked):
@@ -182,7 +182,7 @@ def create_plugin(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str
     PluginError
         If the plugin is unknown, cannot be loaded, or its factory fails.
     ConfigError
-        If it refuses its options; the message names where they are given.
+        If it refuses its options; the message names their origin.
     """
     factory, who = plugins.factory(kind, choice.name), f"{where}: {kind} {choice.name!r}"
     try:
@@ -194,7 +194,7 @@ def create_plugin(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str
 
 
 def left_running(before: Iterable[threading.Thread]) -> list[str]:
-    """Say which threads would hold the end of the program; those from before are not named."""
+    """Name new threads that would delay the end of the program."""
     names = sorted(thread.name for thread in set(threading.enumerate()) - set(before) if not thread.daemon)
     return [f"thread {name!r} of a plugin is still running, and is not waited for" for name in names]
 

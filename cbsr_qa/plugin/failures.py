@@ -15,14 +15,14 @@ class Interruption(BaseException):
 
 
 def failure(error: BaseException) -> str:
-    """Say in one line why a plugin's code failed.
+    """Describe in one line why a plugin's code failed.
 
     Call it from ``except BaseException``: ``SystemExit`` and the like are a plugin's failure as any other error is.
 
     Raises
     ------
     BaseException
-        The same error, where it is not the plugin's: Ctrl-C, an :class:`Interruption`, a generator that is closed.
+        The same error, if it is not the plugin's: Ctrl-C, an :class:`Interruption`, a closed generator.
     """
     if isinstance(error, KeyboardInterrupt | GeneratorExit | Interruption):
         raise error
@@ -30,7 +30,7 @@ def failure(error: BaseException) -> str:
 
 
 def said(error: BaseException) -> str:
-    """Return type and message of an error, printable and of limited length; it raises nothing itself."""
+    """Return type and message of an error, printable and of limited length; never raises."""
     try:
         text = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
     except KeyboardInterrupt:

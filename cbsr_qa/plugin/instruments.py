@@ -14,7 +14,7 @@ from cbsr_qa.system import Clock
 
 @dataclass(frozen=True, slots=True)
 class StationContext:
-    """What an instrument's factory is given.
+    """Context passed to an instrument's factory.
 
     Parameters
     ----------
@@ -26,11 +26,11 @@ class StationContext:
     scene : what a simulated instrument's world contains; None on a real bench.
     effect_factory : finds an effect's factory by name, for simulated instruments; None on a real bench.
     motion : speeds and hover height of the station; :mod:`cbsr_qa.domain.plan.steps` says how long moves take.
-    resumed_at_s : when on the run's own time line this session's clock began; 0 for a new run. What changes with the
-        time of the run (a drift, a contact that opens now and then) goes on from there.
+    resumed_at_s : start of this session's clock on the run's time line; 0 for a new run. Effects that depend on the
+        time of the run (a drift, an intermittent contact) continue from there.
     safety : what the station allows; a driver that moves by itself (feeling for the surface) keeps to it. None where
         an instrument is opened outside of a station.
-    ask : shows a text to the operator and returns the answer; None where nobody is there.
+    ask : shows a text to the operator and returns the answer; None without an operator.
     read_recording : reads a recording (file, format or None to recognise it, data set or None), for drivers that play
         one back; None where an instrument is opened outside of a station.
     """
@@ -55,7 +55,7 @@ class Instrument(Protocol):
     """Anything on the bench."""
 
     def identity(self) -> InstrumentIdentity:
-        """Say who you are; called once after opening. Raises InstrumentError if nobody answers."""
+        """Return the identity; called once after opening. Raises InstrumentError if there is no answer."""
         ...
 
     def safe_state(self) -> None:
@@ -77,7 +77,7 @@ class FrameSource(Instrument, Protocol):
         ...
 
     def acquire(self, count: int) -> FrameBlock:
-        """Take this many frames one after the other, at least one; returns when they are there."""
+        """Take ``count`` ≥ 1 consecutive frames; returns when they are complete."""
         ...
 
 
@@ -145,7 +145,7 @@ class Sampler(Instrument, Protocol):
 
 @runtime_checkable
 class Alive(Instrument, Protocol):
-    """An instrument that can be asked whether it is there, without anything else coming of it.
+    """An instrument with a liveness check that has no other effect.
 
     Optional. The runner asks while it rests or holds, at least every ``heartbeat_s`` of the station's safety limits,
     between frames: one that has fallen silent is noticed in the rest, not when it is needed next.
@@ -164,7 +164,7 @@ class Addressed(Instrument, Protocol):
     """
 
     def begin_step(self, phase: int, number: int) -> None:
-        """Be told, before each step, which one of which phase of the recipe it is (both from 0)."""
+        """Called before each step with its phase and number in the recipe (both from 0)."""
         ...
 
 
@@ -172,7 +172,7 @@ class Addressed(Instrument, Protocol):
 class Linked(Instrument, Protocol):
     """An instrument that needs others of its bench: a scanner its meter, a head that feels for the surface its force.
 
-    Optional; asked for once, after every instrument was opened and before any is used.
+    Optional; called once, after every instrument was opened and before any is used.
     """
 
     def link(self, peers: Mapping[str, "Instrument"]) -> None:
@@ -193,7 +193,7 @@ class SelfTesting(Instrument, Protocol):
     def self_test(self) -> tuple[CheckResult, ...]:
         """Test yourself and say what came of it, a line for each thing; a finding is no exception.
 
-        Nothing may move and no current may flow when it returns. Raises InstrumentError if nobody answers.
+        Nothing may move and no current may flow when it returns. Raises InstrumentError if there is no answer.
         """
         ...
 
@@ -204,8 +204,8 @@ class MeterReading:
 
     Parameters
     ----------
-    volts : the mean over the readings it was asked for [V].
-    current_A : what the source gave, where it is measured; else what it was told to give.
+    volts : the mean over the requested readings [V].
+    current_A : measured source current, or else the requested one.
     compliance : the source was at its voltage limit.
     saturated : the meter was at the end of its range.
     time_s : middle of the measurement on the station's clock.

@@ -1,4 +1,4 @@
-"""What plugins implement: sequences, recording formats, sections, reconstructions, metrics and effects."""
+"""Interfaces of plugins: sequences, recording formats, sections, reconstructions, metrics and effects."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class RecordingFormat(Protocol):
     """Reads one family of files."""
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell from the name and the first 4096 bytes whether this is such a file."""
+        """Whether this is such a file, by its name and first 4096 bytes."""
         ...
 
     def datasets(self, path: Path) -> tuple[str, ...]:
@@ -68,10 +68,10 @@ class Reconstruction(Protocol):
     """Turns a linearised problem into images; a linear method into one matrix (LinearReconstruction).
 
     A reconstruction may say by two attributes what ``analyse``, which images single presses, must hand it beyond
-    their changes: ``sequences = True`` where a frame's image depends on the frames beside it, for consecutive
-    frames; ``absolute = True`` where it wants the unloaded sensor's own readings (:attr:`ImagingProblem.measured`),
-    with changes in the same one scale. ``weighs_noise = False`` where it lets all readings count alike whatever
-    :attr:`ImagingProblem.noise_variance` says: a recipe that asks for weights is then refused.
+    their changes: ``sequences = True`` where a frame's image depends on the frames beside it, for consecutive frames;
+    ``absolute = True`` where it wants the unloaded sensor's own readings (:attr:`ImagingProblem.measured`), with
+    changes in the same one scale. ``weighs_noise = False`` if it weights all readings equally despite
+    :attr:`ImagingProblem.noise_variance`: a recipe that requests weights is then refused.
     """
 
     def prepare(self, problem: ImagingProblem) -> PreparedReconstruction:
@@ -167,13 +167,13 @@ class RecordingEffect(Protocol):
         ...
 
 
-#: What a scene's effects may be.
+#: Allowed effects of a scene.
 AnyEffect = Effect | SheetEffect | RecordingEffect
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceContext:
-    """What a sequence may know when it makes its steps.
+    """Information for a sequence to yield its steps.
 
     Parameters
     ----------
@@ -188,10 +188,10 @@ class SequenceContext:
 class Sequence(Protocol):
     """Makes steps. It never touches an instrument: the runner does, and a dry run only counts.
 
-    A sequence may have an attribute ``role`` (:class:`~cbsr_qa.domain.plan.Role`) that says what it is for;
-    metrics and report sections look for roles. Without it the role is OTHER.
+    A sequence may have an attribute ``role`` (:class:`~cbsr_qa.domain.plan.Role`) that states its purpose; metrics
+    and report sections look for roles. Without it the role is OTHER.
     """
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the steps, the same ones each time it is asked."""
+        """Yield the steps, the same ones on every call."""
         ...

@@ -20,7 +20,7 @@ Array: Final = Field(strict=False)
 class PluginOptions(CheckedTable):
     """Options of a plugin: a field for each, with its type, range and default; names end in their unit.
 
-    What must fit between options is for ``problems`` to say.
+    Constraints between options belong in ``problems``.
     """
 
     @classmethod
@@ -47,11 +47,11 @@ def refused(problems: list[Problem]) -> ConfigError:
 
 
 class WithOptions:
-    """A plugin that is made of its options: ``Creep(from_s=5)`` reads and checks them by ``Creep.Options``.
+    """A plugin built from its options: ``Creep(from_s=5)`` reads and checks them by ``Creep.Options``.
 
     Parameters
     ----------
-    options : as of the class's own ``Options``; without one there are none.
+    options : fields of the class's ``Options``, if any.
 
     Raises
     ------
@@ -92,7 +92,7 @@ Opened = TypeVar("Opened")
 
 
 class Driver(Generic[Opts, Opened]):
-    """What opens an instrument: called with a station's context, it reads the options and hands them over.
+    """Opens an instrument: called with a station's context, it checks the options and passes them on.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Driver(Generic[Opts, Opened]):
         Raises
         ------
         ConfigError
-            Naming role and options where they are wrong.
+            Naming role and wrong options.
         """
         try:
             options = self.Options.read(context.options)

@@ -1,4 +1,4 @@
-"""What is wrong with a table that somebody wrote: where, what was found there, and what is allowed instead.
+"""Problems of a table from a file: where, what was found, and what is allowed.
 
 The same sentences serve configuration files and the options of plugins.
 """
@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from cbsr_qa.plugin.words import KeyPath, dotted, shown
 
-#: What pydantic calls things → what TOML calls them.
+#: Terms of pydantic → terms of TOML.
 _IN_TOML: Final = {
     "a valid dictionary": "a table",
     "a valid list": "an array",
@@ -136,7 +136,7 @@ def _worded(model: type[BaseModel], detail: ErrorDetails) -> Problem:
 
 
 def _rule(field: Any, kind: str, message: str) -> str:
-    """Say what is allowed: by the field's own type and bounds where they say it, else in pydantic's words."""
+    """Describe what is allowed: by the field's type and bounds, else in pydantic's words."""
     if isinstance(field, FieldInfo) and field.description:
         return f"it must be {field.description}"
     if field is not None and kind.startswith(_OURS):
@@ -168,7 +168,7 @@ def _missing(key: str, table: type[BaseModel] | None, present: Any) -> str:
 
 
 def allowed(field: Any) -> str:
-    """Say in words which values a field takes: ``a number from 1 to 60``.
+    """Describe the values a field takes: ``a number from 1 to 60``.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def _bound(rules: Sequence[Any], name: str) -> Any:
 
 
 def _field_at(model: type[BaseModel], path: KeyPath) -> Any:
-    """Return the field (or annotation) at a key path; None where it is free-form."""
+    """Return the field (or annotation) at a key path; None if it is free-form."""
     current: Any = model
     for part in path:
         table, parts = _table(current), get_args(_bare(current))

@@ -1,4 +1,4 @@
-"""What a plugin takes and measures, told from its code: for ``cbsr-qa plugins show`` and the reference page."""
+"""Options and measurements of a plugin, read from its code: for ``cbsr-qa plugins show`` and the reference page."""
 
 import inspect
 import json
@@ -37,7 +37,7 @@ _UNITS: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class OptionReference:
-    """One option: its unit, what it may be, its default as TOML (empty where there is none) and what it does."""
+    """One option: unit, allowed values, default as TOML (may be empty) and description."""
 
     name: str
     unit: str
@@ -49,7 +49,7 @@ class OptionReference:
 
 @dataclass(frozen=True, slots=True)
 class PluginReference:
-    """What a plugin is and takes, and of a metric the names of its measurements with their units."""
+    """Description and options of a plugin, and the measurements of a metric with their units."""
 
     kind: str
     name: str
@@ -93,7 +93,7 @@ class ListedPlugins:
 
 
 def plugin_reference(plugins: Plugins, kind: Kind, name: str) -> PluginReference:
-    """Tell what a plugin takes and measures.
+    """Return options and measurements of a plugin.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def _text(factory: Factory) -> str:
 
 
 def _described(factory: Any) -> Iterator[tuple[str, str]]:
-    """Yield options and what a docstring says of them, in the form ``first, second : words``; own ones last."""
+    """Yield options and their descriptions in docstrings, in the form ``first, second : words``; own ones last."""
     for cls in reversed(getattr(factory, "__mro__", (factory,))):
         text = inspect.cleandoc(vars(cls).get("__doc__") or "")
         for names, words in re.findall(r"^([a-z]\w*(?:, \w+)*) : (.*(?:\n +.*)*)", text, re.M):

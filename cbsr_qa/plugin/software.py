@@ -13,9 +13,9 @@ from cbsr_qa.domain import PluginError
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 
-#: What numbers rest on, besides this package and its plugins.
+#: Numerical libraries that results depend on.
 _NUMERICS: Final = ("numpy", "scipy", "scikit-image", "h5py", "sqlalchemy")
-#: What instruments are spoken to through.
+#: Libraries for communication with instruments.
 _LINKS: Final = ("pyserial", "pyvisa", "pyvisa-py")
 
 

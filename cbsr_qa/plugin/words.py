@@ -1,4 +1,4 @@
-"""Repeating what somebody typed without letting it flood or upset a terminal."""
+"""Quoting user input without flooding or upsetting a terminal."""
 
 import sys
 from collections.abc import Mapping
@@ -12,14 +12,14 @@ _LONGEST: Final = 60
 
 
 def echo(text: str, longest: int = _LONGEST) -> str:
-    """Return text quoted, control characters escaped, cut after ``longest`` characters with its full length said."""
+    """Return text quoted, control characters escaped, cut after ``longest`` characters, with its full length."""
     if len(text) <= longest:
         return repr(text)
     return f"{text[:longest]!r}… ({len(text)} characters)"
 
 
 def printable(text: str) -> str:
-    """Return text as it is where it can be printed, otherwise quoted and escaped as by :func:`echo`."""
+    """Return text unchanged if printable, otherwise quoted and escaped as by :func:`echo`."""
     return text if text.isprintable() else echo(text, 200)
 
 

@@ -203,7 +203,7 @@ def limit_text(limit: Limit) -> str:
 
 
 def margin_text(measurement: Measurement) -> str:
-    """Write the distance from the nearer bound, negative outside; empty where there is none.
+    """Write the distance from the nearer bound, negative outside; empty if there is none.
 
     Of a lower bound that fails it is written too: it is at best that far outside.
     """

@@ -1,4 +1,4 @@
-"""The instruments of a station by the roles they fill, made safe together whatever one of them does."""
+"""The instruments of a station by role, made safe together even if one of them fails."""
 
 import re
 import threading
@@ -24,7 +24,7 @@ from cbsr_qa.plugin import (
 )
 from cbsr_qa.system import RealClock
 
-#: How long one instrument may take before the next is told as well [s, real time].
+#: How long one instrument may take before the next is called as well [s, real time].
 PATIENCE_S: Final = 0.25
 #: How long all of them together may take [s, real time].
 DEADLINE_S: Final = 10.0
@@ -58,16 +58,15 @@ def stop_all(
     """Call every action in its own thread; a slow one delays the next by at most the patience.
 
     Quick ones are called one after the other, in order, so that a simulated bench does the same each time. The
-    waiting is in real time also on a virtual clock: a thread that hangs does so in real time. Returns in words, who
-    raised or did not come back before the deadline; empty if all did what they were told. ``actions``: (who, what to
-    call).
+    waiting is in real time also on a virtual clock: a thread that hangs does so in real time. Returns descriptions of
+    those that raised or missed the deadline. ``actions``: (who, what to call).
     """
     clock = RealClock()
     calls = [_Call(name, action) for name, action in actions]
     for call in calls:
         try:
             call.start()
-        except RuntimeError:  # no more threads to be had: then without one
+        except RuntimeError:  # no more threads: call it directly
             call.run()
         call.done.wait(patience_s)
     for call in calls:
@@ -80,17 +79,17 @@ FRAME_SOURCE: Final = "frame_source"
 FORCE_APPLICATOR: Final = "force_applicator"
 SOURCE_METER: Final = "source_meter"
 MULTIPLEXER: Final = "multiplexer"
-#: Channel whose samples the force ceiling is held against.
+#: Channel whose samples are compared with the force limit.
 FORCE_CHANNEL: Final = "force"
 
-#: What fills a role; every other role is a sampler's, and named as the channel it samples.
+#: Interface required for each role; any other role is a sampler, named after its channel.
 _PROTOCOLS: Final[dict[str, type]] = {
     FRAME_SOURCE: FrameSource,
     FORCE_APPLICATOR: ForceApplicator,
     SOURCE_METER: SourceMeter,
     MULTIPLEXER: Multiplexer,
 }
-#: Who is made safe first: what presses, then what drives current.
+#: Order of making safe: applicators, then current sources.
 _FIRST_SAFE: Final = (FORCE_APPLICATOR, SOURCE_METER, FRAME_SOURCE)
 
 
@@ -110,15 +109,15 @@ class Mounted:
 class Bench:
     """Opened instruments, checked against the station file and linked to each other.
 
-    ConfigError naming role and driver, if an instrument does not provide what it is said to (a role is one of the
-    bench's, or the channel that an instrument samples), a role is filled twice or not at all, nothing measures the
-    force, or an instrument that needs another does not find it.
+    ConfigError naming role and driver, if an instrument does not provide its role (one of the bench's, or a sampled
+    channel), a role is filled twice or not at all, nothing measures the force, or an instrument lacks another that it
+    needs.
 
     Parameters
     ----------
     mounted : in the station file's order, which is also the order they are closed in.
     stop_within_s : how long all of them together may take to reach their safe state [s, real time].
-    after : what else is closed once all of them are.
+    after : further actions once all of them are closed.
     """
 
     def __init__(
@@ -141,8 +140,8 @@ class Bench:
     def identities(self) -> tuple[InstrumentIdentity, ...]:
         """Identify every instrument; an emulated one counts as simulated, whatever it reports.
 
-        So is one without an address of its own that is linked with those, such as frames scanned with a meter.
-        InstrumentError if one does not answer, or is not the one that the station file asks for.
+        So does one without its own address that is linked with those, such as frames scanned with a meter.
+        InstrumentError if one does not answer, or is not the one in the station file.
         """
         emulates = any(mounted.spec.emulated for mounted in self.mounted)
         return tuple(
@@ -162,7 +161,7 @@ class Bench:
     def safe_state(self) -> tuple[str, ...]:
         """Bring every instrument to its safe state even if others fail: the head first, then current sources.
 
-        Returns in words, who did not get there; empty if all did.
+        Returns descriptions of those that failed; empty if none did.
         """
         by_urgency = sorted(self.mounted, key=_urgency)
         return self._tell_all([(mounted.name, mounted.instrument.safe_state) for mounted in by_urgency])
@@ -183,7 +182,7 @@ def open_bench(
 ) -> Bench:
     """Open the instruments of a station; if one fails to open, those already open are closed again.
 
-    ConfigError if an instrument is not what the station file says it is; and whatever ``make`` raises.
+    ConfigError if an instrument differs from the station file; also errors of ``make``.
 
     Parameters
     ----------
@@ -196,7 +195,7 @@ def open_bench(
             opened.append(Mounted(spec, make(spec)))
         return Bench(opened, after=after)
     except BaseException:
-        # What went wrong first is what the reader needs; a second failure while closing would hide it.
+        # The first failure is raised; a second one while closing would hide it.
         with suppress(Exception):
             stop_all([(one.name, one.instrument.safe_state) for one in opened])
             stop_all([*((one.name, one.instrument.close) for one in opened), *after])
@@ -217,7 +216,7 @@ def _works_through_others(mounted: Mounted) -> bool:
 def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
     """Return the identity of one instrument; see :meth:`Bench.identities`.
 
-    ``emulated``: it works through instruments that the station emulates, so that it is simulated with them.
+    ``emulated``: it works through emulated instruments, and therefore counts as simulated.
     """
     with contained(f"instrument {mounted.spec.role!r} ({mounted.spec.driver})"):
         identity = mounted.instrument.identity()

@@ -38,7 +38,7 @@ class Documents:
     ----------
     subscribers : the first is the journal and must store a document before it returns. The others only
         watch: one that raises is warned about and not called again, unless it raises AbortedError to stop the run.
-    warn : is told about listeners that fail.
+    warn : called with listeners that fail.
     """
 
     def __init__(self, subscribers: Sequence[Subscriber], interrupts: Interrupts, warn: Warn) -> None:
@@ -49,7 +49,7 @@ class Documents:
     def emit(self, event: RunEvent) -> None:
         """Deliver one event.
 
-        SafetyError with rule ``"journal"`` if the journal could not store it: what is not stored was not measured.
+        SafetyError with rule ``"journal"`` if the journal could not store it.
         """
         with self._interrupts.deferred():
             self._store(event)
@@ -87,7 +87,7 @@ class Documents:
         for listener in tuple(self._listeners):
             try:
                 listener(event)
-            except AbortedError:  # it stops the run, and says who wants that
+            except AbortedError:  # it stops the run, and names the cause
                 raise
             except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
                 reason = failure(error)

@@ -60,7 +60,7 @@ class DryRun:
 
     Parameters
     ----------
-    peak_strain, peak_force_N : highest asked for, and highest force expected; 0 without loads.
+    peak_strain, peak_force_N : highest requested strain, and highest expected force; 0 without loads.
     violations : every broken limit once, in words, with the first step that breaks it; empty if the plan may run.
     """
 
@@ -97,8 +97,8 @@ def dry_run(
 ) -> DryRun:
     """Walk a plan's steps by arithmetic alone.
 
-    RefusedError if the plan has no phase, or a sequence makes no step or no end of them. Broken limits are listed in
-    the result instead; :meth:`DryRun.refuse` raises for them. PluginError if a sequence's role is none. ``done`` and
+    RefusedError if the plan has no phase, or a sequence yields no steps or endless ones. Violated limits are listed
+    in the result; :meth:`DryRun.refuse` raises for them. PluginError if a sequence's role is invalid. ``done`` and
     ``ended``: loads and phases finished in an earlier session of the same run.
     """
     walk = _DryWalk(plan, frame_period_s, answered)
@@ -127,13 +127,13 @@ class _DryWalk:
     travel_mm: float = 0.0
     peak_strain: float = 0.0
     peak_force_N: float = 0.0
-    #: What is not allowed → the first step that asks for it, and how many later ones do.
+    #: Violation → the first step that causes it, and the number of later ones.
     broken: dict[str, tuple[str, int]] = field(default_factory=dict)
     place_mm: tuple[float, float] = (0.0, 0.0)
     depth_mm: float | None = None  #: None while the head is up
     load: Load | None = None  #: pressed last
     down_s: float = 0.0  #: station time when the head was down
-    dwelt: bool = False  #: this press has been down for too long, which was said
+    dwelt: bool = False  #: this press was down for too long, as already reported
     frames: int = 0
 
     def phase(self, scheduled: ScheduledPhase) -> DryPhase:
@@ -224,7 +224,7 @@ class _DryWalk:
         if self.depth_mm is None or self.load is None:
             yield Violation("order", "the head is not down")
             return
-        yield from strain_violations(strain, self.plan)  # its place was looked at when it was pressed
+        yield from strain_violations(strain, self.plan)  # its place was checked when it was pressed
         to_mm = strain * self.plan.sensor_type.thickness_mm
         self.spent.add(Activity.PRESS, kinematics.ease_s(self.plan.motion, self.depth_mm, to_mm))
         self._down(strain)

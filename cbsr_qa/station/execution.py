@@ -1,4 +1,4 @@
-"""Execution of a plan: every step, every event, one way to end and to say how."""
+"""Execution of a plan: steps, events, and the end of a run."""
 
 import logging
 from collections.abc import Sequence
@@ -31,8 +31,8 @@ def ending(error: BaseException, where: str, *, at_once: bool = False, before: E
 
     Parameters
     ----------
-    where : "while", the step under way, and what the bench was doing.
-    before : how the run had ended already when this came up while the head was lifted.
+    where : "while", the current step, and the state of the bench.
+    before : earlier ending, if this error arose while the head was being lifted.
     """
     with suppress(Exception):
         _log.debug("the run ended while %s", where, exc_info=error)
@@ -103,22 +103,21 @@ def execute(
     """Run a plan on an open bench and leave the bench safe.
 
     The bench is brought to its safe state before anything else: an earlier session may have been killed. Returns how
-    the run ended; once it has begun, nothing is raised. The bench is in its safe state, or the detail says which
-    instrument is not. RefusedError before anything is told or moved: the plan breaks the station's limits, a limit
-    cannot be watched, or there is no journal; SafetyError if the bench could not be brought to its safe state before
-    the run; nothing was told.
+    the run ended; after its start nothing is raised. The bench is in its safe state, or the detail names instruments
+    that are not. Before any event or motion, RefusedError if the plan violates the station's limits, a limit cannot
+    be monitored, or there is no journal; SafetyError if the bench could not be made safe.
 
     Parameters
     ----------
-    subscribers : told every document in order. The first is the journal: it has stored a document before
-        anybody else sees it, and a document it cannot store breaks the run. The others cannot stop the run.
+    subscribers : called with every document in order. The first is the journal, which stores a document before the
+        others see it; a document it cannot store breaks the run. The others cannot stop the run.
     done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
     ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
     ask : shows a prompt and returns when it is answered; an :class:`~cbsr_qa.station.OperatorPrompt` if instruments
         ask through it as well, so that one that waits for the operator does not count as hanging.
     retries : how often an operation that failed retryably is tried again.
-    warn : is told about subscribers that fail.
-    tell : is told what a signal did and what another would do, at once and from a signal's handler.
+    warn : called with subscribers that fail.
+    tell : called from a signal's handler with its effect and that of another one.
     """
     dry = dry_run(plan, bench.frame_source.frame_period_s, done=done, ended=ended, answered=ask is not None)
     dry.refuse()
@@ -200,7 +199,7 @@ class _Execution:
 
     def _phase(self, phase: DryPhase) -> None:
         scheduled = phase.scheduled
-        # A phase that an earlier session finished has its documents already; only the bench is set up again.
+        # A phase finished in an earlier session is already stored; only the bench is set up again.
         if not scheduled.finished:
             began = PhaseStarted(
                 scheduled.index, scheduled.name, scheduled.sequence, self._clock.now(), scheduled.role

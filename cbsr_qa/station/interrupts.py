@@ -18,8 +18,8 @@ A = TypeVar("A")
 class OperatorPrompt(Generic[A]):
     """Asks the operator, and knows while a question is open.
 
-    The runner's own prompts and instruments that are worked by hand must ask through the same one. ``ask``: shows a
-    text and returns the answer; None where nobody is there.
+    Shared by the runner and instruments worked by hand. ``ask``: shows a text and returns the answer; None without an
+    operator.
     """
 
     def __init__(self, ask: Callable[[str], A] | None) -> None:
@@ -30,7 +30,7 @@ class OperatorPrompt(Generic[A]):
         return self._waiting
 
     def __call__(self, text: str) -> A:
-        assert self._ask is not None  # nobody is asked where nobody is there
+        assert self._ask is not None  # never called without an operator
         self._waiting = True
         try:
             return self._ask(text)
@@ -41,7 +41,7 @@ class OperatorPrompt(Generic[A]):
 #: Signals that end a run. Ctrl-Z and Ctrl-\ would suspend or kill the program with the head down. Windows knows two.
 _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT")
 
-#: Said on the first signal and on the second.
+#: Messages on the first and on the second signal.
 FIRST: Final = (
     "{}: the run stops in order: the current step is completed and stored, the head is lifted at its press speed,"
     " the bench is made safe. A second signal makes the bench safe at once."
@@ -59,7 +59,7 @@ class Stopped(KeyboardInterrupt):
 
 def on_stderr(line: str) -> None:
     """Write a line past Python's buffers, which a signal may have interrupted."""
-    with suppress(OSError, AttributeError, ValueError):  # no terminal, or one that has gone
+    with suppress(OSError, AttributeError, ValueError):  # no terminal, or a closed one
         os.write((sys.__stderr__ or sys.stderr).fileno(), f"{line}\n".encode())
 
 
@@ -70,26 +70,25 @@ def _nobody(line: str) -> None:
 class Interrupts:
     """While entered, signals end the run at a safe moment.
 
-    The first signal is only remembered: :meth:`poll` raises it where the run may end, which is after every
-    document and within :meth:`idle`. The second raises wherever the run is, also in a delivery or a driver that
-    hangs, and :attr:`urgent` says so. Both do that only within :meth:`heard`; outside, and from :meth:`mask` on,
-    nothing is raised: the bench is being made safe, and impatience must not leave the head down. Handlers the
-    application installed are asked who it was; where there is none the signal raises :class:`Stopped`. A signal the
-    process inherited as ignored (SIGHUP under nohup, SIGINT in a script's background) stays ignored: whoever started
-    it wanted that. Outside the main thread nothing is installed, because Python delivers no signals there.
+    The first signal is only remembered: :meth:`poll` raises it where the run may end, after every document and within
+    :meth:`idle`. The second raises anywhere, also in a delivery or a hanging driver, and sets :attr:`urgent`. Both do
+    so only within :meth:`heard`; outside, and after :meth:`mask`, nothing is raised: the bench is being made safe,
+    which must not leave the head down. Handlers installed by the application identify the sender; without one the
+    signal raises :class:`Stopped`. A signal inherited as ignored (SIGHUP under nohup, SIGINT in a script's
+    background) stays ignored. Outside the main thread nothing is installed, because Python delivers no signals there.
 
     Parameters
     ----------
-    tell : told in words what a signal does, and what another would do; not in a worker of a pool, whose parent heard
-        the same signal and answers for all of them.
+    tell : called with the effect of a signal and of another one; not in a worker of a pool, whose parent received the
+        same signal.
     """
 
     def __init__(self, tell: Callable[[str], None] = on_stderr) -> None:
-        #: The run is to end at once, not in order.
+        #: The run must end at once, not in order.
         self.urgent = False
-        #: Whether the run only waits, for reasons of its own: as within :meth:`idle`.
+        #: Whether the run is only waiting, as within :meth:`idle`.
         self.waiting: Callable[[], bool] = lambda: False
-        #: Called on the first signal: what is under way gets little time from now on.
+        #: Called on the first signal, to shorten the deadline of the current call.
         self.hurry: Callable[[], None] = lambda: None
         self._tell = tell if multiprocessing.parent_process() is None else _nobody
         self._redelivery = Redelivery()
@@ -149,7 +148,7 @@ class Interrupts:
     def poll(self) -> None:
         """Raise the first signal, if there was one: a point where the run may end.
 
-        Stopped, KeyboardInterrupt, AbortedError saying who stopped the run; once.
+        Raises Stopped, KeyboardInterrupt or AbortedError, naming the cause; once.
         """
         if self._first is not None and self._heard_now and not self._raised:
             self._raise()
@@ -157,7 +156,7 @@ class Interrupts:
     def break_in(self, error: BaseException) -> None:
         """Raise an error in the main thread, wherever it hangs; called from another thread.
 
-        It does nothing where no signal was installed. A call that waits in C is woken where the system can do that.
+        Does nothing if no handler was installed. Wakes a call that waits in C if the system allows it.
         """
         self._overdue = error
         if self._alarm_before is not None:
@@ -169,7 +168,7 @@ class Interrupts:
         if self._masked:
             return
         if self._redelivery.was_dropped():
-            self._raise()  # what was raised before has reached nobody
+            self._raise()  # the earlier exception was swallowed
         if self.urgent:
             return
         name = signal.Signals(number).name

@@ -1,4 +1,4 @@
-"""What a station allows: every broken limit of a plan, and a SafetyError for the first that a run meets."""
+"""Limits of a station: all violations of a plan, and a SafetyError for the first one during a run."""
 
 import math
 from collections.abc import Iterator
@@ -67,7 +67,7 @@ def _off_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
 def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
     """Whether the full outline of a polygonal head is on the sheet, edge included.
 
-    A head may be as wide as a strip, and be turned as the strip is. The outline is looked at every 0.25 mm.
+    A head may be as wide as a strip, and turned with it. The outline is sampled every 0.25 mm.
     """
     corners = np.array(plan.indenter.outline_mm)
     if not len(corners):
@@ -106,14 +106,14 @@ def dwell_violations(dwell_s: float, plan: Plan) -> Iterator[Violation]:
 def expected_force_N(strain: float, plan: Plan) -> float:
     """Return the highest expected force of a press [N].
 
-    E ε A is the relaxed force (E of the material file is the relaxed modulus); at the end of a fast ramp the
-    relaxing terms stand on top of it: F = E ε A (1 + Σ max(w, 0)), an upper bound for any mixture of signs.
+    E ε A is the relaxed force (E of the material file is the relaxed modulus); at the end of a fast ramp the relaxing
+    terms add to it: F = E ε A (1 + Σ max(w, 0)), an upper bound for any mixture of signs.
     """
     relaxed_N = plan.material.modulus_kPa.value * 1e-3 * strain * plan.indenter.area_mm2
     return relaxed_N * (1 + sum(max(weight, 0.0) for weight in plan.material.stress_relaxation.weights))
 
 
-#: Channel whose samples the range of temperatures is held against, and the unit they must have.
+#: Channel whose samples are compared with the temperature range, and their unit.
 TEMPERATURE_CHANNEL: Final = "temperature"
 TEMPERATURE_UNIT: Final = "°C"
 #: A limited temperature may be this old: a room does not warm up faster, and thermometers are slow [s].
@@ -185,7 +185,7 @@ class Limits:
     def check_time(self, now_s: float, *, touching: bool, down: bool) -> None:
         """Check the run's duration, how long the head has been down, and the age of samples.
 
-        ``down``: whether it is in the sheet, and still or eased.
+        ``down``: whether it is in the sheet, still or changing depth.
         """
         safety = self._plan.safety
         if now_s - self._started_s > safety.duration_s:

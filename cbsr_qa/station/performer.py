@@ -1,4 +1,4 @@
-"""Execution of single steps on the bench, with the times of the press under way until it becomes a record."""
+"""Execution of single steps on the bench, and the times of the current press until it is recorded."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -34,8 +34,8 @@ class LoadLog:
 
     Parameters
     ----------
-    times_s : press start, hold start, release start, release end, as far as they have happened.
-    lift_off_s : how long the head needs to leave the sheet once it starts up; None where nobody knows.
+    times_s : press start, hold start, release start, release end, as far as reached.
+    lift_off_s : time from the start of the lift until the head leaves the sheet; None if unknown.
     """
 
     index: int = -1
@@ -76,7 +76,7 @@ class LoadLog:
         if self.lift_off_s is None:
             return None
         _, _, release_s, up_s = self.times_s
-        # In ticks, as all times of a run; and a head that is up has left the sheet.
+        # In ticks, like all times of a run; a head that is up has left the sheet.
         return min(release_s + in_ticks(self.lift_off_s), up_s)
 
 
@@ -96,7 +96,7 @@ class Performer:
     Parameters
     ----------
     retries : how often an operation that failed retryably is tried again.
-    ask : shows a prompt and returns when it is answered; None where nobody is there.
+    ask : shows a prompt and returns when it is answered; None without an operator.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Performer:
     def perform(self, scheduled: ScheduledStep) -> None:
         """Execute one step.
 
-        After an InstrumentError, SafetyError or AbortedError the bench is left as it is: whoever catches it stops it.
+        After an InstrumentError, SafetyError or AbortedError the bench is left as it is, for the caller to stop.
         """
         if ends_rest(scheduled.step):
             self.finish_load()
@@ -175,7 +175,7 @@ class Performer:
                 self._travel(x_mm, y_mm)
                 self._feel(partial(applicator.find_surface, x_mm, y_mm))
             case Prompt(text=text):
-                assert self._ask is not None  # the dry run refuses prompts that nobody can answer
+                assert self._ask is not None  # the dry run refuses prompts without an operator
                 with self.spent.on(Activity.PROMPT, self._clock), self._interrupts.idle():
                     self._ask(text)
 
@@ -186,7 +186,7 @@ class Performer:
         depth_mm = load.strain * self._plan.sensor_type.thickness_mm
         assert self._at.load is not None
         with self._interlock.passing(State.PRESSING, State.PRESSED):
-            self._look()  # the head does not go down on a load cell that has fallen silent
+            self._look()  # no press without a live load cell
             self._loads.begin(self._at.load, load, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
             self._go_down(depth_mm)
         self._loads.mark(self._clock.now())
@@ -219,7 +219,7 @@ class Performer:
             self.spent.on(Activity.RELEASE, self._clock),
             self._interlock.passing(State.RELEASING, State.ARMED),
         ):
-            # Going up is safe however often.
+            # Going up is safe to repeat.
             release = self._bench.force_applicator.release
             self._attempt(release, *self._lifting(), before_another=self._loads.lose_track)
         self._loads.mark(self._clock.now())
@@ -229,7 +229,7 @@ class Performer:
             self._bench.force_applicator.release()
 
     def _lifting(self) -> tuple[str, float]:
-        """What the watchdog is told of a way up, and how long one from the greatest depth takes [s]."""
+        """Describe a lift for the watchdog, with its longest duration [s]."""
         deepest_mm = self._plan.safety.strain * self._plan.sensor_type.thickness_mm
         return f"{self._head}: lifting the head", kinematics.stroke_s(self._plan.motion, deepest_mm)
 
@@ -308,7 +308,7 @@ class Performer:
         *,
         before_another: Callable[[], object] | None = None,
     ) -> T:
-        """Call an instrument under the watchdog, and again where it failed retryably."""
+        """Call an instrument under the watchdog, again after retryable failures."""
         attempt = 0
         while True:
             try:

@@ -29,8 +29,8 @@ from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.plugin import Sequence, SequenceContext, contained
 from cbsr_qa.system import Clock
 
-#: A frame is begun only if more than this share of it lies inside the hold. Without it the rounding of the
-#: clock would decide whether a hold of exactly 24 frames takes 24 or 25.
+#: A frame starts only if more than this share of it lies inside the hold; otherwise rounding of the clock would
+#: decide whether a hold of exactly 24 frames takes 24 or 25.
 WORTHWHILE: Final = 0.1
 
 
@@ -134,7 +134,7 @@ class PlannedPhase:
     sequence: Sequence
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the sequence's steps; PluginError where its code fails."""
+        """Yield the sequence's steps; PluginError if its code fails."""
         with contained(f"sequence {self.sequence_name!r} of phase {self.name!r}"):
             yield from self.sequence.steps(context)
 
@@ -163,7 +163,7 @@ class Plan:
         return SequenceContext(self.sensor_type, self.indenter, self.seed)
 
 
-#: A sequence that makes more steps than this is taken to be endless.
+#: A sequence with more steps than this counts as endless.
 MOST_STEPS: Final = 100_000
 
 #: A load as (phase index, load index within the phase).
@@ -192,7 +192,7 @@ class ScheduledPhase:
 
     Parameters
     ----------
-    finished : it ended in an earlier session; only what sets the bench up is left.
+    finished : ended in an earlier session, so that only set-up steps remain.
     """
 
     index: int
@@ -207,14 +207,13 @@ class ScheduledPhase:
 def schedule(
     plan: Plan, done: frozenset[LoadKey] = frozenset(), ended: frozenset[int] = frozenset()
 ) -> tuple[ScheduledPhase, ...]:
-    """Ask every sequence for its steps.
+    """Collect the steps of every sequence.
 
-    Nobody knows where the head is when a run begins, so a run begins with homing whether its first sequence asks for
-    it or not. Loads that are ``done`` are left out with their holds and rests; homing and surface finding are not,
-    because the applicator forgets them with the power. A phase that goes on with a later load begins again with the
-    rest before its first load, and then with the rest before the load that is next, frames included: it is pressed on
-    a sheet that has rested as it was meant to, and its last frames before are fresh. RefusedError if there is no
-    phase, or a sequence makes no step or no end of them; PluginError if a sequence's role is none.
+    The head's position is unknown at the start, so every run begins with homing. Loads that are ``done`` are left out
+    with their holds and rests; homing and surface finding are not, because the applicator forgets them with the
+    power. A phase resumed at a later load repeats the rest before its first load, then the rest before the next load
+    with its frames, so that the sheet has rested as intended and the reference frames are recent. RefusedError if
+    there is no phase, or a sequence yields no steps or endless ones; PluginError if a sequence's role is invalid.
 
     Parameters
     ----------
@@ -280,7 +279,7 @@ def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> I
             if pressed == loads - 1 and scheduled.load is None:
                 yield scheduled
         elif pressed == -1:
-            # The sheet rests again; the unloaded frames that belong to the loads that are done are there already.
+            # The sheet rests again; the unloaded frames of finished loads are already stored.
             if not isinstance(step, MarkUnloaded | AcquireFrames):
                 yield scheduled
         elif pressed == first_open - 1 and (released or scheduled.load is None):

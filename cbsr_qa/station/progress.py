@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 class RunProgress:
     """A subscriber that displays a run: a bar on a terminal, otherwise one line per phase.
 
-    The bar's thread only reads the clock, so that the time left runs down through a rest of four minutes in
-    which no document comes. On a virtual clock a time left would mislead, and a percentage is shown.
-    Leaving the context takes the bar away, also where the run was refused. The stream is by default stderr.
+    The bar's thread only reads the clock, so that the time left counts down through a rest of four minutes without
+    documents. On a virtual clock a percentage is shown instead. Leaving the context removes the bar, even if the run
+    was refused. The stream is by default stderr.
     """
 
     def __init__(self, phases: int, clock: Clock, *, stream: TextIO | None = None) -> None:
@@ -81,7 +81,7 @@ class RunProgress:
     def _close(self) -> None:
         if self._bar is not None:
             bar, self._bar = self._bar, None
-            with suppress(OSError):  # the terminal may be gone before the run
+            with suppress(OSError):  # the terminal may close before the run ends
                 bar.close()
 
 

@@ -1,4 +1,4 @@
-"""Safety of a run under way: allowed transitions of the bench, the way to its safe state, and the watch over it."""
+"""Safety of a run: allowed transitions of the bench, its safe state, and monitoring."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,18 +22,18 @@ from cbsr_qa.system import Clock
 class State(StrEnum):
     """States of the bench."""
 
-    IDLE = "idle"  #: nothing was touched yet
-    CLEARING = "clearing"  #: every instrument is being told to reach its safe state, whatever it was left in
+    IDLE = "idle"  #: no command yet
+    CLEARING = "clearing"  #: every instrument is brought to its safe state before the run
     ARMED = "armed"  #: the head is up and still; steps may begin
     MOVING = "moving"  #: the head travels or homes
-    FEELING = "feeling"  #: the head feels for the surface, and touches it
+    FEELING = "feeling"  #: the head searches the surface, and touches it
     PRESSING = "pressing"  #: the head goes down
     PRESSED = "pressed"  #: the head is down and still
     EASING = "easing"  #: the head goes to another depth without leaving the sheet
     RELEASING = "releasing"  #: the head goes up
-    STOPPING = "stopping"  #: every instrument is being told to reach its safe state
-    SAFE = "safe"  #: every instrument said it did
-    UNSAFE = "unsafe"  #: at least one did not: somebody must look
+    STOPPING = "stopping"  #: every instrument is brought to its safe state
+    SAFE = "safe"  #: every instrument reached it
+    UNSAFE = "unsafe"  #: at least one did not: check the bench
 
 
 #: Which state may follow which. STOPPING may follow every one but the two it ends in.
@@ -90,7 +90,7 @@ class Interlock:
     def clear(self, bench: Bench) -> None:
         """Bring the bench to its safe state first: a killed process left the head where it was.
 
-        SafetyError with rule ``"safe start"`` if an instrument did not get there; nothing has moved on purpose.
+        SafetyError with rule ``"safe start"`` if an instrument failed to reach it.
         """
         self.to(State.CLEARING)
         failed = bench.safe_state()
@@ -114,15 +114,15 @@ class Interlock:
 
 T = TypeVar("T")
 
-#: While nothing else happens, force and duration are looked at this often [s].
+#: Interval of checks of force and duration while idle [s].
 WATCH_S: Final = 5.0
-#: What is due within this time is due [s].
+#: Checks due within this time are done now [s].
 _SOON_S: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class UnderWay:
-    """What a run under way is made of."""
+    """The parts of a run in progress."""
 
     plan: Plan
     bench: Bench
@@ -134,7 +134,7 @@ class UnderWay:
 
 
 class Attempt(Protocol):
-    """Calls an instrument, and retries where that is harmless."""
+    """Calls an instrument, with retries if harmless."""
 
     def __call__(self, operation: Callable[[], T], what: str) -> T: ...
 
@@ -142,7 +142,7 @@ class Attempt(Protocol):
 class Watch:
     """Collects samples, checks the limits, and checks that instruments respond.
 
-    ``attempt``: asks an instrument, and again where that is harmless.
+    ``attempt``: queries an instrument, with retries if harmless.
     """
 
     def __init__(self, run: UnderWay, limits: Limits, attempt: Attempt) -> None:
@@ -157,7 +157,7 @@ class Watch:
     def look(self, phase: int) -> None:
         """Do everything that is due; samples are stored under this phase.
 
-        SafetyError if a limit does not hold, or an instrument has fallen silent (rule ``"heartbeat"``).
+        SafetyError if a limit is violated, or an instrument does not respond (rule ``"heartbeat"``).
         """
         for number, sampler in enumerate(self._bench.samplers):
             self._drain(phase, number, sampler)

@@ -43,7 +43,7 @@ def configure(
     Parameters
     ----------
     sensor_type, material : instead of the station's own, which are looked for next to its file first.
-    plugins : with them the options of what the files name are checked too, with all else in one pass.
+    plugins : to check plugin options in the same pass.
     """
     at = load_station(station, plugins)
     return merge(
@@ -101,13 +101,13 @@ def open_station(
 ) -> Bench:
     """Open every instrument of the station; emulators start first and end with the bench.
 
-    InstrumentError if one does not answer; ConfigError if one is not what the station file says, or a real one is put
-    on a virtual clock.
+    InstrumentError if one does not answer; ConfigError if one differs from the station file, or a real one is on a
+    virtual clock.
 
     Parameters
     ----------
     resumed_at_s, ask : as in :class:`~cbsr_qa.plugin.StationContext`.
-    emulated : told the emulation, where there is one: to arm faults, or to look at its world.
+    emulated : called with the emulation, if any: to arm faults, or to inspect its world.
     """
     opened, after = opener(configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated)
     bench = open_bench(configuration.station.instruments, opened, after=after)
@@ -128,9 +128,9 @@ def opener(
     ask: Callable[[str], str] | None = None,
     emulated: Callable[[Emulation], None] = lambda emulation: None,
 ) -> tuple[Callable[[InstrumentSpec], Instrument], tuple[Action, ...]]:
-    """Start the station's emulators; parameters and errors as of :func:`open_station`.
+    """Start the station's emulators; parameters and errors as for :func:`open_station`.
 
-    Returns what opens one instrument, and what is called once all of them are closed.
+    Returns a function that opens one instrument, and actions once all of them are closed.
     """
     emulation = _emulation(configuration, plugins, clock, resumed_at_s)
     if emulation is not None:

@@ -45,9 +45,9 @@ class Watchdog:
     ----------
     answer_s : how long a call may take beyond twice what its work takes.
     break_in : raises an error in the run's thread, wherever that hangs.
-    make_safe : what is done where that does not help.
-    tell : told in words when it comes to that.
-    excused : whether somebody is being asked right now: an operator is waited for.
+    make_safe : called if that does not help.
+    tell : called with a message in that case.
+    excused : whether an operator is being asked.
     """
 
     def __init__(

@@ -55,7 +55,7 @@ def _shared(tasks: Sequence[Callable[[], Result]]) -> dict[int, Result]:
             with suppress(EOFError, pickle.UnpicklingError):
                 found |= {taken: pickle.loads(result) for taken, result in pickle.load(pipe).items()}
         finally:
-            os.kill(helper, signal.SIGKILL)  # it has said all, or nobody listens any more
+            os.kill(helper, signal.SIGKILL)  # it has sent all, or its reader has ended
             os.waitpid(helper, 0)
             os.close(waiting)
     return found
@@ -75,7 +75,7 @@ def _helper(tasks: Sequence[Callable[[], object]], waiting: int, outgoing: int) 
         return helper
     try:
         gc.disable()  # finalisers of what the parent holds are the parent's
-        signal.set_wakeup_fd(-1)  # the parent says which signals have arrived
+        signal.set_wakeup_fd(-1)  # the parent reports signals
         for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             signal.signal(each, signal.SIG_DFL)
         done = {}

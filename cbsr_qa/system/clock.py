@@ -91,7 +91,7 @@ Listener = Callable[[str], None]
 
 
 class Stages:
-    """Names and times the stages of a computation. ``listener``: told each stage's name as it begins."""
+    """Names and times the stages of a computation. ``listener``: called with each stage's name as it begins."""
 
     def __init__(self, listener: Listener = lambda stage: None) -> None:
         self._listener = listener

@@ -36,7 +36,7 @@ else:
 
 
 _FAR: Final = 1 << 20
-_LONGEST: Final = 4096  # of what a file says about its holder [bytes]
+_LONGEST: Final = 4096  # of the holder's description in a file [bytes]
 _TRIES: Final = 1000  # to lock a file that others remove; some file systems answer "no such file" for ever
 #: How long a holder may leave its name out: it is about to write it, or removes the file [s].
 _NAMELESS_S: Final = 0.1
@@ -53,10 +53,10 @@ class HeldError(Exception):
 class FileLock:
     """Holds a file's lock until it is released or the process ends.
 
-    The kernel keeps the lock, so the file of a process that was killed keeps nobody out: the next holder takes it
-    over and removes it. A file that belongs to another user may stay where only its owner may remove it. HeldError if
-    it is held, by somebody who wrote a name or has held it for :data:`_NAMELESS_S`; OSError if the file cannot be
-    made, or ``who`` not be written in it. ``path``: of the file; its folder exists.
+    The kernel keeps the lock, so the file of a killed process blocks no one: the next holder takes it over and
+    removes it. A file that belongs to another user may stay where only its owner may remove it. HeldError if it is
+    held, by somebody who wrote a name or has held it for :data:`_NAMELESS_S`; OSError if the file cannot be made, or
+    ``who`` not be written in it. ``path``: of the file; its folder exists.
     """
 
     def __init__(self, path: Path, who: bytes, *, shared: bool = False) -> None:
@@ -100,14 +100,14 @@ class FileLock:
 
 
 def holder(path: Path) -> bytes | None:
-    """Return the text in the holder's file; None if nobody holds the lock.
+    """Return the text in the holder's file; None if the lock is free.
 
     The file of a process that was killed is removed, if this user may remove it. Nothing is written, so a full disk
     does not matter.
     """
     try:
         file = os.open(path, os.O_RDONLY | _SAFE)
-    except OSError:  # there is none, or none that this user may look at
+    except OSError:  # missing, or not readable by this user
         return None
     try:
         _lock(file)
@@ -122,7 +122,7 @@ def holder(path: Path) -> bytes | None:
     return None
 
 
-#: A lock in a folder for all users may be somebody's link to a file of this user.
+#: A lock in a shared folder may be another user's link to a file of this user.
 _SAFE: Final = getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -147,7 +147,7 @@ def _locked(path: Path, *, shared: bool) -> int | None:
 
 
 def _opened(path: Path, *, shared: bool) -> int:
-    # In two steps: Linux refuses to "create" a file that is there already and is another user's.
+    # In two steps: Linux refuses to "create" an existing file of another user.
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
     except FileExistsError:
@@ -169,13 +169,13 @@ def _is(file: int, path: Path) -> bool:
         return False
 
 
-#: What spreadsheets take for the beginning of a formula.
+#: Characters that begin a formula in a spreadsheet.
 _FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 
 
 @contextmanager
 def writing(path: Path, *, refusal: type[RefusedError] = RefusedError, remedy: str = "") -> Iterator[None]:
-    """Turn an error of the operating system in writing ``path`` into a refusal that names it and says why."""
+    """Turn an operating system error in writing ``path`` into a refusal that names path and cause."""
     try:
         yield
     except OSError as error:

@@ -55,10 +55,10 @@ _BUSY: Final = "the computer may be busy: try again when it is idle; if it fails
 #: Characters without a space, and of a whole message, that are repeated from a file.
 _LONGEST_WORD: Final = 200
 _LONGEST_REASON: Final = 2000
-#: Python imports these from files when text of theirs is first met, and a child opens none beside its own.
+#: Python imports these on first use, and a child may open no other file.
 _CODECS: Final = ("ascii", "latin-1", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252")
 
-#: What numpy needs besides dataclasses to put arrays and numbers together again.
+#: Needed by numpy, besides dataclasses, to unpickle arrays and numbers.
 _NUMPY: Final = {
     ("numpy", "dtype"),
     ("numpy", "ndarray"),
@@ -128,7 +128,7 @@ def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[Refu
             received = _parts_of(pipe, deadline, limits)
         finally:
             with contextlib.suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)  # it has said all, or says nothing any more
+                os.kill(child, signal.SIGKILL)  # it has sent all, or has stopped
             _, status = os.waitpid(child, 0)
     if received is None:
         late = time.monotonic() >= deadline
@@ -146,7 +146,7 @@ def _size(path: Path) -> int:
     try:
         return path.stat().st_size
     except OSError:
-        return 0  # the reader says what is wrong with it
+        return 0  # the reader reports what is wrong
 
 
 def _forked(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:

@@ -1,4 +1,4 @@
-"""A bench that does what a script says: no physics, every call written down, failing on demand.
+"""A scripted bench: no physics, every call recorded, failing on demand.
 
 For tests of the runner, and for authors of sequences and instruments who want to see what the runner asks of a
 bench. To see what a *sensor* answers, use the simulated bench.
@@ -44,7 +44,7 @@ class Call:
 
 @dataclass(slots=True)
 class Script:
-    """What the bench was asked, and what it does besides.
+    """Recorded calls of the bench, and actions to carry out within them.
 
     Parameters
     ----------
@@ -94,11 +94,11 @@ def raising(error: BaseException) -> Action:
 
 
 class ScriptedInstrument:
-    """What all scripted instruments share; by itself one that only says who it is.
+    """Base of scripted instruments; by itself one that only reports its identity.
 
     Parameters
     ----------
-    simulated : what it says of itself.
+    simulated : as in its identity.
     """
 
     def __init__(self, role: str, script: Script, *, simulated: bool = True) -> None:
@@ -107,7 +107,6 @@ class ScriptedInstrument:
         self.simulated = simulated
 
     def identity(self) -> InstrumentIdentity:
-        """Say that it is scripted."""
         self.script.called(f"{self.role}.identity")
         return InstrumentIdentity(self.role, "scripted", "scripted", "", "", simulated=self.simulated)
 
@@ -171,7 +170,7 @@ class ScriptedApplicator(ScriptedInstrument):
 
 
 class ScriptedLoadCell(ScriptedInstrument):
-    """Ten samples a second of what the script says."""
+    """Ten samples per second from the script."""
 
     channel = FORCE_CHANNEL
     unit = "N"

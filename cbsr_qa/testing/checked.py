@@ -1,4 +1,4 @@
-"""What came of a check, and how a broken promise is named."""
+"""Results of checks, and wording of failures."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from cbsr_qa.domain.results import LinearReconstruction, PreparedReconstruction
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """What came of one check.
+    """Result of one check.
 
     Parameters
     ----------
     check : its name.
     found : the figure that was compared, in words; or why the check does not apply.
-    applies : False where it was not made.
+    applies : False if not made.
     """
 
     check: str
@@ -26,13 +26,13 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """How far a method may be off. A method that needs more states it where it is checked.
+    """Allowed errors of a method. A method that needs more states it in its check.
 
     Parameters
     ----------
     place : distance of a blob's centre from the target's, of the sheet's radius.
     masked_place : the same with three electrodes masked.
-    linearity : relative departure of images from linearity, where it is claimed.
+    linearity : relative departure of images from linearity, if claimed.
     turned_image : relative difference between the turned image and the image of the turned target, on a mesh that is
         exactly symmetric. Methods that see the problem's own numbers alone reach rounding.
     turned_place : distance of the two blobs' centres, of the sheet's radius.
@@ -68,5 +68,5 @@ def demand(subject: object, holds: bool, otherwise: str) -> None:
 
 
 def blamed(subject: object, what: str) -> str:
-    """Say what a method, by its own name, or a driver, by its type's, did."""
+    """Describe a failure of a method (by its name) or a driver (by its type)."""
     return f"{getattr(subject, 'method', '') or type(subject).__name__} {what}"

@@ -1,4 +1,4 @@
-"""Conformance of instrument drivers: what the runner relies on, whatever stands behind the driver.
+"""Conformance of instrument drivers: what the runner relies on for any instrument.
 
 Each check takes an instrument that is open and linked. Over an emulated or simulated one it takes station time and
 hardly any of ours; on a real bench :func:`check_applicator` moves the head, and presses.
@@ -23,7 +23,7 @@ from cbsr_qa.testing.checked import Checked, blamed, demand
 
 #: Safe states are reached within this time, besides the head's travel [s, real time].
 SAFE_WITHIN_S: Final = 1.0
-#: Times may differ by this much of a frame period or of a sample's age: bytes are on their way, clocks tick.
+#: Times may differ by this much of a frame period or of a sample's age: transmission and clock ticks.
 _SLACK: Final = 0.15
 _TICK_S: Final = 1e-3
 
@@ -44,7 +44,7 @@ def check_instrument(instrument: Instrument, role: type) -> list[Checked]:
 
 
 def check_frame_source(source: FrameSource, clock: Clock, sensor_type: SensorType) -> tuple[Checked, ...]:
-    """Check a frame source: shape, unit and times of its frames, and that none is from before it was asked for.
+    """Check a frame source: shape, unit and times of its frames, and that none is older than the request.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def check_frame_source(source: FrameSource, clock: Clock, sensor_type: SensorTyp
 def check_sampler(
     sampler: Sampler, clock: Clock, *, within_s: float = 2.0, wait: Callable[[], object] | None = None
 ) -> tuple[Checked, ...]:
-    """Check a sampler: samples come, in order, of the time asked for, none of them twice.
+    """Check a sampler: samples arrive in order, for the requested time, without repetition.
 
     Parameters
     ----------
@@ -113,15 +113,15 @@ def check_applicator(
     places: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (10.0, 5.0)),
     depth_now_mm: Callable[[], float] | None = None,
 ) -> tuple[Checked, ...]:
-    """Check a force applicator: it takes its time, goes straight from depth to depth, and comes up whenever told.
+    """Check a force applicator: it takes the expected time, moves directly, and comes up on every request.
 
     Parameters
     ----------
     clock, motion : those the applicator was opened with.
     depth_mm : how deep it presses; twice as deep it eases.
-    places : where, from the sheet's centre; the first is where its surface is found.
-    depth_now_mm : where somebody else than the driver says the head is below the surface, negative above it: an
-        emulated world, a gauge. Without it only the time is looked at, and the time a movement takes.
+    places : from the sheet's centre; the surface is found at the first.
+    depth_now_mm : independent depth of the head below the surface, negative above it: an emulated world, a gauge.
+        Without it only the time is looked at, and the time a movement takes.
     """
     done = check_instrument(head, ForceApplicator)
     seen = _Seen(head, depth_now_mm, motion)
@@ -214,7 +214,7 @@ def _check_strokes(head: ForceApplicator, clock: Clock, motion: Motion, depth_mm
 
 
 def _check_safe_head(head: ForceApplicator, clock: Clock, motion: Motion, depth_mm: float, seen: _Seen) -> Checked:
-    """A head that is down comes up when it is made safe, and goes on when it is told to."""
+    """A head that is down comes up when made safe, and moves again on command."""
     head.press(depth_mm, motion.press_speed_mm_s)
     took_s = safe_state_s(head)
     clock.sleep(2 * kinematics.stroke_s(motion, depth_mm))
@@ -252,7 +252,7 @@ def _frames(source: FrameSource, clock: Clock, count: int, sensor_type: SensorTy
 
 
 def _samples(sampler: Sampler, clock: Clock, since_s: float) -> SampleBlock:
-    """Take samples, and hold them against what was asked for."""
+    """Take samples, and compare them with the request."""
     block = sampler.samples_since(since_s)
     named = (block.channel, block.unit) == (sampler.channel, sampler.unit)
     demand(sampler, named, f"gives {block.channel!r} in {block.unit!r}, which is not what it says it samples")

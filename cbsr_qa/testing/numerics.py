@@ -62,7 +62,8 @@ def assert_adjoint(
 
     Parameters
     ----------
-    forward, adjoint : A and A*. domain_shape, range_shape : of x and y.
+    forward, adjoint : A and A*.
+    domain_shape, range_shape : of x and y.
     tolerance : relative to ‖A x‖ ‖y‖ + ‖x‖ ‖A* y‖.
     """
     random = np.random.default_rng(seed)
@@ -80,7 +81,7 @@ def assert_adjoint(
 
 
 def check_metric(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
-    """Ask a metric as a run does, and compare with what it says it ``measures``.
+    """Measure as in a run, and compare with the declared ``measures``.
 
     Returns
     -------
@@ -91,7 +92,7 @@ def check_metric(metric: LoadMetric | RunMetric, observation: RunObservation) ->
     PluginError
         If an answer could not be stored; names measurement and field.
     AssertionError
-        If a measurement has another name or unit than the metric says.
+        If a measurement has an undeclared name or unit.
     """
     assert isinstance(metric, LoadMetric | RunMetric), "a metric has measure_load or measure_run"
     taken = ask(metric, observation)

@@ -87,7 +87,7 @@ def check_turn(
 
 
 def check_masked_electrodes(factory: Factory, *, tolerance: float = COMMON.masked_place) -> Checked:
-    """With three electrodes masked a target is still found, and what they read is never looked at."""
+    """With three electrodes masked a target is still found, and their readings are not used."""
     sensor = example_problem().sensor_type
     touched = np.array(
         [
@@ -137,10 +137,10 @@ def check_noise_propagation(prepared: PreparedReconstruction, *, draws: int = 20
 
 
 def check_noise_weighing(factory: Factory, prepared: PreparedReconstruction) -> Checked:
-    """Loud readings count less where the problem says that they are; of what runs can use, one matrix.
+    """Noisy readings have less weight if the problem states their noise; runs use one matrix.
 
     By the propagated noise tr(R Σ Rᵀ) of a matrix prepared for those variances, against one for equal ones. A method
-    that lets all readings count alike says so (``weighs_noise = False``).
+    that weights all readings equally states so (``weighs_noise = False``).
     """
     if not isinstance(prepared, LinearReconstruction):
         return Checked("noise weighing", "the method is not one matrix, and no run can use it", applies=False)
@@ -161,7 +161,7 @@ def check_noise_weighing(factory: Factory, prepared: PreparedReconstruction) -> 
 
 
 def _image_with(prepared: PreparedReconstruction, masked: Mask, value: float) -> Array:
-    """Image of a target, by way of whole frames that read a value wherever they are masked."""
+    """Image of a target from whole frames with a given value in masked readings."""
     problem = prepared.problem
     reference = np.where(masked, value, 0.0)
     reference[problem.used] = problem.reference

@@ -59,7 +59,7 @@ def check_reconstruction(
 
 
 def check_description(prepared: PreparedReconstruction, problem: ImagingProblem) -> Checked:
-    """A prepared method says what it is, what it was prepared for, and why its parameter has its value."""
+    """A prepared method states its name, its problem, and the reason for its parameter."""
     choice = prepared.choice
     demand(prepared, bool(prepared.method), "has no name")
     demand(prepared, prepared.problem is problem, "does not hold the problem it was prepared for")
@@ -94,7 +94,7 @@ def check_linearity(prepared: PreparedReconstruction, *, tolerance: float = COMM
 
 
 def check_repeatable(factory: Factory, prepared: PreparedReconstruction) -> Checked:
-    """Prepared again, and asked again, a method gives the same images to the last bit."""
+    """Prepared and applied again, a method gives identical images."""
     readings = elsewhere_readings(prepared.problem)
     first = prepared.images(readings)
     demand(prepared, np.array_equal(first, prepared.images(readings)), "gives another image when asked twice")
@@ -115,7 +115,7 @@ def check_same_elsewhere(
 def compare_elsewhere(
     prepared: PreparedReconstruction, there: Array, *, tolerance: float = COMMON.threads
 ) -> Checked:
-    """Compare with images another process made of :func:`elsewhere_readings`."""
+    """Compare with images that another process made from :func:`elsewhere_readings`."""
     departure = relative(there, prepared.images(elsewhere_readings(prepared.problem)))
     demand(prepared, departure <= tolerance, f"differs between processes by {departure:.3g}, allowed {tolerance:.3g}")
     return Checked("same elsewhere", f"differs by {departure:.1e}")

@@ -13,17 +13,17 @@ from cbsr_qa.system import Clock
 from cbsr_qa.testing.checked import Checked, demand
 from cbsr_qa.testing.instruments import check_instrument, safe_state_s
 
-#: Clocks tick, and answers are on their way [s].
+#: For clock ticks and transmission [s].
 _TICK_S: Final = 1e-3
 
 
 def check_source_meter(meter: SourceMeter, clock: Clock, *, current_A: float = 1e-4) -> tuple[Checked, ...]:
-    """Check a source-measure unit: it gives the current it is told, says when it measured, and can be switched off.
+    """Check a source-measure unit: it sources the requested current, reports its times, and can be switched off.
 
     Parameters
     ----------
     clock : the one the meter was opened with.
-    current_A : what it is told to give; something must be connected that takes it below the compliance.
+    current_A : requested current; the connected load must take it below the compliance.
     """
     done = check_instrument(meter, SourceMeter)
     for what, value in (("reading takes", meter.reading_period_s), ("compliance is", meter.compliance_V)):
@@ -72,7 +72,7 @@ def check_self_test(instrument: SelfTesting) -> tuple[Checked, ...]:
 
     Parameters
     ----------
-    instrument : open and linked, and well: a driver of which a line fails here cannot be told from one that is wrong.
+    instrument : open, linked and in order: a fault of the instrument would be taken for one of the driver.
     """
     demand(instrument, isinstance(instrument, SelfTesting), "has no self_test")
     first, again = instrument.self_test(), instrument.self_test()

@@ -51,7 +51,7 @@ def images_elsewhere(
     Raises
     ------
     RefusedError
-        If a factory cannot be found by name from another process, or that process fails; says what it said.
+        If a factory cannot be found by name from another process, or that process fails; quotes its output.
     """
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -73,7 +73,7 @@ def images_elsewhere(
 
 
 def answer(folder: str) -> None:
-    """Do what was asked in a folder; called in the other process."""
+    """Carry out the request in a folder; called in the other process."""
     factories, problem, changes = pickle.loads((Path(folder) / "asked").read_bytes())
     images = [factory().prepare(problem).images(changes) for factory in factories]
     (Path(folder) / "answered").write_bytes(pickle.dumps(images))
@@ -137,7 +137,7 @@ def _mesh() -> Mesh:
 
 
 def _on_ring(ring: int) -> int:
-    """Nodes on a ring: the electrodes' number, doubled as often as keeps the edges about as long as on the rim."""
+    """Nodes on a ring: the number of electrodes, doubled until edges are about as long as on the rim."""
     doublings = max(0, round(np.log2(_RIM / _ELECTRODES * ring / _RINGS)))
     return int(_ELECTRODES * 2**doublings)
 
@@ -210,7 +210,7 @@ def found_at(prepared: PreparedReconstruction, at: tuple[float, float], contrast
     Raises
     ------
     AssertionError
-        If the image is none, or the blob has the other sign.
+        If the image is empty, or the blob has the other sign.
     """
     image = prepared.images(signal(prepared.problem, at, contrast)[None])[0]
     check_image(prepared, image)

@@ -1,4 +1,4 @@
-"""What happened: sensors, runs, phases, frames, samples and presses."""
+"""Records of runs: sensors, runs, phases, frames, samples and presses."""
 
 import sqlalchemy as sa
 from alembic import op

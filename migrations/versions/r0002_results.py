@@ -1,4 +1,4 @@
-"""What was concluded: analyses with their measurements, and calibrations with their rows."""
+"""Results: analyses with their measurements, and calibrations with their rows."""
 
 import sqlalchemy as sa
 from alembic import op

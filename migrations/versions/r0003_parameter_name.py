@@ -1,4 +1,4 @@
-"""What a regularisation parameter is called and what it was chosen by, beside its value and the reason."""
+"""Name and criterion of a regularisation parameter, beside its value and the reason."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -8,7 +8,7 @@ down_revision = "0002"
 branch_labels = None
 depends_on = None
 
-#: What the methods of before, which stored only a value, called it; every other one had a λ.
+#: Names used by earlier methods, which stored only a value; all others had a λ.
 _CALLED = {
     "truncated-svd": "components kept",
     "linear-back-projection": "no parameter",

@@ -1,4 +1,4 @@
-"""What a calibration says of force: its map and how readings become rows; the templates are prepared again."""
+"""The force model of a calibration: its map and how readings become rows; templates are computed again."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -10,7 +10,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    # Calibrations of before say nothing of force, nor why.
+    # Earlier calibrations have no force model, and no reason for that.
     op.add_column("calibrations", sa.Column("no_force", sa.Text(), nullable=False, server_default=""))
     op.create_table(
         "calibration_forces",

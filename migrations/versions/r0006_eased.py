@@ -10,7 +10,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    # Presses of before were never eased.
+    # Earlier presses had only one strain.
     op.add_column("loads", sa.Column("eased", sa.JSON(), nullable=True))
 
 

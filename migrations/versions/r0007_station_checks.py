@@ -10,7 +10,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    # Nobody noted anything about the instruments of before.
+    # Earlier instruments have no notes.
     op.add_column("instruments", sa.Column("notes", sa.JSON(), nullable=True))
     op.create_table(
         "station_checks",

@@ -10,7 +10,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    # Nothing is known of earlier sessions but what the run itself says.
+    # Earlier sessions are known only from the run itself.
     op.add_column("run_states", sa.Column("operator", sa.Text(), nullable=True))
     op.add_column("run_states", sa.Column("software", sa.JSON(), nullable=True))
     op.add_column("run_states", sa.Column("noted_at", sa.DateTime(timezone=True), nullable=True))

@@ -10,7 +10,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    # Nobody noted why a file of before was changed; what was changed is in the configurations of the runs.
+    # Reasons for earlier changes were not recorded; the changes are in the configurations of the runs.
     op.create_table(
         "configuration_changes",
         sa.Column("run", sa.String(length=36), nullable=False),

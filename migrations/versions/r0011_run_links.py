@@ -10,7 +10,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    # Runs of before stay unchained: nobody can say now what their rows were when they were stored.
+    # Earlier runs stay unchained: their original rows cannot be verified now.
     op.add_column("runs", sa.Column("chain", sa.String(length=64), nullable=True))
     op.create_table(
         "run_links",

@@ -10,7 +10,7 @@ down_revision = "0011"
 branch_labels = None
 depends_on = None
 
-#: What is searched, of old and new calibrations.
+#: Searchable columns of old and new calibrations.
 _SEARCHED = frozenset(
     {"calibration", "run", "analysis", "serial", "issued_at", "superseded_by", "content_sha256", "record_sha256"}
 )
@@ -24,7 +24,7 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    # What is in files alone is lost; so is every row that refers to it.
+    # Content only in files is lost, and so are rows that refer to it.
     rows, listed = _reflected("calibrations"), _reflected("calibration_baselines")
     of_files = sa.select(rows.c.calibration).where(rows.c.file.is_not(None))
     op.execute(rows.update().where(rows.c.superseded_by.in_(of_files)).values(superseded_by=None))
@@ -39,7 +39,7 @@ def _reflected(name: str) -> sa.Table:
     return sa.Table(name, sa.MetaData(), autoload_with=op.get_bind())
 
 
-#: What could be empty in schema 0011 already.
+#: Columns that schema 0011 already allowed to be empty.
 _COULD_BE_EMPTY = frozenset(
     {
         *("superseded_by", "measured_noise_figure", "size_ratio_low", "size_ratio_high", "stress_covariance"),

@@ -68,7 +68,7 @@ class CycleReadings:
     strain : nominal, as a fraction.
     cycle : 0-based among those of its strain.
     hold_start_s, rest_start_s : ends of the two ramps, on the run's clock.
-    press_ramp_s, release_ramp_s : how long the strain took to rise and to fall; 0 where it is not known.
+    press_ramp_s, release_ramp_s : how long the strain took to rise and to fall; 0 if unknown.
     held_s, held : (n,) times from the end of the press and relative conductance changes between the pins.
     rested_s, rested : the same from the end of the release.
     before : the last changes before the press, (k,).
@@ -131,7 +131,7 @@ class StrainLevel:
     mean, deviation : steady change between the pins, and its standard deviation over the cycles.
     local_mean, local_deviation : the same under the head.
     stress_kPa : mean; None without force.
-    why : why the strain is left out of the lines, with the numbers; empty where it is not.
+    why : why the strain is left out of the lines, with the numbers; empty if it is not.
     """
 
     strain: float
@@ -224,11 +224,11 @@ class Characterisation:
     local_against_strain, local_against_stress : under the head, corrected for the rest of the strip.
     end_of_hold : slopes against strain of the changes as they were read at the end of the holds, without what fits
         add: from before the press, and from the rested strip.
-    modulus_kPa : slope of the steady stress against strain; None where there is none.
+    modulus_kPa : slope of the steady stress against strain; None if there is none.
     strain_offset : where that line crosses zero stress: by how much the surface was missed.
     settlings : by strain and of all strains.
-    loading, unloading, stress : kernels of a unit step; None where none can be told.
-    relaxation : those of conductance by the estimator of sheets, with their errors; None where there is none.
+    loading, unloading, stress : kernels of a unit step; None if not determined.
+    relaxation : those of conductance by the estimator of sheets, with their errors; None if there is none.
     lowest_strain : least strain at which the local line is clear of zero; None where it never is.
     residue : share of a release that outlasts the relaxation, and the time constant it fades with [s]; None where
         none was found.

@@ -1,4 +1,4 @@
-"""What the qualifier of a measurement says, in typed terms: read from its text and written to it here only."""
+"""The qualifier of a measurement as typed dimensions, parsed and written only here."""
 
 import re
 from collections.abc import Callable

@@ -83,14 +83,14 @@ class RunSelection:
 
 @dataclass(frozen=True, slots=True)
 class RunLine:
-    """One run in a study: what it was, and what came of it.
+    """One run in a study: its identity and its outcome.
 
     Parameters
     ----------
     run : its identifier; sorted as text, runs are in the order they were made in, whatever the clock said.
     started_at : by the station's clock, which may have been wrong.
-    made_at : when the identifier was made; None where it does not say.
-    end : RUNNING where it was cut off, or is under way.
+    made_at : when the identifier was made; None if it has none.
+    end : RUNNING if it was interrupted or is in progress.
     outcome, reason, software : of its latest analysis; None and empty where it has none. Software as (distribution,
         version) pairs.
     simulated : in words; empty for a real bench.
@@ -138,7 +138,7 @@ class RunFigure:
     value : None where one of the values is missing, or only a lower bound.
     places : how many values it is the mean of.
     missing, bounded : how many of them have no value, and how many are only lower bounds.
-    lower, upper : the limit it was judged by; None where there was none on that side.
+    lower, upper : its limit; None for a side without one.
     units : of the run's values where they are several, sorted; there is no value then, and ``unit`` is one of them.
     """
 
@@ -179,8 +179,8 @@ class ValueKind:
     Parameters
     ----------
     key : of the metric, without a location: values of all loads are one metric.
-    location : label of the load; empty where it is not about one.
-    lower, upper : of the limit they were held against; None where there was none.
+    location : label of the load; empty if not about one.
+    lower, upper : of their limit; None if there was none.
     """
 
     key: MetricKey

@@ -123,7 +123,7 @@ class ImagingProblem:
     nominal : the sensor type's problem with every reading its pattern images and equal noise: what belongs to the
         type, such as λ, is chosen on it. None where this is it.
     sample : (k, m) float64 measured changes, scaled as ``reference``, for a choice of λ that looks at data
-        (generalised cross-validation, L-curve, discrepancy). None where there are none: it then simulates its own.
+        (generalised cross-validation, L-curve, discrepancy). None if there are none: it then simulates its own.
     measured : (m,) float64, the used readings of this sensor's own reference frame, scaled as ``reference``, for
         absolute images. None where only differences are known.
     """
@@ -172,7 +172,7 @@ class ParameterCurve:
     values : (k,) float64 of the parameter, rising.
     noise_figures : (k,) float64, Adler et al. 2009 form, on the model the choice was made on.
     answers : of every criterion, the one that decided among them; their values are among ``values``.
-    target : noise figure that the criterion of that name asks for; None where nobody says.
+    target : noise figure that the criterion of that name asks for; None if not stated.
     discrete : whether the parameter is a count, and ``values`` are all there are.
     """
 
@@ -200,7 +200,7 @@ class ParameterChoice:
     name : what ``value`` is.
     curve : what there was to choose from; None where the value was given, or is read from a file.
     criterion : what it was chosen by, in one word (``"noise-figure"``, ``"gcv"``, ``"l-curve"``, ``"discrepancy"``,
-        ``"given"``, ``"none"`` where there is nothing to choose); empty where nobody says.
+        ``"given"``, ``"none"`` where there is nothing to choose); empty if not stated.
     """
 
     value: Annotated[float, Kept("regularisation")]

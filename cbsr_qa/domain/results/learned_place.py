@@ -1,4 +1,4 @@
-"""Where a sheet is pressed, as learned from presses at known places: what a calibration file keeps of it.
+"""Model of the place of a press, learned from presses at known places, as kept in a calibration file.
 
 Two estimates are mixed: a Gaussian process on readings (:class:`PlaceProcess`), and what readings are expected to be
 over the sheet (:class:`PlaceTemplates`). Both are about the sheet's centre, in the axes of its electrodes.
@@ -149,7 +149,7 @@ class ModelledPlace:
     templates : (k, m) changes of the readings per strength; zero of those that do not answer.
     variance_mm2 : of a place along an axis, from the presses that the sheet was registered with.
     widening : of covariances, so that regions of the learned places' quantiles hold those presses.
-    noise : standard deviation of a reading's noise, root mean square; 0 where it is not known.
+    noise : standard deviation of a reading's noise, root mean square; 0 if unknown.
     """
 
     node: Annotated[Indices, Kept(dims="nodes 2", least=-_LARGEST_NODE, most=_LARGEST_NODE)]

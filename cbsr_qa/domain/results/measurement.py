@@ -48,9 +48,9 @@ def worst(outcomes: Iterable[Outcome]) -> Outcome:
 class EndReason(StrEnum):
     """How a run ended, independent of its outcome."""
 
-    RUNNING = "running"  #: begun and not ended: found again after a power cut, it is incomplete
+    RUNNING = "running"  #: not ended; incomplete if found after a power cut
     FINISHED = "finished"
-    ABORTED = "aborted"  #: somebody stopped it
+    ABORTED = "aborted"  #: stopped by an operator or a signal
     BROKEN = "broken"  #: an instrument, a safety rule or a plugin stopped it
 
 
@@ -130,17 +130,17 @@ class Measurement:
     Parameters
     ----------
     name : e.g. ``"centre_of_mass_error"``.
-    value : None where it could not be determined; ``how`` then says why. Never NaN.
+    value : None if it could not be determined; ``how`` then gives the reason. Never NaN.
     unit : ``"1"`` for pure numbers.
-    uncertainty : one standard deviation, same unit; None where none is stated.
+    uncertainty : one standard deviation, same unit; None if not stated.
     phase : the phase it was measured in; empty for the whole run.
-    location : label of the load; empty where it is not about one.
-    trial : 0-based; None where it is not about one.
+    location : label of the load; empty if not about one.
+    trial : 0-based; None if not about one.
     qualifier : what else tells it from its siblings, e.g. ``"mask 85 %"``; typed: ``dimensions``.
     how : method, or the reason of a refusal with its remedy.
     bound : whether the value is the quantity or only a lower bound of it.
-    load : index of the load within its phase, as in :class:`~cbsr_qa.domain.run.LoadRecord`; None where it is
-        not about one. With ``phase`` it tells apart loads of one label and trial at several strains.
+    load : index of the load within its phase, as in :class:`~cbsr_qa.domain.run.LoadRecord`; None if not about one.
+        With ``phase`` it tells apart loads of one label and trial at several strains.
     strain : of that load, as a fraction.
     limit, outcome : set by :meth:`judged`.
     """
@@ -195,7 +195,7 @@ class Measurement:
 
     @property
     def dimensions(self) -> Dimensions:
-        """What the qualifier says, in typed terms."""
+        """The qualifier as typed dimensions."""
         return Dimensions.of(self.qualifier)
 
     @property
@@ -285,10 +285,10 @@ class LimitsVersion:
     version : its name; every limit that belongs to it carries it.
     date : ISO date it was made on.
     lot : in words, the golden lot it was proposed from; empty for limits that somebody set.
-    coverage_percent, confidence_percent : share of good sensors each limit holds, and how sure that is; None where
-        nobody stated it.
-    rule : in words, how a value is judged against limit and guard band; empty where nobody stated it.
-    data_sha256 : of the measurements of the lot; empty where there is none.
+    coverage_percent, confidence_percent : share of good sensors each limit holds, and how sure that is; None if not
+        stated.
+    rule : in words, how a value is judged against limit and guard band; empty if not stated.
+    data_sha256 : of the measurements of the lot; empty if there is none.
     sealed : whether the limits were checked to be those that were proposed.
     """
 

@@ -27,7 +27,7 @@ class LoadFinding(StrEnum):
     """Result of locating a load."""
 
     LOCATED = "located"
-    NOT_DETECTED = "not detected"  #: nothing stands out of the noise of the readings
+    NOT_DETECTED = "not detected"  #: no signal above the noise of the readings
     NOT_RESOLVABLE = "not resolvable"  #: there is a load, but too weak to say where
     NOT_AS_MODELLED = "not as modelled"  #: no round load on the modelled sheet explains the readings
 
@@ -63,11 +63,11 @@ class LoadEstimate:
     area_contrast_mm2 : area × contrast, counted against the mean of both conductances: π r² · 2 Δγ/(γ + γ_i). It is
         determined whether the radius is or not; a weak load's equals π r² Δγ/γ.
     contrast : κ = Δγ/γ; only where the radius was given.
-    radius_mm : None where it was given, or is not determined (``no_radius`` says why).
+    radius_mm : None if it was given, or is not determined (``no_radius`` gives the reason).
     no_radius : why there is no radius; empty where there is one.
     misfit : sum of squared residuals over their number less that of the unknowns: 1 for a round load on such a sheet.
     misfit_probability : of a misfit at least as large, were the model right.
-    inflation : by which the covariance was multiplied because the misfit says that the model is wrong; else 1.
+    inflation : factor on the covariance because of the misfit of the model; else 1.
     explained : share of the readings' signal that the load explains, weighed by their noise, which is taken off.
     explained_unweighted : the same of the readings' squares.
     """
@@ -142,7 +142,7 @@ class MaskView:
     fraction : p, of the image's maximum.
     blobs : every blob, heaviest first; empty is "no blob".
     sensed : the blob nearest to the indenter (where several loads are held at once, the one assigned to this load);
-        None where there is none. Amplitudes are taken over its elements.
+        None if there is none. Amplitudes are taken over its elements.
     contour : the same bounded by a contour, where ``settings.outline`` asks for it; None elsewhere.
     fate : ``"apart"``, ``"merged"`` (its region is another load's too) or ``"missed"``.
     regions : number of regions there are, of which every load has at most one.
@@ -220,7 +220,7 @@ class LoadObservation:
         return self.record.release_start_s - self.record.hold_start_s
 
     def relaxation(self, signal: str, *, loading: bool) -> RelaxationObservation | None:
-        """Return the relaxation of a signal after the press or after the release; None where there is none."""
+        """Return the relaxation of a signal after the press or after the release; None if there is none."""
         return next((r for r in self.relaxations if r.signal == signal and r.loading == loading), None)
 
     def mask(self, fraction: float) -> MaskView | None:

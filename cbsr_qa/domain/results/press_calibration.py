@@ -133,7 +133,7 @@ class PressCalibration:
     held_out_mm, held_out_stderr_mm, held_out : mean error of place of presses left out, its standard error and their
         number.
     covered_68, covered_95 : share of these whose region of that probability holds the label.
-    place : what turns changes into places.
+    place : model that converts changes to places.
     modelled : the same by the modelled sheet alone; None in files of before.
     force, depth : what turns located changes into newtons and millimetres; None where presses had none.
     digest, record_digest, file : as of :class:`~cbsr_qa.domain.results.Calibration`.

@@ -14,7 +14,7 @@ class FitStatus(StrEnum):
     """Status of a relaxation fit."""
 
     TWO = "two exponentials"
-    ONE = "one exponential"  #: the second could not be told apart
+    ONE = "one exponential"  #: the second was not distinguishable
     FLAT = "no relaxation"  #: inside the settling band from the start
     DRIFTING = "still drifting"  #: slower than the trace is long: settles later than its window
     REJECTED = "rejected"  #: R² below the gate, or too few points
@@ -54,7 +54,7 @@ class SettlingTime:
         None if the fit was rejected.
     censored : still outside the band at the end of the window: at least ``value_s``.
     band : half width of the band in the trace's unit.
-    why : in words, where there is no plain number.
+    why : reason if there is no plain number.
     """
 
     value_s: Annotated[float | None, Kept("time")]

@@ -127,7 +127,7 @@ class CommandOutcome(Generic[R]):
     Parameters
     ----------
     result : a dataclass whose field names are the documented JSON keys.
-    page, sections : what a person reads.
+    page, sections : content for people.
     exit_code : of the command.
     """
 
@@ -144,15 +144,15 @@ class RunResult:
     Parameters
     ----------
     observation : None where the run ended before anything could be analysed.
-    calibration : None where none was issued; ``calibration_why`` then says why.
+    calibration : None if not issued; ``calibration_why`` then gives the reason.
     compute_s : seconds of computing by stage.
     limits_version : of those limits that carry one.
     characterisation : of the material, where the recipe is for that; there is no observation then.
-    station_check : the station's latest one when the run began; None where it had never been checked.
-    station_charts : how the station's control charts stood with this run; None where none has a reference.
+    station_check : the station's latest one when the run began; None if never checked.
+    station_charts : state of the station's control charts with this run; None without a reference.
     history : changes of the run's files since its sensor type last passed its recipe.
-    overrides : decisions against the verdicts of the run, oldest first; ``verdict`` stays what was found.
-    sensor_history : runs of the sensor that began before this one; None where nobody looked.
+    overrides : decisions against the verdicts of the run, oldest first; ``verdict`` is not changed.
+    sensor_history : runs of the sensor that began before this one; None if not loaded.
     """
 
     record: RunRecord

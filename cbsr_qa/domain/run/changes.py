@@ -11,7 +11,7 @@ from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.sensor import SensorIdentity
 
 _ORDINALS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
-#: Tries that are told one by one, the latest ones.
+#: Number of latest tries listed one by one.
 _TOLD: Final = 5
 
 
@@ -149,7 +149,7 @@ def _runs(some: Iterable[EarlierRun]) -> str:
     return f"{count} run{'' if count == 1 else 's'}"
 
 
-#: What is stored and said where nobody said why.
+#: Stored and shown if no reason was given.
 NO_REASON: Final = "no reason given"
 
 #: Fields that tell the tables of a list apart, in the order they are named.
@@ -200,7 +200,7 @@ class ConfigurationChange:
     old_digest, new_digest : SHA-256 of the contents.
     differences : key by key, limits first.
     by, at : operator of the run, and when it began.
-    why : in the operator's words; :data:`NO_REASON` where there were none.
+    why : in the operator's words, or :data:`NO_REASON`.
     """
 
     run: str
@@ -227,8 +227,8 @@ class ChangeHistory:
 
     Parameters
     ----------
-    accepted_run : the latest earlier run of the sensor type with the recipe that passed; empty where there is none,
-        and ``changes`` are then all there are.
+    accepted_run : the latest earlier run of the sensor type with the recipe that passed; empty if there is none, and
+        ``changes`` are then all there are.
     changes : oldest first; those of the run itself among them.
     """
 

@@ -134,7 +134,7 @@ class LoadRecord:
     index : 0-based within its phase.
     load : as it was pressed first.
     press_start_s … rest_end_s : the head starts down, is down, starts up, is up, the rest is over.
-    clear_s : the head has left the sheet, on its way up; None where nobody noted it (recordings of others).
+    clear_s : the head has left the sheet, on its way up; None if not recorded (recordings of others).
     eased : the strains it was brought to after the first one, in order; none for an ordinary press.
     """
 

@@ -25,7 +25,7 @@ class ChainState:
 
     Parameters
     ----------
-    key_id : identifies the key that signed the chain, and tells nothing of the key; None where nothing is signed.
+    key_id : identifies the signing key without revealing it; None if unsigned.
     """
 
     state: Literal["unchained", "chained"] = "unchained"
@@ -63,8 +63,8 @@ class InstrumentIdentity:
     role : in the station file.
     driver : name of the plugin.
     model, serial, firmware : as the instrument reports them.
-    simulated : whether no real instrument stands behind it.
-    calibration_due : ISO date; None where the station file states none.
+    simulated : whether no real instrument is behind it.
+    calibration_due : ISO date; None if not stated.
     notes : what else traces it, as (what, value) in words: its address, a tare, a dead-weight check.
     """
 
@@ -90,7 +90,7 @@ class RunIdentity:
     started_at : wall clock, with time zone.
     configuration_digest : SHA-256 of the merged configuration.
     software : distribution name → version, of this package, its plugins and its numerical libraries.
-    instruments : what was on the bench.
+    instruments : on the bench.
     simulated : in words, what was simulated; empty for a real bench.
     """
 
@@ -116,7 +116,7 @@ def run_named(serial: str, started_at: datetime | None, run: str) -> str:
 
     Parameters
     ----------
-    started_at : None where it is not known.
+    started_at : None if unknown.
     """
     return f"{serial} ({run})" if started_at is None else f"{serial}, {started_at:%Y-%m-%d %H:%M} UTC ({run})"
 
@@ -129,12 +129,12 @@ class PhaseRecord:
     ----------
     index, name, sequence : order, the recipe's name for it, the plugin that made its steps.
     started_s, ended_s : on the run's clock [s].
-    frames : every frame of the phase; None where it took none.
+    frames : every frame of the phase, or None.
     samples : one joined block per channel.
     loads : the presses held to their end, but for loops: one press is one strain.
     loops : the presses that were eased to other strains before the release (see ``StrainStep``), as they were.
-    unloaded_from_s : from when the sheet counted as rested (see ``MarkUnloaded``); None where it never did.
-    role : what the sequence is for, as it says itself (see ``Role``); OTHER where it says nothing.
+    unloaded_from_s : time from which the sheet counted as rested (see ``MarkUnloaded``), or None.
+    role : stated purpose of the sequence (see ``Role``), or OTHER.
     """
 
     index: int
@@ -160,10 +160,10 @@ class RunSession:
 
     Parameters
     ----------
-    started_s, ended_s : on the run's time line [s]; no end where it was cut off.
-    end, detail : how it ended; RUNNING where it was cut off.
+    started_s, ended_s : on the run's time line [s]; no end if interrupted.
+    end, detail : how it ended; RUNNING if interrupted.
     operator, software : who began or resumed it, and with what; empty where nobody noted it.
-    noted_at : when by the wall clock, for people; None where nobody noted it.
+    noted_at : when by the wall clock, for people; None if not recorded.
     """
 
     started_s: float

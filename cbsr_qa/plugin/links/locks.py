@@ -1,4 +1,4 @@
-"""One program at a time talks to an instrument: a lock per port or resource, which says who holds it."""
+"""Exclusive access to an instrument: a lock per port or resource, which names its holder."""
 
 import hashlib
 import json
@@ -22,12 +22,12 @@ class AddressLock:
     """Holds an address until it is released or the process ends, however it ends.
 
     See :class:`~cbsr_qa.system.FileLock`. A second instrument of the same program is refused like another program's.
-    InstrumentError if it is held, naming by whom; or if the file for it cannot be made.
+    InstrumentError if it is held, naming the holder; or if its file cannot be created.
 
     Parameters
     ----------
     address : as the station file states it; paths of one device are one address, also through links to it.
-    device : what is locked, where one device has addresses that are written in several ways.
+    device : what is locked, if a device has several spellings of its address.
     """
 
     def __init__(self, role: str, address: str, *, device: str = "") -> None:
@@ -64,7 +64,7 @@ def _self(role: str) -> dict[str, Any]:
 
 
 def _holder(text: bytes) -> str:
-    """Say who holds a lock; one that has only just taken it may not have written its name yet."""
+    """Describe the holder of a lock, which may not have written its name yet."""
     try:
         who = json.loads(text)
         return f"process {who['pid']} ({who['command']}) as {who['role']} since {who['since']}"

@@ -35,7 +35,7 @@ class SerialLink:
     address : path of the port, or ``usb:VID:PID`` or ``usb:VID:PID:SERIAL`` (hexadecimal, as in ``usb:2C99:0002``):
         a device by its identity, whatever port it is plugged into.
     baud : bits per second; 8 data bits, no parity, 1 stop bit.
-    timeout_s : how long an answer is waited for where a call says nothing else.
+    timeout_s : default time to wait for an answer.
     """
 
     def __init__(self, role: str, address: str, *, baud: int, timeout_s: float = 1.0) -> None:
@@ -100,7 +100,7 @@ class SerialLink:
             return self._taken(len(self._held))
 
     def flush_input(self) -> None:
-        """Throw away what has come and was not read."""
+        """Discard unread input."""
         with self._reading, self._mapped():
             self._held.clear()
             self._port.reset_input_buffer()
@@ -223,7 +223,7 @@ def _usb_identity(role: str, address: str) -> tuple[int, int, str | None]:
 
 
 def _ports() -> str:
-    """Say which ports there are, those of USB devices with their identity."""
+    """List the ports, with the identity of USB devices."""
     known = [
         f"{port.device} (usb:{port.vid:04X}:{port.pid:04X}{f':{port.serial_number}' if port.serial_number else ''})"
         for port in list_ports.comports()

@@ -40,7 +40,7 @@ class VisaLink:
 
     Parameters
     ----------
-    timeout_s : how long an answer is waited for where a call says nothing else.
+    timeout_s : default time to wait for an answer.
     echo : command, with ``{}`` for a word, that the instrument answers with that word alone.
     backend : of pyvisa: ``"@py"``, or ``"@ivi"`` for a vendor's library.
     """
@@ -92,7 +92,7 @@ class VisaLink:
         Parameters
         ----------
         count : of the numbers, sent as ``#0`` and little-endian singles, then a line end.
-        mark : a line of its own that must follow them.
+        mark : a separate line that must follow them.
         """
         self.write(text)
         size = len(_HEADER) + count * np.dtype(_SINGLE).itemsize
@@ -122,7 +122,7 @@ class VisaLink:
         self.resynchronise()
 
     def resynchronise(self) -> None:
-        """Throw away every answer that is still to come: send a word, and read on until it comes back.
+        """Discard pending answers: send a word, and read until it comes back.
 
         InstrumentError if the word does not come back.
         """

@@ -104,7 +104,7 @@ def characteristic_figure(
     curves : of the locations, each with stresses and a positive span.
     mean : over them, in shares of the span.
     line : through the mean.
-    scatter : repeatability in shares of the span; None where it is not known.
+    scatter : repeatability in shares of the span; None if unknown.
     """
     figure = canvas(2.75)
     ends = np.array([0.0, 1.04 * _stress(mean)[-1]])

@@ -35,8 +35,7 @@ def left_out_figure(
     ----------
     places_mm, found_mm : (n, 2).
     levels, held : (k,) shares that regions state, and those found.
-    edge_mm, numbers_mm : (·, 2) of the sheet, and where numbers of electrodes go; None where it is not known how it
-        lies.
+    edge_mm, numbers_mm : (·, 2) of the sheet, and where numbers of electrodes go; None if unknown how it lies.
     """
     figure = canvas(3.3)
     axes = figure.add_axes((0.0, 0.02, 0.44, 0.94))

@@ -265,7 +265,7 @@ class LineSampler:
                 self._log.append(time_s, self._convert(value))
 
     def _understood(self, line: bytes) -> tuple[float | None, float] | None:
-        """Return (device time [s] or None, number) of a line; None where it is none."""
+        """Return (device time [s] or None, number) of a line; None if it is not one."""
         text = line.decode("ascii", "replace").strip()
         match = (_TIMED if self._timed else _PLAIN).match(text)
         if match is None:

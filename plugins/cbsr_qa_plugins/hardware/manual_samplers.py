@@ -92,7 +92,7 @@ class Operator:
 
 
 def _parsed(answer: str, unit: str) -> float | None:
-    """Return the number of an answer such as ``1.5`` or ``1.5 mm``; None where it is none, or not a finite one."""
+    """Return the number of an answer such as ``1.5`` or ``1.5 mm``; None if it is not one, or not a finite one."""
     text = answer.removesuffix(unit).strip()
     if not _NUMBER.fullmatch(text):
         return None

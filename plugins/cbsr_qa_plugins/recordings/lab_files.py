@@ -229,7 +229,7 @@ def _in_order(transcript: Transcript, order: str) -> str:
 
 
 def channel(recording: Recording, name: str, unit: str) -> SampleBlock | None:
-    """Samples of a channel; None where there are none."""
+    """Samples of a channel; None if there are none."""
     return next((s for s in recording.samples if (s.channel, s.unit) == (name, unit) and len(s)), None)
 
 
