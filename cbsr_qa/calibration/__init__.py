@@ -1,4 +1,4 @@
-"""What a sensor's own loads teach: fits, the sheet's response, force, and the file that is issued."""
+"""Learning from a sensor's own loads: fits, the sheet's response, force, and the issued file."""
 
 from cbsr_qa import door
 

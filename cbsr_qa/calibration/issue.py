@@ -48,17 +48,17 @@ def issue_calibration(
     calibration, issued_at : identity (time-ordered UUID as text) and wall clock (ISO with zone).
     phases : names of the phases whose loads are used.
     overlap_threshold : lowest area overlap the recipe accepts [%].
-    noise_figure : measured on this sensor; None where the recipe did not ask for it.
-    learned : force model of the sensor; its line takes the place of the material's α, β against stress, since its
-        map was learned with it. None where there is none: ``no_force`` then says why.
-    learned_from : the loads it was learned from or that it refused, in the order of ``learned.refused``.
-    confirmed : loads it was not learned from whose force it told within its stated error: they widen the range.
+    noise_figure : measured on this sensor; None if the recipe did not request it.
+    learned : force model of the sensor; its line replaces the material's α, β against stress, since its map was
+    learned with it. None for the reason ``no_force``.
+    learned_from : used and refused loads, in the order of ``learned.refused``.
+    confirmed : other loads whose force it predicted within its stated error: they widen the range.
 
     Raises
     ------
     CalibrationError
         If the run did not pass or was not finished, no load of those phases gave a baseline conductance, the drive
-        current is not known, or ``issued_at`` is no time with a zone. Single loads that say nothing only reduce the
+        current is unknown, or ``issued_at`` is not a time with a zone. Single unusable loads only reduce the
         validity, each with its reason.
     """
     _check_passed(observation, verdict)
@@ -107,7 +107,7 @@ def _loads_of(observation: RunObservation, phases: Sequence[str]) -> list[LoadOb
 def _baseline(
     observation: RunObservation, loads: Sequence[LoadObservation], against_stress: QuasiStatic
 ) -> tuple[tuple[BaselineConductance, ...], list[LoadObservation]]:
-    """ρ̄₀ of every location, and the loads that said something about it."""
+    """ρ̄₀ of every location, and the loads that contributed."""
     noise, mask = observation.noise_images, observation.main_mask
     baseline = baseline_conductance(loads, against_stress, noise, mask)
     used = [load for load in loads if load_baseline(load, against_stress, noise, mask).value is not None]
@@ -146,7 +146,7 @@ def _check_passed(observation: RunObservation, verdict: Verdict) -> None:
 
 
 def _utc(issued_at: str) -> str:
-    """One spelling of a time, so that a calibration put together again from a database has the same digest."""
+    """Normalise the spelling of a time, so that a calibration rebuilt from a database has the same digest."""
     try:
         moment = datetime.fromisoformat(issued_at)
     except ValueError as error:

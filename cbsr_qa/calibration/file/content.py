@@ -1,18 +1,18 @@
-"""A calibration as named, typed values with units: what its file holds in any format, and digests.
+"""A calibration as named, typed values with units, the content of its file in any format, and digests.
 
 ``digest`` covers everything. It can be recomputed from the file with h5py and hashlib alone: feed a SHA-256 with the
-line ``format TAB schema_version NEWLINE``, format being ``cbsr-qa calibration`` or, of one that was learned from
-labelled presses, ``cbsr-qa press calibration``, and then, for every dataset in the order of its path (without
-leading ``/``, sorted by Unicode code point), with the UTF-8 bytes of the line
-``path TAB units TAB kind TAB shape NEWLINE``, where ``kind`` is ``f8``, ``f4``, ``i8``, ``u1`` or ``text`` and
-``shape`` the lengths joined by ``x`` (empty for one value), and with the data in C order: little-endian numbers, or
-for each text its length in bytes in decimal, a NEWLINE and its UTF-8 bytes.
+line ``format TAB schema_version NEWLINE``, format being ``cbsr-qa calibration`` or, if learned from labelled presses,
+``cbsr-qa press calibration``, and then, for every dataset in the order of its path (without leading ``/``, sorted by
+Unicode code point), with the UTF-8 bytes of the line ``path TAB units TAB kind TAB shape NEWLINE``, where ``kind`` is
+``f8``, ``f4``, ``i8``, ``u1`` or ``text`` and ``shape`` the lengths joined by ``x`` (empty for one value), and with
+the data in C order: little-endian numbers, or for each text its length in bytes in decimal, a NEWLINE and its UTF-8
+bytes.
 
-``record_digest`` is the same sum over the datasets that no program can work out again: all but those named by
+``record_digest`` is the same digest over the datasets that cannot be recomputed: all but those named by
 :data:`PREPARED`. Mesh, model, matrix and the templates of the head follow from sensor type, method, parameter, head,
 used readings and their merging, which are covered, and the readings' noise from the run's unloaded frames, but only
-to rounding, which is another one on another computer. So a calibration that is put together again from a database
-has its ``record_digest`` to the bit anywhere, and its ``digest`` where the arithmetic is the same.
+to rounding, which depends on the computer. So a calibration rebuilt from a database has the same ``record_digest``
+anywhere, and the same ``digest`` if the arithmetic is the same.
 """
 
 import hashlib
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, tabulated
 from cbsr_qa.domain.results import Calibration, PressCalibration
 
-#: What a value may be: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
+#: Possible values: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
 Value = Array | NDArray[np.float32] | Indices | Mask | str | tuple[str, ...]
 
 #: Units of values that have none.
@@ -45,20 +45,20 @@ class Entry:
 
 
 class Reading:
-    """Hands entries out again, typed.
+    """Typed access to entries.
 
-    Every method raises CalibrationError, naming the path, where it is missing or holds something else.
+    Every method raises CalibrationError, naming the path, if it is missing or of another type.
     """
 
     def __init__(self, entries: Mapping[str, Entry]) -> None:
         self._entries = entries
 
     def has(self, path: str) -> bool:
-        """Whether there is an entry: not every kind of sensor has every one."""
+        """Return whether there is an entry: not all kinds of sensor have all of them."""
         return path in self._entries
 
     def number(self, path: str) -> float:
-        """Return a number; it is finite."""
+        """Return a finite number."""
         value = float(self.array(path, np.float64, ()))
         if not np.isfinite(value):
             raise CalibrationError(f"{path} is {value:g}; a finite number is expected")
@@ -77,7 +77,7 @@ class Reading:
         return array
 
     def either(self, path: str) -> Array:
-        """Return an array of finite numbers that are kept in single or in double precision."""
+        """Return an array of finite numbers stored in single or double precision."""
         value = self._value(path)
         single = isinstance(value, np.ndarray) and value.dtype == np.float32
         values = self.array(path, np.float32).astype(np.float64) if single else self.numbers(path)
@@ -90,12 +90,12 @@ class Reading:
         return [None if np.isnan(value) else float(value) for value in self.numbers(path)]
 
     def optional(self, path: str) -> Array | None:
-        """Return an array of numbers, or None where it is empty."""
+        """Return an array of numbers, or None if it is empty."""
         values = self.numbers(path)
         return values if values.size else None
 
     def pair(self, path: str) -> tuple[float, float] | None:
-        """Return (lowest, highest), or None where it is empty."""
+        """Return (lowest, highest), or None if it is empty."""
         values = self.optional(path)
         if values is None:
             return None
@@ -146,7 +146,7 @@ class Reading:
         return self._entries[path].value
 
     def array(self, path: str, kind: type[np.generic], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
-        """Return an array of a kind and, where one is given, of a shape; else of one axis or more."""
+        """Return an array of a kind and of a shape, or by default of one axis or more."""
         value = self._value(path)
         if not isinstance(value, np.ndarray) or value.dtype != kind:
             raise CalibrationError(f"{path} does not hold {kind.__name__} numbers")
@@ -157,17 +157,17 @@ class Reading:
         return value
 
 
-#: Of what a run issued, and of what was learned from labelled presses.
+#: Format of a run's calibration, and of one learned from labelled presses.
 FORMAT, PRESS_FORMAT = "cbsr-qa calibration", "cbsr-qa press calibration"
-#: What only the latter has.
+#: Entries that only the latter has.
 _OF_PRESSES: Final = "readings/pairs"
-#: Version of what holds matrix and Jacobian in single precision; in double precision they are written as before.
+#: Version with matrix and Jacobian in single precision; double precision is written as before.
 _SINGLE_MATRIX: Final = 3
 
 _TABLE: Final = tuple(tabulated(Calibration))
-#: Paths, or beginnings of paths, of what is prepared again from the rest.
+#: Paths, or prefixes of paths, of entries recomputed from the others.
 PREPARED: Final = tuple(path for path, field in _TABLE if field.kept.prepared)
-#: The same of what later versions of a format added, with the version.
+#: The same for entries added in later versions of a format, with the version.
 _SINCE: Final = {
     format_: tuple((path, field.kept.since) for path, field in tabulated(of) if field.kept.since > 1)
     for format_, of in ((FORMAT, Calibration), (PRESS_FORMAT, PressCalibration))
@@ -176,7 +176,7 @@ SCHEMA_VERSION: Final = max([_SINGLE_MATRIX, *(since for _, since in _SINCE[FORM
 
 
 def format_of(entries: Mapping[str, Entry]) -> str:
-    """Return the format that some entries are of."""
+    """Return the format of some entries."""
     return PRESS_FORMAT if _OF_PRESSES in entries else FORMAT
 
 
@@ -186,7 +186,7 @@ def latest_version(format_: str) -> int:
 
 
 def schema_version(entries: Mapping[str, Entry]) -> int:
-    """Return the lowest schema version that has all of some entries: what was issued before keeps its digests."""
+    """Return the lowest schema version that has all of some entries: earlier calibrations keep their digests."""
     for path in ("reconstruction/matrix", "reconstruction/jacobian"):
         value = entries[path].value if path in entries else None
         if isinstance(value, np.ndarray) and value.dtype == np.float32:
@@ -195,7 +195,7 @@ def schema_version(entries: Mapping[str, Entry]) -> int:
 
 
 def _record_version(entries: Mapping[str, Entry]) -> int:
-    """Return the version of what is not prepared again: how that is kept says nothing of the record."""
+    """Return the version of the entries that are not recomputed, whose storage does not affect the record."""
     since = _SINCE[format_of(entries)]
     return max([1, *(version for part, version in since if any(path.startswith(part) for path in entries))])
 
@@ -211,7 +211,7 @@ def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> 
 
 
 def record_digest(entries: Mapping[str, Entry]) -> str:
-    """Return the same over what is not prepared again from the rest."""
+    """Return the same over the entries that are not recomputed."""
     if format_of(entries) == PRESS_FORMAT:
         return content_digest(entries)
     kept = {path: entry for path, entry in entries.items() if not path.startswith(PREPARED)}

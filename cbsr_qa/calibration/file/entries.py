@@ -1,8 +1,7 @@
-"""A calibration as entries of its file, and back: schema version 3, or the lowest that has all it holds.
+"""A calibration as entries of its file, and back: schema version 3, or the lowest sufficient one.
 
-What files of before held otherwise is brought to the form of now when it is read, and back when it is written, so
-that what was issued keeps its digests: the regularisation parameter without name and criterion, which its method
-implies, and no word of force.
+Entries of earlier files are converted when read, and back when written, so that issued calibrations keep their
+digests: the regularisation parameter had no name and criterion, which its method implies, and there was no force.
 """
 
 from collections.abc import Iterator, Mapping
@@ -36,7 +35,7 @@ from cbsr_qa.domain.sensor import (
     mesh_of_arrays,
 )
 
-#: Templates have the length one, but for rounding to single precision.
+#: Templates have unit length, apart from rounding to single precision.
 _UNIT: Final = 1e-3
 
 _WHY_NOT: Final = "force/none"
@@ -44,7 +43,7 @@ _METHOD: Final = "reconstruction/method"
 _NAME: Final = "reconstruction/regularisation_name"
 _CRITERION: Final = "reconstruction/regularisation_criterion"
 
-#: What methods call their parameter where a file does not; every other one has a λ.
+#: Names of methods' parameters, for files without them; all others have a λ.
 _CALLED: Final = {
     "truncated-svd": "components kept",
     "linear-back-projection": "no parameter",
@@ -53,12 +52,12 @@ _CALLED: Final = {
 }
 
 
-#: What a file may hold.
+#: Possible content of a file.
 Issued = Calibration | PressCalibration
 
 
 def encode(calibration: Issued) -> Mapping[str, Entry]:
-    """Return everything a calibration holds as entries by path.
+    """Return the content of a calibration as entries by path.
 
     CalibrationError if its matrix was prepared for another sensor type than it names.
     """
@@ -88,7 +87,7 @@ def decode(entries: Mapping[str, Entry]) -> Issued:
     Raises
     ------
     CalibrationError
-        If an entry is missing, of another type, of another length than its neighbours, or not allowed.
+        If an entry is missing, of another type or length, or not allowed.
     """
     try:
         return (_press_calibration if format_of(entries) == PRESS_FORMAT else _calibration)(entries)
@@ -126,7 +125,7 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
 
 
 def _place_problems(place: LearnedPlace, readings: int) -> Iterator[str]:
-    """Say what no place could be worked out from."""
+    """Say what makes places impossible to compute."""
     permuted = place.turns.permuted
     of_readings = {
         "scaling/ceiling": place.scaling.ceiling.shape[0],
@@ -150,7 +149,7 @@ def _place_problems(place: LearnedPlace, readings: int) -> Iterator[str]:
 
 
 def _quantity_problem(quantity: LearnedQuantity) -> str:
-    """Say what no force and no depth could be worked out from; empty if there is nothing."""
+    """Say what makes force and depth impossible to compute; empty otherwise."""
     values, (low, high) = quantity.values, quantity.quantiles.tolist()
     if not (len(values) > 1 and np.ptp(values) > 0):
         return "values are all alike"
@@ -234,7 +233,7 @@ def _read_given_mesh(read: Reading, group: str) -> GivenMesh | None:
 
 
 def _write_relaxations(out: Entries, group: str, relaxations: tuple[LoadRelaxation, ...]) -> None:
-    """One group per signal, so that every dataset has one unit; ``number`` is the place among all of them."""
+    """Write one group per signal, so that every dataset has one unit; ``number`` is the index among all of them."""
     for signal in dict.fromkeys(relaxation.signal for relaxation in relaxations):
         numbers = [number for number, relaxation in enumerate(relaxations) if relaxation.signal == signal]
         members = [relaxations[number] for number in numbers]
@@ -270,7 +269,7 @@ _CODEC: Final = Codec(_IRREGULAR)
 
 
 def as_filed(model: ForceModel) -> ForceModel:
-    """Return a model with the precision its file has, so that what is issued is what is read."""
+    """Return a model in the precision of its file, so that the issued one equals the one read."""
     filed: dict[str, Any] = {}
     for field in kept_fields(ForceModel):
         values = getattr(model, field.name)
@@ -282,7 +281,7 @@ def as_filed(model: ForceModel) -> ForceModel:
 
 
 def _check_usable(calibration: Calibration) -> None:
-    """Refuse a force model whose merging, reference, line, current or head no force can be worked out from."""
+    """Refuse a force model whose merging, reference, line, current or head is unusable."""
     model, used = calibration.force, calibration.reconstruction.problem.used
     if model is None:
         return

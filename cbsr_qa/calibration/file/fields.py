@@ -15,11 +15,11 @@ Pairs = tuple[tuple[int, int], ...]
 Points = tuple[tuple[float, float], ...]
 
 Entries = dict[str, Entry]
-#: How a type is written and read that is not one dataset a field: both are given the path of its group.
+#: How a type that is not one dataset per field is written and read: both get the path of its group.
 Irregular = tuple[Callable[[Entries, str, Any], None], Callable[[Reading, str], Any]]
 
 _INTEGERS: Final = (int, int | None, Pairs, Indices)
-#: Units of what has none in its name.
+#: Units of fields without one in their name.
 _UNITS: Final = {bool: FLAG, Mask: FLAG, Pairs: INDEX, Indices: INDEX, str: TEXT, tuple[str, ...]: TEXT}
 
 
@@ -28,14 +28,14 @@ class Codec:
 
     Parameters
     ----------
-    irregular : what has a way of its own, by type.
+    irregular : special cases by type.
     """
 
     def __init__(self, irregular: Mapping[Any, Irregular]) -> None:
         self._irregular = irregular
 
     def write(self, out: Entries, value: Any, within: str, own: str = PURE) -> None:
-        """Keep a dataclass under the path of its group; ``own`` are the units of its own."""
+        """Write a dataclass under the path of its group; ``own`` are the units of its fields."""
         for field in kept_fields(type(value)):
             held, group = getattr(value, field.name), group_of(field.hint)
             path, units = _place(field, within, own)
@@ -51,7 +51,7 @@ class Codec:
                 self.write(out, held, path, units)
 
     def write_list(self, out: Entries, of: Any, items: Sequence[Any], within: str, own: str = PURE) -> None:
-        """Keep dataclasses as a list for every field."""
+        """Write dataclasses as a list for every field."""
         for field in kept_fields(of):
             path, units = _place(field, within, own)
             held, group = [getattr(item, field.name) for item in items], group_of(field.hint)
@@ -61,7 +61,7 @@ class Codec:
                 out[path] = Entry(units, _kept(field, held))
 
     def read(self, read: Reading, of: Any, within: str, above: Mapping[str, Any] | None = None) -> Any:
-        """Return a dataclass; ``above`` are the fields that what holds it has."""
+        """Return a dataclass; ``above`` are the fields of the enclosing one."""
         values: dict[str, Any] = {}
         for field in kept_fields(of):
             path, group = _place(field, within, PURE)[0], group_of(field.hint)
@@ -81,7 +81,7 @@ class Codec:
         return of(**values)
 
     def read_list(self, read: Reading, of: Any, within: str, above: Mapping[str, Any]) -> Iterator[Any]:
-        """Yield dataclasses from the lists of their fields; ``above`` is what all of them share."""
+        """Yield dataclasses from the lists of their fields; ``above`` is common to all of them."""
         shared = {field.name: above[field.name] for field in kept_fields(of) if field.kept.from_above}
         columns: dict[str, Sequence[Any]] = {}
         for field in kept_fields(of):
@@ -95,13 +95,13 @@ class Codec:
 
 
 def item_of(hint: Any) -> Any:
-    """Return the dataclass that a field is a list of, or None."""
+    """Return the dataclass of a list field, or None."""
     item, *others = getattr(hint, "__args__", (None,))
     return item if others == [...] and is_dataclass(item) else None
 
 
 def problems(value: Any, within: str) -> Iterator[str]:
-    """Say what is wrong with the numbers of a dataclass, by the limits and axes of its fields."""
+    """Describe invalid numbers of a dataclass, by the limits and axes of its fields."""
     lengths: dict[str, int] = {}
     for field in kept_fields(type(value)):
         held, path = getattr(value, field.name), _place(field, within, PURE)[0]
@@ -129,7 +129,7 @@ def _beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
 
 
 def _misshapen(field: KeptField, path: str, shape: tuple[int, ...], lengths: dict[str, int]) -> Iterator[str]:
-    """Compare a shape with the lengths of the axes named so far, and add those it is the first to have."""
+    """Compare a shape with the known lengths of axes, and add new ones."""
     names = field.kept.dims.split()
     if len(names) != len(shape):
         yield f"{path} has the shape {shape}; ({', '.join(names)}) is expected"
@@ -153,7 +153,7 @@ def _is_text(hint: Any) -> bool:
 
 
 def _kept(field: KeptField, held: Any) -> Value:
-    """Return what is kept of one value, or of a list of them; negative zero becomes zero."""
+    """Return the stored form of one value, or of a list; negative zero becomes zero."""
     if _is_text(field.hint):
         return str(held) if isinstance(held, str) else tuple(map(str, held))
     if field.hint in (bool, Mask):
@@ -180,7 +180,7 @@ def _padded(rows: Sequence[tuple[float, ...]]) -> Array:
     return table
 
 
-#: How one value is read, and how a list of them.
+#: Readers of one value, and of a list.
 _VALUES: Final[Mapping[Any, Callable[[Reading, str], Any]]] = {
     str: Reading.text,
     tuple[str, ...]: Reading.texts,

@@ -1,8 +1,8 @@
-"""What a microcontroller needs of a calibration: small JSON, plain numbers, and what is lost by being small.
+"""The part of a calibration that a microcontroller needs: small JSON, plain numbers, with the loss of accuracy.
 
 Values keep the paths they have in the calibration file. Templates are on a coarser lattice and in 16 bits; merging is
-a row and a weight for every reading, since every reading belongs to one row. Left out are images, relaxations, and
-how templates grow with the head: the firmware is for the head that calibrated.
+a row and a weight for every reading, as every reading belongs to one row. Images, relaxations and the size dependence
+of templates are left out: the firmware is for the calibrating head.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -22,7 +22,7 @@ VERSION: Final = 1
 FORMULA: Final = "docs/reference/calibration-file.md#force-step-by-step"
 #: Steps of a template's values: 16 bits, signed.
 _STEPS: Final = 32767
-#: Largest error of a force anywhere that the choice of the lattice may add.
+#: Largest relative error of a force that the choice of the lattice may add.
 _WORST: Final = 0.02
 _STRIDES: Final = (6, 5, 4, 3, 2)
 _KEPT: Final = (
@@ -49,7 +49,7 @@ class Loss:
 
     Parameters
     ----------
-    places : how many were tried; ``places_lost`` of them have no coarse nodes about them.
+    places : number tried; ``places_lost`` of them lack coarse nodes around them.
     relative_force_error_rms, relative_force_error_worst : over the others, the place known.
     """
 
@@ -60,7 +60,7 @@ class Loss:
 
 
 def firmware_document(calibration: Calibration, *, stride: int | None = None) -> dict[str, Any]:
-    """Return what firmware needs, as one JSON document.
+    """Return the content for firmware as one JSON document.
 
     CalibrationError without a force model, if a reading is merged into several rows, or the stride leaves no place.
 
@@ -93,7 +93,7 @@ def firmware_document(calibration: Calibration, *, stride: int | None = None) ->
 
 
 def thinned(model: ForceModel, stride: int) -> ForceModel:
-    """Return a model on every ``stride``-th node about the lattice's middle, its templates in 16 bits."""
+    """Return a model on every ``stride``-th node about the lattice's middle, with templates in 16 bits."""
     lattice = model.lattice
     first = [(count // 2) % stride for count in (lattice.columns, lattice.rows)]
     part = model.node[first[1] :: stride, first[0] :: stride]
@@ -112,7 +112,7 @@ def thinned(model: ForceModel, stride: int) -> ForceModel:
 
 
 def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
-    """Say what a coarser model of a calibration loses."""
+    """Return the loss of a coarser model of a calibration."""
     model = _model(calibration)
     fine = TemplateFilter(model)
     places = _calibrated_places(calibration, model, fine)
@@ -163,7 +163,7 @@ def _calibrated_places(calibration: Calibration, model: ForceModel, fine: Templa
     node = model.node.ravel()
     fits = np.where(node >= 0, model.fits[node], False)
     near = np.hypot(*everywhere.T) <= calibration.validity.radius_mm
-    # Between nodes, where interpolation is at its worst.
+    # Between nodes, where interpolation is worst.
     places = everywhere[fits & near] + model.lattice.spacing_mm / 2
     reached = places[np.isfinite(fine.template(places)).all(axis=1)]
     if not len(reached):

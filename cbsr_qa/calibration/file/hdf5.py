@@ -1,12 +1,12 @@
-"""The calibration file: HDF5, readable from MATLAB, LabVIEW, C and Python, and never executing anything.
+"""The calibration file: HDF5, readable from MATLAB, LabVIEW, C and Python, without executable content.
 
-Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, yes and no are one byte (0 or 1),
-a number that does not exist is NaN, an index that does not exist is −1, an optional array that does not exist is
-empty. Attributes of the root say ``format``, ``schema_version`` and ``digest``, which is of the content, not of the
-file's bytes (see :mod:`cbsr_qa.calibration.file`): writing the content again with another HDF5 library keeps it. The
-512 bytes before the HDF5 file (its user block, which every HDF5 library skips) hold a digest of all bytes after them.
-Schema version 1 had no group ``force``, version 2 matrix and Jacobian in double precision; what holds no more is
-still written so. Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
+Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, booleans are one byte (0 or 1), missing
+numbers are NaN, missing indices are −1, missing optional arrays are empty. Attributes of the root are ``format``,
+``schema_version`` and ``digest``, which covers the content, not the file's bytes (see
+:mod:`cbsr_qa.calibration.file`), and so does not depend on the HDF5 library. The 512 bytes before the HDF5 file (its
+user block, which every HDF5 library skips) hold a digest of all bytes after them. Schema version 1 had no group
+``force``, version 2 matrix and Jacobian in double precision; these versions are still written if sufficient. Large
+arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
 """
 
 import hashlib
@@ -39,15 +39,15 @@ from cbsr_qa.system import read_untrusted, writing, written_whole
 
 _Kind = TypeVar("_Kind", Calibration, PressCalibration)
 
-#: More than any calibration file has.
+#: More than in any calibration file.
 _LARGEST_BYTES: Final = 2**28
 _DIGEST: Final = re.compile("[0-9a-f]{64}")
-#: Arrays from this size on are compressed; below it a chunk costs more than it saves.
+#: Arrays from this size on are compressed; for smaller ones a chunk costs more than it saves.
 _COMPRESSED_BYTES: Final = 2**13
-#: How far gzip looks back for bytes it has seen.
+#: gzip's window for repeated bytes.
 _LOOKS_BACK: Final = 2**15
 
-#: Of the block before the HDF5 file: the smallest that HDF5 skips.
+#: Size of the block before the HDF5 file: the smallest user block.
 _BLOCK_BYTES: Final = 512
 BLOCK_BEGINS: Final = b"cbsr-qa calibration file: HDF5 after these 512 bytes\n"
 _SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
@@ -58,7 +58,7 @@ _COPY_AGAIN: Final = "copy it again from where it was issued"
 def stamped(calibration: _Kind) -> _Kind:
     """Return a calibration with its digests and the bytes of its file filled in.
 
-    CalibrationError if it contradicts itself, or holds a text that HDF5 cannot.
+    CalibrationError if it contradicts itself, or has a text that HDF5 cannot hold.
     """
     entries = encode(calibration)
     digest = content_digest(entries)
@@ -72,8 +72,8 @@ def write_calibration(path: Path, calibration: Issued) -> str:
     Raises
     ------
     CalibrationError
-        If the folder cannot be written, the calibration contradicts itself, or it is not what was issued: it has a
-        ``record_digest`` that its content does not have.
+        If the folder cannot be written, the calibration contradicts itself, or it differs from the issued one
+        (another ``record_digest``).
     """
     entries = _as_issued(calibration)
     digest = content_digest(entries)
@@ -95,7 +95,7 @@ def _whole_file(entries: Mapping[str, Entry], digest: str) -> bytes:
 
 
 def _in_memory(entries: Mapping[str, Entry], digest: str) -> bytes:
-    """Return the file's bytes: HDF5 itself is kept off the disk, since a full one makes it crash the program."""
+    """Return the file's bytes, built in memory because a full disk would crash HDF5."""
     with h5py.File("calibration.h5", "w", driver="core", backing_store=False, userblock_size=_BLOCK_BYTES) as file:
         _write(file, entries, digest)
         file.flush()
@@ -108,7 +108,7 @@ def read_calibration(path: Path) -> Calibration:
     Raises
     ------
     CalibrationError
-        If it is not there, truncated, edited since it was issued, of a later version, or not a run's calibration.
+        If it does not exist, is truncated, edited since issue, of a later version, or not a run's calibration.
     """
     issued = read_issued(path)
     with _naming(path):
@@ -118,11 +118,11 @@ def read_calibration(path: Path) -> Calibration:
 def read_issued(path: Path) -> Issued:
     """Read a calibration file, of a run or of labelled presses. CalibrationError if it is not sound."""
     with _naming(path):
-        return replace(_issued_in(file_bytes(path)), file=b"")  # a robot has no use for megabytes of it
+        return replace(_issued_in(file_bytes(path)), file=b"")  # a robot does not need megabytes of it
 
 
 def of_run(issued: Issued) -> Calibration:
-    """Return what a run issued. CalibrationError if it was learned from labelled presses instead."""
+    """Return a run's calibration; CalibrationError if it was learned from labelled presses."""
     if isinstance(issued, PressCalibration):
         raise CalibrationError(
             "learned from labelled presses, not issued by a run",
@@ -134,7 +134,7 @@ def of_run(issued: Issued) -> Calibration:
 def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
     """Return the calibration in the bytes of a file.
 
-    CalibrationError as of :func:`read_calibration`, and if its digest is not that which was issued.
+    CalibrationError as for :func:`read_calibration`, and if its digest differs from the issued one.
     """
     held = _issued_in(data)
     if issued and held.digest != issued:
@@ -152,7 +152,7 @@ def _issued_in(data: bytes) -> Issued:
 def read_contained(path: Path) -> Calibration:
     """Read a calibration file of unknown origin in a child process (see :mod:`cbsr_qa.system.untrusted`).
 
-    CalibrationError as of :func:`read_calibration`, and where reading crashes, hangs or takes too much memory.
+    CalibrationError as for :func:`read_calibration`, and if reading crashes, hangs or takes too much memory.
     """
     return read_untrusted(path, lambda: read_calibration(path), refusal=CalibrationError)
 
@@ -194,7 +194,7 @@ def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
         return {}
     packing: dict[str, Any] = {"compression": "gzip", "shuffle": True}
     if path == "reconstruction/jacobian":
-        # A reading and its reciprocal have the same row, which is found again if the chunk holds some columns of all.
+        # A reading and its reciprocal have equal rows, which are compressed if a chunk holds some columns of all.
         columns = min(max(_LOOKS_BACK // data.shape[0], 1), data.shape[1])
         packing["chunks"] = (data.shape[0], columns)
     return packing
@@ -225,15 +225,15 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool]:
 
 
 def _block(image: bytes) -> bytes:
-    """Return what stands before the HDF5 file: a digest of its bytes, which HDF5 skips as a user block."""
+    """Return the user block before the HDF5 file: a digest of its bytes."""
     stated = f"SHA-256 of what follows them: {hashlib.sha256(image).hexdigest()}\n"
     return (BLOCK_BEGINS + stated.encode()).ljust(_BLOCK_BYTES, b"\0")
 
 
 def _check_bytes(data: bytes) -> bool:
-    """Hold the bytes of a file against the digest before them; False where it has none, as files once had.
+    """Compare the bytes of a file with the digest before them; False for an early file without one.
 
-    Before HDF5 sees any of them: one changed byte can crash its library.
+    This precedes HDF5, which one changed byte can crash.
     """
     if data.startswith(_SIGNATURE):
         return False
@@ -258,7 +258,7 @@ def file_bytes(path: Path) -> bytes:
     Raises
     ------
     CalibrationError
-        If it is not there, no file, cannot be read, or too large for a calibration.
+        If it does not exist, is not a file, cannot be read, or is too large for a calibration.
     """
     try:
         if not path.exists():
@@ -275,12 +275,12 @@ def file_bytes(path: Path) -> bytes:
 
 
 def printable(text: str) -> str:
-    """Return a text without control characters: names in a file may be anything, and a terminal obeys them."""
+    """Return a text without control characters, which names in a file may contain and terminals obey."""
     return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
 def _stated(file: h5py.File) -> str:
-    """Return the digest a file states; empty where it states what is none, and might be anything."""
+    """Return the digest stated in a file; empty if it is not one."""
     stated = attribute(file, "digest")
     return stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""
 

@@ -1,4 +1,4 @@
-"""What an HDF5 file holds, looked at before any of it is read: the same rules for calibrations and recordings."""
+"""Content of an HDF5 file, checked before any of it is read, with the same rules for calibrations and recordings."""
 
 from collections.abc import Iterator
 from typing import Any, Final
@@ -8,36 +8,36 @@ import h5py
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.system import largest_content
 
-#: More than any file of ours has.
+#: More than in any of our files.
 _MOST_NAMES: Final = 10_000
 _DEEPEST: Final = 5
 _MOST_ATTRIBUTES: Final = 100
 _LARGEST_ATTRIBUTE: Final = 2**16
 _MOST_TEXTS: Final = 100_000
-#: Characters of all texts of one dataset.
+#: Most characters of all texts in one dataset.
 _MOST_CHARACTERS: Final = 2**24
 #: gzip, byte shuffle and checksum; HDF5 would load a library for any other filter.
 _FILTERS: Final = frozenset({1, 2, 3})
 
 
 def members(file: h5py.File, size_bytes: int) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
-    """Walk through the groups and datasets of a file; each has been checked when it comes, and none was read.
+    """Iterate over the groups and datasets of a file, each checked before and none read.
 
     Parameters
     ----------
-    size_bytes : of the file; all datasets together may be so much larger as honest data pack.
+    size_bytes : of the file; limits all datasets by the usual compression.
 
     Raises
     ------
     RefusedError
-        If the file has links, data outside of itself, too many names, or datasets that are too large or of a type
-        that is neither number nor text.
+        If the file has links, external data, too many names, or datasets that are too large or of a type that is
+        neither number nor text.
     """
     yield from _Walk(largest_content(size_bytes)).within(file, "")
 
 
 class _Walk:
-    """What a file may still claim."""
+    """Remaining limits of a file."""
 
     def __init__(self, left: int) -> None:
         self._left = self._all = left
@@ -85,7 +85,7 @@ class _Walk:
 
 
 def _unpacked_bytes(dataset: h5py.Dataset) -> int:
-    """Bytes of all values, or of one chunk where that is larger; whatever their type, numbers become float64."""
+    """Size of all values, or of one chunk if that is larger [bytes]; all types become float64."""
     count = 1
     for length in dataset.chunks or (0,):
         count *= int(length)
@@ -93,7 +93,7 @@ def _unpacked_bytes(dataset: h5py.Dataset) -> int:
 
 
 def attribute(item: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """Return an attribute that is one number or a text of UTF-8; None where there is none, or something else."""
+    """Return an attribute that is a single number or UTF-8 text; None otherwise."""
     if name not in item.attrs:
         return None
     about = item.attrs.get_id(name)
@@ -102,7 +102,7 @@ def attribute(item: h5py.Group | h5py.Dataset, name: str) -> Any:
         return None
     value = item.attrs[name]
     if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
-        return None  # bytes that are no UTF-8
+        return None  # bytes that are not UTF-8
     return value
 
 
@@ -112,7 +112,7 @@ def attribute_names(item: h5py.Group | h5py.Dataset) -> list[str]:
     Raises
     ------
     RefusedError
-        If there are more than any file of ours has.
+        If there are more than in any of our files.
     """
     if len(item.attrs) > _MOST_ATTRIBUTES:
         raise RefusedError(f"{item.name} has {len(item.attrs)} attributes; at most {_MOST_ATTRIBUTES} are expected")
@@ -122,7 +122,7 @@ def attribute_names(item: h5py.Group | h5py.Dataset) -> list[str]:
 def texts(path: str, dataset: h5py.Dataset) -> str | tuple[str, ...]:
     """Read one text, or a list of them, one by one: a thousand entries may all point to the same megabyte.
 
-    RefusedError if they have more characters than any file of ours.
+    RefusedError if they have more characters than in any of our files.
     """
     held = dataset.asstr()
     if not dataset.ndim:

@@ -1,9 +1,9 @@
-"""A calibration as JSON and back, without loss: for whoever has no HDF5.
+"""A calibration as JSON and back, without loss, for users without HDF5.
 
-One object with ``format``, ``schema_version``, ``digest`` and ``datasets``: by the path a value has in the HDF5 file
-its ``units``, ``kind`` (``f8``, ``f4``, ``i8``, ``u1`` or ``text``), ``shape`` and ``values``, flat in C order, or,
-of large arrays, ``base64`` of the little-endian bytes. A number that does not exist is null. The digest is that of
-the HDF5 file: the content is the same.
+One object with ``format``, ``schema_version``, ``digest`` and ``datasets``: for each path in the HDF5 file its
+``units``, ``kind`` (``f8``, ``f4``, ``i8``, ``u1`` or ``text``), ``shape`` and ``values``, flat in C order, or for
+large arrays ``base64`` of the little-endian bytes. Missing numbers are null. The digest is that of the HDF5 file, as
+the content is the same.
 """
 
 import base64
@@ -34,13 +34,13 @@ from cbsr_qa.domain import CalibrationError
 
 #: Arrays of more values are written as bytes.
 _SPELT_OUT: Final = 256
-#: Lists, objects and what is in them; each takes some hundred bytes of memory when it is parsed.
+#: Lists, objects and their items; each takes some hundred bytes of memory when parsed.
 _MOST_VALUES: Final = 4_000_000
 _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np.int64, "u1": np.bool_}
 
 
 def json_document(calibration: Issued) -> dict[str, Any]:
-    """Return everything a calibration holds, as one JSON document. CalibrationError if it contradicts itself."""
+    """Return a calibration as one JSON document. CalibrationError if it contradicts itself."""
     entries = encode(calibration)
     return {
         "format": format_of(entries),
@@ -58,7 +58,7 @@ def dataset(entry: Entry, *, spelt_out: int = _SPELT_OUT) -> dict[str, Any]:
         return {"units": entry.units, "kind": "text", "shape": [len(entry.value)], "values": list(entry.value)}
     kind, values = _kind(entry.value), entry.value
     stated = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
-    if values.size > spelt_out or np.isinf(values).any():  # JSON has no word for infinity
+    if values.size > spelt_out or np.isinf(values).any():  # JSON has no infinity
         return {**stated, "base64": base64.b64encode(_bytes(values, kind)).decode()}
     return {**stated, "values": [_number(value) for value in values.ravel().tolist()]}
 
@@ -69,7 +69,7 @@ def read_json_calibration(path: Path) -> Issued:
     Raises
     ------
     CalibrationError
-        If it is not there, no calibration in JSON, edited since it was written, or of a later version.
+        If it does not exist, is not a calibration in JSON, edited since it was written, or of a later version.
     """
     try:
         entries, digest = _read(path)
@@ -120,7 +120,7 @@ def _entry(path: str, stated: object) -> Entry:
         units, kind, shape = stated["units"], stated["kind"], tuple(stated["shape"])
         if not (isinstance(units, str) and all(type(n) is int and n >= 0 for n in shape)):
             raise CalibrationError(f"{path} states no units or no shape")
-        f"{path}{units}".encode()  # JSON can spell halves of characters, which are none
+        f"{path}{units}".encode()  # JSON can encode lone surrogates, which are not text
         return Entry(units, _texts(stated, shape) if kind == "text" else _array(stated, _KINDS[kind], kind, shape))
     except (KeyError, TypeError, ValueError, OverflowError, binascii.Error) as error:
         raise CalibrationError(f"{path} is not a dataset of a calibration: {error}") from error

@@ -11,10 +11,10 @@ from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, common_
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import FitStatus
 
-#: What is still no difference: of the shape, as a share of the change, and of the settling time, as a share.
+#: Negligible differences: of the shape, as a share of the change, and of the settling time, as a share.
 SHAPE_MARGIN: Final = 0.1
 TIME_MARGIN: Final = 0.2
-#: Chance of calling two relaxations equivalent that are a margin apart.
+#: Probability of calling two relaxations equivalent that differ by the margin.
 LEVEL: Final = 0.05
 #: Times at which shapes are compared.
 _TIMES: Final = 121
@@ -22,7 +22,7 @@ _CURVES: Final = (FitStatus.ONE, FitStatus.TWO, FitStatus.FLAT)
 
 
 class Agreement(StrEnum):
-    """What two relaxations are to each other."""
+    """Relation of two relaxations."""
 
     EQUIVALENT = "equivalent"  #: any difference beyond the margin is ruled out
     DIFFERENT = "different"  #: a difference within the margin is ruled out
@@ -34,21 +34,21 @@ class ComparableRelaxation(Protocol):
 
     @property
     def start_s(self) -> float:
-        """Where it begins: before, shapes are not compared and nothing counts as settled."""
+        """Start: earlier, shapes are not compared and nothing counts as settled."""
 
     @property
     def window_s(self) -> float:
-        """Until when it is known."""
+        """End of the known part."""
 
     @property
     def why_not(self) -> str:
-        """Why it cannot be compared; empty where it can."""
+        """Why it cannot be compared; empty otherwise."""
 
     def relative(self, time_s: Array) -> tuple[Array, Array]:
         """Return the curve over the steady (or released) change, and its variance, (n,) each."""
 
     def settled(self, tolerance: float) -> tuple[float, float] | None:
-        """Return the settling time and its standard error [s]; None where there is no plain number."""
+        """Return the settling time and its standard error [s]; None without a plain number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class MeasuredRelaxation:
     common : fit of one trace or of several together.
     window_s : how long the traces were observed.
     loaded_change : mean change under load of unloadings; None for loadings.
-    start_s : where the traces begin: before, shapes are not compared and nothing counts as settled.
+    start_s : start of the traces: earlier, shapes are not compared and nothing counts as settled.
     """
 
     common: CommonRelaxation
@@ -70,12 +70,12 @@ class MeasuredRelaxation:
 
     @property
     def scale(self) -> float:
-        """What shapes are relative to: the steady or the released change."""
+        """Scale of shapes: the steady or the released change."""
         return self.common.fit.offset if self.loaded_change is None else self.loaded_change
 
     @property
     def why_not(self) -> str:
-        """Why it cannot be compared; empty where it can."""
+        """Why it cannot be compared; empty otherwise."""
         fit = self.common.fit
         if fit.status not in _CURVES:
             return f"has no curve: {fit.why}"
@@ -127,24 +127,24 @@ class ComparedCurves:
 
     @property
     def stderr(self) -> Array:
-        """Standard error of the difference; the two count as independent."""
+        """Standard error of the difference, both assumed independent."""
         return np.hypot(self.first_stderr, self.second_stderr)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelaxationAgreement:
-    """How far the second relaxation is from the first.
+    """Difference of the second relaxation from the first.
 
     Parameters
     ----------
     shape : whether the curves, relative to the steady (or released) change, are equivalent.
-    shape_difference, shape_stderr, at_s : second less first where that is furthest from zero over its reach.
-    shape_reach : no time of the window has a larger difference, at the level asked for.
-    time : whether the settling times are.
-    time_ratio, time_ratio_stderr : second over first; None where one has no plain number.
-    time_reach : no larger ratio, either way, at the level asked for; None where one has no plain number.
-    curves : what was compared; None where nothing was.
-    why : in words, where there is no comparison.
+    shape_difference, shape_stderr, at_s : second less first, where it is largest relative to its reach.
+    shape_reach : bound of the difference at all times of the window, at the requested level.
+    time : whether the settling times are equivalent.
+    time_ratio, time_ratio_stderr : second over first; None if one has no plain number.
+    time_reach : bound of the ratio, either way, at the requested level; None if one has no plain number.
+    curves : the compared ones, or None.
+    why : reason for a missing comparison.
     """
 
     shape: Agreement
@@ -161,7 +161,7 @@ class RelaxationAgreement:
 
 
 def not_compared(why: str) -> RelaxationAgreement:
-    """Return what there is to say where there is nothing to compare."""
+    """Return a missing comparison with its reason."""
     undecided = Agreement.UNDECIDED
     return RelaxationAgreement(undecided, None, None, None, None, undecided, None, None, why=why)
 
@@ -172,7 +172,7 @@ def compare_relaxations(
     *,
     tolerance: float = 0.15,
 ) -> RelaxationAgreement:
-    """Test two relaxations for equivalence: not "no significant difference", which noise gives as well.
+    """Test two relaxations for equivalence, which is stronger than "no significant difference" (as noise gives).
 
     Two one-sided tests (Schuirmann 1987): equivalent at the level α of 5 % if the interval of level 1 − 2 α lies
     within the margin. Shapes must do so at each time of the common window (intersection–union, Berger & Hsu 1996: no
@@ -217,7 +217,7 @@ def _curves(first: ComparableRelaxation, second: ComparableRelaxation, time_s: A
 def _times(
     first: ComparableRelaxation, second: ComparableRelaxation, tolerance: float
 ) -> tuple[float | None, float | None, float | None, Agreement]:
-    """Ratio of the settling times, its standard error, the largest that is left open, and what follows."""
+    """Ratio of the settling times, its standard error, its bound, and the conclusion."""
     earlier, other = first.settled(tolerance), second.settled(tolerance)
     if earlier is None or other is None:
         return None, None, None, Agreement.UNDECIDED

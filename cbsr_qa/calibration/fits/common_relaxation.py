@@ -1,4 +1,4 @@
-"""One relaxation for all loads of a run: they press one material, so the traces share its time constants."""
+"""One relaxation for all loads of a run, since traces of one material share its time constants."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,22 +16,22 @@ from cbsr_qa.domain.results import FitStatus, RelaxationFit, SettlingTime
 
 __all__ = ["CommonRelaxation", "TimedValues", "common_settling_time", "fit_common_relaxation"]
 
-#: Fewest points of a trace that tells anything about a shape.
+#: Fewest points of a trace with information on its shape.
 _FEWEST: Final = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonRelaxation:
-    """What the traces of one signal and direction have in common.
+    """Common relaxation of the traces of one signal and direction.
 
     Parameters
     ----------
     fit : of the mean trace; time constants and shares of the amplitudes are those of every trace.
-    offsets, scales : (traces,) of each: Gᵢ(t) = offsetᵢ + scaleᵢ (share₁ e^(−t/τ₁) + share₂ e^(−t/τ₂)); empty where
-        no curve was kept.
+    offsets, scales : (traces,) of each: Gᵢ(t) = offsetᵢ + scaleᵢ (share₁ e^(−t/τ₁) + share₂ e^(−t/τ₂)); empty without
+    a curve.
     shares : (k,), adding to 1.
     covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, amplitudes and log τ.
-    traces : how many were used.
+    traces : number used.
     """
 
     fit: RelaxationFit
@@ -45,22 +45,22 @@ class CommonRelaxation:
 def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     """Fit Gᵢ(t) = cᵢ + sᵢ g(t) to all traces at once, g = w e^(−t/τ₁) + (1 − w) e^(−t/τ₂) the same for all.
 
-    The second exponential is kept if an F test corrected for the residuals' autocorrelation finds it significant at
-    1 %, the time constants differ by a factor of 2, and the slow one is determined (standard error of log τ₂ below
-    0.5, not at a bound). The fast one need not be determined: that there is one is, and settling hinges on the slow
-    one. Otherwise one exponential is kept, with the reason in ``fit.why``. The paper fits each load by itself.
+    The second exponential is kept if an F test corrected for the residuals' autocorrelation finds it significant at 1
+    %, the time constants differ by a factor of 2, and the slow one is determined (standard error of log τ₂ below 0.5,
+    not at a bound). The fast one need not be determined, only significant, as settling depends on the slow one.
+    Otherwise one exponential is kept, with the reason in ``fit.why``. The paper fits each load by itself.
 
     NumericsError for traces that :func:`~cbsr_qa.calibration.fits.fit_relaxation` refuses.
 
     Parameters
     ----------
     traces : (times (n,) [s] strictly rising, values (n,)) of each load, any unit, times from the end of the ramp;
-        those of fewer than 5 points are left out.
+    traces of fewer than 5 points are left out.
 
     Returns
     -------
-    CommonRelaxation, whose ``fit.status`` is TWO, ONE, FLAT (no relaxation that chance would not show), DRIFTING
-    (slower than the traces are long) or REJECTED (no trace, or no time constant is determined).
+    CommonRelaxation, whose ``fit.status`` is TWO, ONE, FLAT (no significant relaxation), DRIFTING (slower than the
+    traces are long) or REJECTED (no trace, or no time constant is determined).
     """
     used = [checked_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
     if not used:
@@ -88,7 +88,7 @@ def common_settling_time(
     loaded_change: float | None = None,
     start_s: float = 0.0,
 ) -> tuple[SettlingTime, float | None]:
-    """Return the settling time of the mean trace and its standard error [s], None where it has no plain number.
+    """Return the settling time of the mean trace and its standard error [s], or None without a plain number.
 
     Parameters are those of :func:`~cbsr_qa.calibration.fits.settling_time`: ``loaded_change`` the mean over
     unloadings, ``window_s`` of the longest trace.
@@ -143,7 +143,7 @@ def _one(traces: Sequence[TimedValues], bounds_s: tuple[float, float]) -> JointE
 
 
 def _two(traces: Sequence[TimedValues], bounds_s: tuple[float, float], middle: float) -> JointExponentials:
-    """Start around the one time constant that explains most: it lies between the two."""
+    """Start around the single time constant, which lies between the two."""
     apart = ((5.0, 1.4), (3.0, 2.0), (1.5, 8.0))
     starts = [[middle - np.log(down), middle + np.log(up), 0.4] for down, up in apart]
     return fit_joint(traces, starts, bounds_s)

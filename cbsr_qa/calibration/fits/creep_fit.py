@@ -1,4 +1,4 @@
-"""Creep under a hold, what is left after the rest, and what preconditioning still changes."""
+"""Creep under a hold, residue after the rest, and remaining effect of preconditioning."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
@@ -10,7 +10,7 @@ from cbsr_qa.calibration.sheet import Estimate, ratio_of_sums
 from cbsr_qa.domain import NumericsError, finite_numbers
 from cbsr_qa.domain.results import LoadObservation, Trace
 
-#: From when on a hold's creep is counted [s]: the ramp's own transients, and two frames of 2.5 s, are over.
+#: Start of a hold's creep [s]: after the ramp's own transients, and two frames of 2.5 s.
 FROM_S: Final = 5.0
 
 SIGNAL: Final = "conductance"
@@ -18,7 +18,7 @@ STRESS: Final = "stress"
 
 
 def trace_of(load: LoadObservation, signal: str, *, loading: bool) -> Trace | None:
-    """Trace of a load's signal after the press or after the release; None where there is none, or no sample in it."""
+    """Trace of a load's signal after the press or after the release; None if missing or empty."""
     relaxation = load.relaxation(signal, loading=loading)
     return None if relaxation is None or not len(relaxation.trace.values) else relaxation.trace
 
@@ -38,7 +38,7 @@ def level_at(trace: Trace, time_s: float) -> float | None:
 def held_alike(
     loads: Iterable[LoadObservation], duration_s: Callable[[LoadObservation], float]
 ) -> tuple[tuple[LoadObservation, ...], float]:
-    """Return the loads whose hold (or rest) lasted as long as most, to a second, and that time [s].
+    """Return the loads with the most common length of hold (or rest), within a second, and that time [s].
 
     NumericsError if there are none.
     """
@@ -70,11 +70,11 @@ def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frame
 
 
 def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float, frames: int) -> Estimate:
-    """Creep of the conductance with that of the stress taken out.
+    """Creep of the conductance, corrected for that of the stress.
 
-    A head that stands still lets the stress relax, so that input and output change together. The input's own change
-    is taken out at the sensitivity of the end, S = G(end)/σ(end): Σ [G(end) − G(from) − S (σ(end) − σ(from))] / Σ
-    G(end), to first order what a constant stress would show.
+    Under a head at rest the stress relaxes, so that input and output change together. The input's change is
+    subtracted with the sensitivity at the end, S = G(end)/σ(end): Σ [G(end) − G(from) − S (σ(end) − σ(from))] / Σ
+    G(end), to first order the creep at constant stress.
 
     NumericsError if no load has both traces over that time.
     """
@@ -89,13 +89,13 @@ def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float,
 
 
 def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
-    """What is left of the conductance change at the end of the rest, over the change under load.
+    """Residue of the conductance change at the end of the rest, over the change under load.
 
     NumericsError if no load has frames of both.
 
     Returns
     -------
-    Σ G(end of the rest) / Σ G(end of the hold), as a fraction; negative where the sheet comes back beyond zero.
+    Σ G(end of the rest) / Σ G(end of the hold), as a fraction; negative if the sheet returns beyond zero.
     """
     pairs = []
     for load in loads:
@@ -136,9 +136,9 @@ def _ratio(pairs: Sequence[tuple[float, float]], why_none: str) -> Estimate:
 
 
 def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tuple[float, float] | None:
-    """Change of a signal from a time to the end of the hold, and its level there; None without a trace over it."""
+    """Change of a signal from a time to the end of the hold, and its level there; None without such a trace."""
     trace, framed = (trace_of(load, name, loading=True) for name in (signal, SIGNAL))
-    if trace is None or (signal == STRESS and load.force_N is None):  # a cell at its limit records, and knows nothing
+    if trace is None or (signal == STRESS and load.force_N is None):  # a cell at its limit records no true values
         return None
     early = level_at(trace, from_s)
     last_from_s = trace.time_s[-frames:][0] if framed is None else framed.time_s[-frames:][0]

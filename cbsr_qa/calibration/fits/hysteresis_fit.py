@@ -18,20 +18,20 @@ from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.results import LoopObservation
 from cbsr_qa.domain.run import LoadRecord
 
-#: Holds of a loop are equally long within this share: frames are whole.
+#: Holds of a loop are equally long within this share, as frames are whole.
 _ALIKE: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopCurve:
-    """What a place answered on the way up and on the way down, mean over its cycles.
+    """Response of a place on the way up and down, mean over its cycles.
 
     Parameters
     ----------
     location, x_mm, y_mm : of the place.
-    cycles, hold_s : how many loops, and how long each strain was held.
+    cycles, hold_s : number of loops, and time each strain was held.
     peak : index of the deepest strain; up to it the strain rises, after it it falls.
-    strain, stress_kPa, output : (n,) float64 in the order they were held; the output in shares of that at the peak.
+    strain, stress_kPa, output : (n,) float64 in order of holding; the output relative to that at the peak.
     difference, stderr : (n − 1 − peak,) of the falling strains: output less that of the way up at the same stress,
         and one standard error.
     """
@@ -56,7 +56,7 @@ class Hysteresis:
     Parameters
     ----------
     estimate : its size in shares of the span, with the error of the difference there.
-    strain : at which it was found, on the way down.
+    strain : of that difference, on the way down.
     higher : whether the output is higher on the way down than on the way up there.
     """
 
@@ -66,22 +66,22 @@ class Hysteresis:
 
 
 def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCurve:
-    """Work out one place's branches.
+    """Compute one place's branches.
 
-    The output of the way up at a stress of the way down lies on the straight line between its neighbours, the
-    unloaded sheet included: levels of one strain have nearly one stress, so little is interpolated. The error is the
-    larger of what noise and fit make of it and of what the cycles' scatter says.
+    The output of the way up is interpolated linearly at the stresses of the way down, including the unloaded sheet;
+    equal strains have nearly equal stresses, so little is interpolated. The error is the larger of that from noise
+    and fit and that from the cycles' scatter.
 
     Parameters
     ----------
-    relaxed : without what had not relaxed; else as read at the end of each hold.
-    last_s : for the latter, how much of the end is averaged.
+    relaxed : True to extrapolate to relaxed levels; False for levels at the end of each hold.
+    last_s : for the latter, time averaged at the end.
 
     Raises
     ------
     NumericsError
         If nothing was sensed, no force was recorded, the press did not go up and then down through strains held
-        equally long, or relaxation cannot be taken out.
+        equally long, or relaxation cannot be removed.
     """
     strain, peak, hold_s = _cycle(loop)
     assert loop.stress is not None
@@ -116,8 +116,8 @@ def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCu
 def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
     """Return the greatest difference of the mean over places that were pressed to the same strains.
 
-    Places count alike, each in shares of its own span. Where nothing but noise differs, the greatest of several
-    differences is above zero by about its error: its size is no evidence by itself.
+    Places have equal weight, each relative to its own span. With noise alone the greatest of several differences is
+    above zero by about its error, and so is not evidence by itself.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def _strains(record: LoadRecord) -> Array:
 
 
 def _differences(output: Array, stress: Array, peak: int) -> Array:
-    """Falling less rising output at the falling stress, (loops, falling strains), in shares of the mean span."""
+    """Falling less rising output at the falling stress, (loops, falling strains), relative to the mean span."""
     span = float(output[:, peak].mean())
     if not abs(span) > 0:
         raise NumericsError("the output at the deepest strain is zero: no share can be computed")

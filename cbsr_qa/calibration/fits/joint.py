@@ -1,4 +1,4 @@
-"""Variable projection over many traces that share one shape: only that shape is searched for."""
+"""Variable projection over many traces that share one shape; the search is over the shape only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,7 +70,7 @@ class _Joint:
     """
 
     def __init__(self, traces: Sequence[TimedValues]) -> None:
-        # All points in one row: a run has dozens of short traces, and one by one the time would go into calls.
+        # All points in one row, since a run has dozens of short traces and separate calls would be slow.
         self._time_s = np.concatenate([time_s for time_s, _ in traces])
         self._counts = np.array([len(values) for _, values in traces])
         self._first = np.cumsum(self._counts) - self._counts
@@ -125,9 +125,9 @@ class _Joint:
         return points - self._spread(self._sums(points) / counts)
 
     def _covariance(self, shape: Array, scales: Array) -> Array:
-        """Per unit variance of the noise, of the mean trace's offset, amplitudes and log τ."""
+        """Covariance, per unit variance of the noise, of the mean trace's offset, amplitudes and log τ."""
         count = len(scales)
-        # Not through the normal equations: they would take shapes that are nearly alike for known.
+        # Not from the normal equations, which would treat nearly equal shapes as determined.
         root = np.asarray(np.linalg.pinv(self.jacobian(shape) * self._size), dtype=np.float64)
         of_shape: Array = root @ root.T
         given, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
@@ -148,7 +148,7 @@ def _shape(time_s: Array, shape: Array) -> Array:
 
 
 def _slopes(time_s: Array, shape: Array) -> Array:
-    """Derivatives of the shape with respect to log τ and, of two exponentials, the share of the first."""
+    """Derivatives of the shape with respect to log τ and, for two exponentials, the share of the first."""
     tau = np.exp(shape[:2]) if len(shape) == 3 else np.exp(shape)
     each = np.exp(-time_s[:, None] / tau)
     slopes: Array = each * time_s[:, None] / tau

@@ -9,24 +9,24 @@ import numpy as np
 from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 
-#: Levels whose places differ by less than this share of their size are one place.
+#: Levels are one place if their places differ by less than this share of their size.
 _COLLINEAR: Final = 1e-9
-#: Numbers larger than this, or smaller than one over it, cannot be squared and divided by each other.
+#: Larger numbers, or smaller ones than its inverse, cannot be squared and divided safely.
 _LARGEST: Final = 1e70
-#: Error of changes that are all zero, which nobody stated: small, with a square that is a number.
+#: Error of all-zero changes without a stated one: small, with a finite square.
 _NO_ERROR: Final = 1e-120
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuasiStaticFit:
-    """Δρ/ρ₀ = slope · x + intercept, with what it was fitted from.
+    """Δρ/ρ₀ = slope · x + intercept, with its data.
 
     Parameters
     ----------
     slope, intercept : α and β.
     covariance : (2, 2) float64 of (slope, intercept).
-    levels : strains that were fitted, rising.
-    excluded : strains that were left out because their deviation exceeds their mean change.
+    levels : fitted strains, rising.
+    excluded : strains left out because their deviation exceeds their mean change.
     chi_squared, degrees : of the weighted residuals; degrees are levels − 2.
     """
 
@@ -39,7 +39,7 @@ class QuasiStaticFit:
     degrees: int
 
     def as_parameters(self, source: str) -> QuasiStatic:
-        """Return the fit with its standard errors and where it comes from."""
+        """Return the fit with its standard errors and source."""
         slope_error, intercept_error = np.sqrt(np.diag(self.covariance))
         left_out = ", ".join(f"{100 * strain:g} %" for strain in self.excluded)
         where_from = f"{source}; left out: {left_out}" if left_out else source
@@ -55,23 +55,23 @@ def fit_quasi_static(
 ) -> QuasiStaticFit:
     """Fit a line through the mean change of each strain by weighted least squares.
 
-    A strain's weight is one over the squared standard error of its mean: from the scatter of its loads, not below
+    A strain's weight is one over the squared standard error of its mean: from the scatter of its loads, at least
     their stated errors; a strain with a single load and no stated error takes the pooled scatter. Strains whose
-    deviation exceeds their mean change are left out and named (the paper left out 5 % for 9 wt%). Where the line
-    misses the means by more than their errors allow, the covariance is widened by χ² per degree (Birge).
+    deviation exceeds their mean change are left out and named (the paper left out 5 % for 9 wt%). If the line misses
+    the means by more than their errors, the covariance is scaled by χ² per degree (Birge).
 
     Parameters
     ----------
     strain : (n,) nominal strain of each load; loads with equal strain form a level.
     x : (n,) stress [kPa] or strain of each load.
     change : (n,) relative conductance change at steady state.
-    stderr : (n,) standard errors of the changes; None where not known.
+    stderr : (n,) standard errors of the changes; None if unknown.
 
     Raises
     ------
     NumericsError
         If the lengths differ, a number is not finite, x or changes are beyond 1e±70, fewer than two levels are left,
-        or their x coincide: slope and intercept cannot then be told apart.
+        or their x coincide, so that slope and intercept cannot be separated.
     """
     level, place, value = _checked(strain, x, change)
     given = np.zeros(len(value)) if stderr is None else finite_numbers(stderr, "standard errors")
@@ -120,7 +120,7 @@ def _checked(strain: Sequence[float], x: Sequence[float], change: Sequence[float
 
 
 def _errors(level: Array, value: Array, given: Array, strains: Array) -> tuple[Array, Array]:
-    """Standard error of each level's mean, and each level's deviation (0 where it has one load)."""
+    """Standard error of each level's mean, and each level's deviation (0 for a single load)."""
     counts = np.array([(level == s).sum() for s in strains])
     deviations = np.array(
         [value[level == s].std(ddof=1) if n > 1 else 0.0 for s, n in zip(strains, counts, strict=True)]
@@ -130,7 +130,7 @@ def _errors(level: Array, value: Array, given: Array, strains: Array) -> tuple[A
     scatter = np.where(counts > 1, deviations, pooled)
     stated = np.array([np.sqrt((given[level == s] ** 2).mean()) for s in strains])
     errors = np.maximum(scatter, stated) / np.sqrt(counts)
-    # Without any scatter all levels weigh the same; rounding is the error that is left.
+    # Without scatter all levels have equal weight; the error is that of rounding.
     least = 1e-12 * float(max(np.abs(value).max(initial=0.0), stated.max(initial=0.0))) or _NO_ERROR
     return np.maximum(errors, least), deviations
 

@@ -1,4 +1,4 @@
-"""Fit of one or two exponentials to a relaxation (paper Eq 3), and exponentials as ramps and frames show them."""
+"""Fit of one or two exponentials to a relaxation (paper Eq 3), and exponentials after ramps, averaged over frames."""
 
 from math import factorial
 from typing import Final
@@ -16,23 +16,23 @@ from cbsr_qa.calibration.fits.separable import (
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationFit
 
-#: Half a frame over a time constant, above which e^x soon is no number.
+#: Half a frame over a time constant, above which e^x would soon overflow.
 _LONGEST: Final = 500.0
 
 
 def exponentials(
     time_s: Array, time_constants_s: Array, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0
 ) -> tuple[Array, Array]:
-    """Return e^(−t/τ) as seen, and its derivatives with respect to log τ.
+    """Return the observed e^(−t/τ), and its derivatives with respect to log τ.
 
-    A linear ramp of length T answers with ∫ e^(−(t + s)/τ) ds/T over 0 … T, that is e^(−t/τ) (1 − e^(−T/τ)) τ/T at t
-    after its end. The mean over a frame of length P about its middle is sinh(x)/x times that, x = P/2τ.
+    The response to a linear ramp of length T is ∫ e^(−(t + s)/τ) ds/T over 0 … T, that is e^(−t/τ) (1 − e^(−T/τ)) τ/T
+    at t after its end. The mean over a frame of length P about its middle is sinh(x)/x times that, x = P/2τ.
 
     Parameters
     ----------
     time_s : (...,) from the end of the ramp.
     time_constants_s : (k,).
-    ramp_s : of the ramp, broadcast against ``time_s``.
+    ramp_s : T, broadcast with ``time_s``.
     frame_s : P; 0 for values of the frame's middle.
     """
     late = np.asarray(time_s, dtype=np.float64)[..., None] / time_constants_s
@@ -42,7 +42,7 @@ def exponentials(
 
 
 def seen_share(time_constants_s: Array, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0) -> tuple[Array, Array]:
-    """What ramp and frame multiply e^(−t/τ) with, and minus its logarithm's derivative by log τ, (..., k).
+    """Factor of e^(−t/τ) by ramp and frame, and minus its logarithm's derivative by log τ, (..., k).
 
     Raises
     ------
@@ -82,7 +82,7 @@ def _power_series(coefficients: Array, x: Array) -> Array:
     return np.asarray(np.polynomial.polynomial.polyval(np.minimum(x, _SERIES), coefficients), dtype=np.float64)
 
 
-#: Below, the derivatives are differences of nearly equal numbers, and Taylor's series is taken instead.
+#: Below, the derivatives are differences of nearly equal numbers, and Taylor's series is used instead.
 _SERIES: Final = 0.5
 _TERMS: Final = 16  # 0.5¹⁶/16! is rounding
 _DECAY: Final = np.array([(-1) ** k / factorial(k + 1) for k in range(_TERMS)])
@@ -96,9 +96,9 @@ _FEWEST: Final = {1: 5, 2: 7}
 #: An amplitude must be this many of its standard errors from zero.
 _CLEAR: Final = 3.0
 _DRIFTING: Final = "still drifting: the trace is too short for its time constant"
-#: A trace that begins after so many of its lengths holds nothing of what relaxed before.
+#: A trace that begins after so many of its lengths has no trace of earlier relaxation.
 _LATEST: Final = 100.0
-#: Least and greatest size of values whose squares are numbers.
+#: Least and greatest size of values with finite, nonzero squares.
 _SIZES: Final = (1e-140, 1e140)
 
 
@@ -109,12 +109,12 @@ def fit_relaxation(
     r_squared_gate: float = 0.85,
     flat_within: float = 0.0,
 ) -> RelaxationFit:
-    """Fit G(t) = a₀ + a₁ e^(−t/τ₁) + a₂ e^(−t/τ₂), τ₁ < τ₂, and keep only what the data carry.
+    """Fit G(t) = a₀ + a₁ e^(−t/τ₁) + a₂ e^(−t/τ₂), τ₁ < τ₂, and keep only what the data support.
 
-    The second exponential is kept if all of these hold: an F test corrected for the residuals' autocorrelation
-    finds it significant at 1 %, both amplitudes are 3 standard errors from zero, the time constants differ by at
-    least a factor of 2, and both are determined (standard error of log τ below 0.5, not at a bound). Otherwise one
-    exponential is kept and ``why`` says which of them failed. The paper fits two throughout.
+    The second exponential is kept if all of these hold: an F test corrected for the residuals' autocorrelation finds
+    it significant at 1 %, both amplitudes are 3 standard errors from zero, the time constants differ by at least a
+    factor of 2, and both are determined (standard error of log τ below 0.5, not at a bound). Otherwise one
+    exponential is kept and ``why`` gives the failed condition. The paper fits two throughout.
 
     NumericsError if shapes differ, a number is not finite, time stamps do not rise, the trace begins later than a
     hundred times its length, or its values are beyond 1e±140.
@@ -130,8 +130,8 @@ def fit_relaxation(
     Returns
     -------
     RelaxationFit whose status is TWO, ONE, FLAT, DRIFTING or REJECTED; the numbers of a rejected one are its best
-    attempt. A drifting one is slower than its window, but nobody can say how slow: it has no curve, and its offset
-    is the level at its end. Time constants lie within half the median frame interval and ten times the window.
+    attempt. A drifting one is slower than its window by an unknown amount: it has no curve, and its offset is the
+    level at its end. Time constants lie within half the median frame interval and ten times the window.
     """
     time_s, values = checked_trace(time_s, values)
     if len(values) == 0:
@@ -162,7 +162,7 @@ def relaxation_curve(fit: RelaxationFit, time_s: Array) -> Array:
 
 
 def checked_trace(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return a trace as float64; NumericsError says which sample makes it unusable."""
+    """Return a trace as float64; NumericsError names the sample that makes it unusable."""
     time_s, values = np.asarray(time_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if time_s.ndim != 1 or time_s.shape != values.shape:
         raise NumericsError(f"a trace of {values.shape} values cannot have {time_s.shape} times")
@@ -200,7 +200,7 @@ def _in_range(time_s: Array, values: Array) -> None:
 def _bounds_s(time_s: Array) -> tuple[float, float]:
     lowest = float(np.median(np.diff(time_s))) / 2
     highest = 10 * float(time_s[-1] - time_s[0])
-    # Amplitudes are stated at t = 0; this keeps those of a trace that starts late (after a spike) in range.
+    # Amplitudes are stated at t = 0; this keeps those of a late trace (after a spike) in range.
     return max(lowest, abs(float(time_s[0])) / 30), highest
 
 

@@ -11,13 +11,13 @@ from cbsr_qa.calibration.fits.relaxation import checked_trace, exponentials
 from cbsr_qa.domain import Array, Mask, NumericsError
 from cbsr_qa.domain.results import FitStatus, RelaxationKernel
 
-#: Relative scatters tried; every one up to 1 is as likely before anything was seen.
+#: Relative scatters tried, uniform a priori up to 1.
 _SCATTERS: Final = np.linspace(0.0, 1.0, 61) ** 2
-#: Residual degrees of freedom from which on a load's own noise is used, not that of all loads.
+#: From so many residual degrees of freedom on a load's own noise is used instead of the pooled one.
 _OWN_NOISE: Final = 8
-#: No value is taken to be better than this share of its load: the covariances stay invertible.
+#: Lower bound of a value's noise, as a share of its load, to keep covariances invertible.
 _LEAST_NOISE: Final = 1e-6
-#: Times the exponentials are expanded about new time constants.
+#: Number of times the exponentials are expanded about new time constants.
 _ROUNDS: Final = 3
 
 
@@ -48,17 +48,17 @@ def _shared_kernel(
     noise: Sequence[float] | None,
     start_s: float,
 ) -> RelaxationKernel:
-    """Estimate the mean kernel of all loads and how much each load's weights differ from it.
+    """Estimate the mean kernel of all loads and the scatter of their weights about it.
 
     Load i is Aᵢ (1 + Σ wᵢ e^(−t/τ)) or Rᵢ + Dᵢ Σ wᵢ e^(−t/τ), with wᵢ ~ N(w, s² w²) independently. Aᵢ or Rᵢ are
-    integrated out under a flat prior; w and log τ are found by Gauss–Newton at every s of a grid, and their
-    restricted likelihood says how likely that s is. The loads' sizes are plugged into the scatter's covariance.
+    integrated out under a flat prior; w and log τ are found by Gauss–Newton at every s of a grid, which is weighted
+    by the restricted likelihood. The scatter's covariance uses the estimated sizes of loads.
 
     Parameters
     ----------
-    weights, time_constants_s : (k,) to begin with.
+    weights, time_constants_s : (k,) initial.
     prior_stderr : (2 k,) of the weak normal prior of (w, log τ) about them; 0 keeps one fixed.
-    noise : standard deviation of a value of each load; None to take it from the residuals.
+    noise : standard deviation of a value of each load; None to estimate it from the residuals.
     start_s : of the kernel.
     """
     mean = start = np.concatenate([weights, np.log(time_constants_s)])
@@ -87,7 +87,7 @@ def _shared_kernel(
 
 
 class _Reduced:
-    """Every load in the few dimensions in which kernels near the present one differ.
+    """Every load projected on the few dimensions in which kernels near the present one differ.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class _Reduced:
 def _projected(
     trace: KernelTrace, weights: Array, time_constants_s: Array, frame_s: float
 ) -> tuple[Array, Array, Array, Array, float, float, int]:
-    """Coordinates of values, level, exponentials and slopes; the size; what is left, and how many to spare."""
+    """Coordinates of values, level, exponentials and slopes; the size; residual, and its degrees of freedom."""
     parts, by_log = exponentials(trace.time_s, time_constants_s, ramp_s=trace.ramp_s, frame_s=frame_s)
     relaxing = parts @ weights
     level = np.ones_like(relaxing) if trace.released is not None else 1 + relaxing
@@ -159,7 +159,7 @@ def _projected(
 
 
 def _as_variance(likely: Array) -> tuple[float, float]:
-    """The scaled inverse χ² with the mean and variance of s²: its scale's root and degrees of freedom."""
+    """Scaled inverse χ² law with the mean and variance of s²: root of its scale, and degrees of freedom."""
     square = _SCATTERS**2
     mean = float(likely @ square)
     spread = max(float(likely @ (square - mean) ** 2), 1e-9 * mean**2)
@@ -169,11 +169,11 @@ def _as_variance(likely: Array) -> tuple[float, float]:
 
 _FEWEST: Final = 6
 #: Standard deviations of the weak priors: of a weight, a logarithm of a time constant, and the weight of an
-#: exponential that the traces do not show but may hide.
+#: exponential that may be hidden in the traces.
 _WEIGHT, _LOG_TIME, _HIDDEN = 1.0, 1.0, 0.3
-#: Share of their root mean square that the mean of all sizes must be of to stand for them.
+#: Least mean of all sizes, over their root mean square, for the mean to represent them.
 _ONE_SIGN: Final = 0.1
-#: How far a hidden exponential lies from the one that is seen.
+#: Ratio of time constants between a hidden exponential and the visible one.
 _APART: Final = 5.0
 
 
@@ -186,29 +186,29 @@ def learn_kernel(
     start_s: float = 0.0,
     noise: Sequence[float] | None = None,
 ) -> RelaxationKernel:
-    """Learn from the loads of a calibration run how the sensor relaxes, and how alike its loads do.
+    """Learn a sensor's relaxation from the loads of a calibration run, and the scatter between loads.
 
-    Time constants begin at those of :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`; weights, time
-    constants and the scatter of the weights between loads then follow from the restricted likelihood of all loads
-    (empirical Bayes). The scatter is relative and one for all weights; before anything is seen, every scatter from 0
-    to 1 is as likely. One load says nothing about it, and predictions from its kernel are as uncertain as that.
+    Time constants begin at those of :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`; weights, time constants
+    and the scatter of the weights between loads then follow from the restricted likelihood of all loads (empirical
+    Bayes). The scatter is relative, the same for all weights, and uniform a priori from 0 to 1. A single load does
+    not determine it, and predictions from its kernel are correspondingly uncertain.
 
     NumericsError if numbers of loads differ, a number is not finite, or time stamps repeat or step back.
 
     Parameters
     ----------
-    traces : (times (n,) [s] from the end of the ramp, values (n,)) of each load; those of fewer than 6 values are
-        left out. Any unit: weights are relative.
-    ramp_s : how long the head moved before; the kernel is that of a step.
-    frame_s : length over which a value averages; 0 for one that is of its time.
-    released : the change that each release took away, for unloadings; None for loadings.
-    start_s : values before are left out (an unloading spike, see
+    traces : (times (n,) [s] from the end of the ramp, values (n,)) of each load; traces of fewer than 6 values are
+    left out. Any unit: weights are relative.
+    ramp_s : duration of the head's movement before; the kernel is that of a step.
+    frame_s : averaging time of a value; 0 for instantaneous ones.
+    released : change reversed by each release, for unloadings; None for loadings.
+    start_s : earlier values are left out (an unloading spike, see
         :func:`~cbsr_qa.calibration.fits.relaxation_start`).
-    noise : standard deviation of a value, for each load; None to take it from what the kernel leaves.
+    noise : standard deviation of a value, for each load; None to estimate it from the residuals.
 
     Returns
     -------
-    RelaxationKernel; with ``why``, and of no use, where the traces drift or show no time constant.
+    RelaxationKernel; unusable, with the reason ``why``, if the traces drift or show no time constant.
     """
     loads, unit = _scaled(_loads(traces, ramp_s, released, start_s))
     usable = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
@@ -242,7 +242,7 @@ def _loads(
 
 
 def _scaled(loads: list[KernelTrace]) -> tuple[list[KernelTrace], float]:
-    """Loads in a unit in which the largest is about one, and that unit: a power of two, so that nothing rounds."""
+    """Loads in a unit in which the largest is about one, and that unit: a power of two, to avoid rounding."""
     largest = max((float(np.abs(load.values).max(initial=0.0)) for load in loads), default=0.0)
     unit = float(np.ldexp(1.0, -int(np.frexp(largest)[1])))
     scaled = [
@@ -266,7 +266,7 @@ def _beginning(loads: Sequence[KernelTrace], common: CommonRelaxation, frame_s: 
     amplitudes = np.array(common.fit.amplitudes)
     if abs(sizes.mean()) > _ONE_SIGN * np.sqrt((sizes**2).mean()):
         relative = amplitudes / sizes.mean()
-    else:  # releases of both signs, whose mean says nothing
+    else:  # releases of both signs, whose mean is meaningless
         relative = common.shares * float(common.scales @ sizes / (sizes @ sizes)) if len(seen) else amplitudes
     ramp_s = float(np.mean([load.ramp_s for load in loads]))
     weights = np.zeros(len(seen))

@@ -1,4 +1,4 @@
-"""Variable projection for sums of exponentials: the amplitudes are linear and are never searched for."""
+"""Variable projection for sums of exponentials: the amplitudes are linear and not part of the search."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from scipy.special import fdtrc
 
 from cbsr_qa.domain import Array
 
-#: A second exponential is kept only if chance would do as well less often than this, if the time constants differ by
-#: this factor, and if they are determined: standard errors of their logarithms are below this.
+#: A second exponential is kept only if the probability of such a gain by chance is below this, if the time constants
+#: differ by this factor, and if they are determined: standard errors of their logarithms are below this.
 SIGNIFICANCE: Final = 0.01
 SEPARATION: Final = 2.0
 LOG_ERROR: Final = 0.5
 #: Time constants tried on the log grid before the best are refined.
 _GRID: Final = 24
-#: How many of the best starts are refined.
+#: Number of the best starts that are refined.
 _STARTS: Final = 2
 #: Most Gauss–Newton steps after a search.
 _POLISHING: Final = 6
@@ -25,7 +25,7 @@ _POLISHING: Final = 6
 _STEPS: Final = 200
 #: Relative damping a search begins with.
 _DAMPING: Final = 1e-3
-#: A search ends where a step would gain less than this part of the sum of squares; near enough to tell which is best.
+#: A search ends when a step would gain less than this share of the sum of squares, enough to find the best start.
 _GAIN: Final = 1e-13
 _NEAR: Final = 1e-8
 _TINY: Final = float(np.finfo(np.float64).tiny)
@@ -63,15 +63,15 @@ def fit_exponentials(
 ) -> Exponentials:
     """Fit a constant and one or two exponentials, started from the best places of a log grid of time constants.
 
-    The search runs over log τ; at every point the amplitudes follow by QR of the centred basis (Golub & Pereyra
-    1973, with Kaufman's Jacobian), so that a large offset costs no digits and τ is positive by construction.
+    The search runs over log τ; at every point the amplitudes follow by QR of the centred basis (Golub & Pereyra 1973,
+    with Kaufman's Jacobian), so that a large offset loses no digits and τ is positive by construction.
 
     Parameters
     ----------
     time_s, values : (n,) float64, n > 1 + 2 count.
     count : 1 or 2 exponentials.
     bounds_s : lowest and highest time constant.
-    rounding : rms rounding error of the values; a fit is never taken to be better than this.
+    rounding : rms rounding error of the values, the lower bound of a fit's error.
     """
     centred = values - values.mean()
     scale = float(np.abs(centred).max()) or 1.0
@@ -80,7 +80,7 @@ def fit_exponentials(
     kept: dict[bytes, tuple[Array, Array, Array]] = {}
 
     def factors(log_tau: Array) -> tuple[Array, Array, Array]:
-        """Basis and its QR; the last ones are kept, since a search asks for slopes where it has been."""
+        """Basis and its QR; the last ones are cached, since a search requests slopes where it has been."""
         here = log_tau.tobytes()
         if here not in kept:
             kept.clear()
@@ -135,7 +135,7 @@ def _searched(
     for _ in range(_STEPS):
         slope = jacobian(place)
         downhill = -(slope.T @ left)
-        # What a bound holds back does not take part.
+        # Parameters held by a bound do not take part.
         free = np.where(downhill > 0, place < bounds[1], place > bounds[0])
         normal, downhill = (slope.T @ slope) * free * free[:, None], downhill * free
         size = np.diag(np.where(free, normal.diagonal(), 1.0) + _TINY)
@@ -159,7 +159,7 @@ def _searched(
 def _polished(
     residual: Callable[[Array], Array], jacobian: Callable[[Array], Array], place: Array, bounds: Bounds
 ) -> Array:
-    """Go on from where a search ended by plain Gauss–Newton steps, as long as they gain anything."""
+    """Continue from the end of a search by plain Gauss–Newton steps while they gain."""
     left = residual(place)
     for _ in range(_POLISHING):
         step = np.linalg.lstsq(jacobian(place), -left, rcond=None)[0]
@@ -177,15 +177,15 @@ def chance_of_gain(before: Array, after: Array, parameters: int, added: int) -> 
     Parameters
     ----------
     before, after : (n,) residuals without and with them.
-    parameters : how many there are with them, offsets included.
-    added : how many of these they are.
+    parameters : total with them, including offsets.
+    added : number added.
     """
     tiny = float(np.finfo(np.float64).tiny)
     left = after - after.mean()
     lag = float(left[1:] @ left[:-1] / max(float(left @ left), tiny))
     memory = min(max(lag, 0.0), 0.99)
-    # One degree is left at least: a fit that takes all but a ten-thousandth of the rest away is believed even if
-    # what it leaves is smooth, as it is where there is no noise but that of the search.
+    # At least one degree: a fit that removes all but a ten-thousandth of the rest is accepted even if its residual is
+    # smooth, as without noise but that of the search.
     spare = max(len(left) * (1 - memory) / (1 + memory) - parameters, 1.0)
     square = float(after @ after)
     gain = (float(before @ before) - square) / added
@@ -208,7 +208,7 @@ def _slopes(time_s: Array, basis: Array, log_tau: Array) -> Array:
 
 
 def _back_substitute(r: Array, right: Array) -> Array:
-    """Solve R x = b, leaving out columns that the earlier ones already span (τ₁ = τ₂)."""
+    """Solve R x = b without columns that the earlier ones already span (τ₁ = τ₂)."""
     diagonal = np.abs(r.diagonal())
     solution = np.zeros(len(diagonal))
     for row in np.flatnonzero(diagonal > 1e-12 * diagonal.max(initial=0.0))[::-1]:
@@ -223,7 +223,7 @@ def _starts(time_s: Array, values: Array, count: int, bounds: tuple[float, float
     first = basis.T @ values
     if count == 1:
         return [grid[[index]] for index in np.argsort(-(first**2))[:_STARTS]]
-    # Second columns made orthogonal to the first: what they explain adds to what the first explains.
+    # Second columns made orthogonal to the first, so that their explained sums add.
     overlap = basis.T @ basis
     left = np.maximum(1 - overlap**2, 1e-9)
     gain = first[:, None] ** 2 + (first[None, :] - overlap * first[:, None]) ** 2 / left

@@ -1,4 +1,4 @@
-"""Settling times of fitted relaxations, their restricted means, and where a relaxation begins behind a spike."""
+"""Settling times of fitted relaxations, their restricted means, and the start of a relaxation after a spike."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -28,20 +28,19 @@ def settling_time(
     Parameters
     ----------
     fit : of a change from before the load; t = 0 is the end of the ramp.
-    window_s : how long the trace was observed from t = 0 [s].
+    window_s : observed time from t = 0 [s].
     tolerance : half width of the band as a fraction (the paper's 15 %).
-    band : ``"steady"``: of the steady change from before the load, the paper's reading; ``"step"``: of G(0) − a₀.
-    loaded_change : the steady change under load. Given for an unloading: that ends near zero change, where a band
-        relative to its own end would vanish, so the band is taken of this. The fitted curve must then also have
-        come back into the band about zero by the window's end: a short trace of a slow return looks like
-        one that ends elsewhere.
-    start_s : where the fit begins (behind an unloading spike): the trace counts as unsettled before.
+    band : ``"steady"``: of the steady change from before the load, as in the paper; ``"step"``: of G(0) − a₀.
+    loaded_change : the steady change under load. Given for an unloading, which ends near zero change: the band is
+    relative to it, since a band relative to the end would vanish. The fitted curve must also be in the band about
+    zero at the window's end, since a short trace of a slow return seems to end elsewhere.
+    start_s : start of the fit (after an unloading spike); earlier the trace counts as unsettled.
 
     Returns
     -------
-    SettlingTime: 0 where the trace is inside the band from t = 0 (or ``start_s``) on; the window's length and
-    ``censored`` where it is not inside at the window's end, or still drifting; no value where the fit was rejected
-    or there is no band.
+    SettlingTime: 0 if the trace is inside the band from t = 0 (or ``start_s``) on; the window's length and
+    ``censored`` if it is not inside at the window's end, or still drifting; no value if the fit was rejected or there
+    is no band.
     """
     _check(window_s, tolerance, band)
     if fit.status is FitStatus.REJECTED:
@@ -67,10 +66,10 @@ def window_s(time_s: Array) -> float:
 
 
 def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple[float, float]:
-    """Mean and standard deviation of times of which some are only known to be longer (Kaplan & Meier 1958).
+    """Mean and standard deviation of times, some of them censored (Kaplan & Meier 1958).
 
-    The survival curve is integrated up to the longest time observed, so with censored times the mean is a lower
-    bound: each counts as at least its window, and neither as settled nor as missing.
+    The survival curve is integrated up to the longest observed time, so with censored times, which count as at least
+    their window, the mean is a lower bound.
 
     NumericsError if there is no time, one is negative or not finite, or the lengths differ.
 
@@ -87,8 +86,8 @@ def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple
     for index, edge in enumerate(edges):
         share[index] = alive * float(((time == edge) & settled).sum()) / int((time >= edge).sum())
         alive -= share[index]
-    share[-1] += alive  # what outlives the longest time counts as that
-    # About the shortest and then about the mean: a small spread of long times keeps its digits.
+    share[-1] += alive  # survivors of the longest time count as that
+    # About the shortest and then about the mean, so that a small spread of long times keeps its digits.
     after = edges - edges[0]
     mean = float(share @ after)
     return float(edges[0]) + mean, float(np.sqrt(share @ (after - mean) ** 2))
@@ -119,7 +118,7 @@ def _deviation(fit: RelaxationFit, time_s: float) -> float:
 
 
 def _last_outside(fit: RelaxationFit, half_width: float, start_s: float, end_s: float) -> float:
-    """Last time in [start, end] outside the band, start if there is none; the end is known to be inside.
+    """Last time in [start, end] outside the band, or start; the end is known to be inside.
 
     Between its zero and its extremum (at most one of each) the deviation's size is monotone: each root is bracketed.
     """
@@ -141,8 +140,8 @@ def _turning_points(fit: RelaxationFit) -> list[float]:
         return []
     (fast, slow), (first, second) = fit.amplitudes, fit.time_constants_s
     if first == second:
-        return []  # one exponential after all
-    # The difference of the time constants, not that of the rates: it is exact where they are nearly alike.
+        return []  # a single exponential after all
+    # Difference of the time constants, not of the rates: exact for nearly equal ones.
     per_rate = first * second / (second - first)
     return [float(np.log(-fast / slow) * per_rate), float(np.log(-fast * second / (slow * first)) * per_rate)]
 
@@ -153,7 +152,7 @@ _SHARE: Final = 0.05
 
 
 def relaxation_start(values: Array) -> int:
-    """Return the index of the first sample behind the unloading spike's peak; 0 without a spike (paper 3.1.2).
+    """Return the index of the first sample after the unloading spike's peak; 0 without a spike (paper 3.1.2).
 
     NumericsError if a value is not finite.
     """
@@ -163,7 +162,7 @@ def relaxation_start(values: Array) -> int:
         return 0
     away = values - np.median(values[-(count // 4) :])
     early = away[: (count + 1) // 2]
-    # Differences of neighbours see the noise and hardly the relaxation; their median is not moved by the spike.
+    # Differences of neighbours show the noise and hardly the relaxation; the spike does not affect their median.
     noise = 1.4826 * float(np.median(np.abs(np.diff(away[count // 2 :])))) / np.sqrt(2)
     clear = np.abs(early) > max(_CLEAR * noise, _SHARE * float(np.abs(early).max()))
     if not clear.any():

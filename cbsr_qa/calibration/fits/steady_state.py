@@ -1,4 +1,4 @@
-"""Transient compensation: where a hold or a release ends, from its first part and the sensor's own relaxations."""
+"""Transient compensation: the end of a hold or a release from its first part and the sensor's own relaxations."""
 
 from typing import Final, Self
 
@@ -13,9 +13,9 @@ from cbsr_qa.domain.results import RelaxationKernel, SteadyPrediction
 __all__ = ["HoldsSoFar", "event_rate_per_min", "interval", "learn_kernel", "predict_steady"]
 
 
-#: Times the scatter's share of the covariance is worked out again with the predicted size.
+#: Number of times the scatter's share of the covariance is updated with the predicted size.
 _ROUNDS: Final = 3
-#: Time constants after which nothing is left.
+#: Time constants after which the residue is negligible.
 _OVER: Final = 700.0
 
 
@@ -31,17 +31,17 @@ def predict_steady(
     released_stderr: float | Array = 0.0,
     at_s: float = np.inf,
 ) -> SteadyPrediction:
-    """Predict where holds or releases end from whatever part of them was seen.
+    """Predict the end of holds or releases from their observed part.
 
     Bayesian linear regression of the steady change A and its weights A w, with the kernel as prior of the weights and
-    none of A; the kernel's own uncertainty enters to first order. Of a release it is what is left, R, that has no
-    prior. Where everything has settled it is the mean weighted by the noise.
+    no prior of A; the kernel's own uncertainty enters to first order. For a release it is the residue R that has no
+    prior. Once settled, the result is the noise-weighted mean.
 
     Parameters
     ----------
-    time_s : (n,) or (m, n) from the end of the ramp [s]; frames before ``kernel.start_s`` do not count.
+    time_s : (n,) or (m, n) from the end of the ramp [s]; frames before ``kernel.start_s`` are ignored.
     values : (n,) or (m, n) of m traces.
-    noise : standard deviation of a value; broadcast against ``values``.
+    noise : standard deviation of a value; broadcast with ``values``.
     ramp_s, frame_s : as in :func:`learn_kernel`; ``ramp_s`` may be (m,).
     released, released_stderr : D and its standard error, for a kernel of unloadings; may be (m,).
     at_s : predict the change at this time after the ramp's end instead, e.g. when a rest is over.
@@ -72,14 +72,14 @@ def interval(prediction: SteadyPrediction, level: float) -> tuple[Array, Array]:
 def event_rate_per_min(
     loading_s: float, unloading_s: float, *, held: float = 1.5, rested: float = 1.5, ramp_s: float = 0.0
 ) -> float:
-    """Return how many presses a minute can be told apart and measured.
+    """Return how many presses per minute can be separated and measured.
 
-    NumericsError if a time is negative or not finite, or nothing takes any time.
+    NumericsError if a time is negative or not finite, or all times are zero.
 
     Parameters
     ----------
     loading_s, unloading_s : settling times.
-    held, rested : how much of them is waited for; 1.5 each without transient compensation (paper 4.3.2), less with.
+    held, rested : waiting times relative to them; 1.5 each without transient compensation (paper 4.3.2), less with.
     ramp_s : of one press, and of one release.
     """
     parts = (loading_s, unloading_s, held, rested, ramp_s)
@@ -90,7 +90,7 @@ def event_rate_per_min(
 
 
 class HoldsSoFar:
-    """What was seen of m holds (or releases), frame by frame: each costs the same, and none is kept.
+    """Accumulates m holds (or releases) frame by frame, at constant cost and memory.
 
     NumericsError if there is no kernel.
 
@@ -111,12 +111,12 @@ class HoldsSoFar:
         ramps = np.broadcast_to(np.asarray(ramp_s, dtype=np.float64), (count,))
         self._share, self._slope = seen_share(kernel.time_constants_s, ramp_s=ramps, frame_s=frame_s)
         self._root = _root(kernel)
-        # What all rows and values say, as the triangle of their QR: sums of squares would keep half of the digits.
+        # All rows and values as the triangle of their QR: sums of squares would keep half of the digits.
         self._triangle = np.zeros((count, 3 + self._root.shape[1], 3 + self._root.shape[1]))
         self._frames = np.zeros(count, dtype=np.int64)
 
     def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
-        """Take in one frame of each hold: times [s], values and their standard deviations, (m,) or alike for all.
+        """Add one frame of each hold: times [s], values and their standard deviations, (m,) or common.
 
         NumericsError if a number is not finite or the noise is not positive.
         """
@@ -143,7 +143,7 @@ class HoldsSoFar:
         released_stderr: float | Array = 0.0,
         at_s: float = np.inf,
     ) -> SteadyPrediction:
-        """Predict where the holds end from what was seen so far; arguments and errors of :func:`predict_steady`."""
+        """Predict the ends of the holds from frames so far; arguments and errors as for :func:`predict_steady`."""
         if not (self._frames > 0).all():
             raise NumericsError("no frame was seen of a hold", remedy="predict after its first frame")
         if self._kernel.loading != (released is None):
@@ -165,7 +165,7 @@ class HoldsSoFar:
         return self._predicted(unknown, change, self._rows(np.full(shape, at_s)))
 
     def _of_holds(self, at_s: float) -> SteadyPrediction:
-        """The prior of A w scales with A, so that A is predicted a few times over."""
+        """The prior of A w scales with A, so A is predicted iteratively."""
         none = np.zeros(self._frames.shape)
         level = self._triangle[:, :, 0] + self._triangle[:, :, 1]
         size = (level * self._triangle[:, :, -1]).sum(axis=1) / (level**2).sum(axis=1)
@@ -175,7 +175,7 @@ class HoldsSoFar:
         return self._predicted(unknown, none, self._rows(np.full(none.shape, at_s)))
 
     def _rows(self, time_s: Array) -> Array:
-        """(m, 2 + 3 k): one, the kernel's transient, and what unit normals of its uncertainty add to it."""
+        """(m, 2 + 3 k): one, the kernel's transient, and its changes by unit normals of the kernel's uncertainty."""
         if not len(self._kernel.weights):
             return np.concatenate([np.ones((len(time_s), 1)), np.zeros((len(time_s), 1))], axis=1)
         late = np.minimum(time_s[:, None] / self._kernel.time_constants_s, _OVER)
@@ -186,10 +186,10 @@ class HoldsSoFar:
         return np.concatenate([level, weighted.sum(axis=1, keepdims=True), slopes @ self._root], axis=1)
 
     def _unknown(self, transient: float, size: Array, stderr: Array) -> Array:
-        """What each unknown adds to the coefficients of the rows, (m, 2 + 3 k, unknowns).
+        """Contribution of each unknown to the coefficients of the rows, (m, 2 + 3 k, unknowns).
 
-        First the level, which has no prior and brings so much of the transient with it; then unit normals: of the
-        kernel's mean, of its scatter, and of the transient's size as far as it is uncertain.
+        First the level, which has no prior and scales the transient; then unit normals of the kernel's mean, of its
+        scatter, and of the transient's uncertain size.
         """
         count = self._root.shape[1]
         unknown = np.zeros((len(size), 2 + count, 2 + count))
@@ -217,7 +217,7 @@ class HoldsSoFar:
         parts = (along[:, None, :] @ root)[:, 0]
         errors = (root @ parts[:, :, None])[:, :, 0]
         variance = np.maximum((parts**2).sum(axis=1), np.finfo(np.float64).tiny)
-        # The error is −errors · (unit normals) + noise; a mean over so many loads is as uncertain as their scatter.
+        # The error is −errors · (unit normals) + noise; the mean over loads is as uncertain as their scatter.
         scatter = slice(1 + 2 * len(self._kernel.weights), -1)
         of_scatter = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
         share = np.clip(of_scatter / variance, 1e-6, 1.0)
@@ -232,7 +232,7 @@ class HoldsSoFar:
 
 
 def _triangle(rows: Array) -> Array:
-    """Triangular factors (m, u, u) of rows (m, n, u): they say all that the rows say to least squares."""
+    """Triangular factors (m, u, u) of rows (m, n, u), equivalent to them in least squares."""
     return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
 
 

@@ -1,9 +1,9 @@
-"""Responses to one step each, taken apart: what earlier presses left still fades while a later one is held.
+"""Separated responses to single steps: residues of earlier presses still decay while a later one is held.
 
-A press cycle is over before the material has relaxed: sixty seconds after a release of the shipped material 6 % of
-the change are left, and fade through the next hold. Fitted as it is, that hold settles too early and too low. Linear
-viscoelasticity (Boltzmann superposition) says what to take away: the exponentials that were fitted to earlier steps,
-continued. Each step's fit depends on those before it, so that fits and what is carried over are found in turn.
+A press cycle ends before the material has relaxed: sixty seconds after a release of the shipped material 6 % of the
+change remain, and decay through the next hold. Without correction, that hold seems to settle too early and too low.
+By linear viscoelasticity (Boltzmann superposition) the continued exponentials of earlier steps are subtracted. Each
+step's fit depends on those before it, so fits and corrections are iterated.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,14 +25,14 @@ _CONVERGED: Final = 3e-3  # relative change of time constants; a third of their 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepTrace:
-    """What was read after one step.
+    """Readings after one step.
 
     Parameters
     ----------
     start_s : end of the ramp, on the run's clock.
     loading : whether the head pressed harder.
     time_s, values : (n,) float64, from the end of the ramp.
-    skipped : first samples that count for nothing (an unloading spike).
+    skipped : number of ignored first samples (an unloading spike).
     """
 
     start_s: float
@@ -44,14 +44,14 @@ class StepTrace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeparatedSteps:
-    """Steps, each without what earlier ones left.
+    """Steps, each without residues of earlier ones.
 
     Parameters
     ----------
-    traces : (time_s, values) of each as given, without what was carried over and without skipped samples.
-    levels, level_stderr : (n,) where each is going: its level after all has relaxed.
+    traces : (time_s, values) of each, without residues and without skipped samples.
+    levels, level_stderr : (n,) final level of each after relaxation.
     amplitudes : of each, one for each time constant of its direction, at the end of its ramp.
-    common : the relaxation of each direction (True: loading) that is there.
+    common : the relaxation of each existing direction (True: loading).
     """
 
     traces: tuple[TimedValues, ...]
@@ -62,17 +62,17 @@ class SeparatedSteps:
 
 
 def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
-    """Fit every step with its own level and amplitudes, and with the time constants all steps of its direction share.
+    """Fit every step with its own level and amplitudes, and common time constants of its direction.
 
-    NumericsError as of :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`.
+    NumericsError as for :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`.
 
     Parameters
     ----------
-    steps : in the order of their times; together they cover what happened.
+    steps : in order of time; together they cover the whole history.
 
     Returns
     -------
-    SeparatedSteps. Where a direction carries no exponential a step's level is the mean of its last quarter.
+    SeparatedSteps. If a direction has no exponential, a step's level is the mean of its last quarter.
     """
     traces: tuple[TimedValues, ...] = tuple((s.time_s[s.skipped :], s.values[s.skipped :]) for s in steps)
     common = _fitted(steps, traces)
@@ -89,7 +89,7 @@ def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
 def separated_with(
     steps: Sequence[StepTrace], common: dict[bool, CommonRelaxation], constants_s: dict[bool, Array]
 ) -> SeparatedSteps:
-    """Separate steps with given time constants of each direction: what an error of theirs does to the levels."""
+    """Separate steps with given time constants of each direction, e.g. for the effect of errors on the levels."""
     traces = _without_carried(steps, constants_s)
     fits = [fit_step(trace, constants_s[step.loading]) for step, trace in zip(steps, traces, strict=True)]
     return SeparatedSteps(
@@ -116,7 +116,7 @@ def shifted_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, A
 
 
 def constants_of(common: dict[bool, CommonRelaxation]) -> dict[bool, Array]:
-    """Time constants of each direction, none where it is not there [s]."""
+    """Time constants of each direction, empty if it does not exist [s]."""
     nothing: dict[bool, Array] = {True: np.zeros(0), False: np.zeros(0)}
     return nothing | {loading: np.array(fit.fit.time_constants_s) for loading, fit in common.items()}
 
@@ -175,12 +175,12 @@ def _alike(before: dict[bool, CommonRelaxation], after: dict[bool, CommonRelaxat
     )
 
 
-#: Fewest values of a hold that a level, an amplitude and a scatter can be told from.
+#: Fewest values of a hold that determine a level, an amplitude and a scatter.
 _FEWEST: Final = 6
-#: A hold of more values than this is averaged into so many: load cells sample fast.
+#: Longer holds are averaged into so many values: load cells sample fast.
 _MOST: Final = 60
-#: Time constant that is taken where none stands out of the noise, as a share of the hold: what it hides decays
-#: neither at once nor beyond the hold, and its amplitude stays free.
+#: Default time constant, as a share of the hold, if noise hides it: a hidden relaxation decays neither at once nor
+#: beyond the hold, and its amplitude stays free.
 _UNSEEN: Final = 1 / 3
 
 
@@ -191,7 +191,7 @@ class Levels:
     Parameters
     ----------
     values : (loops, strains) float64, in the quantity's unit.
-    errors : (causes, loops, strains), what one standard error of each independent cause does to them.
+    errors : (causes, loops, strains), effect of one standard error of each independent cause.
     """
 
     values: Array
@@ -205,8 +205,8 @@ def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise:
 
     Parameters
     ----------
-    last_s : how long before the end of a hold is averaged.
-    noise : standard deviation of a value; None to take it from the values averaged.
+    last_s : averaging time before the end of a hold.
+    noise : standard deviation of a value; None to estimate it from the averaged values.
     """
     _check_finite(trace)
     values, errors = [], []
@@ -227,22 +227,22 @@ def _check_finite(trace: Trace) -> None:
 
 
 def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -> Levels:
-    """Where every hold of some loops is going, whatever earlier steps of them still leave.
+    """Final level of every hold of some loops, without residues of earlier steps.
 
-    Frames of the first :data:`~cbsr_qa.calibration.fits.FROM_S` after a step do not count: a fast exponential that
-    the noise hides would bend the slow one. Where no time constant stands out of the noise that of the other
-    direction is taken, or a third of the hold.
+    Frames of the first :data:`~cbsr_qa.calibration.fits.FROM_S` after a step are ignored, since a fast exponential
+    hidden by noise would bend the slow one. Without a significant time constant that of the other direction is used,
+    or a third of the hold.
 
     Parameters
     ----------
-    loops : in time order, pressed one after the other at one place.
+    loops : in time order, pressed at one place.
     trace : on the run's clock.
-    rests : whether the trace goes on after the release (a stress does not: the head has left).
+    rests : whether the trace continues after the release (a stress does not).
 
     Raises
     ------
     NumericsError
-        If holds are too short to tell, the quantity drifts more slowly than they are long, or a value is not finite.
+        If holds are too short, the quantity drifts more slowly than they are long, or a value is not finite.
     """
     _check_finite(trace)
     steps = list(_steps(loops, trace, rests))

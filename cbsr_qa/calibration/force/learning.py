@@ -26,12 +26,12 @@ from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 
-#: The predicted change must be this many of its own standard errors from zero, and the seen one as many of its own.
+#: The predicted change must be this many of its own standard errors from zero, and so must the observed one.
 _CLEAR: Final = 3.0
 #: Median of a mean of two squared normals.
 _MEDIAN: Final = 0.693
-#: A frame is another than one head's if a second one explains this many times more of it than of calibrating loads at
-#: most; templates of a sheet that answers unevenly leave a few parts in 10 000.
+#: A frame has more than one head if a second one explains this many times more of it than the most in calibration
+#: loads; templates of an uneven sheet leave a few parts in 10 000.
 _MISFIT_ROOM: Final = 2.0
 
 
@@ -43,9 +43,9 @@ class CalibrationLoads:
     ----------
     place_mm : (n, 2).
     rows : (n, r) mean steady rows of unit noise, against the rested sheet.
-    frames : (n,) how many frames that is a mean of, or is as sure as.
-    before : (n, r) mean rows just before the press; zero where there were none.
-    frames_before : (n,) how many frames; 0 where there were none.
+    frames : (n,) number, or equivalent number, of averaged frames.
+    before : (n, r) mean rows just before the press; zero without frames.
+    frames_before : (n,) number of frames, may be 0.
     force_N, force_stderr_N : (n,).
     """
 
@@ -58,11 +58,11 @@ class CalibrationLoads:
     force_stderr_N: Array
 
     def select(self, which: Mask) -> "CalibrationLoads":
-        """Some of them."""
+        """Return some of them."""
         return CalibrationLoads(*(getattr(self, column.name)[which] for column in fields(self)))
 
     def changed(self) -> tuple[Array, Array]:
-        """Rows (n, r) without what earlier loads left, and their noise variance (n,)."""
+        """Rows (n, r) without residues of earlier loads, and their noise variance (n,)."""
         there = self.frames_before > 0
         share = np.where(there, RESIDUE_SHARE, 0.0)
         noise = 1 / self.frames + share**2 / np.maximum(self.frames_before, 1)
@@ -71,16 +71,15 @@ class CalibrationLoads:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedForce:
-    """A force model and what it was learned from.
+    """A force model with the data behind it.
 
     Parameters
     ----------
-    model : of the sensor.
     line : α_σ and β_σ; their covariance is that of the intercept, turned about the calibrated stresses.
     response : the map, for any place.
-    refused : (n,) why a load was left out; empty where it was used.
-    ratio, ratio_stderr : (n,) seen over predicted change, relative to the nominal response; NaN where left out.
-    fitted_intercept : whether the loads said something about the intercept.
+    refused : (n,) reason for leaving a load out; empty if used.
+    ratio, ratio_stderr : (n,) observed over predicted change, relative to the nominal response; NaN if left out.
+    fitted_intercept : whether the loads determine the intercept.
     predicted : (n,) whether readings and force of a load were predicted from a hold shorter than the run's longest.
     """
 
@@ -108,16 +107,15 @@ def learn_force(
     Parameters
     ----------
     bank : templates of the head.
-    merging : (r, m) [1/V] from changes of used readings to rows.
+    merging : (r, m) [1/V] maps changes of used readings to rows.
     loads : of the calibration.
-    line : α_σ and β_σ of the material, or of this sensor; what is not their own becomes part of the map.
-    head : that pressed.
+    line : α_σ and β_σ of the material, or of this sensor; deviations from it become part of the map.
     radius_mm : of the sheet.
 
     Raises
     ------
     CalibrationError
-        If fewer than three loads say something; the message gives the reasons of the others.
+        If fewer than three loads are usable; the message gives the reasons for the others.
     """
     even = unlearned_model(bank, merging)
     filter_ = TemplateFilter(even)
@@ -162,7 +160,7 @@ def learn_force(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What the readings say of loads: contrast κ and its standard error, detectability."""
+    """Observation of loads: contrast κ and its standard error, detectability."""
 
     contrast: Array
     stderr: Array
@@ -187,13 +185,13 @@ def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) 
     rows, noise = loads.changed()
     matches = filter_.search(rows[used])
     second, _ = filter_.beside(rows[used], matches.place_mm, matches.strength)
-    # Noise at the best of all places is below the threshold but for one frame in thousands.
+    # Noise at the best of all places is below the threshold except for one frame in thousands.
     extra = np.maximum(second - noise[used] * filter_.threshold**2, 0.0)
     return float((extra / matches.gain).max())
 
 
 def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
-    """How far loads are found from where they were pressed, beyond noise; a load out of all reach does not count."""
+    """Distance of found from pressed places, beyond noise; loads out of reach do not count."""
     rows, noise = loads.changed()
     matches = filter_.search(rows[used])
     error = ((matches.place_mm - loads.place_mm[used]) ** 2).mean(axis=1)
@@ -202,7 +200,7 @@ def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: Ma
 
 
 def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
-    """Strength at the places of loads just before them, root mean square, without what noise makes of it."""
+    """Strength at the places of loads just before them, root mean square, less that of noise."""
     there = used & (loads.frames_before > 0)
     if not there.any():
         return 0.0
@@ -244,7 +242,7 @@ def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, e
 
 
 def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, fitted: bool) -> QuasiStatic:
-    """The line with another intercept, turned about the change in the middle, which the map keeps."""
+    """The line with another intercept, turned about the change in the middle, which the map preserves."""
     change, variance = bend
     alpha, beta = line.slope.value, line.intercept.value
     by_slope, by_intercept = -alpha / middle, 1 - beta / middle

@@ -1,4 +1,4 @@
-"""Frames as maps of stress: the image made even by the sensor's own response, in kilopascal (paper section 2.4)."""
+"""Frames as maps of stress: the image corrected by the sensor's own response, in kilopascal (paper section 2.4)."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,7 +9,7 @@ from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.sensor import Mesh
 
-#: Nodes of the map between those where the image's gain is worked out: 5 mm on the 100 mm disc.
+#: Spacing, in nodes of the map, of the places where the image's gain is computed: 5 mm on the 100 mm disc.
 _STRIDE = 4
 #: Least gain over the usual one.
 _FAINTEST = 0.2
@@ -19,10 +19,10 @@ class PressureMap:
     """Stress by element of the image.
 
     σ = (Δρ/ρ̄₀ − β_σ)/α_σ in every element (paper Eq 1), with ρ̄₀ by place: c g S, with S the map of the response, g
-    what the image shows under the calibrated head there per contrast, by the forward model, and c, near one, the mean
-    over the calibrated locations of their ρ̄₀ over g S. The paper has one ρ̄₀ for the whole sheet, whose images are
-    twice as strong at 30 mm as in the centre. What an image blurs stays blurred: a head's force is not the integral
-    of this map but that of :meth:`Calibration.force`.
+    the image under the calibrated head there per contrast, by the forward model, and c, near one, the mean over the
+    calibrated locations of their ρ̄₀ over g S. The paper has one ρ̄₀ for the whole sheet, whose images are twice as
+    strong at 30 mm as in the centre. The image's blur remains: a head's force is not the integral of this map but
+    that of :meth:`Calibration.force`.
 
     CalibrationError if no location of the calibration has a ρ̄₀.
     """
@@ -54,25 +54,25 @@ class PressureMap:
 
     @property
     def floor_kPa(self) -> Array:
-        """Stress (elements,) that the noise floor of the images would be taken for."""
+        """Stress (elements,) equivalent to the noise floor of the images."""
         return np.abs(self._stress(np.full(len(self.baseline_conductance), self._calibration.issued.noise_floor)))
 
     def _stress(self, change: Array) -> Array:
         slope, intercept = self._line.slope.value, self._line.intercept.value
-        # A response that makes pressed places conduct less has a negative line; images are signed to be positive.
+        # A negative response has a negative line; images are signed to be positive.
         sign = np.sign(slope)
         stress: Array = (change / self.baseline_conductance - sign * intercept) / (sign * slope)
         return stress
 
 
 class _Homogeneous:
-    """What an image shows under a head of nominal contrast, by place: gain of the image times the map."""
+    """Image under a head of nominal contrast, by place: gain of the image times the map."""
 
     def __init__(self, calibration: Calibration) -> None:
         model = calibration.model
         every = model.lattice.places_mm()[model.node.ravel() >= 0]
         fitting = np.flatnonzero(model.fits & _every(_STRIDE, model))
-        if np.linalg.matrix_rank(every[fitting] - every[fitting].mean(axis=0)) < 2:  # a coarse lattice: take it all
+        if np.linalg.matrix_rank(every[fitting] - every[fitting].mean(axis=0)) < 2:  # a coarse lattice: use all of it
             fitting = np.flatnonzero(model.fits)
         places = every[fitting]
         values = _gains(calibration, fitting, places) * np.exp(model.log_response[fitting])
@@ -80,16 +80,16 @@ class _Homogeneous:
         self._nearest = NearestNDInterpolator(places, values)
 
     def __call__(self, places_mm: Array) -> Array:
-        """At places (n, 2); beyond where a head fits, that of the nearest place where one does."""
+        """At places (n, 2); where no head fits, at the nearest place where one does."""
         between: Array = self._between(places_mm)
         return np.where(np.isfinite(between), between, self._nearest(places_mm))
 
 
 def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
-    """Mean image (n,) under the head per contrast, of the templates of nodes (n,) at places (n, 2)."""
+    """Mean image (n,) under the head per contrast, from the templates of nodes (n,) at places (n, 2)."""
     issued, model = calibration.issued, calibration.model
     rows = model.templates[nodes] * np.exp(model.log_size[nodes])[:, None]
-    # Reciprocal readings were merged into one row: the shortest changes that give the rows are those of the model.
+    # Reciprocal readings were merged into one row: the smallest changes with these rows are the model's.
     changes = rows @ np.linalg.pinv(model.merging).T / issued.scale
     mesh = issued.reconstruction.problem.mesh
     images = changes @ issued.reconstruction.matrix.T
@@ -98,7 +98,7 @@ def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
         under = issued.indenter.at(x_mm, y_mm).contains(mesh.centroids_mm) * mesh.areas_mm2
         gains[number] = float(images[number] @ under / under.sum()) if under.any() else np.nan
     typical = float(np.nanmedian(gains))
-    # An image that shows next to nothing under a head cannot be made even there.
+    # An image that is almost zero under a head cannot be corrected there.
     return np.where(gains > _FAINTEST * typical, gains, _FAINTEST * typical)
 
 

@@ -1,4 +1,4 @@
-"""What one head does to the readings at every place it can press: the bank a frame is compared with."""
+"""Effect of one head on the readings at every possible place: the bank of templates for frames."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -16,23 +16,24 @@ from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.estimate import MergedReadings, load_model
 from cbsr_qa.eit.loads import LoadReadings, RoundLoadModel, RoundLoads
 
-#: Contrast the templates are taken at: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the
-#: centre of the 100 mm disc, and by 1.4 % at 40 mm.
+#: Contrast of the templates: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the centre of
+#: the 100 mm disc, and by 1.4 % at 40 mm.
 CONTRAST: Final = 0.1
 #: Between places of the lattice, of the sheet's radius: 1.25 mm on the 100 mm disc.
 SPACING: Final = 0.025
-#: Nodes nearer than this to an edge or an electrode [of the sheet's radius] have no field that could be interpolated.
+#: Nodes closer to an edge or an electrode [of the sheet's radius] have no field for interpolation.
 LEAST_CLEARANCE: Final = 0.03
-#: A disc so much smaller than what is clear can be expanded about its centre; larger heads are reached from there.
+#: Discs up to this share of the clearance can be expanded about their centre; larger heads are extrapolated from
+#: there.
 _CLEAR_OF: Final = 0.92
 _AT_ONCE: Final = 128
-#: Share of what was there before a press that is still there at its steady frames, and how unsure that is. Material
-#: relaxations are all but over by then and slow residues all but unchanged: chosen by us, between the two.
+#: Share of a residue before a press that remains at its steady frames, with its uncertainty. Material relaxations are
+#: almost over by then and slow residues almost unchanged: chosen by us, between the two.
 RESIDUE_SHARE: Final = 0.3
 RESIDUE_STDERR: Final = 0.15
-#: Least share of a load's signal that a second head may explain before a frame counts as one of several.
+#: Least share of a load's signal explained by a second head for a frame to count as one of several.
 LEAST_MISFIT: Final = 5e-4
-#: Chance of taking noise for a load, a frame.
+#: False alarm probability per frame.
 _FALSE_ALARMS: Final = 1e-4
 
 
@@ -42,7 +43,7 @@ class TemplateBank:
 
     Parameters
     ----------
-    lattice, node : places, and the row of each; −1 where there is none.
+    lattice, node : places, and the row of each, or −1.
     places_mm : (n, 2) of the rows.
     templates, log_size, size_slope, slopes, fits : as in :class:`~cbsr_qa.domain.results.ForceModel`.
     """
@@ -58,17 +59,17 @@ class TemplateBank:
 
 
 def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indenter) -> TemplateBank:
-    """Work out the readings of a head at every place of a lattice over the sheet.
+    """Compute the readings of a head at every place of a lattice over the sheet.
 
-    Where a head is too near to an edge or an electrode to be expanded about its centre, the field of the largest disc
-    that can be is carried on linearly in the squared radius: those nodes are there to interpolate from.
+    If a head is too close to an edge or an electrode for an expansion about its centre, the field of the largest
+    possible disc is extrapolated linearly in the squared radius; those nodes serve for interpolation.
 
     CalibrationError if the head fits nowhere on the sheet.
 
     Parameters
     ----------
-    readings : how readings become rows.
-    head : of any outline; one that is not round counts as the disc of its area and second moment.
+    readings : merging of readings into rows.
+    head : of any outline, replaced by the disc of its area and second moment.
     """
     lattice = _lattice(model)
     everywhere = lattice.places_mm()
@@ -89,7 +90,7 @@ def _joined(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
 
 @lru_cache(maxsize=1)
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
-    """The readings of a head at all places of the lattice: they depend on no measurement. About 50 MB."""
+    """Readings of a head at all places of the lattice, independent of measurements. About 50 MB."""
     everywhere = _lattice(model).places_mm()
     inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
     return tuple(_pressed(model, everywhere[inside], head))
@@ -97,7 +98,7 @@ def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pressed:
-    """Readings of a head at some places, and how much larger its squared radius is than what could be expanded."""
+    """Readings of a head at some places, and the excess of its squared radius over the expandable one."""
 
     readings: LoadReadings
     beyond_mm2: Array
@@ -116,7 +117,7 @@ def _pressed(model: RoundLoadModel, places_mm: Array, head: Indenter) -> "Iterat
 def _lattice(model: RoundLoadModel) -> Lattice:
     spacing = SPACING * model.surroundings.radius_mm
     low_x, high_x, low_y, high_y = model.surroundings.extent_mm
-    # About the middle, so that a symmetric sheet has a symmetric lattice.
+    # Relative to the middle, so that a symmetric sheet has a symmetric lattice.
     half = [ceil((high - low) / 2 / spacing) for low, high in ((low_x, high_x), (low_y, high_y))]
     x, y = (low_x + high_x) / 2, (low_y + high_y) / 2
     return Lattice((x - half[0] * spacing, y - half[1] * spacing), spacing, 2 * half[0] + 1, 2 * half[1] + 1)
@@ -136,7 +137,7 @@ def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Arra
 
 
 def unlearned_model(bank: TemplateBank, merging: Array) -> ForceModel:
-    """Return the force model of an even sheet, before anything was learned from loads."""
+    """Return the force model of an even sheet, before learning from loads."""
     nothing = np.zeros(len(bank.templates))
     return ForceModel(
         lattice=bank.lattice,

@@ -1,4 +1,4 @@
-"""Why a force model may be used in less than the range a recipe intended, in words."""
+"""Reasons why a force model is valid in less than a recipe's intended range."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -10,14 +10,14 @@ from cbsr_qa.domain import Mask
 from cbsr_qa.domain.results import LoadObservation
 from cbsr_qa.domain.sensor import DrivePattern
 
-#: Places fewer than these leave most of the map to its mean. Chosen by us.
+#: With fewer places most of the map is its mean. Chosen by us.
 _FEW_PLACES: Final = 6
-#: Loads that are named one by one; of more the first are, and the rest are counted.
+#: Number of loads named one by one; the rest are counted.
 _NAMED: Final = 6
 
 
 def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) -> Iterator[str]:
-    """Yield what the loads of a model could not say; loads are in the order of ``learned.refused``."""
+    """Yield gaps in the information from a model's loads, which are in the order of ``learned.refused``."""
     refused: dict[str, list[LoadObservation]] = {}
     used = []
     for load, why in zip(loads, learned.refused, strict=True):
@@ -43,7 +43,7 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
 
 
 def prediction_words(learned: LearnedForce) -> str:
-    """Return how many loads of a model were predicted from short holds, and to when; empty where none was."""
+    """Return how many loads of a model were predicted from short holds, and to which time; empty if none was."""
     count = sum(learned.predicted)
     if not count:
         return ""
@@ -54,7 +54,7 @@ def prediction_words(learned: LearnedForce) -> str:
 
 
 def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObservation]) -> Iterator[str]:
-    """Yield where the range is one of loads (``confirmed``) that force was tried on and not learned from."""
+    """Yield ranges covered only by loads (``confirmed``) used to test the force, not to learn it."""
     forces, tried = ([load.force_N for load in loads if load.force_N is not None] for loads in (used, confirmed))
     if forces and tried and (min(tried) < min(forces) or max(tried) > max(forces)):
         yield (
@@ -80,7 +80,7 @@ def unmeasured(loads: Sequence[LoadObservation]) -> Iterator[str]:
 
 
 def reading_reductions(pattern: DrivePattern, usable: Mask) -> Iterator[str]:
-    """Yield what readings of a sensor could not be used, and electrodes of which none could."""
+    """Yield unusable readings of a sensor, and electrodes without usable readings."""
     wanted = pattern.usable()
     missing = int((wanted & ~usable).sum())
     if not missing:

@@ -2,9 +2,9 @@
 
 κ = 2a/(2 − a) is the relative change of conductance under the head, a its strength; with S the response of the place,
 σ = (κ/S − β_σ)/α_σ and F = σ A (paper Eqs 1 and 7, solved for the force of a known head). The variance is that of
-four independent causes: noise of the readings (with the place's, where the place was estimated), the map, what single
-loads scatter by, and the line. Heads that were fitted together and cannot be told apart count as one; templates of a
-head of another size than the calibrated one are as wrong as :class:`SizeError` says.
+four independent causes: noise of the readings (with the place's, where the place was estimated), the map, the scatter
+of single loads, and the line. Heads that were fitted together and cannot be separated count as one; the error of
+templates for another head size is in :class:`SizeError`.
 """
 
 from collections.abc import Sequence
@@ -22,29 +22,27 @@ from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import ForceModel, Validity
 from cbsr_qa.domain.sensor import QuasiStatic
 
-#: Largest strength that is taken as it is: of a head under which the sheet conducts 200 times as well.
+#: Larger strengths are limited: here the sheet conducts 200 times as well under the head.
 _STRONGEST = 1.98
 
 
 class Flag(IntFlag):
-    """What is to be said of one frame's force; 0 is nothing."""
+    """Remarks on one frame's force; 0 for none."""
 
-    NOT_DETECTED = 1  #: no load stands out of the noise; the force is 0 where the place was not given
-    OUTSIDE = 2  #: the place lies outside what was calibrated
-    BELOW_RANGE = 4  #: the force is below the lightest load that was calibrated
-    ABOVE_RANGE = 8  #: the force is above the heaviest load that was calibrated
+    NOT_DETECTED = 1  #: no load exceeds the noise; the force is 0 if the place was not given
+    OUTSIDE = 2  #: the place is outside the calibrated area
+    BELOW_RANGE = 4  #: the force is below the lightest calibrated load
+    ABOVE_RANGE = 8  #: the force is above the heaviest calibrated load
     WRONG_SIGN = 16  #: the place changes the other way than under a load (an unloading spike, or a residue)
-    MORE_THAN_ONE = 32  #: the frame is not that of one head of the given size
+    MORE_THAN_ONE = 32  #: the frame is not of one head of the given size
     UNREADABLE = 64  #: a used reading is not a finite number; there is no force
-    OTHER_SENSOR = 128  #: the readings as a whole are not those of the calibrated sensor; there is no force
-    OTHER_HEAD = (
-        256  #: the head is so much larger or smaller than the calibrated one that its field is off by over 3 %
-    )
+    OTHER_SENSOR = 128  #: the readings as a whole are not of the calibrated sensor; there is no force
+    OTHER_HEAD = 256  #: the head's size differs so much from the calibrated one that its field is off by over 3 %
     NOT_AS_MODELLED = 512  #: no touch of the modelled sheet explains the readings
-    SPIKE = 1024  #: a reading stood out alone, and its reciprocal counts for both
+    SPIKE = 1024  #: a reading was a spike, and its reciprocal replaces it
 
 
-#: Frames with one of these have no force.
+#: Frames with one of these flags have no force.
 NO_FORCE: Final = int(Flag.UNREADABLE | Flag.OTHER_SENSOR)
 
 
@@ -54,12 +52,11 @@ class Forces:
 
     Parameters
     ----------
-    force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR. Of a
-        frame flagged MORE_THAN_ONE the error holds the sum of its heads.
-        Where a place was searched and no load detected, 0 and the least force that shows wherever the sheet was
-        calibrated.
-    place_mm, place_stderr_mm : (n, 2) where, and (n,) how sure, root mean square over two axes; 0 where it was given.
-        NaN where it was to be found in a frame flagged UNREADABLE or OTHER_SENSOR.
+    force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR. For a
+        frame flagged MORE_THAN_ONE the error includes the sum of its heads. If a place was searched and no load
+        detected, 0 and the least force detectable anywhere in the calibrated area.
+    place_mm, place_stderr_mm : (n, 2) place, and (n,) its error, root mean square over two axes; 0 if given. NaN if
+    searched in a frame flagged UNREADABLE or OTHER_SENSOR.
     detectability : (n,) d′, the load's signal over the noise of the readings.
     flags : (n,) int64 of :class:`Flag`.
     """
@@ -100,12 +97,12 @@ class SeveralForces:
 
     Parameters
     ----------
-    loads : of k heads, the clearest first; heads that cannot be told apart are one entry, flagged MORE_THAN_ONE, with
-        the sum of their forces and its error at their middle.
-    total_N, total_stderr_N : sum of all forces; 0 and the least force that shows where no head was found, NaN in
-        frames that cannot be used.
-    flags : of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE where heads were
-        not told apart or there are more of them than were looked for, SPIKE; else none.
+    loads : of k heads, the clearest first; inseparable heads are one entry, flagged MORE_THAN_ONE, with the sum of
+        their forces and its error at their middle.
+    total_N, total_stderr_N : sum of all forces; 0 and the least detectable force without a head, NaN in unusable
+    frames.
+    flags : of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE if heads were not
+    separated or there are more than searched for, SPIKE; else none.
     """
 
     loads: Forces
@@ -129,8 +126,8 @@ class ForceInverse:
     Parameters
     ----------
     model : of the sensor.
-    line : α_σ [1/kPa] and β_σ with their covariance, that of the line through the calibrated stresses: errors the map
-        shares are in the map.
+    line : α_σ [1/kPa] and β_σ with their covariance, that of the line through the calibrated stresses; shared errors
+    are in the map.
     area_mm2 : of the head.
     tables : (nodes, 4) of the map, see :func:`map_tables`.
     """
@@ -141,14 +138,14 @@ class ForceInverse:
     tables: Array
 
     def force(self, matches: Matches) -> tuple[Array, Array]:
-        """Force and standard error (n,) [N]; NaN where the place has no map."""
+        """Force and standard error (n,) [N]; NaN if the place has no map."""
         newtons = self.newtons(matches)
         slope = newtons.slope[:, None]
         by_readings = (slope @ matches.covariance @ slope.transpose(0, 2, 1))[:, 0, 0]
         return newtons.force, np.sqrt(np.maximum(by_readings, 0.0) + newtons.variance)
 
     def newtons(self, matches: Matches) -> Newtons:
-        """Forces (n,). A strength near 2 or above, which no contrast has, counts as a force far above any range."""
+        """Forces (n,). A strength near 2 or above, which is unphysical, counts as a force far above any range."""
         model, strength = self.model, np.minimum(matches.strength, _STRONGEST)
         mapped = interpolated(model, self.tables, matches.place_mm)
         log_response, stderr, slope = mapped[:, 0], mapped[:, 1], mapped[:, 2:]
@@ -189,7 +186,7 @@ def map_tables(model: ForceModel) -> Array:
 
 
 def range_flags(force_N: Array, stderr_N: Array, place_mm: Array, validity: Validity) -> Indices:
-    """Flags (n,) of forces and places outside what was calibrated; a force counts as outside by a standard error."""
+    """Flags (n,) of forces and places outside the calibrated range, with a margin of one standard error of force."""
     distance = np.hypot(place_mm[:, 0], place_mm[:, 1])
     flags: Indices = ~(distance <= validity.radius_mm) * int(Flag.OUTSIDE)
     if validity.force_N is not None:
@@ -200,13 +197,13 @@ def range_flags(force_N: Array, stderr_N: Array, place_mm: Array, validity: Vali
 
 
 #: Relative error of a strength over (q − 1)², q the squared radius over the calibrated one's: everywhere, and times
-#: the cube of the calibrated radius over the way to the nearest edge or electrode. Templates go linearly in q; this
-#: is the next order, measured on the 100 mm disc with heads of 5 to 40 mm, up to 38 mm from the centre.
+#: the cube of the calibrated radius over the distance to the nearest edge or electrode. Templates are linear in q;
+#: this is the next order, measured on the 100 mm disc with heads of 5 to 40 mm, up to 38 mm from the centre.
 _EVERYWHERE: Final = 4e-4
 _BESIDE_EDGES: Final = 0.1
-#: Nodes of the lattice begin so far from edges and electrodes [of the lattice's spacing].
+#: Distance of the lattice's nodes from edges and electrodes [of the lattice's spacing].
 _FIRST_NODE: Final = 1.2
-#: Relative error from which a force is flagged.
+#: Relative error above which a force is flagged.
 LARGEST: Final = 0.03
 
 
@@ -236,16 +233,16 @@ class SizeError:
 
     @cached_property
     def _clearance_mm(self) -> Array:
-        """Way (rows, columns) to the nearest edge or electrode, by where the lattice has no nodes."""
-        from scipy.ndimage import distance_transform_edt  # of no use to most: heads are those that calibrated
+        """Distance (rows, columns) to the nearest edge or electrode, inferred from missing nodes."""
+        from scipy.ndimage import distance_transform_edt  # rarely needed: heads are usually the calibrating ones
 
         nodes = np.pad(self._model.node >= 0, 1)
         steps = np.asarray(distance_transform_edt(nodes), dtype=np.float64)[1:-1, 1:-1]
         return (np.maximum(steps - 1, 0.0) + _FIRST_NODE) * self._model.lattice.spacing_mm
 
 
-#: What heads that were not found add to a sum, over the root of the share of the signal they explain: heads where the
-#: sheet shows little press harder than they look.
+#: Contribution of undetected heads to a sum, over the root of their share of the signal: where the sheet responds
+#: weakly, heads press harder than they seem to.
 _MISSING: Final = 2.0
 
 
@@ -264,10 +261,10 @@ def forces_together(
     Parameters
     ----------
     heads : strengths those of the inverse's head.
-    unexplained : share of the frame's signal, as energy, that further heads explain; 0 where there are none.
-    nearest_mm : heads nearer than this are not told apart.
+    unexplained : share of the frame's signal, as energy, that further heads explain, or 0.
+    nearest_mm : closer heads are not separated.
     sign : of the response.
-    other_head : (k,) whether a head's templates are off by more than is allowed.
+    other_head : (k,) whether the error of a head's templates exceeds the allowed one.
     """
     newtons = inverse.newtons(_matches(heads))
     groups = heads.groups(nearest_mm)
@@ -300,7 +297,7 @@ def _matches(heads: Heads) -> Matches:
 
 
 def _sum(heads: Heads, newtons: Newtons, group: Sequence[int]) -> tuple[float, float, Array, float]:
-    """Sum of some heads' forces with its error, their middle, weighted by force, and how sure that is."""
+    """Sum of some heads' forces with its error, and their force-weighted middle with its error."""
     which = np.array(group)
     entries = (3 * which[:, None] + np.arange(3)).ravel()
     covariance = heads.covariance[np.ix_(entries, entries)]

@@ -7,7 +7,7 @@ import numpy as np
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import ForceModel, Lattice
 
-#: Coefficients of the weights of cubic convolution by powers of the part of a cell, and of their slopes.
+#: Weights of cubic convolution, and their slopes, as polynomials in the part of a cell.
 _COEFFICIENTS: Final = (
     np.array(
         [
@@ -61,14 +61,14 @@ def cells(lattice: Lattice, places_mm: Array) -> tuple[Indices, Array, Mask]:
     """Columns and rows (n, 2) of places' cells, offsets (n, 2) in them, and which places are on the lattice (n,)."""
     last = np.array([lattice.columns - 2, lattice.rows - 2])
     at = (places_mm - np.array(lattice.origin_mm)) / lattice.spacing_mm
-    inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
+    inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # false for NaN
     at = np.where(inside[:, None], at, 0.0)
     cell = np.minimum(at.astype(np.int64), last)
     return cell, at - cell, inside
 
 
 def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
-    """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
+    """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN if a node is missing."""
     cell, offset, inside = cells(model.lattice, places_mm)
     part = np.stack([1 - offset, offset], axis=2)
     weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(cell), 1, 4)

@@ -1,10 +1,10 @@
-"""Several heads in one frame: how many there are, where each presses and how strongly. Numpy alone.
+"""Several heads in one frame: number, places and strengths. Numpy alone.
 
-A frame's rows are taken for the sum of the heads' templates, y = Σ aₖ t(pₖ) + noise. Heads are added one by one while
-the next explains more than noise and what templates leave of a single load (a generalised likelihood ratio): it is
-looked for on the lattice with those before it projected out (orthogonal least squares), in turn with them, and then
-all are fitted together in places and strengths by damped Fisher scoring. Two heads so near to each other that one
-stands for both leave little of the frame, so that a head taken apart in several directions is tried as well.
+A frame's rows are modelled as the sum of the heads' templates, y = Σ aₖ t(pₖ) + noise. Heads are added while the next
+explains more than noise and the template error of a single load (a generalised likelihood ratio): it is searched on
+the lattice with the others projected out (orthogonal least squares), then in turn with them, and then places and
+strengths of all are fitted by damped Fisher scoring. Two heads so close that one explains both leave little residual,
+so splitting a head in several directions is tried too.
 """
 
 from dataclasses import dataclass, replace
@@ -15,14 +15,14 @@ import numpy as np
 from cbsr_qa.calibration.runtime.template_matching import TemplateFilter
 from cbsr_qa.domain import Array
 
-_STEPS: Final = 25  # of scoring; it ends much earlier
-_STILL: Final = 0.01  # change of the squared residuals, in those of a reading's noise, that ends it
+_STEPS: Final = 25  # of scoring; it usually ends earlier
+_STILL: Final = 0.01  # change of the squared residuals, in units of a reading's noise, that ends it
 _LONGEST_MM: Final = 3.0  # step of a place
-_TURNS: Final = 4  # of finding one head again with the others where they are
-#: How far apart halves of a head are put at first, of the head's diameter, and in how many directions.
+_TURNS: Final = 4  # of finding one head again with the others fixed
+#: Initial distance between halves of a head, of the head's diameter, and number of directions.
 _APART: Final = 1.3
 _DIRECTIONS: Final = 4
-#: Heads count as two where each is so many standard errors strong, and they are so many of theirs apart.
+#: Heads count as two if each is so many standard errors strong, and their distance is so many of its own.
 _RESOLVED: Final = 4.0
 
 
@@ -33,9 +33,9 @@ class Heads:
     Parameters
     ----------
     place_mm, strength : (k, 2) and (k,), the strongest in the frame first.
-    covariance : (3 k, 3 k) of (strength, x, y) of each in turn, by noise or, where the fit leaves more, by that.
-    gain : by which they lower the squared residuals.
-    left : squared residuals that remain, over what noise leaves on average.
+    covariance : (3 k, 3 k) of (strength, x, y) of each in turn, from noise or, if larger, from the residual.
+    gain : decrease of the squared residuals.
+    left : remaining squared residuals over their mean for noise.
     detectability : (k,) strength over its standard error, the places given: the square root of what each adds.
     """
 
@@ -50,7 +50,7 @@ class Heads:
         return len(self.strength)
 
     def groups(self, nearest_mm: float) -> list[list[int]]:
-        """Heads that are told apart, and together those that are not; no two can be nearer than ``nearest_mm``."""
+        """Separated heads, and groups of inseparable ones; no two can be closer than ``nearest_mm``."""
         groups = [[number] for number in range(len(self))]
         for other in range(len(self)):
             for first in range(other):
@@ -73,18 +73,18 @@ class Heads:
         return distance > _RESOLVED * error and distance + error > nearest_mm
 
     def times(self, factor: float) -> Self:
-        """The same with strengths of another unit."""
+        """The same with strengths in another unit."""
         scale = np.tile([factor, 1.0, 1.0], len(self))
         return replace(self, strength=factor * self.strength, covariance=self.covariance * scale[:, None] * scale)
 
     def unsure(self, error: Array) -> Self:
-        """The same with strengths that are off by a relative error (k,) of their own."""
+        """The same with additional relative errors (k,) of strengths."""
         variance = np.zeros((len(self), 3))
         variance[:, 0] = (error * self.strength) ** 2
         return replace(self, covariance=self.covariance + np.diag(variance.ravel()))
 
     def scattered(self, size_slope: Array, scatter_mm: float) -> Self:
-        """The same with places off by more than noise makes them, as by ``scattered`` for one head."""
+        """The same with additional scatter of places beyond noise, as by ``scattered`` for one head."""
         covariance = self.covariance.copy()
         for k, slope in enumerate(size_slope):
             towards = np.vstack([-self.strength[k] * slope, np.eye(2)])
@@ -110,7 +110,7 @@ class HeadCounter:
     Parameters
     ----------
     templates : of the head; all heads are alike.
-    threshold : detectability from which noise is not taken for a head.
+    threshold : detectability above which a head is not noise.
     misfit : share of a frame's signal, as energy, that a further template may explain without a further head.
     diameter_mm : of the head.
     """
@@ -122,16 +122,16 @@ class HeadCounter:
         self._diameter_mm = diameter_mm
 
     def heads(self, rows: Array, first_mm: Array, at_most: int) -> tuple[Heads | None, float]:
-        """Heads in one frame (r,), and how much more there is in it, as energy over what they explain.
+        """Heads in one frame (r,), and the unexplained part, as energy over the explained one.
 
         Parameters
         ----------
-        first_mm : (2,) where one head alone is found.
-        at_most : heads that are looked for.
+        first_mm : (2,) place of a single head.
+        at_most : most heads searched for.
 
         Returns
         -------
-        None where no head explains more than noise; 0 where no further head does.
+        None if no head explains more than noise; 0 if no further head does.
         """
         heads = self._fitted(rows, first_mm[None])
         if heads is None or heads.gain < self._least:
@@ -145,7 +145,7 @@ class HeadCounter:
             heads = further
 
     def _with_another(self, rows: Array, heads: Heads) -> Heads | None:
-        """The best fit with one head more, from several starts."""
+        """The best fit with one more head, from several starts."""
         beside = np.vstack([heads.place_mm, self._best_beside(rows, heads.place_mm)])
         starts = [beside, self._in_turn(rows, beside)]
         angles = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
@@ -160,7 +160,7 @@ class HeadCounter:
         return np.vstack([np.delete(places_mm, number, axis=0), places_mm[number] + half, places_mm[number] - half])
 
     def _in_turn(self, rows: Array, places_mm: Array) -> Array:
-        """Places on the lattice, each in turn where it explains most beside the others."""
+        """Places on the lattice, each in turn where it explains most besides the others."""
         places = places_mm.copy()
         for _ in range(_TURNS):
             before = places.copy()
@@ -171,11 +171,11 @@ class HeadCounter:
         return places
 
     def _best_beside(self, rows: Array, places_mm: Array) -> Array:
-        """Place (2,) on the lattice of the head that explains most beside others, their strengths left free."""
+        """Place (2,) on the lattice of the head that explains most besides others, their strengths left free."""
         bank, there = self._filter.bank, self._filter.template(places_mm)
         basis = np.linalg.qr(there[np.isfinite(there).all(axis=1)].T)[0]
         beside = basis.T @ bank
-        own = np.maximum(1 - np.einsum("kn,kn->n", beside, beside), 1e-3)  # what is along the others shows nothing
+        own = np.maximum(1 - np.einsum("kn,kn->n", beside, beside), 1e-3)  # the rest is not informative
         score = (rows - basis @ (basis.T @ rows)) @ bank
         best: Array = self._filter.searched_mm[int(np.argmax(score**2 / own))]
         return best
@@ -188,7 +188,7 @@ class HeadCounter:
         return float(((basis.T @ rows) ** 2).sum())
 
     def _fitted(self, rows: Array, places_mm: Array) -> Heads | None:
-        """Places and strengths of all heads together, from given places; None where no head can be."""
+        """Places and strengths of all heads together, from given places; None if no head is possible."""
         places, count = places_mm.copy(), len(places_mm)
         at = self._filter.template_and_slopes(places)
         if not np.isfinite(at).all():
@@ -237,7 +237,7 @@ class HeadCounter:
 def _inverse_root(design: Array) -> Array:
     """R⁻¹ (k, k) of the rows of a design (k, r), with (design · designᵀ)⁻¹ = R⁻¹ R⁻ᵀ, by QR of unit rows.
 
-    The product is not formed: of heads that are nearly one it has no correct digits, and variances came out negative.
+    The product is not formed: for nearly coincident heads it has no correct digits, with negative variances.
     """
     length = np.linalg.norm(design, axis=1)
     if not (length > 0).all():

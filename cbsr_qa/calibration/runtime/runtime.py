@@ -1,4 +1,4 @@
-"""A sensor's calibration in use: frames in, newtons out. Needs numpy, scipy and h5py, and nothing of a station."""
+"""A sensor's calibration in use: frames in, newtons out. Needs only numpy, scipy and h5py."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,20 +29,20 @@ from cbsr_qa.domain import Array, CalibrationError, Indices, real_numbers, unlik
 from cbsr_qa.domain.results import ForceModel, calibration as record
 from cbsr_qa.domain.run import Indenter
 
-#: A frame whose readings, as a whole, are further than this from the reference's (relative) is another sensor's.
+#: A frame is from another sensor if its readings as a whole are further than this from the reference's (relative).
 _FOREIGN: Final = 0.5
-#: Detectability from which a load at a given place counts as one.
+#: Detectability of a load at a given place.
 _CLEAR: Final = 3.0
-#: Least share of a load's signal, as energy, that no head explains at all and that makes a frame another thing.
+#: Least share of a load's signal, as energy, explained by no head, for a frame to show something else.
 _UNLIKE: Final = 0.04
-#: A second head weaker than this share of the first is what an earlier load left: material relaxations are down to
-#: some 6 % a minute after a release.
+#: A second head weaker than this share of the first is a residue: material relaxations are down to some 6 % a minute
+#: after a release.
 _LEFT_BEHIND: Final = 0.06
-#: Frames are looked at for several heads where a second one explains this share of what would count as one.
+#: A frame is searched for several heads if a second one explains this share of the threshold for one.
 _SUSPICIOUS: Final = 0.4
-#: Two heads cannot be nearer to each other, of their diameter: they are soft, and estimates of places err.
+#: Least distance between two heads, of their diameter: they are soft, and estimates of places err.
 _NEAREST: Final = 0.8
-#: Heads whose templates are kept at hand.
+#: Number of heads with cached templates.
 _HEADS: Final = 8
 
 
@@ -53,8 +53,6 @@ class Calibration:
     ------
     CalibrationError
         If it has no force model: it was issued before there were any, or no load of its run gave one.
-
-    CalibrationError without a force model.
     """
 
     def __init__(self, issued: record.Calibration) -> None:
@@ -102,12 +100,11 @@ class Calibration:
 
         Parameters
         ----------
-        frames : (n, drives, measures) or (drives, measures) [V], in the order of the sensor type's pattern. Each
-            is looked at by itself: a sheet that is still settling, or remembers earlier loads, shows what it shows.
-            A masked reading counts as one that is not a number.
-        place_mm : (2,) or (n, 2) where the head presses, from the sheet's centre; by default it is found.
-        indenter : another head than the one that calibrated.
-        current_A : drive current of the frames, where it is not the calibration's.
+        frames : (n, drives, measures) or (drives, measures) [V], in the order of the sensor type's pattern. Frames
+        are independent: settling and residues of earlier loads are not corrected. A masked reading counts as NaN.
+        place_mm : (2,) or (n, 2) place of the head, from the sheet's centre; by default it is estimated.
+        indenter : head, if not the calibrating one.
+        current_A : drive current of the frames, if not the calibration's.
 
         Returns
         -------
@@ -116,7 +113,8 @@ class Calibration:
         Raises
         ------
         CalibrationError
-            If the frames are not of this sensor's shape, the places are not theirs, or the current is not positive.
+            If the frames do not have this sensor's shape, the number of places differs, or the current is not
+            positive.
         NumericsError
             If frames or places are not real numbers (complex, text).
         """
@@ -139,17 +137,17 @@ class Calibration:
     ) -> tuple[SeveralForces, ...]:
         """Forces of all heads in each frame, fitted together (:mod:`cbsr_qa.calibration.runtime.multi_load`).
 
-        Tens of milliseconds for a frame of several heads, a few for one where something is left to look into.
+        Takes tens of milliseconds for a frame with several heads, a few for one with a residual to examine.
 
         Parameters
         ----------
-        frames, indenter, current_A : as of :meth:`force`; all heads are alike.
-        at_most : heads that are looked for.
+        frames, indenter, current_A : as for :meth:`force`; all heads are equal.
+        at_most : most heads searched for.
 
         Raises
         ------
         CalibrationError, NumericsError
-            As of :meth:`force`; and where ``at_most`` is not 1 or more.
+            As for :meth:`force`, and if ``at_most`` is below 1.
         """
         if not (isinstance(at_most, int) and at_most >= 1):
             raise CalibrationError(f"{at_most} heads cannot be searched for", remedy="look for at least 1")
@@ -195,7 +193,7 @@ class Calibration:
         )
 
     def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, Indices]:
-        """Changes of frames as rows (n, r) of unit noise, and flags (n,), as of :meth:`changes`."""
+        """Changes of frames as rows (n, r) of unit noise, and flags (n,), as in :meth:`changes`."""
         changes, flags = self.changes(frames, current_A=current_A)
         rows: Array = changes @ self._merging
         return rows, flags
@@ -203,7 +201,7 @@ class Calibration:
     def changes(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, Indices]:
         """Changes of frames (n, m) in the used readings [V], spikes replaced, and flags (n,).
 
-        Changes of frames that cannot be used are zero. Parameters and errors as of :meth:`force`.
+        Changes of unusable frames are zero. Parameters and errors as for :meth:`force`.
         """
         voltages = volts(frames)
         shape = self.issued.reference.shape
@@ -244,7 +242,7 @@ class Calibration:
         return head.squared_radius_mm2 / self.issued.indenter.squared_radius_mm2
 
     def _of_area(self, matches: Matches, head: Indenter) -> Matches:
-        """Strength of another head: templates are per strength of the calibrated head's area."""
+        """Strength of another head: templates are per strength for the calibrated head's area."""
         factor = self.issued.indenter.area_mm2 / head.area_mm2
         if factor == 1:
             return matches
@@ -262,7 +260,7 @@ class Calibration:
         return places
 
     def _others(self, rows: Array, matches: Matches, finder: TemplateFilter) -> Array:
-        """Strength (n,) of what presses beside the found head, over its own; 0 where that head is all there is."""
+        """Strength (n,) of further heads relative to the found one; 0 for a single head."""
         others = np.zeros(len(rows))
         left, gain = matches.energy - matches.gain, matches.gain
         freedom = self.model.templates.shape[1]
@@ -273,7 +271,7 @@ class Calibration:
             ratio = np.abs(there) / np.maximum(np.abs(strength), np.finfo(np.float64).tiny)
             clear = further >= self.model.threshold**2 + self.model.misfit * gain_there
             others[looked] = np.where(clear & (ratio > _LEFT_BEHIND), ratio, 0.0)
-        # What no template explains beyond noise, over what the first does.
+        # Part that no template explains beyond noise, relative to the first head's.
         unlike = unlike_model(gain, left, freedom, max(self.model.misfit, _UNLIKE))
         share = np.sqrt(np.maximum(left - freedom, 0.0) / np.maximum(gain, 1.0))
         return np.where(unlike, np.maximum(others, share), others)
@@ -295,7 +293,7 @@ class Calibration:
         flags = np.where(usable, self._flags(matches, detectability, searched=searched) | bad, bad)
         silent = (flags & int(Flag.NOT_DETECTED)) != 0
         if searched:
-            # Nobody knows where a load would be that does not show: it may be where the sheet shows least.
+            # An undetected load may be where the sheet responds least.
             force[silent], stderr[silent] = 0.0, self.least_force_N
         loaded = ~silent & usable
         several = loaded & (others > 0)
@@ -308,7 +306,7 @@ class Calibration:
         place = (matches.covariance[:, 1, 1] + matches.covariance[:, 2, 2]) / 2
         place_stderr = np.sqrt(np.where(place >= 0, place, np.nan))
         where = matches.place_mm
-        if searched:  # a frame that cannot be used was searched in vain
+        if searched:  # searched in vain in an unusable frame
             where[~usable] = np.nan
             place_stderr[~usable] = np.nan
         return Forces(force, stderr, where, place_stderr, detectability, flags)
@@ -324,18 +322,18 @@ class Calibration:
         level = self.model.threshold if searched else _CLEAR
         there = detectability >= level
         flags: Indices = (detectability < level) * int(Flag.NOT_DETECTED)
-        flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head can be there
+        flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head is possible there
         flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags
 
 
 def volts(frames: ArrayLike) -> Array:
-    """Return frames as float64 with NaN for what is masked.
+    """Return frames as float64 with NaN for masked readings.
 
     Raises
     ------
     NumericsError
-        If they are not real numbers: a cast would drop imaginary parts, read text, and lay masked values bare.
+        If they are not real numbers: a cast would drop imaginary parts, parse text, and reveal masked values.
     """
     if isinstance(frames, np.ma.MaskedArray):
         frames = np.ma.filled(frames.astype(np.result_type(frames.dtype, np.float64)), np.nan)

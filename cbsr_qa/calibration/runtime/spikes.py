@@ -1,4 +1,4 @@
-"""Spikes in single frames: readings far from their reciprocals, which then count for both. Numpy alone."""
+"""Spikes in single frames: readings far from their reciprocals, which replace them. Numpy alone."""
 
 import numpy as np
 
@@ -16,8 +16,8 @@ class SpikeFilter:
     ----------
     pattern : of the frames.
     used : (drives, measures) bool with m True entries.
-    merging : (rows, m) of the force model, which tells the readings' noise: of readings of precision pᵢ that are
-        merged, their entries are pᵢ/√Σp.
+    merging : (rows, m) of the force model, which gives the readings' noise: entries of merged readings of precision
+    pᵢ are pᵢ/√Σp.
     """
 
     def __init__(self, pattern: DrivePattern, used: Mask, merging: Array) -> None:
@@ -32,9 +32,9 @@ class SpikeFilter:
         self._noise = np.sqrt(variance[self._first] + variance[self._other])
 
     def __call__(self, changes: Array) -> Mask:
-        """Replace spikes in changes (n, m), in place; whether there were any in each frame (n,).
+        """Replace spikes in changes (n, m) in place; return whether each frame (n,) had any.
 
-        Frames of which more than 5 % of the pairs disagree stay as they are: that is no matter of single readings.
+        Frames with more than 5 % disagreeing pairs are unchanged, as these are not single spikes.
         """
         first, other = changes[:, self._first], self._sign * changes[:, self._other]
         apart = np.abs(first - other) / self._noise

@@ -1,9 +1,9 @@
-"""Frames against the bank of templates: how strong a head presses at a place, where it presses, how sure that is.
+"""Frames compared with the bank of templates: strength and place of a head, with their errors.
 
-Numpy alone, for whoever builds the sensor into a robot. Between the nodes of the lattice everything is interpolated
-by cubic convolution (Keys 1981). With t(p) the template of place p and y a frame's rows of unit noise, b = t·y and
-g = t·t, the strength at a known place is a = b/g with variance 1/g; the most likely place is where b²/g is largest,
-found on the lattice and from there by Fisher scoring.
+Numpy alone, for use in robots. Between the nodes of the lattice everything is interpolated by cubic convolution (Keys
+1981). With t(p) the template of place p and y a frame's rows of unit noise, b = t·y and g = t·t, the strength at a
+known place is a = b/g with variance 1/g; the most likely place is where b²/g is largest, found on the lattice and
+from there by Fisher scoring.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -16,11 +16,11 @@ from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
 
 _STEPS: Final = 4  # of Fisher scoring: the last is below 0.01 mm
-_FURTHEST: Final = 0.25  # cells that scoring may leave its cell by
-_NOTHING: Final = 1e-30  # least squared score: a frame without any change has no place
+_FURTHEST: Final = 0.25  # cells that scoring may move beyond its cell
+_NOTHING: Final = 1e-30  # least squared score: a frame without change has no place
 _MOVES: Final = 4  # to a neighbouring cell
-_STRIDE: Final = 2  # nodes between those that are searched
-_AT_ONCE: Final = 512  # frames compared with the bank together: what is held stays in the processor's cache
+_STRIDE: Final = 2  # nodes between the searched ones
+_AT_ONCE: Final = 512  # frames compared with the bank together, so that data stay in the processor's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,10 +29,10 @@ class Matches:
 
     Parameters
     ----------
-    place_mm : (n, 2); NaN where there is no node about it.
+    place_mm : (n, 2); NaN without nodes around it.
     strength : (n,) a = 2κ/(2 + κ).
-    covariance : (n, 3, 3) of (strength, x, y); zero for the place where it was given.
-    gain : (n,) b²/g, by which the head lowers the squared residuals.
+    covariance : (n, 3, 3) of (strength, x, y); zero for a given place.
+    gain : (n,) b²/g, decrease of the squared residuals by the head.
     energy : (n,) y·y.
     """
 
@@ -46,7 +46,7 @@ class Matches:
 class TemplateFilter:
     """Compares frames with the templates of a force model.
 
-    CalibrationError if no place has the neighbours that a search needs.
+    CalibrationError if no place has the neighbours needed for a search.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class TemplateFilter:
 
     Attributes
     ----------
-    threshold : detectability that counts as a load.
+    threshold : detectability of a load.
     bank, searched_mm : (r, k) templates of unit length at the places (k, 2) that are searched.
     """
 
@@ -95,7 +95,7 @@ class TemplateFilter:
         return Matches(places.copy(), number / gram, covariance, number**2 / gram, energy)
 
     def template(self, places_mm: Array) -> Array:
-        """Changes per strength (n, r) at places (n, 2); NaN where there is no node about a place."""
+        """Changes per strength (n, r) at places (n, 2); NaN without nodes around a place."""
         nodes, offset = self._cells(places_mm)
         value = weights_at(offset)[:, :, 0]
         weights = (value[:, 1, :, None] * value[:, 0, None, :]).reshape(len(nodes), 16)
@@ -121,7 +121,7 @@ class TemplateFilter:
         return templates
 
     def size_slope(self, places_mm: Array) -> Array:
-        """Slope (n, 2) of the logarithm of a change's size at places (n, 2) [1/mm]; 0 where there is no node."""
+        """Slope (n, 2) of the logarithm of a change's size at places (n, 2) [1/mm]; 0 without nodes."""
         nodes, offset = self._cells(places_mm)
         slope = values_at(self._tables[nodes], offset)[:, 1:3]
         slope[np.logical_or.reduce(nodes < 0, axis=1)] = 0.0
@@ -137,7 +137,7 @@ class TemplateFilter:
         )
 
     def beside(self, rows: Array, place_mm: Array, strength: Array) -> tuple[Array, Array]:
-        """Gain (n,) and strength (n,) of one head more beside that in each frame, at the places searched."""
+        """Gain (n,) and strength (n,) of a second head besides the first in each frame, at the searched places."""
         gain, gain_strength = np.zeros(len(rows)), np.zeros(len(rows))
         for first in range(0, len(rows), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
@@ -176,14 +176,14 @@ class TemplateFilter:
         return about
 
     def _neighbours(self, cell: Indices, offset: Array) -> tuple[Mask, Indices]:
-        """Which frames want to leave their cell for a neighbour that can be interpolated in, and for which."""
+        """Which frames should move to a neighbouring cell with interpolation, and which cell."""
         step: Indices = (offset >= 1 + _FURTHEST).astype(np.int64) - (offset <= -_FURTHEST)
         aim = cell + step[:, 0] + self.lattice.columns * step[:, 1]
         there: Mask = step.any(axis=1) & self._whole[aim]
         return there, aim
 
     def _cell_of_best(self, score: Array) -> tuple[Indices, Array]:
-        """Lower left corner of the cell each head is in, and where in it, by parabolas through neighbours."""
+        """Lower left corner of the cell of each head, and the offset in it, by parabolas through neighbours."""
         score = np.abs(score)
         frames, best = np.arange(len(score)), score.argmax(axis=1)
         place, beside = self._coarse[best], self._next[best]
@@ -199,14 +199,14 @@ class TemplateFilter:
         return np.where(whole, cell, place), np.where(whole[:, None], shift - down, 0.0)
 
     def _scored(self, about: Array, offset: Array) -> tuple[Array, Array]:
-        """Offset (n, 2) from the cell's corner, in cells, where the score is largest, by Fisher scoring.
+        """Offset (n, 2) from the cell's corner, in cells, of the largest score, by Fisher scoring.
 
-        A step that lowers the score is taken again, a quarter as long: beside a pin templates turn too unevenly for
-        full steps.
+        A step that lowers the score is repeated with a quarter of the length: beside a pin templates vary too
+        unevenly for full steps.
 
         Returns
         -------
-        The offset, and what is there (n, 4, 7): values, and slopes per cell, of score and tables.
+        The offset, and values and slopes per cell of score and tables there (n, 4, 7).
         """
         at, squared = surfaces_at(about, offset), self.lattice.spacing_mm**2
         damping = np.ones(len(about))
@@ -246,7 +246,7 @@ class TemplateFilter:
 
 
 def _scoring_step(at: Array, damping: Array) -> Array:
-    """Step (n, 2) of Fisher scoring in cells, half of one at most, from what is there (n, 4, 7)."""
+    """Step (n, 2) of Fisher scoring in cells, at most half of one, from the values there (n, 4, 7)."""
     score, by_x, by_y = at[:, 0, 0], at[:, 1, 0], at[:, 2, 0]
     xx, xy, yy = at[:, 0, 4:].T
     steepness = score * (xx * yy - xy * xy)
@@ -258,12 +258,12 @@ def _scoring_step(at: Array, damping: Array) -> Array:
 
 
 def scattered(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches:
-    """Matches of found places that are off by more than noise makes them, and their strengths with them.
+    """Matches with additional scatter of found places beyond noise, and of their strengths.
 
     Parameters
     ----------
-    size_slope : (n, 2) at the places (:meth:`TemplateFilter.size_slope`): a head found where changes are larger is
-        taken for as much weaker.
+    size_slope : (n, 2) at the places (:meth:`TemplateFilter.size_slope`): a head misplaced to where changes are
+    larger seems correspondingly weaker.
     scatter_mm : standard deviation along an axis.
     """
     towards = np.empty((len(size_slope), 3, 2))
@@ -282,6 +282,6 @@ def _every(stride: int, node: Indices) -> Mask:
 
 
 def _pressable(node: Indices, fits: Mask) -> Mask:
-    """Which places (rows · columns,) a head fits on, with neighbours to interpolate from."""
+    """Which places (rows · columns,) a head fits on, with neighbours for interpolation."""
     fitting = np.where(node >= 0, fits[node], False)
     return (stencils(node) >= 0).all(axis=1) & fitting.ravel()

@@ -1,4 +1,4 @@
-"""One load of a stream: its place, its strength so far, and what is expected of it."""
+"""One load of a stream: its place, its strength so far, and its prediction."""
 
 from typing import Final
 
@@ -8,21 +8,21 @@ from cbsr_qa.calibration.fits import HoldsSoFar
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import ForceModel, RelaxationKernel
 
-#: How long a press may take, from a tap to a slow indenter [s], and when it may have ended about where it is taken to
-#: [frames], each with what is thought of it beforehand.
+#: Possible durations of a press, from a tap to a slow indenter [s], and its possible end relative to the assumed one
+#: [frames], each with prior weights.
 _RAMPS_S: Final = np.array([0.3, 1.2, 3.0])
 _OF_RAMPS: Final = np.array([0.25, 0.5, 0.25])
 _ENDS: Final = np.array([-0.5, -0.25, 0.0, 0.25])
 _OF_ENDS: Final = np.array([0.1, 0.2, 0.5, 0.2])
-#: Half a frame over the fastest time constant that is still averaged.
+#: Half a frame over the fastest time constant that is averaged.
 _LONGEST: Final = 20.0
 
 
 class UnsureHold:
-    """One hold as frames show it, with the ramp before it unseen.
+    """One hold as observed in frames, with an unobserved ramp before it.
 
-    Each pair of a ramp's length and end makes a regression of its own
-    (:class:`~cbsr_qa.calibration.fits.HoldsSoFar`); they are averaged with how well they explain the frames.
+    Each pair of a ramp's length and end has a separate regression (:class:`~cbsr_qa.calibration.fits.HoldsSoFar`);
+    they are averaged with their likelihoods.
     """
 
     def __init__(self, kernel: RelaxationKernel, frame_s: float) -> None:
@@ -35,7 +35,7 @@ class UnsureHold:
         self._holds = HoldsSoFar(kernel, len(ramps), ramp_s=ramps, frame_s=seen_s)
 
     def add(self, held_s: float, value: float, noise: float) -> None:
-        """Take in a frame: time since the ramp is taken to have ended, strength and its standard deviation."""
+        """Add a frame: time since the assumed end of the ramp, strength and its standard deviation."""
         self.frames += 1
         self._holds.add(np.maximum(held_s - self._late_s, 0.0), value, noise)
 
@@ -50,37 +50,37 @@ class UnsureHold:
         return value, float(np.sqrt(variance))
 
 
-#: Frames that tell what a new load's place showed before it.
+#: Frames that determine the state of a new load's place before it.
 KEPT: Final = 8
-#: A load is released where its strength falls by this share of its largest, and by so many standard errors.
+#: A load is released when its strength falls by this share of its largest, and by so many standard errors.
 _DROP: Final = 0.2
 _CLEAR: Final = 5.0
-#: A first frame that shows less than this share of what follows from the second was taken while the head still moved.
+#: A first frame with less than this share of the value expected from the second was taken while the head moved.
 _PARTIAL: Final = 0.75
-#: A load changed while it pressed where its strength is so many standard errors, and this share, off its hold's; and
-#: changes again where it moves by so much since.
+#: A load has changed when its strength is so many standard errors, and this share, off its hold's; and changes again
+#: when it moves by so much since.
 _OFF: Final = 5.0
 _OFF_SHARE: Final = 0.05
-#: Nor is that looked at before this share of the slowest time constant, while place and trajectory are still learned,
-#: nor believed of one frame.
+#: Not checked before this share of the slowest time constant, while place and trajectory are still being learned, nor
+#: accepted from a single frame.
 _EARLY: Final = 0.5
 _BELIEVED: Final = 2
 _MOVED: Final = 0.1
-#: So many last frames together are held against what those before them promise: steps that creep in are seen so.
+#: Number of last frames compared together with the prediction from earlier ones, to detect gradual steps.
 _LAST: Final = 8
 _OFF_TOGETHER: Final = 4.0
 _SHARE_TOGETHER: Final = 0.025
-#: A load was not released, only lightened, where this share more of it is left than of released ones.
+#: A load was only lightened, not released, if this share more of it remains than of released ones.
 _STAYS: Final = 0.2
-#: How sure the strength of what fades is, from frame to frame.
+#: Uncertainty of a decaying strength from frame to frame.
 _FADING_ERROR: Final = 0.1
-_FADING_NOISE: Final = 0.1  # of a frame's own
-#: Share of a released change that may stay for minutes: an order of magnitude (paper 4.2), so that it is looked for.
+_FADING_NOISE: Final = 0.1  # of a single frame
+#: Share of a released change that may persist for minutes: an order of magnitude (paper 4.2).
 _RESIDUE: Final = 0.02
-#: Where no kernel is known: how long a load takes, and what its strength may still change by.
+#: Without a kernel: duration of a load's settling, and possible later change of its strength.
 _PATIENCE_S: Final = 60.0
 _UNKNOWN_CHANGE: Final = 0.3
-#: Frames that no place is learned from any more: it stays what it is.
+#: Frames after which a place is no longer updated.
 _PLACED: Final = 40
 
 
@@ -89,9 +89,9 @@ class Track:
 
     Parameters
     ----------
-    number, place_mm, template : which, where, and its change per strength there.
+    number, place_mm, template : its number, place, and change per strength there.
     since_s : when it appeared.
-    base : strength its place showed before.
+    base : earlier strength at its place.
     sign : of the response.
     """
 
@@ -126,36 +126,36 @@ class Track:
 
     @property
     def pressing(self) -> bool:
-        """Whether a head is there."""
+        """Whether a head is present."""
         return self.state in ("loading", "steady")
 
     @property
     def place_covariance(self) -> Array:
-        """Of the place by noise, (2, 2) [mm²]."""
+        """Covariance of the place from noise, (2, 2) [mm²]."""
         if self._frames == 0:
             return np.zeros((2, 2))
         return np.asarray(np.linalg.inv(self._information), dtype=np.float64)
 
     @property
     def fresh(self) -> bool:
-        """Whether it presses and only its first frame was seen, perhaps of a head that still moved."""
+        """Whether it presses and only its first frame was seen, possibly of a moving head."""
         return self.pressing and self._frames <= 1 and self._first is not None
 
     def move(self, place_mm: Array, template: Array, base: float) -> None:
-        """Take it for a load at another place; what was found of its place so far is forgotten."""
+        """Move the load to another place, and discard earlier estimates of its place."""
         self.place_mm, self.template = np.array(place_mm), template
         self.base = self.base_now = base
         self._information, self._weighed, self._frames = np.zeros((2, 2)), np.zeros(2), 0
 
     def distance_mm(self, place_mm: Array) -> float:
-        """How far a place is."""
+        """Distance of a place."""
         return float(np.hypot(*(self.place_mm - place_mm)))
 
     def add_place(self, place_mm: Array, covariance: Array) -> None:
-        """Take in another estimate of the place."""
+        """Add another estimate of the place."""
         if self._frames >= _PLACED or not np.isfinite(covariance).all():
             return
-        if covariance[0, 0] <= 0 or np.linalg.det(covariance) <= 0:  # noise on a ridge between places: tells nothing
+        if covariance[0, 0] <= 0 or np.linalg.det(covariance) <= 0:  # noise on a ridge between places
             return
         information = np.linalg.inv(covariance)
         self._information = self._information + information
@@ -164,14 +164,14 @@ class Track:
         self.place_mm = np.asarray(np.linalg.solve(self._information, self._weighed), dtype=np.float64)
 
     def advance(self, time_s: float, frame_s: float, since_last_s: float, model: ForceModel) -> None:
-        """Take in the strength that was found in a frame, which took a time and came some time after the last."""
+        """Add the strength found in a frame, with the frame's duration and the time since the last one."""
         if self.pressing:
             self._press(time_s, frame_s, model)
         if not self.pressing:
             self._fade(time_s, since_last_s, model)
 
     def steady(self, model: ForceModel) -> tuple[float, float]:
-        """Strength the load will have after the calibrated hold, and its variance."""
+        """Strength after the calibrated hold, and its variance."""
         own = self.strength - self.base_now
         alone = 1 / float(np.linalg.norm(self.template))
         base = (model.residue_stderr * model.residue_strength) ** 2 + (model.residue_share * alone) ** 2 / KEPT
@@ -200,7 +200,7 @@ class Track:
         self.state = "steady" if time_s - from_s >= (model.steady_s or _PATIENCE_S) else "loading"
 
     def _notice_change(self, time_s: float, model: ForceModel) -> None:
-        """Notice that the load itself changed: of what comes then its hold says nothing, only what is seen."""
+        """Detect that the load itself changed: its hold no longer predicts it, and only observed values count."""
         own = self.strength - self.base_now
         if self._changed is not None:
             if abs(own - self._changed[1]) > max(_MOVED * abs(own), _OFF * self.noise):
@@ -215,7 +215,7 @@ class Track:
                 self._changed = (time_s, own)
 
     def _off_together(self) -> bool:
-        """Whether the last frames together are off what those before them promise."""
+        """Whether the last frames together deviate from the prediction of those before."""
         if self._promise is None or self._promise.frames < _LAST // 2:
             return False
         held_s, own, noise = np.array(self._last).T
@@ -225,7 +225,7 @@ class Track:
         return off > max(_OFF_TOGETHER * error, _SHARE_TOGETHER * abs(float(own.mean())))
 
     def _learn(self, time_s: float, frame_s: float, model: ForceModel) -> None:
-        """Add a frame to the hold; the first waits for the second, which tells whether the head was still moving."""
+        """Add a frame to the hold; the first waits for the second, which shows whether the head was still moving."""
         if model.loading is None:
             return
         own = self.strength - self.base_now
@@ -293,6 +293,6 @@ def _patience_s(model: ForceModel) -> float:
 
 
 def _kernel(kernel: RelaxationKernel, time_s: float) -> float:
-    """K(t), not below a twentieth: a strength over it stays a strength."""
+    """K(t), at least a twentieth, so that a strength divided by it remains a strength."""
     value = 1 + float(np.sum(kernel.weights * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
     return max(value, 0.05)

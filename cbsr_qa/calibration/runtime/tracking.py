@@ -1,4 +1,4 @@
-"""Loads followed over a stream of frames: who presses where, how hard, since when, and what was left behind."""
+"""Loads tracked over a stream of frames: place, force, start, and residues."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,20 +13,20 @@ from cbsr_qa.calibration.runtime.template_matching import Matches, scattered
 from cbsr_qa.calibration.runtime.track import KEPT, Track
 from cbsr_qa.domain import Array, CalibrationError
 
-#: Frames in a row without a sign of a residue after which it is forgotten.
+#: Frames in a row without a residue after which it is discarded.
 _FORGOTTEN: Final = 4
-#: Least share of what the tracks explain, as energy, that is another load: frames of heads that move, and residues
-#: that no track stands for, leave more than the steady loads a calibration is learned from.
+#: Least share of the explained energy that indicates another load: moving heads, and residues without a track, leave
+#: more than the steady calibration loads.
 _LEAST_SHARE: Final = 0.04
 
 
 class LoadState(StrEnum):
-    """What a tracked load is doing."""
+    """State of a tracked load."""
 
     LOADING = "loading"  #: pressed, and still settling: its force is a prediction
     STEADY = "steady"  #: pressed for as long as the calibration's loads
-    UNLOADING = "unloading"  #: released, and fading
-    RESIDUE = "residue"  #: released so long ago that the material has settled; what is left fades slowly
+    UNLOADING = "unloading"  #: released, and decaying
+    RESIDUE = "residue"  #: released so long ago that the material has settled; the rest decays slowly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +36,11 @@ class TrackedLoad:
     Parameters
     ----------
     number : of the load since the stream began, from 1.
-    state : what it is doing.
-    since_s : when it was pressed; when it was released, once it was.
-    place_mm, place_stderr_mm : where, and how sure, root mean square over two axes.
-    force_N, stderr_N : of a load that presses: what it will be after the calibrated hold. 0 ± 0 once released.
-    left_N : of a released load: the force its residue would be taken for; else 0. NaN, flagged OUTSIDE, at a place
-        where no head can be.
+    since_s : time of the press, or of the release once released.
+    place_mm, place_stderr_mm : place, and its error, root mean square over two axes.
+    force_N, stderr_N : of a pressing load: its value after the calibrated hold. 0 ± 0 once released.
+    left_N : of a released load: the force equivalent to its residue; else 0. NaN, flagged OUTSIDE, at an impossible
+    place.
     flags : as :class:`~cbsr_qa.calibration.runtime.Flag`.
     """
 
@@ -57,14 +56,14 @@ class TrackedLoad:
 
 
 class ForceStream:
-    """Follows the loads on one sensor.
+    """Tracks the loads on one sensor.
 
     CalibrationError if ``most`` is not at least 1.
 
     Parameters
     ----------
     calibration : of the sensor.
-    most : loads and residues followed at once.
+    most : loads and residues tracked at once.
     """
 
     def __init__(self, calibration: Calibration, *, most: int = 12) -> None:
@@ -81,22 +80,22 @@ class ForceStream:
         self._last: list[Array] = []
 
     def update(self, time_s: float, frame: ArrayLike) -> tuple[TrackedLoad, ...]:
-        """Take in the next frame.
+        """Process the next frame.
 
         Parameters
         ----------
-        time_s : of its middle, on any clock that goes forward.
+        time_s : of its middle, on any clock that advances.
         frame : (drives, measures) [V].
 
         Returns
         -------
-        All loads and residues, in order of their appearance. Those of the frame before, flagged, where this one
-        cannot be read or is another sensor's.
+        All loads and residues, in order of their appearance. Those of the previous frame, flagged, if this one cannot
+        be read or is from another sensor.
 
         Raises
         ------
         CalibrationError
-            If the frame is not of this sensor's shape, its time is no finite number, or not later than the last.
+            If the frame does not have this sensor's shape, or its time is not finite or not later than the last.
         """
         if not (isinstance(time_s, int | float | np.integer | np.floating) and np.isfinite(time_s)):
             raise CalibrationError(f"a frame of {time_s!r} s: its time must be a finite number of seconds")
@@ -106,7 +105,7 @@ class ForceStream:
         if len(rows) != 1:
             raise CalibrationError(f"{len(rows)} frames were given at once; a stream takes one after the other")
         if np.isfinite(self._time_s):
-            # A station pauses between loads: a frame takes no longer than the closest two were apart.
+            # A station pauses between loads: the frame time is at most the shortest interval so far.
             self._since_last_s = time_s - self._time_s
             self._frame_s = min(self._frame_s or np.inf, self._since_last_s)
         self._time_s = time_s
@@ -125,7 +124,7 @@ class ForceStream:
         self._last = [*self._last[-(KEPT - 1) :], self._residual(rows)]
 
     def _explain(self, rows: Array) -> Array:
-        """Strengths of all tracks by least squares, with what is expected of released ones; returns what is left."""
+        """Strengths of all tracks by least squares, with predictions for released ones; returns the residual."""
         if not self._tracks:
             return rows
         bank = np.array([track.template for track in self._tracks])
@@ -145,10 +144,10 @@ class ForceStream:
         return left
 
     def _place_anew(self, left: Array, rows: Array) -> Array:
-        """Take a load to where it is now, if its first frame, of a moving head, had it elsewhere; what is left then.
+        """Move a load whose first frame, of a moving head, gave another place; return the residual.
 
-        Else what the wrong place leaves unexplained would be a second load. It is taken there only if no second load
-        is left, so that two heads that press one after the other stay two.
+        Otherwise the residual of the wrong place would be a second load. It is moved only if no second load remains,
+        so that two successive heads stay two.
         """
         if not self._another(self._filter.search(left[None])):
             return left
@@ -168,7 +167,7 @@ class ForceStream:
         return left
 
     def _another(self, match: Matches) -> bool:
-        """Whether what the tracks leave of a frame is more than noise, and more than a template may leave."""
+        """Whether the residual of a frame is more than noise, and more than a template's error."""
         gain = float(match.gain[0])
         explained = sum(track.strength**2 * float(track.template @ track.template) for track in self._tracks)
         share = max(self._model.misfit, _LEAST_SHARE)
@@ -180,7 +179,7 @@ class ForceStream:
         return float(np.mean([template @ last for last in self._last], axis=0) / (template @ template))
 
     def _begin(self, left: Array) -> bool:
-        """Begin a track where what is left shows another load; says whether it did."""
+        """Begin a track if the residual shows another load; return whether it did."""
         match, sign = self._filter.search(left[None]), self._calibration.sign
         if not self._another(match):
             return False
@@ -233,7 +232,7 @@ class ForceStream:
         )
 
     def _match(self, track: Track, value: float, variance: float) -> Matches:
-        """The track's strength and place; a template taken beside the place is as much too strong or too weak."""
+        """The track's strength and place; a template beside the place is as much too strong or too weak."""
         slope = self._filter.size_slope(track.place_mm[None])
         shared = -value * track.place_covariance @ slope[0]
         covariance = np.empty((1, 3, 3))

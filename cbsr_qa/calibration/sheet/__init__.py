@@ -1,4 +1,4 @@
-"""What is learned of one sheet: response map, baseline, characteristic, data sheet."""
+"""Properties of one sheet: response map, baseline, characteristic, data sheet."""
 
 from cbsr_qa import door
 

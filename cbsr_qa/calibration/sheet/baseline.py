@@ -1,4 +1,4 @@
-"""Apparent baseline conductance ρ̄₀ per location, and why a load may say nothing about it (paper Eq 7)."""
+"""Apparent baseline conductance ρ̄₀ per location, and reasons why a load may not determine it (paper Eq 7)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
 
 #: The predicted relative change must be this many of its own standard errors from zero.
 _CLEAR: Final = 3.0
-#: What is said of a value by whether its load was settled; None where no settling time is known.
+#: Qualifier of a value by whether its load was settled; None if no settling time is known.
 _REMARKS: Final = {
     True: "",
     False: "taken before 1.5 settling times",
@@ -22,11 +22,11 @@ _REMARKS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class LoadBaseline:
-    """What one load says about ρ₀.
+    """ρ₀ from one load.
 
     Parameters
     ----------
-    value, stderr : relative image units; None where it says nothing, ``why`` then says why.
+    value, stderr : relative image units; None for the reason ``why``.
     """
 
     value: float | None
@@ -46,7 +46,7 @@ def load_baseline(
     """ρ₀ = Δρ / (α_σ σ + β_σ) of one load.
 
     Δρ is the mean over the sensed blob of the steady image. Its standard error is the scatter of the same mean over
-    the noise images, with that of the force; the errors of α and β are common to all loads and are not in it.
+    the noise images, with that of the force; the errors of α and β are common to all loads and not included.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def load_baseline(
 
 
 def predicted_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[float, float]:
-    """Relative change α_σ σ + β_σ and its standard error; an error nobody stated counts as none."""
+    """Relative change α_σ σ + β_σ and its standard error; an unstated error counts as zero."""
     predicted = against_stress.slope.value * stress_kPa + against_stress.intercept.value
     return predicted, float(np.sqrt(against_stress.variance(np.array(stress_kPa))))
 
@@ -109,7 +109,7 @@ def baseline_conductance(
 
 
 def _signed_prediction(against_stress: QuasiStatic, stress_kPa: float, response: Response) -> tuple[float, str]:
-    """Predicted change in the direction of the response, and why it cannot be used; empty where it can."""
+    """Predicted change in the direction of the response, and why it is unusable; empty if it is usable."""
     predicted, error = predicted_change(against_stress, stress_kPa)
     words = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
     if predicted == 0 or abs(predicted) < _CLEAR * error:

@@ -34,9 +34,8 @@ def sheet_gauge_factor(
 
     Parameters
     ----------
-    places_mm, contrast, relative_variance, strain : (n, 2), (n,), (n,), (n,) of loads whose contrast has the sign of
-        α_ε.
-    line : nominal α_ε and β_ε; only β_ε stays an assumption, and only where all strains are alike.
+    places_mm, contrast, relative_variance, strain : (n, 2), (n,), (n,), (n,) of loads, contrast with the sign of α_ε.
+    line : nominal α_ε and β_ε; only β_ε remains an assumption, and only for equal strains.
     radius_mm : of the sheet.
     sheet_mm : (m, 2) places to average over, see :func:`~cbsr_qa.calibration.sheet.sheet_places`.
 
@@ -72,9 +71,9 @@ def sheet_gauge_factor(
 
 
 def steady_share(common: CommonRelaxation, time_s: Array) -> Estimate:
-    """Estimate where a hold ends over what frames at times (n,) after its ramp show, by the loads' relaxation.
+    """Estimate the end of a hold relative to frames at times (n,) after its ramp, from the loads' relaxation.
 
-    NumericsError if the traces carry no relaxation that ends, or it ends where it began.
+    NumericsError if the traces show no complete relaxation, or it ends where it began.
     """
     fit = common.fit
     if not len(common.shares):
@@ -99,21 +98,21 @@ def steady_share(common: CommonRelaxation, time_s: Array) -> Estimate:
     return Estimate(value, float(np.sqrt(max(gradient @ common.covariance @ gradient, 0.0))), common.traces)
 
 
-#: Phases whose loads a data sheet is taken from: nominal places and strains, held alike.
+#: Phases used for a data sheet: nominal places and strains, equal holds.
 _ROLES: Final = frozenset({Role.GRID, Role.NOISE})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Characteristic:
-    """What a location answered at each strain, averaged over its trials.
+    """Response of a location to each strain, averaged over its trials.
 
     Parameters
     ----------
     location, x_mm, y_mm : of the loads; ``"mean"`` and the sheet's centre for a mean over locations.
     strain : (n,) float64 fractions, rising.
-    stress_kPa : (n,) float64 mean relaxed stress under the head; None where no force was recorded.
+    stress_kPa : (n,) float64 mean relaxed stress under the head; None without recorded force.
     change : (n,) float64 mean sensed change, relative, positive.
-    loads : (n,) whole numbers, how many presses each mean is of.
+    loads : (n,) number of presses in each mean.
     """
 
     location: str
@@ -131,18 +130,18 @@ class Characteristic:
 
 
 def data_sheet_loads(run: RunObservation) -> tuple[LoadObservation, ...]:
-    """Loads a data sheet is taken from: single ones of the phases that press nominal places and strains."""
+    """Loads for a data sheet: single ones of the phases that press nominal places and strains."""
     phases = {phase.name for phase in run.record.phases if phase.role in _ROLES}
     return tuple(load for load in run.loads if load.phase in phases and load.together == 1)
 
 
 def why_no_force(loads: Iterable[LoadObservation]) -> str:
-    """Say why none of some loads has a force."""
+    """Explain why none of some loads has a force."""
     return next((load.no_force for load in loads if load.no_force), "no force was recorded")
 
 
 def load_change(load: LoadObservation, main_mask: float) -> float | None:
-    """Sensed change of a load's steady image: Δρ of Eq 7, un-subtracted, positive; None where nothing was sensed."""
+    """Sensed change of a load's steady image: Δρ of Eq 7, un-subtracted, positive; None if nothing was sensed."""
     view = load.mask(main_mask)
     if view is None or view.sensed is None:
         return None
@@ -152,8 +151,8 @@ def load_change(load: LoadObservation, main_mask: float) -> float | None:
 def characteristics(loads: Iterable[LoadObservation], main_mask: float) -> tuple[Characteristic, ...]:
     """Average the loads of each location strain by strain, in the order of their first press.
 
-    Loads in which nothing was sensed are left out, and where any load has a force also those that have none (a load
-    cell at its limit): without any there are no stresses.
+    Loads without a sensed region are left out, and if any load has a force, also those without (a load cell at its
+    limit); without any force there are no stresses.
     """
     loads = tuple(loads)
     loads = tuple(load for load in loads if load.stress_kPa is not None) or loads
@@ -166,10 +165,10 @@ def characteristics(loads: Iterable[LoadObservation], main_mask: float) -> tuple
 
 
 def mean_characteristic(curves: Sequence[Characteristic]) -> Characteristic:
-    """Average over the locations that were pressed at as many strains as any, at the same ones.
+    """Average over the locations pressed at the largest common set of strains.
 
-    Each location's change counts in shares of its own span, so that the mean's span is 1: one and the same change
-    is imaged stronger where the electrodes see better.
+    Each location's change is relative to its own span, so that the mean's span is 1: equal changes have stronger
+    images where the electrodes are more sensitive.
 
     NumericsError if there is no such location with a positive span.
     """
@@ -190,10 +189,10 @@ def mean_characteristic(curves: Sequence[Characteristic]) -> Characteristic:
 
 
 def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict[float, list[list[float]]]:
-    """Sensed changes of places that were pressed again, by strain: the cells repeatability is taken within.
+    """Sensed changes of repeatedly pressed places, by strain: the cells of repeatability.
 
-    A cell is a phase, place and strain. Its values are shares of the place's own span, its mean change at the highest
-    strain of all these loads; places that were not pressed at that strain are left out, and so are single presses.
+    A cell is a phase, place and strain. Its values are relative to the place's own span, its mean change at the
+    highest strain of all these loads; places not pressed at that strain and single presses are left out.
     """
     highest = max((round(load.record.load.strain, 9) for load in loads), default=0.0)
     spans: dict[tuple[float, float], list[float]] = defaultdict(list)
@@ -218,7 +217,7 @@ def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict
 
 
 def repeatability(loads: Sequence[LoadObservation], main_mask: float) -> Estimate:
-    """Pooled deviation of the sensed change within phase, place and strain, in shares of the place's span.
+    """Pooled deviation of the sensed change within phase, place and strain, relative to the place's span.
 
     NumericsError if nothing was pressed twice at the same place and strain.
     """

@@ -1,4 +1,4 @@
-"""Data-sheet numbers of a sensor from repeated loads, and how evenly its sheet responds from place to place."""
+"""Data-sheet numbers of a sensor from repeated loads, and the evenness of its sheet's response."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -14,19 +14,19 @@ from cbsr_qa.domain import Array, NumericsError, finite_numbers
 from cbsr_qa.domain.geometry import overlap_mm2
 from cbsr_qa.domain.results import LoadObservation, RunObservation
 
-#: Fewest points of a characteristic: a straight line meets two.
+#: Fewest points of a characteristic: a straight line fits any two.
 FEWEST_POINTS: Final = 3
-#: More points than this are not looked at three by three.
+#: More points than this are not searched by triples.
 _MOST_POINTS: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number with what it rests on.
+    """A number with its uncertainty.
 
     Parameters
     ----------
-    stderr : one standard deviation; None where the data do not say.
+    stderr : one standard deviation, or None if unknown.
     degrees : of freedom of the stated scatter.
     """
 
@@ -37,14 +37,14 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StraightLine:
-    """A straight line through a characteristic, and how far the characteristic leaves it.
+    """A straight line through a characteristic, and the deviations from it.
 
     Parameters
     ----------
     deviations : (n,) float64, points minus line, in the unit of y.
     largest : of their absolute values.
-    stderr : of ``largest``, with the points that decide it held fixed: too large where several compete, never too
-        small. None where the points' errors are not known.
+    stderr : of ``largest``, with the deciding points held fixed: too large if several compete, never too small. None
+    if the points' errors are unknown.
     """
 
     slope: float
@@ -61,8 +61,6 @@ def pooled_deviation(cells: Sequence[Sequence[float]]) -> Estimate:
     ------
     NumericsError
         If no cell has two values, or a value is not finite.
-
-    NumericsError if no cell has two values, or a value is not finite.
     """
     repeated = [finite_numbers(cell, "values of a cell") for cell in cells if len(cell) > 1]
     degrees = sum(len(cell) - 1 for cell in repeated)
@@ -86,7 +84,7 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
     Parameters
     ----------
     x, y : (n,) n ≥ 3 points, in any order.
-    stderr : (n,) standard errors of y; None where not known.
+    stderr : (n,) standard errors of y, or None if unknown.
     """
     place, value, error, order = _sorted_points(x, y, stderr)
     triples = np.array(list(combinations(range(len(place)), 3)))
@@ -116,10 +114,10 @@ def terminal_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[float
 def ratio_of_sums(parts: Sequence[float], wholes: Sequence[float]) -> Estimate:
     """Σ parts / Σ wholes: a ratio over many loads in which each counts by its size.
 
-    A mean of single ratios would be ruled by the weakest loads, whose ratio is mostly noise. The standard error is
-    that of the ratio estimator, √(n/(n − 1) Σ (pᵢ − r wᵢ)²) / Σ wᵢ (Cochran 1977, 6.4); None of a single load.
+    A mean of single ratios would be dominated by the weakest loads, whose ratio is mostly noise. The standard error
+    is that of the ratio estimator, √(n/(n − 1) Σ (pᵢ − r wᵢ)²) / Σ wᵢ (Cochran 1977, 6.4); None for a single load.
 
-    NumericsError if there is nothing, lengths differ, a number is not finite, or the wholes sum to nothing.
+    NumericsError if there is nothing, lengths differ, a number is not finite, or the wholes sum to zero.
     """
     part, whole = finite_numbers(parts, "parts"), finite_numbers(wholes, "wholes")
     if len(part) != len(whole):
@@ -150,7 +148,7 @@ def relative_spread(values: Sequence[float]) -> Estimate:
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
-    """Slope of y against x by ordinary least squares with an intercept; two points leave it without error.
+    """Slope of y against x by ordinary least squares with an intercept; two points give no error.
 
     NumericsError if all x coincide, or a number is not finite.
     """
@@ -202,27 +200,27 @@ def _line(
     order: NDArray[np.intp],
     stderr: float | None,
 ) -> StraightLine:
-    """Return the line so far above a point; deviations are counted from there, not from a far intercept."""
+    """Return the line at a distance above a point; deviations are relative to it, not to a far intercept."""
     deviations = np.empty_like(value)
     deviations[order] = value - point[1] - rate * (place - point[0]) - above
     intercept = float(point[1] - rate * point[0] + above)
     return StraightLine(rate, intercept, deviations, float(np.abs(deviations).max()), stderr)
 
 
-#: Of the peak of a head's modelled image: regions over which its mean is less do not lie on the head.
+#: Share of the peak of a head's modelled image: regions with a smaller mean are not on the head.
 _ON_HEAD: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceResponse:
-    """How a location responds to one strain.
+    """Response of a location to one strain.
 
     Parameters
     ----------
     location, x_mm, y_mm : of its loads.
     baseline : ρ₀ of Eq 7, mean over the loads, relative image units.
-    responses : of each load, the same over what the linearised model of an even sheet images there: 1 where the sheet
-        answers as that model with the material's α.
+    responses : of each load, the same over the image of the linearised model of an even sheet there: 1 if the sheet
+    responds as that model with the material's α.
     """
 
     location: str
@@ -238,14 +236,14 @@ class PlaceResponse:
 
 
 def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tuple[tuple[PlaceResponse, ...], float]:
-    """Response of every location at the strain most locations were pressed at, the highest of several such.
+    """Response of every location at the most common strain, the highest of several such.
 
     NumericsError if no load gave a ρ₀.
 
     Returns
     -------
-    Locations in the order of their first press, and the strain. Loads without a ρ₀, or that were sensed elsewhere
-    than on the head (the model's mean over the sensed elements is under half of its peak), are left out.
+    Locations in the order of their first press, and the strain. Loads without a ρ₀, or sensed off the head (the
+    model's mean over the sensed elements is under half of its peak), are left out.
     """
     by_strain: dict[float, dict[tuple[str, float, float], list[tuple[float, float]]]] = defaultdict(
         lambda: defaultdict(list)
@@ -282,7 +280,7 @@ def _image_of_head(run: RunObservation, load: LoadObservation) -> np.ndarray:
 
 
 def scatter_of_presses(places: Sequence[PlaceResponse]) -> float | None:
-    """Spread that the scatter of single presses alone makes over an even sheet, over its mean; None if unknown."""
+    """Spread over an even sheet from the scatter of single presses alone, over its mean; None if unknown."""
     mean = float(np.mean([place.response for place in places]))
     try:
         single = pooled_deviation([place.responses for place in places]).value

@@ -1,10 +1,10 @@
-"""How strongly each place of a sheet answers: loads at some places, a Gaussian process in between.
+"""Response of each place of a sheet: loads at some places, a Gaussian process in between.
 
-The logarithm of the response is taken for a Gaussian process over the sheet with an unknown mean. How far it reaches,
-how much it varies and what single loads scatter by are not chosen: all of a grid of them are weighed by how well they
-explain the loads (Rasmussen & Williams 2006, 5.2 and 2.7), so that few loads give wide intervals instead of
-confident ones. Where data end the map goes back to the mean response, which, since responses are counted against the
-field of the head itself, is the forward model's own sensitivity.
+The logarithm of the response is modelled as a Gaussian process over the sheet with an unknown mean. Its length, its
+deviation and the scatter of single loads are not chosen: a grid of them is weighted by the likelihood of the loads
+(Rasmussen & Williams 2006, 5.2 and 2.7), so that few loads give wide intervals. Away from data the map returns to the
+mean response, which, since responses are relative to the field of the head itself, is the forward model's own
+sensitivity.
 """
 
 from collections.abc import Sequence
@@ -20,42 +20,41 @@ from cbsr_qa.domain import Array, CalibrationError
 from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.sensor import QuasiStatic
 
-#: Lengths over which the response may stay alike, over the sheet's radius.
+#: Correlation lengths of the response, over the sheet's radius.
 _LENGTHS: Final = np.array([0.16, 0.22, 0.3, 0.4, 0.54, 0.72, 1.0, 1.4])
 #: Relative deviations of the response over the sheet.
 _DEVIATIONS: Final = np.array([0.01, 0.02, 0.035, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45])
 #: Relative scatter of single loads beyond their noise.
 _SCATTERS: Final = np.array([0.0, 0.005, 0.01, 0.02, 0.04])
-#: Scale of the prior of the scatter (exponential), and of the deviation (half Cauchy): what presses repeat to, and
-#: what moulded sheets vary by. Chosen by us.
+#: Scale of the prior of the scatter (exponential), and of the deviation (half Cauchy): typical repeatability of
+#: presses, and typical variation of moulded sheets. Chosen by us.
 _USUAL_SCATTER: Final = 0.02
 _USUAL_DEVIATION: Final = 0.2
-#: Members that weigh less than this are dropped. Many do after few loads: at 1e-4 those dropped made stated errors
-#: 4 % too small with ten loads.
+#: Members with less weight are dropped. There are many after few loads: at 1e-4 those dropped made stated errors 4 %
+#: too small with ten loads.
 _NEGLIGIBLE: Final = 1e-5
-#: Loads whose amplitude is known worse than this say nothing about a logarithm.
+#: Loads with a larger relative error of their amplitude do not determine its logarithm.
 LARGEST_ERROR: Final = 0.3
-#: Keeps the covariance of loads at one place, without noise, invertible.
+#: Keeps the covariance of noiseless loads at one place invertible.
 _ROUNDING: Final = 1e-12
-#: An intercept is told from the map where loads press so differently; it is not known better than this before any
-#: load was seen.
+#: An intercept is separable from the map if loads press so differently; prior error of an intercept.
 _SPREAD: Final = 2.0
 _UNKNOWN_INTERCEPT: Final = 0.02
-#: Fewest loads a map can be learned from: with fewer not even the mean has an honest error.
+#: Fewest loads for a map: with fewer not even the mean has an honest error.
 FEWEST: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """Loads at p places, put together where they were pressed at one: exactly, the process being the same there.
+    """Loads at p places, combined (exactly) if pressed at the same place.
 
     Parameters
     ----------
     root_weight : (p,) square root of the loads' summed weights 1/variance.
     scaled : (p, k + 1) weighted means of the mean's k columns and of the values, times ``root_weight``.
-    within : (k + 1, k + 1) products of what is left of them beside those means, weighted.
+    within : (k + 1, k + 1) weighted products of the deviations from those means.
     log_variance : sum over the loads.
-    known : (k, k) what is known of the mean's coefficients beforehand.
+    known : (k, k) prior precision of the mean's coefficients.
     """
 
     root_weight: Array
@@ -127,7 +126,7 @@ class ResponseMap:
     Parameters
     ----------
     places_mm : (p, 2) of the loads, each once.
-    members, weights : the processes and how well they explain the loads, adding to one.
+    members, weights : the processes and their posterior weights, with sum one.
     """
 
     places_mm: Array
@@ -135,7 +134,7 @@ class ResponseMap:
     weights: Array
 
     def predict(self, places_mm: Array) -> tuple[Array, Array]:
-        """Mean and variance (n,) of the logarithm of the response at places (n, 2), scatter of loads left out."""
+        """Mean and variance (n,) of the logarithm of the response at places (n, 2), without the scatter of loads."""
         means, variances = (np.empty((len(self.members), len(places_mm))) for _ in range(2))
         kinds = [(member.smooth, member.length_mm) for member in self.members]
         for kind in dict.fromkeys(kinds):
@@ -153,7 +152,7 @@ class ResponseMap:
 
     @cached_property
     def bend(self) -> tuple[float, float]:
-        """Coefficient of the second column of the mean and its variance; zeros where there is none."""
+        """Coefficient of the second column of the mean and its variance; zeros without one."""
         if self.members[0].drift.shape[1] < 2:
             return 0.0, 0.0
         values = np.array([member.mean[1] for member in self.members])
@@ -163,7 +162,7 @@ class ResponseMap:
 
 
 def _predicted(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
-    """Means and variances (m, n) of members with one kernel (p, n), at once: a map may have hundreds of them."""
+    """Means and variances (m, n) of members with one kernel (p, n), at once, as a map may have hundreds of them."""
     deviation, root_weight, root, data, drift, mean, mean_root = (
         np.array([getattr(member, name) for member in members])
         for name in ("deviation", "root_weight", "root", "data", "drift", "mean", "mean_root")
@@ -189,17 +188,17 @@ def learn_response(
 ) -> ResponseMap:
     """Learn the map from single loads.
 
-    CalibrationError with fewer than 3 loads, or a place, response or variance that is no number.
+    CalibrationError with fewer than 3 loads, or a place, response or variance that is not finite.
 
     Parameters
     ----------
     places_mm : (n, 2).
-    log_response : (n,) logarithm of what was seen over what the quasi-static line predicts.
+    log_response : (n,) logarithm of the observed change over that of the quasi-static line.
     variance : (n,) of it, by the readings' and the force's noise.
-    radius_mm : of the sheet, the unit of the lengths that are tried.
-    bend : (n,) a column of which an unknown multiple is in the logarithm, what a wrong intercept of the line does;
-        None where there is none.
-    bend_stderr : standard deviation of that multiple before any load was seen.
+    radius_mm : of the sheet, the unit of the correlation lengths.
+    bend : (n,) a column with an unknown multiple in the logarithm, the effect of a wrong intercept of the line; None
+    without one.
+    bend_stderr : prior standard deviation of that multiple.
     """
     if len(log_response) < FEWEST:
         raise CalibrationError(
@@ -231,7 +230,7 @@ def learn_response(
 
 
 def intercept_column(line: QuasiStatic, pressed: Array, predicted: Array) -> tuple[Array | None, float, float]:
-    """Return how an unknown error of a line's intercept bends the logarithms of (n,) loads.
+    """Return the effect of an unknown error of a line's intercept on the logarithms of (n,) loads.
 
     Parameters
     ----------
@@ -239,8 +238,8 @@ def intercept_column(line: QuasiStatic, pressed: Array, predicted: Array) -> tup
 
     Returns
     -------
-    The column (n,), None where loads press alike: the intercept cannot then be told from the map; its standard
-    deviation beforehand; and the change in the middle, which the line turns about.
+    The column (n,), or None if loads are too similar to separate the intercept from the map; its prior standard
+    deviation; and the change in the middle, about which the line turns.
     """
     middle = float(np.exp(np.log(np.abs(predicted)).mean()) * np.sign(predicted[0])) if len(predicted) else 1.0
     if not len(pressed) or pressed.max() < _SPREAD * pressed.min():
@@ -253,7 +252,7 @@ def _kinds(radius_mm: float) -> list[tuple[bool, float]]:
 
 
 def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Places (p, 2), each once in the order of the loads, and which of them each load pressed (n,)."""
+    """Places (p, 2), each once in the order of the loads, and the index of each load's place (n,)."""
     _, first, which = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -262,10 +261,10 @@ def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
 
 
 def _together(which: NDArray[np.intp], columns: Array, variance: Array, known: Array) -> _Data:
-    """Put loads of one place together: a weighted mean each, and what is left about it, centred before it is squared.
+    """Combine loads of one place: their weighted mean, and the deviations from it, centred before squaring.
 
-    A process seen several times at a place is one seen once there with the summed weight, but for the scatter of the
-    loads about their mean: with it likelihoods and predictions are those of all loads, at the cost of the places.
+    Several observations at a place equal one with the summed weight, except for their scatter about their mean; with
+    it likelihoods and predictions are those of all loads, at the cost of the places.
     """
     weight = 1 / variance
     total = np.bincount(which, weight)
@@ -281,7 +280,7 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
     root_weight = np.array([group.root_weight for group in data.values()])
     weighted = root_weight[:, :, None] * alike * root_weight[:, None, :]
     scaled = np.array([group.scaled for group in data.values()])
-    # No eigenvalue below one: places that all but coincide, and loads without noise, do no harm.
+    # No eigenvalue below one: nearly coinciding places, and loads without noise, do no harm.
     root, solved = _solved(np.eye(len(alike)) + _DEVIATIONS[:, None, None, None] ** 2 * weighted, scaled)
     products = np.swapaxes(solved, -1, -2) @ solved + np.array([group.within for group in data.values()])
     known = next(iter(data.values())).known
@@ -292,7 +291,7 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
     determinants = (
         np.array([group.log_variance for group in data.values()]) / 2 + _log_root(root) + _log_root(mean_root)
     )
-    # The grid is even in the logarithm of the deviation: its density there has the deviation as a factor.
+    # The grid is even in the logarithm of the deviation, so its density includes the deviation as a factor.
     prior = np.log(_DEVIATIONS) - np.log1p((_DEVIATIONS / _USUAL_DEVIATION) ** 2)
     score = -misfit / 2 - determinants + prior[:, None] - scatter / _USUAL_SCATTER
     return _Family(smooth, length_mm, scatter, root_weight, root, solved, mean, mean_root, score)
@@ -306,7 +305,7 @@ def _solved(matrices: Array, right: Array) -> tuple[Array, Array]:
     whole[..., p:, :p] = np.swapaxes(right, -1, -2)
     below = np.arange(p, p + k)
     whole[..., below, below] = 1 + 2 * (right**2).sum(axis=(-1, -2))[..., None]
-    root = np.linalg.cholesky(whole)  # reads the lower half only
+    root = np.linalg.cholesky(whole)  # only the lower half is read
     return root[..., :p, :p], np.swapaxes(root[..., p:, :p], -1, -2)
 
 
@@ -355,7 +354,7 @@ def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, fl
 
 
 def sheet_places(model: ForceModel, *, stride: int = 4) -> Array:
-    """Every ``stride``-th place (n, 2) of the lattice, along both axes, where the head is clear of edge and pins."""
+    """Every ``stride``-th place (n, 2) of the lattice, along both axes, with the head clear of edge and pins."""
     kept = np.full(model.node.shape, -1)
     kept[::stride, ::stride] = model.node[::stride, ::stride]
     there = kept.ravel() >= 0

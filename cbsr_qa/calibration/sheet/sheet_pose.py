@@ -1,4 +1,4 @@
-"""How a sheet lies on the station: loads are placed on the sheet before anything is learned of it."""
+"""Pose of a sheet on the station: loads are mapped to the sheet before learning."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,25 +9,25 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.runtime import Matches
 from cbsr_qa.domain import Array
 
-#: A place known worse than this says little about where the sheet lies [mm].
+#: A place with a larger error does not determine the pose [mm].
 _SURE_MM: Final = 1.5
-#: Fewest places a pose is told from, and standard errors by which it must differ from none.
+#: Fewest places for a pose, and standard errors by which it must differ from none.
 _FEWEST: Final = 3
 _CLEAR: Final = 4.0
-#: A pose that moves no place by more than this is left alone [mm].
+#: A pose that moves no place by more than this is ignored [mm].
 _SMALLEST_MM: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True)
 class SheetPose:
-    """Rigid motion from where the station presses to where on the sheet that is: q = b + R(θ) p.
+    """Rigid motion from places of the station to places on the sheet: q = b + R(θ) p.
 
     Parameters
     ----------
     shift_mm : b.
     rotation_deg : θ, counterclockwise.
-    shift_stderr_mm, rotation_stderr_deg : standard errors, of each component of the shift alike.
-    moved : whether it differs clearly from none; places are left where they are otherwise.
+    shift_stderr_mm, rotation_stderr_deg : standard errors, equal for both components of the shift.
+    moved : whether it differs clearly from none; otherwise places are unchanged.
     """
 
     shift_mm: tuple[float, float] = (0.0, 0.0)
@@ -43,37 +43,37 @@ class SheetPose:
         angle = np.radians(self.rotation_deg)
         x, y = nominal_mm.T
         cos, sin = np.cos(angle), np.sin(angle)
-        # Number by number, unlike a product of matrices: places that are equal stay so to the last bit.
+        # Elementwise, unlike a product of matrices, so that equal places stay equal to the last bit.
         places: Array = np.column_stack([cos * x - sin * y, sin * x + cos * y]) + np.array(self.shift_mm)
         return places
 
 
-#: A sheet that lies where it should.
+#: A sheet at its nominal pose.
 AS_PLACED: Final = SheetPose()
 
 
 def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPose:
-    """Tell how a sheet lies from where its loads are found.
+    """Estimate the pose of a sheet from the found places of its loads.
 
-    Rigid least squares, weighted by what noise does to each place; a scale is not looked for, since an uneven sheet
-    is seen scaled and none is made so.
+    Rigid least squares, weighted by the noise of each place; without a scale, since an uneven sheet seems scaled but
+    none is.
 
     Parameters
     ----------
-    nominal_mm : (n, 2) where the station pressed.
+    nominal_mm : (n, 2) pressed places.
     matches : of the same loads.
     noise : (n,) variance of their rows.
 
     Returns
     -------
-    A pose that moves nothing where fewer than 3 different places are known to 1.5 mm, or where it differs from none
-    by less than 4 standard errors of its own, taken from how well the places agree.
+    The pose, or no motion if fewer than 3 different places are known to 1.5 mm, or if it differs from none by less
+    than 4 standard errors, estimated from the residuals.
     """
     variance = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
     sure = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
     if len(np.unique(nominal_mm[sure], axis=0)) < _FEWEST:
         return AS_PLACED
-    # Beside noise, an uneven sheet moves every place a little: no load outweighs all others.
+    # Besides noise, an uneven sheet moves every place slightly: no load outweighs all others.
     weight = 1 / (variance[sure] + float(np.median(variance[sure])))
     p, q = (places[sure] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
     weight = _without_strays(p, q, weight)

@@ -46,11 +46,11 @@ from cbsr_qa.eit.loads import StripModel
 
 @dataclass(frozen=True, slots=True)
 class Specimen:
-    """What was pressed.
+    """The tested specimen.
 
     Parameters
     ----------
-    strip : model with the contacts that are assumed.
+    strip : model with the assumed contacts.
     other_contacts : the same with contacts one standard error higher.
     resistance_ohm : between the pins, rested.
     relative_noise : rms of one reading over their mean, rested.
@@ -76,18 +76,18 @@ def characterise(
 ) -> Characterisation:
     """Characterise a material.
 
-    Changes between the pins are turned into changes under the head first, with the forward model of the strip: only
-    these add up over presses. The steady change of a cycle is the level its hold is going to less the level the rest
-    before was going to, both without what earlier presses left (:mod:`cbsr_qa.calibration.fits`); the paper
-    takes the readings at the end. Changes between the pins are those under the head, turned back.
+    Changes between the pins are first converted to changes under the head with the forward model of the strip, since
+    only these superpose. The steady change of a cycle is the final level of its hold less that of the rest before,
+    both without residues of earlier presses (:mod:`cbsr_qa.calibration.fits`); the paper uses the readings at the
+    end. Changes between the pins are converted back.
 
     NumericsError if there is no cycle, or changes are more than the strip under the head can make.
 
     Parameters
     ----------
-    readings : in the order of their times, the first one pressed on a rested strip.
-    notes : what else is known against the readings, for ``reduced``.
-    unread : cycles that are not among them, by name and with the reason.
+    readings : in order of time, the first one pressed on a rested strip.
+    notes : further problems of the readings, for ``reduced``.
+    unread : missing cycles, by name and with the reason.
     """
     if not readings:
         raise NumericsError(
@@ -225,7 +225,7 @@ class _Work:
         return np.concatenate([[0.0], of_steps[1::2]])[: len(self._readings)]
 
     def _changes(self, separated: SeparatedSteps, *, other: bool = False) -> tuple[Array, Array]:
-        """Steady changes under the head and between the pins; as they were with other contacts, where asked for."""
+        """Steady changes under the head and between the pins, and with other contacts if requested."""
         strip, levels = self._specimen.strip, separated.levels[0::2]
         before = self._before(separated.levels)
         after_pins, before_pins = strip.apparent(levels), strip.apparent(before)
@@ -234,7 +234,7 @@ class _Work:
         return levels - before, _relative(after_pins, before_pins)
 
     def _moved(self) -> dict[str, list[SeparatedSteps]]:
-        """The steps separated with what else time constants and residue may be."""
+        """The separated steps with shifted time constants and residue."""
         common, local = self._separated.common, changes_of(self._separated, self._steps)
         steps = without_residue(self._steps, local, self.residue)
         moved = {"time constants": [separated_with(steps, common, shifted) for shifted in shifted_constants(common)]}
@@ -257,7 +257,7 @@ class _Work:
         return [cycle for cycle in traces if len(cycle.trace[0])]
 
     def _stressed(self) -> tuple[CommonRelaxation | None, list[tuple[Array, float] | None]]:
-        """The common relaxation of stress, and every cycle's fit; no head feels what is not pressed."""
+        """The common relaxation of stress, and every cycle's fit; the unloaded head has no residue."""
         traces = [(cycle.stress_s, cycle.stress_kPa) for cycle in self._readings]
         if not any(len(time_s) for time_s, _ in traces):
             return None, [None] * len(traces)

@@ -13,20 +13,20 @@ from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import Characterisation, CycleChange, FittedLine, StrainLevel
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
 
-#: A change is clear of zero from this many of its standard errors on.
+#: A change differs clearly from zero if it is this many of its standard errors.
 CLEAR: Final = 3.0
 
-#: What a line is drawn against: takes a cycle, returns its place; None leaves the cycle out.
+#: Abscissa of a line: takes a cycle and returns its place, or None to leave the cycle out.
 Place = Callable[[CycleChange], float | None]
-#: Changes of the same cycles if what is not known were one standard error elsewhere, by what it is.
+#: Changes of the same cycles with each unknown one standard error off, by its name.
 Moved = Mapping[str, Sequence[Sequence[float]]]
 
 
 def strain_levels(cycles: Sequence[CycleChange]) -> tuple[StrainLevel, ...]:
-    """Put cycles of equal strain together, and say which strains no line may be drawn through.
+    """Group cycles by strain, and name the strains to be left out of lines.
 
-    A strain whose deviation over the cycles exceeds its mean change is left out (paper 3.1.1: 5 % of 9 wt%), and one
-    of whose cycles some change clearly the other way.
+    A strain whose deviation over the cycles exceeds its mean change is left out (paper 3.1.1: 5 % of 9 wt%), and so
+    is one with some cycles clearly of the other sign.
     """
     strains = sorted({cycle.strain for cycle in cycles})
     return tuple(_level(strain, [cycle for cycle in cycles if cycle.strain == strain]) for strain in strains)
@@ -64,7 +64,7 @@ def _why_left_out(level: StrainLevel, members: Sequence[CycleChange]) -> str:
 
 
 def decided_response(levels: Sequence[StrainLevel], declared: Response) -> tuple[Response, str]:
-    """Return what a load does to the material, AUTO where it cannot be told, and why not."""
+    """Return the material's response to a load, or AUTO if it is undetermined with the reason."""
     kept = [level for level in levels if not level.why]
     if not kept:
         return Response.AUTO, "no strain changes the conductance clearly"
@@ -90,13 +90,13 @@ def fit_line(
     moved: Moved,
     source: str,
 ) -> FittedLine:
-    """Fit a line through the mean change of each strain, and add what is not in the cycles' scatter.
+    """Fit a line through the mean change of each strain, and add errors not in the cycles' scatter.
 
     Parameters
     ----------
-    cycles : those of strains that are not left out.
+    cycles : those of strains not left out.
     changes, errors : of each.
-    place : what the line is against.
+    place : abscissa of the line.
     moved : see :data:`Moved`; each set moves the line, and its squares are added to the covariance.
     source : of the parameters.
     """
@@ -127,7 +127,7 @@ def _as_line(line: QuasiStaticFit, covariance: Array, source: str) -> QuasiStati
 
 
 def lowest_clear_strain(line: QuasiStatic | None, strains: Sequence[float]) -> float | None:
-    """Least of some strains at which α ε + β is three of its standard errors from zero; None where none is."""
+    """Least of some strains at which α ε + β is three of its standard errors from zero, or None."""
     if line is None:
         return None
     clear = [strain for strain in sorted(strains) if _is_clear(line, strain)]
@@ -140,7 +140,7 @@ def _is_clear(line: QuasiStatic, strain: float) -> bool:
 
 
 def fit_modulus(cycles: Sequence[CycleChange], source: str) -> tuple[Parameter | None, Parameter | None, str]:
-    """Fit stress against strain: slope E [kPa], the strain where the line crosses zero, and why there is neither."""
+    """Fit stress against strain: slope E [kPa] and the strain of the zero crossing, or why there is neither."""
     pressed = [(c.strain, c.stress_kPa, c.stress_stderr_kPa or 0.0) for c in cycles if c.stress_kPa is not None]
     try:
         strain, stress, error = zip(*pressed, strict=True) if pressed else ((), (), ())
@@ -155,14 +155,14 @@ def fit_modulus(cycles: Sequence[CycleChange], source: str) -> tuple[Parameter |
     return modulus, Parameter(crossing, float(np.sqrt(gradient @ fit.covariance @ gradient)), source), ""
 
 
-#: Data are taken at this many settling times or later (science, section 8).
+#: Data are taken after at least this many settling times (science, section 8).
 _MULTIPLE: Final = 1.5
-#: More of a release than this that outlasts its rest is no residue: the rests are too short to tell.
+#: A larger share of a release that outlasts its rest is not a residue: the rests are too short to decide.
 _MOST_RESIDUE: Final = 0.1
 
 
 def why_refused(material: Characterisation, disagreement: str, why_no_modulus: str) -> tuple[str, ...]:
-    """Every reason why this cannot stand for the material."""
+    """Reasons why this cannot represent the material."""
     reasons = [disagreement] if disagreement else []
     for name, line in (("strain", material.local_against_strain), ("stress", material.local_against_stress)):
         if line.line is None:
@@ -190,7 +190,7 @@ def why_refused(material: Characterisation, disagreement: str, why_no_modulus: s
 
 
 def why_reduced(material: Characterisation, why_no_stress: Sequence[str]) -> tuple[str, ...]:
-    """Everything that was left out, or narrows the range of use."""
+    """Everything left out, or narrowing the range of use."""
     reasons = [f"left out: {level.why}" for level in material.levels if level.why]
     reasons += why_no_stress
     reasons += _short(material)
@@ -203,7 +203,7 @@ def why_reduced(material: Characterisation, why_no_stress: Sequence[str]) -> tup
 
 
 def _short(material: Characterisation) -> Iterator[str]:
-    """Holds and rests that end before levels are settled: these are then extrapolated by the fits."""
+    """Holds and rests that end before levels are settled, and so are extrapolated by the fits."""
     for each in material.settlings:
         if each.strain is not None or each.settling.value_s is None or not len(each.time_s):
             continue

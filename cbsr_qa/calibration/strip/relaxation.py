@@ -19,13 +19,13 @@ from cbsr_qa.domain import Array, finite_numbers
 from cbsr_qa.domain.results import CharacterisationSettings, FitStatus, RelaxationKernel, StrainSettling
 from cbsr_qa.domain.sensor import MeasuredKernel, Relaxation, StripRelaxation
 
-#: Readings that begin later than this many time constants do not tell what an exponential began with.
+#: Readings that begin later than this many time constants do not determine an exponential's amplitude.
 _LATE: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectedTrace:
-    """What one step did, for settling times and kernels.
+    """Response to one step, for settling times and kernels.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class DirectedTrace:
     trace : times from the end of the ramp, and values from the level before the press.
     step : steady change the step makes: of the press, or minus that for its release; for stress the steady value.
     amplitudes : (k,) of the exponentials of its direction.
-    ramp_s : how long the step took.
+    ramp_s : duration of the step.
     """
 
     strain: float
@@ -46,7 +46,7 @@ class DirectedTrace:
 def settlings(
     signal: str, loading: bool, traces: Sequence[DirectedTrace], settings: CharacterisationSettings
 ) -> tuple[StrainSettling, ...]:
-    """Settle the cycles of each strain by one fit, then those of all strains."""
+    """Settling of each strain's cycles by one fit, then of all strains."""
     if not traces:
         return ()
     strains: list[float | None] = [*sorted({trace.strain for trace in traces}), None]
@@ -78,7 +78,7 @@ def _settling(
 
 
 def mean_trace(traces: Sequence[TimedValues]) -> TimedValues:
-    """Mean of traces that were sampled alike, as far as the shortest reaches. NumericsError if one is not finite."""
+    """Mean of traces with equal sampling, up to the shortest. NumericsError if one is not finite."""
     shortest = min((len(values) for _, values in traces), default=0)
     times = np.array([time_s[-shortest:] for time_s, _ in traces]) if shortest else np.zeros((1, 0))
     values = np.array([values_of[-shortest:] for _, values_of in traces]) if shortest else np.zeros((1, 0))
@@ -86,11 +86,11 @@ def mean_trace(traces: Sequence[TimedValues]) -> TimedValues:
 
 
 def unit_kernel(common: CommonRelaxation | None, traces: Sequence[DirectedTrace], source: str) -> Relaxation | None:
-    """Kernel of a unit step, from what was read after ramps.
+    """Kernel of a unit step, from readings after ramps.
 
-    A ramp of length T answered by 1 + Σ w e^(−t/τ) leaves w (τ/T)(1 − e^(−T/τ)) e^(−t/τ) after its end: amplitudes
-    are divided by that, and by the step, over all cycles by least squares. A single exponential is written as two,
-    the first of no weight.
+    With the step response 1 + Σ w e^(−t/τ) a ramp of length T leaves w (τ/T)(1 − e^(−T/τ)) e^(−t/τ) after its end:
+    amplitudes are divided by that, and by the step, over all cycles by least squares. A single exponential is written
+    as two, the first with zero weight.
     """
     if common is None or common.fit.status not in (FitStatus.TWO, FitStatus.ONE, FitStatus.FLAT):
         return None
@@ -120,7 +120,7 @@ def _ramped(length: float) -> float:
     return float(-np.expm1(-length) / length) if length > 0 else 1.0
 
 
-#: Steps at which a settling time is looked for.
+#: Number of steps in the search for a settling time.
 _STEPS: Final = 2000
 #: Share of a standard error for differences.
 _SMALL: Final = 0.1
@@ -131,13 +131,12 @@ def strip_relaxation(
 ) -> StripRelaxation | None:
     """Learn the kernels of a unit step from press cycles, as those of a sheet are learned from its loads.
 
-    One estimator for both (:func:`~cbsr_qa.calibration.fits.learn_kernel`), so that what is compared later
-    differs by the material and not by the method. An exponential that the cycles do not show but may hide is carried
-    with its uncertainty.
+    One estimator for both (:func:`~cbsr_qa.calibration.fits.learn_kernel`), so that later comparisons show the
+    material and not the method. A possible hidden exponential is included with its uncertainty.
 
     Returns
     -------
-    StripRelaxation; None where neither direction has a relaxation that can be told.
+    StripRelaxation; None if neither direction has a significant relaxation.
     """
     kernels = _kernel(loading, True), _kernel(unloading, False)
     if not any(kernels):
@@ -175,8 +174,8 @@ class KernelCurve:
     ----------
     weights, time_constants_s : (k,), relative to the steady (or the released) change.
     covariance : (2 k, 2 k) of (w, log τ).
-    start_s, window_s : over which time it is known.
-    level : c, what it goes to: 1 after a press, 0 after a release.
+    start_s, window_s : ends of the known time.
+    level : c, the final value: 1 after a press, 0 after a release.
     """
 
     weights: Array
@@ -188,24 +187,24 @@ class KernelCurve:
 
     @classmethod
     def of_sheet(cls, kernel: RelaxationKernel, start_s: float, window_s: float) -> Self:
-        """Return the kernel that a sheet's loads share."""
+        """Return the common kernel of a sheet's loads."""
         start_s = max(kernel.start_s, start_s)
         level = float(kernel.loading)
         return cls(kernel.weights, kernel.time_constants_s, kernel.covariance, start_s, window_s, level)
 
     @classmethod
     def of_press(cls, strip: MeasuredKernel) -> Self:
-        """Return what a sheet should show after a press."""
+        """Return the expected response of a sheet after a press."""
         weights, time_constants_s = np.array(strip.weights), np.array(strip.time_constants_s)
         return cls(weights, time_constants_s, np.array(strip.covariance), strip.start_s, strip.window_s, 1.0)
 
     @classmethod
     def of_release(cls, loading: MeasuredKernel, unloading: MeasuredKernel, hold_s: float) -> Self:
-        """Return what a sheet should show after a hold of some length, over the change at the end of the hold.
+        """Return the expected response of a sheet after a hold of given length, over the change at its end.
 
-        A strip's weights are relative to its steady change, which no hold quite reaches, and its creep goes on after
-        the release (Boltzmann superposition): with w, τ of the press and T the hold, the change at its end is
-        N = 1 + Σ w e^(−T/τ) and what fades is (Σ w′ e^(−t/τ′) + Σ w e^(−(T + t)/τ)) / N.
+        A strip's weights are relative to its steady change, which no hold quite reaches, and its creep continues
+        after the release (Boltzmann superposition): with w, τ of the press and T the hold, the change at its end is N
+        = 1 + Σ w e^(−T/τ) and the decay is (Σ w′ e^(−t/τ′) + Σ w e^(−(T + t)/τ)) / N.
         """
         count, more = len(unloading.weights), len(loading.weights)
         size = 2 * (count + more)
@@ -237,7 +236,7 @@ class KernelCurve:
 
     @property
     def why_not(self) -> str:
-        """Nothing stands against a kernel."""
+        """Empty: a kernel can always be compared."""
         return ""
 
     def relative(self, time_s: Array) -> tuple[Array, Array]:

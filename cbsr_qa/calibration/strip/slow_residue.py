@@ -1,4 +1,4 @@
-"""What a release leaves behind for longer than the material relaxes, told from the levels of the rests."""
+"""Residue of releases that outlasts the material's relaxation, found from the levels of the rests."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +13,13 @@ from cbsr_qa.domain import Array
 
 _SIGNIFICANCE: Final = 0.01
 _CLEAR: Final = 3.0
-_FEWEST: Final = 6  # rests; fewer tell nothing about how slowly something fades
+_FEWEST: Final = 6  # rests; fewer do not determine a slow decay
 _ROUNDS: Final = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlowResidue:
-    """A share of every released change stays, and fades with one time constant.
+    """A share of every released change remains, and decays with one time constant.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ class SlowResidue:
 
 
 def changes_of(separated: SeparatedSteps, steps: Sequence[StepTrace]) -> Array:
-    """Steady change (presses,) from the level the rest before a press was going to, to that of its hold."""
+    """Steady change (presses,) from the final level of the rest before a press to that of its hold."""
     before = np.concatenate([[0.0], separated.levels[1::2]])[: len(steps[0::2])]
     changes: Array = separated.levels[0::2] - before
     return changes
 
 
 def without_residue(steps: Sequence[StepTrace], changes: Array, residue: SlowResidue | None) -> list[StepTrace]:
-    """Take a residue of known changes away from all steps."""
+    """Subtract a residue of known changes from all steps."""
     if residue is None:
         return list(steps)
     left = _left(steps, changes, residue.decay_s)
@@ -57,11 +57,11 @@ def without_residue(steps: Sequence[StepTrace], changes: Array, residue: SlowRes
 
 
 def separate_with_residue(steps: Sequence[StepTrace]) -> tuple[SeparatedSteps, SlowResidue | None]:
-    """Separate steps, and take away a residue that outlasts them where there is one.
+    """Separate steps, and subtract a significant residue that outlasts them.
 
-    What stays of earlier releases fades through a hold, whose level then lies lower than the rest before it says:
-    with 2 % that fade in ten minutes, steady changes of ten cycles come out 1.4 % low. It shows in the levels of the
-    rests, which rise from cycle to cycle. It is kept if an F test finds it significant at 1 % and its share is three
+    Residues of earlier releases decay during a hold, whose level is then too low relative to the rest before: with 2
+    % that decay in ten minutes, steady changes of ten cycles are 1.4 % low. They show in the levels of the rests,
+    which rise from cycle to cycle. It is kept if an F test finds it significant at 1 % and its share is three
     standard errors from zero.
     """
     separated = as_read = separate_steps(steps)
@@ -116,7 +116,7 @@ def _kept(log_s: float, model: Callable[[float], Array], target: Array, rest: fl
 
 
 def _left(steps: Sequence[StepTrace], changes: Array, decay_s: float) -> list[Array]:
-    """What unit shares of all earlier releases have left at the samples of each step."""
+    """Residue of unit shares of all earlier releases at the samples of each step."""
     carried, before_s = 0.0, steps[0].start_s if steps else 0.0
     left = []
     for number, step in enumerate(steps):
