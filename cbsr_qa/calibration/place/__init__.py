@@ -1,4 +1,4 @@
-"""Where a sheet is pressed, learned from presses at known places. In use it needs numpy alone."""
+"""Places of presses on a sheet, learned from presses at known places. In use it needs numpy alone."""
 
 from cbsr_qa import door
 

@@ -1,8 +1,8 @@
-"""Drift of readings over a session of presses, and how far it may have gone later.
+"""Drift of readings over a session of presses, and its later growth.
 
-Of every reading an offset and a gain that change in proportion to time are fitted to what presses that were left out
-differ by from their templates. What is clear of its own standard error is taken for a random walk: after five times
-the session its variance is five times that of one session. Presses in random order show no drift, and get none.
+For every reading an offset and a gain proportional to time are fitted to the differences of left-out presses from
+their templates. The part beyond its own standard error is treated as a random walk: after five sessions its variance
+is five times that of one session. Presses in random order show no drift, and get none.
 """
 
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ import numpy as np
 
 from cbsr_qa.domain import Array
 
-#: Sessions that a calibration is stated for.
+#: Number of sessions for which a calibration is specified.
 SESSIONS: Final = 5.0
-#: Squared standard errors that are taken off a squared slope: one of three slopes of pure noise exceeds one.
+#: Squared standard errors subtracted from a squared slope: one of three slopes of pure noise exceeds one.
 _CLEAR: Final = 2.0
 #: Shuffles of the presses that a drift must exceed.
 _SHUFFLES: Final = 49
@@ -35,11 +35,11 @@ class Drift:
 
 
 def find_drift(errors: Array, expected: Array, time: Array) -> Drift:
-    """Fit the drift of features; none where presses in random order would show as much in one case of fifty.
+    """Fit the drift of features; none if presses in random order show as much in one case of fifty.
 
     Parameters
     ----------
-    errors, expected : (n, m) of presses that were left out: seen less expected features, and expected ones.
+    errors, expected : (n, m) of left-out presses: observed less expected features, and expected ones.
     time : (n,) of the presses, from −½ to ½.
     """
     if not time.any():
@@ -49,7 +49,7 @@ def find_drift(errors: Array, expected: Array, time: Array) -> Drift:
     shuffled = [_slopes(errors, expected, random.permutation(time))[1].mean() for _ in range(_SHUFFLES)]
     if squares.mean() <= max(shuffled):
         slopes = np.zeros_like(slopes)
-    # Shrunk by the share of a square that its own error makes up (James & Stein's positive part, one at a time).
+    # Shrunk by the share of a square that comes from its own error (James & Stein's positive part, one at a time).
     offset, gain = slopes * np.maximum(1 - _CLEAR / np.maximum(squares, _CLEAR), 0.0)
     return Drift(offset, gain)
 

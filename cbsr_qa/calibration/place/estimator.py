@@ -14,16 +14,16 @@ from cbsr_qa.calibration.runtime import Flag
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import LearnedPlace
 
-_AT_ONCE: Final = 256  # frames; what is held beside them stays small
+_AT_ONCE: Final = 256  # frames at a time, to limit memory
 
 
 class PlaceEstimator:
-    """Locates touches with what was learned from presses.
+    """Locates touches with a model learned from presses.
 
     Parameters
     ----------
     model : as learned.
-    modelled : takes over where it explains a touch beyond the presses.
+    modelled : used where it explains a touch beyond the presses.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class PlaceEstimator:
         Raises
         ------
         CalibrationError
-            If they are of another number of readings.
+            If the number of readings differs.
         """
         readings = len(self._model.scaling.ceiling)
         if changes.ndim != 2 or changes.shape[1] != readings:
@@ -53,7 +53,7 @@ class PlaceEstimator:
         return places if self._modelled is None else self._beyond(places, self._modelled(changes))
 
     def _beyond(self, places: Places, modelled: Places) -> Places:
-        """Take what the modelled sheet says of touches that it explains and that lie beyond the presses."""
+        """Use the modelled sheet for touches that it explains and that lie beyond the presses."""
         beyond = modelled.in_model & self._outside(modelled.place_mm)
         silent = (places.flags & int(Flag.NOT_DETECTED | Flag.UNREADABLE)) != 0
         taken = beyond & ~silent

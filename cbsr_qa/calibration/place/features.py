@@ -1,4 +1,4 @@
-"""Readings as features, the pattern's symmetry, and the covariance both estimates are made of."""
+"""Readings as features, the pattern's symmetry, and the covariance behind both estimates."""
 
 from typing import Final
 
@@ -7,7 +7,7 @@ import numpy as np
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import FeatureScaling, PatternTurns
 
-#: Features that spikes turn against their template are taken for so much of it.
+#: Features that spikes turn against their template are replaced by this share of it.
 _LEAST_LIKENESS: Final = 0.05
 #: A reading's ceiling, in 90 % quantiles of its size; and what is taken for a spike, in ceilings: one reading of a
 #: thousand on two real skins, and with adjacent pairs of a simulated one whose presses reach the electrodes.
@@ -41,7 +41,7 @@ def features_of(readings: Array, scaling: FeatureScaling) -> Array:
 
 
 def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Array:
-    """Strengths (n,) of readings (n, m): in proportion to them, about one where they are those of their template.
+    """Strengths (n,) of readings (n, m): proportional to them, about one if they equal their template.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def _roots(readings: Array, scaling: FeatureScaling) -> Array:
 
 
 def pattern_turns(pairs: Indices, electrodes: int) -> PatternTurns:
-    """Find the turns and mirrors of a ring of electrodes under which a pattern stays itself.
+    """Find the rotations and mirrors of a ring of electrodes that leave a pattern unchanged.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def pattern_turns(pairs: Indices, electrodes: int) -> PatternTurns:
 
 
 def _became(pairs: Indices, where: dict[tuple[int, ...], int]) -> tuple[list[int], list[int]] | None:
-    """Numbers and signs of readings in a pattern, or None where one is not in it. Either polarity is the reading."""
+    """Indices and signs of readings in a pattern, or None if one is missing. Either polarity is the same reading."""
     numbers, signs = [], []
     for a, b, c, d in pairs.tolist():
         same = [where[key] for key in ((a, b, c, d), (b, a, d, c)) if key in where]

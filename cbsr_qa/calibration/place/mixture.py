@@ -1,4 +1,4 @@
-"""Both estimates of a place mixed, with a covariance whose regions hold what they state on presses left out."""
+"""Both estimates of a place mixed, with a covariance whose regions have the stated coverage on left-out presses."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,13 +11,13 @@ from scipy.stats import chi2, f as fisher
 from cbsr_qa.domain import Array
 from cbsr_qa.domain.results import PlaceMixture
 
-#: What the regions are asked to hold.
+#: Nominal coverage of the regions.
 LEVELS: Final = (0.68, 0.95)
 _FOLDS: Final = 5
-#: The share before any press was seen, and how many presses that counts as.
+#: Prior share, and the number of presses that the prior counts as.
 _PRIOR_SHARE: Final = 0.4
 _PRIOR_PRESSES: Final = 10.0
-#: Errors beyond so many times their median, of spiky frames, count no more than that in the share.
+#: Larger errors, in units of their median, as of spiky frames, are limited to this in the share.
 _LARGE: Final = 3.0
 
 
@@ -30,9 +30,9 @@ def mixed(mixture: PlaceMixture, first: Array, second: Array, second_covariance:
 def learn_mixture(
     first: Array, second: Array, second_covariance: Array, places_mm: Array, levels: Sequence[float] = LEVELS
 ) -> PlaceMixture:
-    """Learn a mixture from both estimates (n, 2) of presses that were left out, and their places (n, 2).
+    """Learn a mixture from both estimates (n, 2) of left-out presses, and their places (n, 2).
 
-    Its quantiles, one a level, are those of every press under a mixture of the others, so that presses do not judge
+    Its quantiles, one per level, come from every press under a mixture of the others, so that presses do not judge
     themselves.
     """
     parts = first, second, second_covariance, places_mm
@@ -65,11 +65,11 @@ def mahalanobis(error: Array, covariance: Array) -> Array:
 
 
 def quantile(ratio: Array, level: float) -> float:
-    """Quantile of dᵀΣ⁻¹d that holds the next press with a probability of ``level``.
+    """Quantile of dᵀΣ⁻¹d that covers the next press with the probability ``level``.
 
-    Split conformal (Lei et al. 2018, Eq. 3), between order statistics. Where too few presses were left out for that
-    level, from their mean by Fisher's F with 2 and 2n degrees of freedom, as for normal errors of a variance that n
-    presses tell.
+    Split conformal (Lei et al. 2018, Eq. 3), between order statistics. With too few left-out presses for that level,
+    from their mean by Fisher's F with 2 and 2n degrees of freedom, as for normal errors with a variance estimated
+    from n presses.
     """
     rank = level * (len(ratio) + 1) - 1
     if rank <= len(ratio) - 1.5:

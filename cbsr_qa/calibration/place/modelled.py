@@ -1,4 +1,4 @@
-"""Where the modelled sheet places a touch, and how much of the readings it explains. In use it needs numpy alone."""
+"""Place of a touch by the modelled sheet, and the explained share of the readings. In use it needs numpy alone."""
 
 from dataclasses import replace
 from typing import Final
@@ -11,16 +11,16 @@ from cbsr_qa.calibration.runtime import Flag
 from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError, Indices, Mask, unlike_model
 from cbsr_qa.domain.results import ModelledPlace, SheetRegistration
 
-#: Readings and templates are compared as their signed powers of this exponent: of the exponents 0.3 to 1 it gives the
-#: smallest errors of place on a sheet with spikes, and next to nothing is lost on one without.
+#: Exponent of signed powers of readings and templates before comparison: of 0.3 to 1 it has the smallest errors of
+#: place on a sheet with spikes, and hardly any loss on one without.
 _COMPRESSION: Final = 0.7
-#: Independent readings that a press counts as: what is left of a template is no noise but how the sheet differs from
-#: its model, alike in many readings.
+#: Equivalent number of independent readings of a press: residuals of a template are not noise but differences between
+#: the sheet and its model, which are similar in many readings.
 _INDEPENDENT: Final = 7.0
 _MOST_ALIKE: Final = 0.9999
-#: A place and a strength.
+#: Number of parameters of a press: place and strength.
 _UNKNOWNS: Final = 3
-#: Numbers of a pose, which were fitted to the presses' two coordinates each.
+#: Number of parameters of a pose, fitted to two coordinates per press.
 _POSE: Final = 4
 
 
@@ -30,7 +30,7 @@ class ModelledEstimator:
     Parameters
     ----------
     model : templates of the sheet.
-    registration : how it lies in the frame of the presses.
+    registration : its pose in the frame of the presses.
     """
 
     def __init__(self, model: ModelledPlace, registration: SheetRegistration) -> None:
@@ -44,13 +44,13 @@ class ModelledEstimator:
 
         Returns
         -------
-        Places, of which ``misfit`` is what the model leaves beside noise over what it is allowed to, and which are
-        flagged where the model leaves more, or the registration is not trusted.
+        Places; ``misfit`` is the model's residual beyond noise over the allowed one, and places are flagged if it is
+        exceeded, or the registration is not trusted.
 
         Raises
         ------
         CalibrationError
-            If they are of another number of readings.
+            If the number of readings differs.
         """
         if changes.ndim != 2 or changes.shape[1] != len(self._answers):
             raise CalibrationError(f"changes of the shape {changes.shape}; (n, {len(self._answers)}) is expected")
@@ -67,7 +67,7 @@ class ModelledEstimator:
         return Places(np.where(whole[:, None], place, np.nan), covariance, misfit, np.ones_like(misfit), flags)
 
     def _misfit(self, changes: Array, templates: Array) -> tuple[Array, Mask]:
-        """What the best templates leave (n,) over what they may, and where that is clearly too much."""
+        """Residual (n,) of the best templates over the allowed one, and whether it clearly exceeds it."""
         length = np.maximum((templates**2).sum(axis=1), np.finfo(np.float64).tiny)
         gain = (changes * templates).sum(axis=1) ** 2 / length
         left = np.maximum((changes**2).sum(axis=1) - gain, 0.0)
@@ -79,11 +79,11 @@ class ModelledEstimator:
 
 
 def with_variance(model: ModelledPlace, error_mm: Array, quantiles: Array) -> ModelledPlace:
-    """Return a model whose regions hold errors (n, 2) of the presses that its sheet was registered with.
+    """Return a model whose regions cover the errors (n, 2) of the presses used to register its sheet.
 
     Parameters
     ----------
-    quantiles : (2,) of dᵀΣ⁻¹d that regions of 68 and 95 % go by.
+    quantiles : (2,) of dᵀΣ⁻¹d for regions of 68 and 95 %.
     """
     squares = (error_mm**2).sum(axis=1) * len(error_mm) / (len(error_mm) - _POSE / 2)
     variance = max(float(squares.mean()) / 2, np.finfo(np.float64).tiny)
@@ -107,7 +107,7 @@ def log_likelihood(alike: Array) -> Array:
 
 
 def most_alike(node: Indices, alike: Array) -> Array:
-    """Most likely place (n, 2) of each press in steps of a lattice, between nodes by parabolas.
+    """Most likely place (n, 2) of each press in steps of a lattice, interpolated by parabolas.
 
     Parameters
     ----------

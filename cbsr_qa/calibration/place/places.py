@@ -1,4 +1,4 @@
-"""Places of touches in frames, with their regions and what is unusual about them."""
+"""Places of touches in frames, with their regions and flags."""
 
 from dataclasses import dataclass
 
@@ -8,14 +8,14 @@ from cbsr_qa.domain import Array, Indices, Mask
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Where n frames are pressed, in the frame of the presses that were learned from.
+    """Places of touches in n frames, in the frame of the presses.
 
     Parameters
     ----------
-    place_mm : (n, 2); NaN where a reading is missing.
+    place_mm : (n, 2); NaN if a reading is missing.
     covariance_mm2 : (n, 2, 2) Σ; the region of 68 % is all d with dᵀΣ⁻¹d at most ``q68`` of the estimator.
-    misfit : (n,) squared misfit per reading over what a touch like those learned from has at most.
-    strength : (n,) of the changes, relative to what was learned of the place; one by the modelled sheet.
+    misfit : (n,) squared misfit per reading over its limit for learned touches.
+    strength : (n,) of the changes, relative to the learned ones at the place; one by the modelled sheet.
     flags : (n,) of :class:`~cbsr_qa.calibration.Flag`.
     """
 
@@ -27,7 +27,7 @@ class Places:
 
     @property
     def in_model(self) -> Mask:
-        """Whether each frame (n,) is one touch like those learned from, or of the modelled sheet."""
+        """Whether each frame (n,) is one touch similar to the learned ones, or of the modelled sheet."""
         beside = int(Flag.NOT_DETECTED | Flag.MORE_THAN_ONE | Flag.UNREADABLE | Flag.NOT_AS_MODELLED)
         inside: Mask = (self.flags & beside) == 0
         return inside

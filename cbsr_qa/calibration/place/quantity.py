@@ -1,15 +1,15 @@
-"""How hard a sheet is pressed, its force or depth, from the strength of a change and the place found for it.
+"""Force or depth of a press from the strength of its change and its found place.
 
 The strength of a press is its change over the template at its place, by least squares. y is the quantity or, where
-all presses are positive, its logarithm; u is the logarithm of the strength. Both are taken about their middle, y in
-units of its spread. y is a Gaussian process of the covariance
+all presses are positive, its logarithm; u is the logarithm of the strength. Both are centred, y in units of its
+spread. y is a Gaussian process of the covariance
 
     c (1 + u u') + v₁ k(|r − r'|/l) + v₂ k(|p − p'|/l) + v₃ k(|u − u'|),
 
-with a place p at the distance r from the centre, k Matérn's of smoothness 5/2 and noise of the variance
-s₁ + s₂ exp(−2u): a straight line of any slope, places that answer more or less, alike around the centre or not, and a
-bend. Hyperparameters are those of largest marginal likelihood. Places are those found for presses left out, as
-uncertain as those of later presses. Errors of presses left out, in closed form, say how wide an interval is.
+with a place p at the distance r from the centre, k Matérn's of smoothness 5/2 and noise of the variance s₁ + s₂
+exp(−2u): a straight line of any slope, variation of the response with the place, symmetric about the centre or not,
+and a bend. Hyperparameters maximise the marginal likelihood. Places are those found for left-out presses, with the
+same uncertainty as later ones. Errors of left-out presses, in closed form, give the width of intervals.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import LearnedQuantity, QuantityScales
 
-#: Presses that are kept, and those that hyperparameters are found with: what the process is of is smooth.
+#: Presses that are kept, and presses for hyperparameters: the modelled function is smooth.
 _KEPT: Final = 400
 _FOR_SCALES: Final = 150
 _ITERATIONS: Final = 30  # L-BFGS
@@ -38,7 +38,7 @@ _LINE: Final = 30.0
 _MEDIANS: Final = np.array([1.0, 0.2, 0.05, 0.01, 0.01, 0.5])
 _DEVIATIONS: Final = np.array([2.0, 2.0, 2.0, 3.0, 3.0, 0.7])
 _FURTHEST: Final = 4.0  # in those deviations
-#: Added to a diagonal, in units of the spread: presses without any noise leave a covariance that can be inverted.
+#: Added to a diagonal, in units of the spread, to keep covariances of noiseless presses invertible.
 _LEAST_NOISE: Final = 1e-8
 
 
@@ -48,10 +48,10 @@ class Quantities:
 
     Parameters
     ----------
-    values : (n,) in the unit it was learned in; NaN where there is no place.
+    values : (n,) in the learned unit; NaN without a place.
     within_68, within_95 : (n, 2) lowest and highest of the interval of that probability.
-    below, above : (n,) whether a value is beyond all presses that were learned from. Each of its intervals then
-        reaches back to them, and as far the other way: how steeply it goes on is not known.
+    below, above : (n,) whether a value is beyond all learned presses. Its intervals then reach back to them, and as
+    far the other way, as the slope of the continuation is unknown.
     """
 
     values: Array
@@ -62,7 +62,7 @@ class Quantities:
 
 
 class QuantityEstimator:
-    """Tells a quantity of presses that were located.
+    """Estimates a quantity of located presses.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def learn_quantity(values: Array, strength: Array, places_mm: Array, centre_mm: 
 
 
 class _Process:
-    """The Gaussian process given presses, as of :class:`~cbsr_qa.domain.results.LearnedQuantity`."""
+    """Gaussian process given presses, see :class:`~cbsr_qa.domain.results.LearnedQuantity`."""
 
     def __init__(
         self,
@@ -157,7 +157,7 @@ class _Process:
         return near @ self._weights, np.sqrt(np.maximum(alone - known, 0.0) + _noise(self._scales, u))
 
     def left_out(self) -> tuple[Array, Array]:
-        """Errors (n,) of presses told from all others, and stated ones (Rasmussen & Williams 2006, Eq. 5.12)."""
+        """Errors (n,) of presses estimated from all others, and stated ones (Rasmussen & Williams 2006, Eq. 5.12)."""
         diagonal = np.diag(self._inverse)
         return self._weights / diagonal, 1 / np.sqrt(diagonal)
 
@@ -187,7 +187,7 @@ def _noise(scales: QuantityScales, u: Array) -> Array:
 def _likely_scales(
     logarithmic: bool, centre_mm: Array, strength: Array, places_mm: Array, values: Array, presses: Indices
 ) -> QuantityScales:
-    """Hyperparameters from some presses: of largest marginal likelihood times their priors."""
+    """Hyperparameters from some presses, by maximum marginal likelihood times priors."""
     some = presses[evenly(len(presses), _FOR_SCALES)]
     start = np.log(_MEDIANS)
     start[-1] += np.log(np.linalg.norm(places_mm - centre_mm, axis=1).max())
@@ -209,9 +209,9 @@ def _likely_scales(
 
 
 def _quantile(ratio: Array, level: float) -> float:
-    """Quantile of errors in stated standard errors that holds the next press with a probability of ``level``.
+    """Quantile of errors in stated standard errors that covers the next press with the probability ``level``.
 
-    Split conformal (Lei et al. 2018, Eq. 3), between order statistics; of too few presses for that by Student's t.
+    Split conformal (Lei et al. 2018, Eq. 3), between order statistics; with too few presses for that, Student's t.
     """
     rank = level * (len(ratio) + 1) - 1
     if rank <= len(ratio) - 1.5:

@@ -1,4 +1,4 @@
-"""Readings that tell nothing of the press: spikes, those that never change, and those of a dead electrode."""
+"""Uninformative readings: spikes, constant ones, and those of a dead electrode."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,25 +9,25 @@ from scipy.spatial import cKDTree
 from cbsr_qa.calibration.place import ceilings_of, spikes_in
 from cbsr_qa.domain import Array, Indices, Mask
 
-#: Presses from which on electrodes are judged: of fewer, neighbours are too far apart to read alike.
+#: Least number of presses for judging electrodes: with fewer, neighbours are too far apart to read alike.
 _FEWEST: Final = 30
-#: A dead electrode's readings follow the place by less than this share of what those of the middle electrode do. In
-#: 60 draws of 30 presses of two real skins no electrode falls below 0.46, and of those whose readings are replaced by
-#: noise nine of ten are below 0.4.
+#: A dead electrode's readings follow the place by less than this share of the median electrode's. In 60 draws of 30
+#: presses of two real skins no electrode falls below 0.46, and with readings replaced by noise nine of ten are below
+#: 0.4.
 _LEAST: Final = 0.4
-#: Where the middle electrode follows by less, nothing is said of single ones.
+#: If the median electrode follows by less, single electrodes are not judged.
 _FOLLOWS: Final = 0.3
 _NEIGHBOURS: Final = 3
-#: Brings large readings closer to small ones, as in the features that places are learned from.
+#: Exponent that reduces the range of readings, as in the features for learning places.
 _EXPONENT: Final = 0.7
 _MOST_NAMED: Final = 5
-#: Share of readings that are spikes from which on it is said: presses beside electrodes show a tenth of that.
+#: Share of spikes from which a remark is made: presses beside electrodes have a tenth of that.
 _SPIKY: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReadings:
-    """Which readings (n, m) tell nothing, and what a person should know of them."""
+    """Uninformative readings (n, m), and remarks on them for a person."""
 
     dead: Mask
     findings: tuple[str, ...] = ()
@@ -48,7 +48,7 @@ def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadR
     followed[still] = 0.0
     dead, findings = np.zeros(len(pairs), dtype=np.bool_), []
     of_electrode = {int(electrode): (pairs == electrode).any(axis=1) for electrode in np.unique(pairs)}
-    while not dead.all():  # the worst first: its readings are its neighbours' too
+    while not dead.all():  # worst first: its neighbours' readings involve it too
         left = {electrode: followed[of & ~dead] for electrode, of in of_electrode.items() if (of & ~dead).any()}
         usual = {electrode: float(np.mean(each)) for electrode, each in left.items()}
         worst, middle = min(usual, key=lambda electrode: usual[electrode]), float(np.median(list(usual.values())))
@@ -78,9 +78,9 @@ def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadR
 
 
 def _followed(changes: Array, place_mm: Array) -> Array:
-    """Share (m,) of each reading's variance that presses beside each other have in common; about 0 for noise.
+    """Share (m,) of each reading's variance that neighbouring presses have in common; about 0 for noise.
 
-    One less the ratio of von Neumann (1941) with neighbours by place in place of time, of frames of equal size.
+    One less the ratio of von Neumann (1941) with neighbours in place instead of time, for frames of equal size.
     """
     roots = np.sign(changes) * np.abs(changes) ** _EXPONENT
     size = np.median(np.abs(roots), axis=1, keepdims=True)

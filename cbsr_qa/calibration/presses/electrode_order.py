@@ -1,7 +1,7 @@
-"""Wrong electrode order: exchanged cables, and measuring electrodes numbered otherwise than driving ones.
+"""Wrong electrode order: exchanged cables, and measuring electrodes numbered differently from driving ones.
 
-The other mistakes show in the registration itself: electrodes numbered the other way round as a mirrored sheet, a
-numbering that begins elsewhere as a rotation.
+The other mistakes show in the registration itself: a reversed numbering as a mirrored sheet, a numbering with another
+start as a rotation.
 """
 
 from collections.abc import Iterator
@@ -22,31 +22,31 @@ from cbsr_qa.calibration.presses.registration import (
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain import Array, Indices
 
-#: Presses that exchanges are tried with, exchanges that are registered again, and exchanges that are looked for.
+#: Presses used to try exchanges, exchanges that are registered again, and exchanges searched for.
 _TRIED, _REGISTERED, _MOST_EXCHANGES = 60, 3, 2
-#: Presses that other numberings of the measuring electrodes are registered with.
+#: Presses used to register other numberings of the measuring electrodes.
 _FEW: Final = 30
-#: Electrodes up to which exchanges are tried: their number grows as the square.
+#: Most electrodes for trying exchanges, whose number grows as the square.
 _MOST_ELECTRODES: Final = 64
 #: Standard errors, and share of the signal left unexplained, by which another order must be better.
 _CLEAR, _LESS_LEFT = 4.0, 0.85
 
 
-#: Share of the signal that another numbering must explain: of so many, one explains a little of any sheet.
+#: Share of the signal that another numbering must explain: among many, one explains a little of any sheet.
 _LEAST_SIGNAL: Final = 0.3
-#: Log likelihoods that differ by less are alike.
+#: Log likelihoods that differ by less are equal.
 _ALIKE: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ElectrodeOrder:
-    """The order under which presses are best explained.
+    """The order that explains presses best.
 
     Parameters
     ----------
     registered : with that order.
     pairs : (m, 4) as wired.
-    findings : what differs from the pattern, in words; empty where nothing does.
+    findings : differences from the pattern, in words.
     """
 
     registered: Registered
@@ -57,9 +57,9 @@ class ElectrodeOrder:
 def find_electrode_order(
     sheet: ModelledSheet, pairs: Indices, changes: Array, place_mm: Array, *, radius_stated: bool
 ) -> ElectrodeOrder:
-    """Register a sheet and look for electrodes that are connected otherwise than the pattern says.
+    """Register a sheet and find electrodes connected differently from the pattern.
 
-    Parameters and errors as of :func:`~cbsr_qa.calibration.presses.registration.register_presses`.
+    Parameters and errors as for :func:`~cbsr_qa.calibration.presses.registration.register_presses`.
     """
     order = ElectrodeOrder(register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated), pairs)
     order = _other_numbering(sheet, order, changes, place_mm, radius_stated=radius_stated) or order
@@ -74,7 +74,7 @@ def find_electrode_order(
 def _exchanged(
     sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, place_mm: Array, *, radius_stated: bool
 ) -> ElectrodeOrder | None:
-    """The best single exchange of two electrodes, where it explains the presses clearly better."""
+    """The best single exchange of two electrodes, if it explains the presses clearly better."""
     count = sheet.electrode_count
     chosen = np.flatnonzero(sheet.clear(order.registered.places))
     if count > _MOST_ELECTRODES or not len(chosen):
@@ -100,10 +100,10 @@ def _exchanged(
 def _other_numbering(
     sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, place_mm: Array, *, radius_stated: bool
 ) -> ElectrodeOrder | None:
-    """Measuring electrodes numbered from elsewhere or the other way round, where presses are likelier then.
+    """Measuring electrodes numbered from another start or in reverse, if presses are then likelier.
 
-    No other numbering comes near the right one on a sheet that is as modelled, so that no more is asked for: of nine
-    presses already the likelihood decides.
+    On a sheet as modelled no other numbering comes near the right one, so no further margin is needed: nine presses
+    already decide.
     """
     few, near = evenly_spread(len(changes), _FEW), order.registered.registration
     before = turned_likelihood(sheet, order.pairs, changes[few], place_mm[few], near)
@@ -111,7 +111,7 @@ def _other_numbering(
     values = [turned_likelihood(sheet, pairs, changes[few], place_mm[few], near) for pairs, _ in numberings]
     if max(values) <= before:
         return None
-    # With opposite drive, half a turn of the measuring electrodes is the same as the other polarity.
+    # With opposite drive, half a turn of the measuring electrodes equals the other polarity.
     pairs, words = next(each for each, value in zip(numberings, values, strict=True) if value > max(values) - _ALIKE)
     registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
     found, likelier = registered.registration, registered.likelihood > order.registered.likelihood + _ALIKE
@@ -138,7 +138,7 @@ def _swapped(pairs: Indices, exchange: tuple[int, int]) -> Indices:
 
 
 class _Evidence:
-    """Log likelihoods of some presses at their registered places, by the pairs that their readings are taken for."""
+    """Log likelihoods of some presses at their registered places, for assumed pairs of their readings."""
 
     def __init__(self, sheet: ModelledSheet, registered: Registered, changes: Array, chosen: Indices) -> None:
         self._sheet = sheet

@@ -1,4 +1,4 @@
-"""Labelled presses from tables of readings, places and pairs: put together and checked against each other."""
+"""Labelled presses from tables of readings, places and pairs: combined and checked for consistency."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,10 +13,10 @@ from cbsr_qa.domain import Array, Indices, Mask, RecordingError
 from cbsr_qa.domain.results import SheetRegistration
 from cbsr_qa.domain.sensor import SensorType
 
-#: A press may lie so far beyond the edge of the sheet, of its radius: labels, scale and radius are not exact.
+#: Allowed distance of a press beyond the edge of the sheet, of its radius: labels, scale and radius are inexact.
 _BEYOND = 1.15
 _MOST_NAMED = 5
-#: Readings over their size that differ by less between presses are the same.
+#: Readings, relative to their size, that differ by less between presses are equal.
 _ALIKE = 1e-6
 #: Presses were made in the order of their places if these explain more than half of the times' variance, which they
 #: do by chance in one case of a thousand.
@@ -33,8 +33,8 @@ class PressReadings:
     path : of their table.
     distinct : the pairs.
     changes : (n, m) by each press.
-    rest : (m,) what frames were taken against; None where the table held changes.
-    noise : (m,) standard deviation of one frame; None where fewer than two frames of rest were given.
+    rest : (m,) reference of frames; None if the table has changes.
+    noise : (m,) standard deviation of one frame; None with fewer than two frames at rest.
     """
 
     path: Path
@@ -50,7 +50,7 @@ class LabelledPresses:
 
     Parameters
     ----------
-    radius_stated : whether the sensor type states the sheet's size, or it is to be estimated.
+    radius_stated : whether the sensor type states the sheet's size; otherwise it is estimated.
     """
 
     sensor_type: SensorType
@@ -59,14 +59,14 @@ class LabelledPresses:
     presses: PressTable
 
     def some(self, rows: Indices) -> "LabelledPresses":
-        """The same with some of its presses, in the order of ``rows``."""
+        """Select presses, in the order of ``rows``."""
         readings = replace(self.readings, changes=self.readings.changes[rows])
         return replace(self, readings=readings, presses=self.presses.some(rows))
 
     def by_place(self) -> bool:
-        """Whether places tell when presses were made, as on a raster: drift cannot be told from place then.
+        """Whether presses were made in order of places, as on a raster, so that drift cannot be separated from place.
 
-        By the share of the times' variance that a quadratic function of place explains, and its F-test.
+        Decided by the share of the times' variance explained by a quadratic function of place, and its F-test.
         """
         x, y = (self.presses.place_mm - self.presses.place_mm.mean(axis=0)).T
         time = np.arange(len(x)) if self.presses.time_s is None else self.presses.time_s
@@ -81,14 +81,14 @@ class LabelledPresses:
         return bool(fisher.sf(ratio, design.shape[1] - 1, degrees) < _BY_CHANCE)
 
     def check(self) -> None:
-        """Make sure that readings and labels match and may be of one sheet. RecordingError naming file and rows."""
+        """Check that readings and labels match and may be from one sheet; RecordingError names file and rows."""
         check_rows(self.readings, self.presses)
         if self.radius_stated:
             check_near(self.presses, self.sensor_type.radius_mm)
 
 
 def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressReadings:
-    """Read changes, or whole frames where a table of frames at rest is given.
+    """Read changes, or whole frames if a table of frames at rest is given.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressR
 
 
 def check_rows(readings: PressReadings, presses: PressTable) -> None:
-    """Make sure that readings and labels are of the same presses. RecordingError naming file and rows if not."""
+    """Check that readings and labels belong to the same presses; RecordingError names file and rows."""
     table, changes = presses.table, readings.changes
     if len(changes) != len(presses.place_mm):
         raise RecordingError(
@@ -146,13 +146,13 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
 
 
 def check_near(presses: PressTable, radius_mm: float) -> None:
-    """Make sure that presses lie within a sheet, wherever that is. RecordingError naming file, rows and places."""
+    """Check that presses may lie within a sheet at any position; RecordingError names file, rows and places."""
     away = np.linalg.norm(presses.place_mm - np.median(presses.place_mm, axis=0), axis=1)
     _refuse_outside(presses, away > 2 * _BEYOND * radius_mm, radius_mm)
 
 
 def check_inside(presses: PressTable, registration: SheetRegistration) -> None:
-    """Make sure that presses lie on the registered sheet. RecordingError naming file, rows and places."""
+    """Check that presses lie on the registered sheet; RecordingError names file, rows and places."""
     away = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
     _refuse_outside(presses, away > _BEYOND * registration.radius_mm, registration.radius_mm)
 

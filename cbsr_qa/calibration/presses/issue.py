@@ -1,4 +1,4 @@
-"""What labelled presses teach of a sheet and its places, and the calibration that is issued from it."""
+"""Learning from labelled presses, and issue of a calibration."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,11 +25,11 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.sensor import ElectrodeLayout, SensorType
 
-#: A scale that differs from one by less is within what mounting and modelling do.
+#: Scales this close to one are within the errors of mounting and modelling.
 _SCALE_OFF: Final = 0.1
-#: Standard deviations that a frame's mean square is above that of its noise by chance at most.
+#: Largest excess of a frame's mean square over that of its noise by chance, in standard deviations.
 _NOISE_ROOM: Final = 3.3
-#: Errors above this share of those of always guessing the middle say that readings tell little.
+#: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
 _POOR: Final = 0.6
 _MADE_BY: Final = "labelled presses; no station made this calibration"
 _MIRRORED: Final = (
@@ -46,13 +46,13 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who, when and what from.
+    """Identity of a calibration.
 
     Parameters
     ----------
     calibration : time-ordered UUID as text.
     issued_at : ISO time with zone.
-    sources : files that were read.
+    sources : input files.
     """
 
     calibration: str
@@ -66,9 +66,9 @@ class PressesLearned:
 
     Parameters
     ----------
-    findings : about readings, electrodes and sheet, in words.
-    used : (n,) whether each press was learned from; no reading changes in the others. Presses left out are numbered
-        among those used.
+    findings : on readings, electrodes and sheet, in words.
+    used : (n,) whether each press was used; no reading changes in the others. Left-out presses are numbered among
+    those used.
     modelled : the place by the modelled sheet alone.
     quantities : force and depth by their names, where the presses have them.
     """
@@ -86,15 +86,14 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
 
     Parameters
     ----------
-    tell : is told of each step, in words.
+    tell : receives the progress in words.
 
     Raises
     ------
     RecordingError
-        If readings and labels do not match, the places do not determine how the sheet lies, or presses are outside of
-        it.
+        If readings and labels do not match, the places do not determine the sheet's pose, or presses are outside it.
     CalibrationError
-        If they are too few to learn from.
+        If there are too few presses.
     """
     readings, presses = labelled.readings, labelled.presses
     labelled.check()
@@ -110,7 +109,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     time_s = None if presses.time_s is None else presses.time_s[used]
     learned = _learned(labelled.sensor_type, order, readings.changes[used], presses.place_mm[used], time_s, tell)
     if readings.noise is not None:
-        noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of readings that are used
+        noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of the used readings
         least = max(learned.model.least_size, noise_size(noise))
         learned = replace(learned, model=replace(learned.model, least_size=least))
     quantities = {
@@ -126,7 +125,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
 
 
 def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
-    """Issue what was learned from labelled presses."""
+    """Issue a calibration learned from labelled presses."""
     sensor_type, readings, distinct = labelled.sensor_type, labelled.readings, labelled.readings.distinct
     held_out = learned.place.held_out
     return stamped(
@@ -160,7 +159,7 @@ def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: P
 
 
 def noise_size(noise: Array) -> float:
-    """Root mean square of readings that a frame of noise (m,) alone exceeds in about one case of a thousand."""
+    """Root mean square of readings that noise (m,) alone exceeds in about one frame of a thousand."""
     variance = noise**2
     return float(np.sqrt(variance.mean() + _NOISE_ROOM * np.sqrt(2 * (variance**2).sum()) / len(noise)))
 
@@ -168,7 +167,7 @@ def noise_size(noise: Array) -> float:
 def _learned(
     sensor_type: SensorType, order: ElectrodeOrder, changes: Array, place_mm: Array, time_s: Array | None, tell: Tell
 ) -> PlaceLearned:
-    """Learn the place, from where the sheet was found to lie if that is to be trusted."""
+    """Learn the place, starting from the registered pose if that is trusted."""
     registration, layout = order.registered.registration, sensor_type.electrodes
     centre = np.array(registration.shift_mm) if registration.trusted else None
     axes = None
@@ -185,7 +184,7 @@ def _learned(
 def _modelled(
     labelled: LabelledPresses, sheet: ModelledSheet, order: ElectrodeOrder, quantiles: Array
 ) -> ModelledPlace:
-    """Templates of the registered sheet, with the errors of the presses that it was registered with."""
+    """Templates of the registered sheet, with the errors of the presses used to register it."""
     readings, registered, lattice = labelled.readings, order.registered, sheet.lattice
     answers = answering_side(sheet, order.pairs, readings.changes).answers
     noise = 0.0 if readings.noise is None else float(np.sqrt((readings.noise[answers] ** 2).mean()))
@@ -205,7 +204,7 @@ def _quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> Le
 
 
 def _hardly_told(name: str, quantity: LearnedQuantity) -> Iterator[str]:
-    """What is to be said of a quantity that is told hardly better than by always guessing its middle."""
+    """Remark on a quantity that is estimated hardly better than by its middle."""
     guessed = float(np.abs(quantity.values - np.median(quantity.values)).mean())
     if quantity.error > _POOR * guessed:
         unit = PRESS_QUANTITIES[name]
@@ -232,7 +231,7 @@ def _ordered(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
 
 
 def _findings(order: ElectrodeOrder, *, radius_stated: bool) -> Sequence[str]:
-    """What a person should know of readings, electrodes and sheet, in words."""
+    """Remarks for a person on readings, electrodes and sheet."""
     registration = order.registered.registration
     if not registration.trusted:
         return (*order.registered.findings, f"{registration.why}; the place is learned from the presses alone")

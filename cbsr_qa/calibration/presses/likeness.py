@@ -1,4 +1,4 @@
-"""How like the readings of a press are to those of a modelled load at each place of the sheet."""
+"""Likeness of a press's readings to those of a modelled load at each place of the sheet."""
 
 from copy import copy
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from cbsr_qa.calibration.place import log_likelihood, most_alike, unit_rows
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain import Array, Indices, Mask
 
-#: Readings of one modelled polarity hardly answer if those of the other are larger by this factor, both over what the
-#: modelled sheet answers.
+#: Readings of one modelled polarity hardly respond if those of the other are larger by this factor, both relative to
+#: the modelled sheet.
 _DEAD: Final = 3.0
 #: Log likelihood of a press off the sheet.
 _OFF_SHEET: Final = -1.0
@@ -19,12 +19,12 @@ _OFF_SHEET: Final = -1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnsweringSide:
-    """Which readings answer to a press.
+    """Readings that respond to a press.
 
     Parameters
     ----------
-    answers : (m,) False for those that never do, and those of a polarity that hardly answers.
-    words : says so; empty where both polarities answer.
+    answers : (m,) False for those that never do, and those of a polarity that hardly responds.
+    words : description; empty if both polarities respond.
     """
 
     answers: Mask
@@ -32,7 +32,7 @@ class AnsweringSide:
 
 
 def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> AnsweringSide:
-    """Tell whether readings of one modelled polarity hardly answer, as behind a rectifying front end.
+    """Find whether readings of one modelled polarity hardly respond, as behind a rectifying front end.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def compared_sides(answer: Array, positive: Mask) -> AnsweringSide:
 
     Parameters
     ----------
-    answer : (m,) size of each reading over what is modelled, any unit.
+    answer : (m,) size of each reading over the modelled one, any unit.
     positive : (m,) whether its modelled voltage is.
     """
     if positive.all() or not positive.any():
@@ -81,7 +81,7 @@ class Likeness:
     ----------
     sheet : as modelled.
     pairs : (m, 4) of the readings.
-    changes : (n, m) of presses, with the sign that a rise of conductance has.
+    changes : (n, m) of presses, with the sign of a rise of conductance.
     """
 
     def __init__(self, sheet: ModelledSheet, pairs: Indices, changes: Array) -> None:
@@ -96,7 +96,7 @@ class Likeness:
         self._alike = alike
 
     def of(self, presses: Indices) -> "Likeness":
-        """The same of some of the presses."""
+        """The same for some of the presses."""
         some = copy(self)
         some.maps, some._alike = self.maps[presses], self._alike[presses]
         return some
@@ -113,6 +113,6 @@ class Likeness:
         return value
 
     def best_places(self) -> Array:
-        """Most likely place (n, 2) of each press, in radii, between nodes by parabolas."""
+        """Most likely place (n, 2) of each press, in radii, interpolated by parabolas."""
         between: Array = STEP * most_alike(self._node, self._alike)
         return between

@@ -6,9 +6,9 @@ import numpy as np
 
 from cbsr_qa.domain import Array, CalibrationError, Indices
 
-#: The same reading by pairs reversed: order of source, sink, plus and minus, and its sign.
+#: Reversed pairs of the same reading: order of source, sink, plus and minus, and its sign.
 _POLARITIES = (((0, 1, 2, 3), 1), ((0, 1, 3, 2), -1), ((1, 0, 2, 3), -1), ((1, 0, 3, 2), 1))
-#: Missing pairs that a refusal names.
+#: Number of missing pairs named in a refusal.
 _MOST_NAMED = 5
 
 
@@ -18,9 +18,9 @@ class DistinctPairs:
 
     Parameters
     ----------
-    pairs : (m, 4) source, sink, plus and minus, each once, in the order in which they first come.
-    repeats : (m,) columns that each is the mean of; the variance of its noise falls as one over it.
-    merging : (columns, m) what turns rows of the table into rows of distinct readings.
+    pairs : (m, 4) source, sink, plus and minus, each once, in order of first occurrence.
+    repeats : (m,) number of averaged columns; the noise variance is inverse to it.
+    merging : (columns, m) maps rows of the table to rows of distinct readings.
     """
 
     pairs: Indices
@@ -40,16 +40,16 @@ class DistinctPairs:
 
 
 def matched_readings(wanted: Indices, given: DistinctPairs) -> Array:
-    """Return what turns rows of distinct readings (…, k) into those of a calibration, (k, m).
+    """Return the matrix (k, m) from rows of distinct readings (…, k) to those of a calibration.
 
     A reading is taken from the same pair, or from one with the measured, the driven or both pairs reversed, with the
-    sign that has; no two are taken from one pair, since a front end may answer to one polarity alone. Order and
+    corresponding sign; no two are taken from one pair, since a front end may respond to one polarity only. Order and
     repeats of the columns do not matter.
 
     Parameters
     ----------
     wanted : (m, 4) pairs of the calibration.
-    given : those that were read.
+    given : pairs that were read.
 
     Raises
     ------

@@ -1,8 +1,7 @@
-"""How a sheet lies in the frame of its labelled presses: rotation, mirror, scale and shift by maximum likelihood.
+"""Pose of a sheet in the frame of its labelled presses: rotation, mirror, scale and shift by maximum likelihood.
 
-Each press gives a map of how likely its readings are at each place of the modelled sheet. The similarity is the one
-under which all presses together are most likely: found on a lattice of similarities, then refined. Standard errors
-are by bootstrap over the presses.
+Each press gives a likelihood map over the modelled sheet. The similarity maximises the likelihood of all presses
+together: found on a lattice of similarities, then refined. Standard errors are by bootstrap over the presses.
 """
 
 from dataclasses import dataclass
@@ -19,13 +18,13 @@ from cbsr_qa.domain.results import SheetRegistration
 
 Complex = NDArray[np.complex128]
 
-#: Presses that the lattice of similarities is searched with, and those that refine it; evenly spread over all.
+#: Presses for the search over the lattice of similarities, and for the refinement; evenly spread over all.
 _SEARCHED, _REFINED = 60, 300
-#: Fewer different places leave a similarity and its errors to chance.
+#: Fewer different places do not determine a similarity and its errors.
 FEWEST_PLACES: Final = 4
 #: Smaller second over first singular value of the places: they lie on a line.
 _LINE: Final = 0.02
-#: A stated radius counts as known to this share of it: sheets are stretched when they are mounted.
+#: Relative uncertainty of a stated radius: sheets are stretched when mounted.
 _RADIUS_ERROR: Final = 0.1
 #: Lattice of similarities: rotations, sizes of a radius and shifts, both of the presses' own radius.
 _ROTATIONS: Final = np.radians(np.arange(0.0, 360.0, 10.0))
@@ -35,8 +34,8 @@ _SHIFTS: Final = np.array([x + 1j * y for x in (-0.4, -0.2, 0, 0.2, 0.4) for y i
 _CANDIDATES: Final = 3
 _STEP: Final = np.array([0.1, 0.1, 0.15, 0.1])
 _BOOTSTRAPS, _SEED = 40, 22
-#: Shares of the spread of places and of the readings' changes that the modelled sheet must explain to be trusted, and
-#: log likelihood by which its mirror image must be less likely.
+#: Shares of the spread of places and of the readings' changes that a trusted modelled sheet must explain, and log
+#: likelihood by which its mirror image must be less likely.
 _LEAST_SHARE: Final = 0.5
 _LEAST_SIGNAL: Final = 0.15
 _LEAST_EVIDENCE: Final = 1.0
@@ -44,15 +43,15 @@ _LEAST_EVIDENCE: Final = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registered:
-    """A registration and what it rests on.
+    """A registration with its basis.
 
     Parameters
     ----------
     registration : the similarity.
-    sign : by which changes must be multiplied to have the sign that a rise of conductance has.
+    sign : factor of changes for the sign of a rise of conductance.
     places : (n, 2) of all presses on the sheet, in radii.
-    likelihood : log likelihood of the presses that it was refined with.
-    findings : about the readings, in words.
+    likelihood : log likelihood of the presses used in the refinement.
+    findings : on the readings, in words.
     """
 
     registration: SheetRegistration
@@ -89,11 +88,12 @@ def register_presses(
 
     Parameters
     ----------
-    sheet : as modelled; where the radius is not stated, its own does not matter.
+    sheet : as modelled; without a stated radius its own does not matter.
     pairs : (m, 4) source, sink, plus and minus of the readings.
     changes : (n, m) by each press, any unit.
     place_mm : (n, 2) labels of the presses.
-    radius_stated : whether the sheet's radius is known and the scale estimated, or the radius at a scale of 1.
+    radius_stated : True if the sheet's radius is known and the scale estimated; False to estimate the radius at a
+    scale of 1.
 
     Raises
     ------
@@ -127,9 +127,9 @@ def register_presses(
 def turned_likelihood(
     sheet: ModelledSheet, pairs: Indices, changes: Array, place_mm: Array, near: SheetRegistration
 ) -> float:
-    """Largest log likelihood of presses with the centre and size of a registration, turned and mirrored anyhow.
+    """Largest log likelihood of presses with the centre and size of a registration, over all rotations and mirrors.
 
-    Parameters and errors as of :func:`register_presses`.
+    Parameters and errors as for :func:`register_presses`.
     """
     side = answering_side(sheet, pairs, changes)
     size = np.log(near.radius_mm * near.scale)
@@ -143,7 +143,7 @@ def turned_likelihood(
 
 
 def check_places(place_mm: Array) -> None:
-    """Make sure that labelled places (n, 2) determine a similarity. NumericsError if not."""
+    """Check that labelled places (n, 2) determine a similarity; NumericsError if not."""
     different = np.unique(place_mm, axis=0)
     if len(different) == 1:
         raise NumericsError(
@@ -164,23 +164,23 @@ def check_places(place_mm: Array) -> None:
 
 
 def evenly_spread(count: int, most: int) -> Indices:
-    """Numbers of at most so many of some presses, spread evenly over all."""
+    """Indices of a limited number of presses, spread evenly over all."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
 
 
 class _Search:
-    """Looks for the most likely pose.
+    """Search for the most likely pose.
 
     Parameters
     ----------
     place_mm : (n, 2) labels of the presses.
-    stated_mm : the sheet's radius, None where it is unknown.
+    stated_mm : the sheet's radius, or None if unknown.
     """
 
     def __init__(self, place_mm: Array, stated_mm: float | None) -> None:
         self.labelled = _complex(place_mm)
         self._stated_mm = stated_mm
-        self._radius_off = 0.0  # of the logarithm, in a bootstrap: what is stated is not exact either
+        self._radius_off = 0.0  # of the logarithm, in a bootstrap: the stated radius is not exact either
         low, high = place_mm.min(axis=0), place_mm.max(axis=0)
         self._middle = complex(*((low + high) / 2))
         self._reach = float(np.abs(self.labelled - self._middle).max())
@@ -192,9 +192,9 @@ class _Search:
         return max(refined, key=lambda found: found[1])
 
     def errors(self, likeness: Likeness, pose: _Pose) -> Array:
-        """Standard errors (4,) of a pose's numbers, by refining it with places and a radius drawn again.
+        """Standard errors (4,) of a pose's parameters, by bootstrap over places and radius.
 
-        All presses at one place are drawn together, since how the sheet differs from its model is the same for them.
+        All presses at one place are drawn together, since they share the sheet's deviation from its model.
         """
         _, place = np.unique(self.labelled, return_inverse=True)
         count, random = int(place.max()) + 1, np.random.default_rng(_SEED)
@@ -225,7 +225,7 @@ class _Search:
         ]
 
     def _refined(self, likeness: Likeness, pose: _Pose, times: Indices | None = None) -> tuple[_Pose, float]:
-        """Refine a pose; ``times`` (n,) each press counts."""
+        """Refine a pose; ``times`` (n,) is the weight of each press."""
         weight = np.ones(len(self.labelled)) if times is None else times
 
         def unlikely(steps: Array) -> float:
@@ -246,7 +246,7 @@ class _Search:
         if self._stated_mm is None:
             return 0.0
         away = float(size - np.log(self._stated_mm) - self._radius_off) / _RADIUS_ERROR
-        return -2 * float(np.log1p(away**2 / 4))  # Student's t: presses may contradict what is stated
+        return -2 * float(np.log1p(away**2 / 4))  # Student's t: presses may contradict the stated radius
 
 
 def _registration(
@@ -273,7 +273,7 @@ def _registration(
 
 
 def _doubts(place_share: float, signal_share: float, evidence: float) -> str:
-    """Say why the modelled sheet does not tell how this one lies; empty if it does."""
+    """Why the modelled sheet does not determine this one's pose; empty if it does."""
     if place_share < _LEAST_SHARE:
         return (
             f"the modelled sheet explains {max(place_share, 0.0):.0%} of the spread of the presses' places,"
@@ -293,13 +293,13 @@ def _doubts(place_share: float, signal_share: float, evidence: float) -> str:
 
 
 def _place_share(seen: Complex, labelled: Complex) -> float:
-    """Share of the spread of places that an estimate explains, by medians of squared distances."""
+    """Share of the spread of places explained by an estimate, by medians of squared distances."""
     apart = np.abs(labelled - np.median(labelled.real) - 1j * np.median(labelled.imag))
     return 1 - float(np.median(np.abs(seen - labelled) ** 2) / np.median(apart**2))
 
 
 def _signal_share(sheet: ModelledSheet, pairs: Indices, changes: Array, places: Array) -> float:
-    """Share of the changes' energy that a load at its place explains, median over the presses on the sheet."""
+    """Share of the changes' energy explained by a load at its place, median over the presses on the sheet."""
     inside = sheet.clear(places)
     if not inside.any():
         return 0.0

@@ -18,11 +18,11 @@ import numpy as np
 from cbsr_qa.domain import Array, Indices, RecordingError
 from cbsr_qa.domain.results import SourceFile
 
-#: Larger than a table of a hundred thousand presses.
+#: More than a table of a hundred thousand presses.
 _LARGEST_BYTES: Final = 2**29
 #: Largest number of any column.
 _LARGEST: Final = 1e12
-#: Problems of a table that are listed.
+#: Number of problems of a table that are listed.
 _MOST_LISTED: Final = 10
 _PAIR_COLUMNS: Final = ("source", "sink", "plus", "minus")
 _PLACE: Final = ("x_mm", "y_mm")
@@ -30,7 +30,7 @@ _OPTIONAL: Final = ("depth_mm", "force_N", "time_s")
 #: Names of columns, and rows of cells.
 _Cells = tuple[tuple[str, ...], Sequence[Sequence[object]]]
 _QUANTITIES: Final = {name.rpartition("_")[0]: name for name in (*_PLACE, *_OPTIONAL)}
-#: Electrodes a pattern may name.
+#: Most electrodes of a pattern.
 _MOST_ELECTRODES: Final = 256
 
 
@@ -42,7 +42,7 @@ class NumberTable:
     ----------
     path : of the file.
     columns : their names.
-    rows : cells as text, or as numbers where the file has numbers.
+    rows : cells as text, or as numbers if the file has numbers.
     """
 
     path: Path
@@ -50,7 +50,7 @@ class NumberTable:
     rows: Sequence[Sequence[object]]
 
     def numbers(self, names: Sequence[str] | None = None) -> Array:
-        """Return some columns, (rows, columns); by default all. RecordingError naming cells that are no numbers."""
+        """Return some columns, (rows, columns); by default all. RecordingError names cells that are not numbers."""
         chosen = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
         problems: list[str] = []
         values = np.array([[self._number(row, k, problems) for k in chosen] for row in range(len(self.rows))])
@@ -58,7 +58,7 @@ class NumberTable:
         return values.reshape(len(self.rows), len(chosen))
 
     def refuse(self, problems: Sequence[str], remedy: str = "correct the table and try again") -> None:
-        """Raise RecordingError with what is wrong with the table, if anything is."""
+        """Raise RecordingError with the problems of the table, if any."""
         if problems:
             more = "" if len(problems) <= _MOST_LISTED else f"; and {len(problems) - _MOST_LISTED} more"
             raise RecordingError(f"{self.path}: {'; '.join(problems[:_MOST_LISTED])}{more}", remedy=remedy)
@@ -87,7 +87,7 @@ class PressTable:
     ----------
     table : as read.
     place_mm : (n, 2).
-    depth_mm, force_N, time_s : (n,), None where the table has no such column.
+    depth_mm, force_N, time_s : (n,), None without such a column.
     """
 
     table: NumberTable
@@ -97,7 +97,7 @@ class PressTable:
     time_s: Array | None
 
     def some(self, rows: Indices) -> "PressTable":
-        """The labels of some presses, in the order of ``rows``."""
+        """Select labels, in the order of ``rows``."""
         depth_mm, force_N, time_s = (
             None if column is None else column[rows] for column in (self.depth_mm, self.force_N, self.time_s)
         )
@@ -110,7 +110,7 @@ def read_table(path: Path) -> NumberTable:
     Raises
     ------
     RecordingError
-        If the file is missing, has no header, no row, rows of other lengths, or a column twice.
+        If the file is missing, has no header, no rows, rows of different lengths, or a column twice.
     """
     columns, rows = (_parquet if path.suffix.lower() in (".parquet", ".pq") else _csv)(path)
     table = NumberTable(path, columns, rows)
@@ -130,13 +130,13 @@ def read_table(path: Path) -> NumberTable:
 
 
 def read_presses(path: Path) -> PressTable:
-    """Read labels of presses: ``x_mm``, ``y_mm``, and where known ``depth_mm``, ``force_N`` and ``time_s``.
+    """Read labels of presses: ``x_mm``, ``y_mm``, and if known ``depth_mm``, ``force_N`` and ``time_s``.
 
     Raises
     ------
     RecordingError
-        As of :func:`read_table`; if a column lacks its unit, is named otherwise or is missing, or a cell is not a
-        finite number; if all depths, all forces or all times are equal, or a force is not positive.
+        As for :func:`read_table`; if a column lacks its unit, is unknown or missing, or a cell is not a finite
+        number; if all depths, all forces or all times are equal, or a force is not positive.
     """
     table = read_table(path)
     table.refuse(
@@ -173,12 +173,12 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
 
     Parameters
     ----------
-    electrodes : of the sensor; None where it is not known.
+    electrodes : of the sensor; None if unknown.
 
     Raises
     ------
     RecordingError
-        As of :func:`read_table`; if a column is missing, or a cell is no electrode of the sensor or joined with
+        As for :func:`read_table`; if a column is missing, or a cell is not an electrode of the sensor or paired with
         itself.
     """
     table = read_table(path)
@@ -265,7 +265,7 @@ def _csv(path: Path) -> _Cells:
 
 
 def _is_row(header: Sequence[str]) -> bool:
-    """Whether a first line holds numbers that are no numbering of columns."""
+    """Whether a first line has numbers other than a numbering of columns."""
     try:
         numbers = [float(cell) for cell in header]
     except ValueError:

@@ -1,4 +1,4 @@
-"""How readings of a modelled sheet change where it is pressed a little, for electrode pairs of any kind and order."""
+"""Changes of a modelled sheet's readings under weak loads, for electrode pairs of any kind and order."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,11 +11,11 @@ from cbsr_qa.domain.sensor import DrivePattern, SensorType
 from cbsr_qa.eit.estimate import load_model
 from cbsr_qa.eit.loads import RoundLoadModel
 
-#: Radius of the modelled load, of the sheet's: what the registration finds hardly depends on it.
+#: Radius of the modelled load, of the sheet's: the registration hardly depends on it.
 _LOAD: Final = 0.08
-#: Places are at least so far from edge and electrodes, of the radius.
+#: Least distance of places from edge and electrodes, of the radius.
 _CLEAR: Final = 0.02
-#: Largest share of its distance from edge and electrodes that a modelled load takes.
+#: Largest radius of a modelled load, over its distance from edge and electrodes.
 _SMALL: Final = 0.5
 #: Spacing of the lattice of places, of the sheet's radius.
 STEP: Final = 0.08
@@ -28,7 +28,7 @@ class WeakLoads:
 
     Parameters
     ----------
-    places : (k, 2) where the loads are, in radii of the sheet.
+    places : (k, 2) of the loads, in radii of the sheet.
     changes : (k, e, e) of the potential of one electrode by the current into another; electrode e − 1 is the earth.
     """
 
@@ -71,7 +71,7 @@ class ModelledSheet:
         places_mm = places * self.radius_mm
         clear = self._model.surroundings.clearance_mm(places_mm)
         size = np.minimum(_LOAD * self.radius_mm, _SMALL * np.maximum(clear, _CLEAR * self.radius_mm))
-        order = np.argsort(-clear, kind="stable")  # places alike in clearance need alike numbers of terms
+        order = np.argsort(-clear, kind="stable")  # places of similar clearance need similar numbers of terms
         changes = np.empty((len(places), *self._model.pattern.shape))
         for first in range(0, len(order), _AT_ONCE):
             part = order[first : first + _AT_ONCE]
@@ -94,7 +94,7 @@ class ModelledSheet:
 
 
 def _with_earth(changes: Array) -> Array:
-    """Append the electrode that all others are measured against."""
+    """Append the electrode used as reference for all others."""
     return np.pad(changes, ((0, 0), (0, 1), (0, 1)))
 
 
