@@ -170,10 +170,7 @@ class Prediction:
 def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
     """Predict one further value of the normal population of a sample of at least three independent values.
 
-    Raises
-    ------
-    NumericsError
-        If there are fewer than three, one is not finite, or the confidence is not between 0 and 1.
+    NumericsError if there are fewer than three, one is not finite, or the confidence is not between 0 and 1.
     """
     given = sample(values, "values to predict the next from", least=FEWEST_VALUES)
     share(confidence, "confidence")

@@ -105,10 +105,7 @@ def fleet_demo_path() -> Path:
 def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, path: Path | None = None) -> Path:
     """Build the fleet, by default in ``fleet-demo.db`` in ``var/``; an earlier one is replaced.
 
-    Raises
-    ------
-    RefusedError
-        If the path has other content, which is left unchanged.
+    RefusedError if the path has other content, which is left unchanged.
     """
     path = path or fleet_demo_path()
     path.parent.mkdir(parents=True, exist_ok=True)

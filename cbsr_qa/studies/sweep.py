@@ -46,10 +46,7 @@ class Kept:
 
     A truncated last line is overwritten by the next piece.
 
-    Raises
-    ------
-    StoreError
-        If the file has other content, or cannot be read.
+    StoreError if the file has other content, or cannot be read.
     """
 
     def __init__(self, path: Path | None) -> None:

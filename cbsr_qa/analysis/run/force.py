@@ -109,10 +109,7 @@ def _learned_and_tested(run: RunObservation) -> RunForce:
 def learned_from(run: RunObservation) -> RunForce:
     """Learn the force model from all loads of phases that calibrate, without a test.
 
-    Raises
-    ------
-    CbsrError
-        If nothing can be learned, with the reason.
+    CbsrError if nothing can be learned, with the reason.
     """
     loads = run.derived(_RunForce)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
@@ -126,10 +123,7 @@ def learned_from(run: RunObservation) -> RunForce:
 def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
     """Test a model, learned elsewhere, on every load of a run, without predicting holds.
 
-    Raises
-    ------
-    CbsrError
-        If the run has no load with a force, or its noise cannot be estimated.
+    CbsrError if the run has no load with a force, or its noise cannot be estimated.
     """
     loads = _RunForce(replace(run, settings=replace(run.settings, transients="averaged")))
     return tuple(loads.tests(learned, np.ones(len(loads.loads), dtype=np.bool_), HELD_OUT))
@@ -138,10 +132,7 @@ def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, 
 def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[TimedValues]:
     """Strengths under holds at the places of loads, from the start of each [s], without residues of earlier ones.
 
-    Raises
-    ------
-    CbsrError
-        If the run has no load with a force, or its noise cannot be estimated.
+    CbsrError if the run has no load with a force, or its noise cannot be estimated.
     """
     strengths = run.derived(_RunForce).strengths()
     return [strengths.change(load) for load in loads]

@@ -25,10 +25,7 @@ _NAMED = 6  # readings named in a warning
 def unloaded_frames(record: RunRecord) -> FrameBlock:
     """Frames of the rested sheet: from the run's first ``MarkUnloaded`` to the press that follows.
 
-    Raises
-    ------
-    NumericsError
-        If the run has none.
+    NumericsError if the run has none.
     """
     for phase in record.phases:
         frames = _unloaded_of(phase)

@@ -84,10 +84,7 @@ def encode(calibration: Issued) -> Mapping[str, Entry]:
 def decode(entries: Mapping[str, Entry]) -> Issued:
     """Return the calibration that some entries describe.
 
-    Raises
-    ------
-    CalibrationError
-        If an entry is missing, of another type or length, or not allowed.
+    CalibrationError if an entry is missing, of another type or length, or not allowed.
     """
     try:
         return (_press_calibration if format_of(entries) == PRESS_FORMAT else _calibration)(entries)

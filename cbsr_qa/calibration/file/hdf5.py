@@ -255,10 +255,7 @@ def _check_bytes(data: bytes) -> bool:
 def file_bytes(path: Path) -> bytes:
     """Return all bytes of a calibration file.
 
-    Raises
-    ------
-    CalibrationError
-        If it does not exist, is not a file, cannot be read, or is too large for a calibration.
+    CalibrationError if it does not exist, is not a file, cannot be read, or is too large for a calibration.
     """
     try:
         if not path.exists():

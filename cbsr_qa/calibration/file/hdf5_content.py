@@ -109,10 +109,7 @@ def attribute(item: h5py.Group | h5py.Dataset, name: str) -> Any:
 def attribute_names(item: h5py.Group | h5py.Dataset) -> list[str]:
     """Return the names of all attributes, sorted.
 
-    Raises
-    ------
-    RefusedError
-        If there are more than in any of our files.
+    RefusedError if there are more than in any of our files.
     """
     if len(item.attrs) > _MOST_ATTRIBUTES:
         raise RefusedError(f"{item.name} has {len(item.attrs)} attributes; at most {_MOST_ATTRIBUTES} are expected")

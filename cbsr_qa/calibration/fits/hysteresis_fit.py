@@ -119,10 +119,7 @@ def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
     Places have equal weight, each relative to its own span. With noise alone the greatest of several differences is
     above zero by about its error, and so is not evidence by itself.
 
-    Raises
-    ------
-    NumericsError
-        If there is no place, they were pressed to different strains, or a number is not finite.
+    NumericsError if there is no place, they were pressed to different strains, or a number is not finite.
     """
     if not curves:
         raise NumericsError("no place was pressed to strains from below and from above")

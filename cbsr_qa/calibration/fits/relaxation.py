@@ -44,10 +44,7 @@ def exponentials(
 def seen_share(time_constants_s: Array, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0) -> tuple[Array, Array]:
     """Factor of e^(−t/τ) by ramp and frame, and minus its logarithm's derivative by log τ, (..., k).
 
-    Raises
-    ------
-    NumericsError
-        If a frame lasts a thousand time constants: its mean is that of its first instant alone.
+    NumericsError if a frame lasts a thousand time constants: its mean is that of its first instant alone.
     """
     long = np.asarray(ramp_s, dtype=np.float64)[..., None] / time_constants_s
     half = frame_s / 2 / time_constants_s

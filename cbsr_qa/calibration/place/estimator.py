@@ -38,10 +38,7 @@ class PlaceEstimator:
     def __call__(self, changes: Array) -> Places:
         """Locate the touches of changes (n, m) of the learned readings, in their unit.
 
-        Raises
-        ------
-        CalibrationError
-            If the number of readings differs.
+        CalibrationError if the number of readings differs.
         """
         readings = len(self._model.scaling.ceiling)
         if changes.ndim != 2 or changes.shape[1] != readings:

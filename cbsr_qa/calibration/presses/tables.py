@@ -107,10 +107,7 @@ class PressTable:
 def read_table(path: Path) -> NumberTable:
     """Read a table with a header: Parquet by its suffix, else CSV in UTF-8.
 
-    Raises
-    ------
-    RecordingError
-        If the file is missing, has no header, no rows, rows of different lengths, or a column twice.
+    RecordingError if the file is missing, has no header, no rows, rows of different lengths, or a column twice.
     """
     columns, rows = (_parquet if path.suffix.lower() in (".parquet", ".pq") else _csv)(path)
     table = NumberTable(path, columns, rows)

@@ -78,10 +78,7 @@ class Forces:
     def interval_N(self, coverage: float = 0.95) -> tuple[Array, Array]:
         """Lowest and highest force (n,) of a central interval, normal about the estimate.
 
-        Raises
-        ------
-        ValueError
-            If the coverage is not between 0 and 1.
+        ValueError if the coverage is not between 0 and 1.
         """
         from scipy.special import ndtri
 

@@ -49,10 +49,7 @@ _HEADS: Final = 8
 class Calibration:
     """One sensor's calibration, ready to be applied.
 
-    Raises
-    ------
-    CalibrationError
-        If it has no force model: it was issued before there were any, or no load of its run gave one.
+    CalibrationError if it has no force model: it was issued before there were any, or no load of its run gave one.
     """
 
     def __init__(self, issued: record.Calibration) -> None:

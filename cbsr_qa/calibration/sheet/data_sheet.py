@@ -57,10 +57,7 @@ class StraightLine:
 def pooled_deviation(cells: Sequence[Sequence[float]]) -> Estimate:
     """Standard deviation within cells, pooled: s² = Σ (n_c − 1) s_c² / Σ (n_c − 1) (ISO 5725-2, 7.4.5).
 
-    Raises
-    ------
-    NumericsError
-        If no cell has two values, or a value is not finite.
+    NumericsError if no cell has two values, or a value is not finite.
     """
     repeated = [finite_numbers(cell, "values of a cell") for cell in cells if len(cell) > 1]
     degrees = sum(len(cell) - 1 for cell in repeated)

@@ -23,10 +23,7 @@ _STEP = 1e-4  # of an element's size, for numerical derivatives of the distance 
 def disc_coverage(mesh: Mesh, x_mm: float, y_mm: float, radius_mm: float) -> tuple[Indices, Array]:
     """Fraction of each element's area inside a circle: (k,) elements the disc touches, rising, and (k,) in (0, 1].
 
-    Raises
-    ------
-    NumericsError
-        If the radius is not a positive number.
+    NumericsError if the radius is not a positive number.
     """
     fraction = circle_overlap_mm2(mesh.corners_mm, (x_mm, y_mm), radius_mm) / mesh.areas_mm2
     touched = np.flatnonzero(fraction > 1e-12)

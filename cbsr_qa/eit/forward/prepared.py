@@ -101,10 +101,7 @@ class PreparedSheet:
     The electrodes' potentials are eliminated, U_l = z_l I_l/|E_l| + mean of u on E_l: poor contacts cost no digits of
     readings that they do not affect. The free constant is fixed at one node of the best conductor.
 
-    Raises
-    ------
-    NumericsError
-        If the mesh is in pieces, or has nodes that belong to no element.
+    NumericsError if the mesh is in pieces, or has nodes that belong to no element.
     """
 
     def __init__(self, elements: FiniteElements, contacts: Contacts) -> None:

@@ -114,10 +114,7 @@ def conducts(conductance: Array) -> Mask:
 def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
     """Return conductances or contact impedances unchanged.
 
-    Raises
-    ------
-    NumericsError
-        If they have another shape, or one is not a positive finite number, naming the first of these.
+    NumericsError if they have another shape, or one is not a positive finite number, naming the first of these.
     """
     if values.shape != shape:
         raise NumericsError(

@@ -23,10 +23,7 @@ def percentage_mask(values: Array, fraction: float) -> Mask:
 
     Values on the threshold are kept, ties to within rounding included; zero and negative values never survive.
 
-    Raises
-    ------
-    NumericsError
-        If the fraction is outside (0, 1] or a value is not finite.
+    NumericsError if the fraction is outside (0, 1] or a value is not finite.
     """
     return (values > 0) & (values >= threshold(values, fraction))
 
@@ -46,10 +43,7 @@ def threshold(values: Array, fraction: float) -> float:
 def noise_floor(images: Array) -> float:
     """Return the largest |value| in unloaded images (k, e), relative (paper, section 3.3.2).
 
-    Raises
-    ------
-    NumericsError
-        If there is no image, or a value is not finite.
+    NumericsError if there is no image, or a value is not finite.
     """
     if images.ndim != 2 or images.size == 0:
         raise NumericsError(
@@ -64,10 +58,7 @@ def noise_floor(images: Array) -> float:
 def floored(values: Array, floor: float) -> Array:
     """Subtract the noise floor from values (…, e), for masks and blobs only; zero below it.
 
-    Raises
-    ------
-    NumericsError
-        If the floor is negative or not finite.
+    NumericsError if the floor is negative or not finite.
     """
     if not 0 <= floor < float("inf"):
         raise NumericsError(f"the noise floor is {floor}; it must be a finite number of at least 0")
@@ -110,10 +101,7 @@ def find_blobs(image: Image, keep: Mask) -> tuple[Blob, ...]:
 def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, ...], ...]:
     """Find the blobs of several percentage masks of one image: one tuple per mask, as in :func:`find_blobs`.
 
-    Raises
-    ------
-    NumericsError
-        If a fraction is outside (0, 1].
+    NumericsError if a fraction is outside (0, 1].
     """
     if not len(fractions):
         return ()

@@ -133,10 +133,7 @@ def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gat
     or whose centre it covers. A load without its own region is *merged* with the owner of a region that could belong
     to it; without such a region it is *missed*.
 
-    Raises
-    ------
-    NumericsError
-        If the gate is not a positive number.
+    NumericsError if the gate is not a positive number.
     """
     if not 0 < gate_mm < float("inf"):
         raise NumericsError(f"gate is {gate_mm} mm; it must be positive", remedy="use the diameter of the head")

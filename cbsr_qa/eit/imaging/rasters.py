@@ -79,10 +79,7 @@ class PixelRegion:
 def find_regions(raster: Raster, fraction: float) -> tuple[PixelRegion, ...]:
     """Find the connected pixels of a percentage mask, over shared edges; heaviest first, empty for "no blob".
 
-    Raises
-    ------
-    NumericsError
-        If the fraction is outside (0, 1).
+    NumericsError if the fraction is outside (0, 1).
     """
     keep, level = _masked(raster, fraction)
     return _regions(raster, _measure.label(keep, connectivity=1), level)
@@ -93,10 +90,7 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
 
     Peaks closer than the separation belong to one load; the image is smoothed over a quarter of it first.
 
-    Raises
-    ------
-    NumericsError
-        If the separation is not positive, or the fraction outside (0, 1).
+    NumericsError if the separation is not positive, or the fraction outside (0, 1).
     """
     if not separation_mm > 0:
         raise NumericsError(f"separation is {separation_mm} mm; it must be positive")
@@ -118,10 +112,7 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
 def pixel_image(raster: Raster, where: Mask | None = None) -> Image:
     """Return a raster as an image on a mesh, two triangles for each pixel of ``where`` (rows, columns), or of all.
 
-    Raises
-    ------
-    NumericsError
-        If no pixel is left.
+    NumericsError if no pixel is left.
     """
     rows, columns = raster.values.shape
     kept = np.ones(raster.values.shape, dtype=np.bool_) if where is None else where

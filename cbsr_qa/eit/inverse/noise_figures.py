@@ -115,10 +115,7 @@ def central_signal(problem: ImagingProblem, contrast: float = SMALL_CONTRAST) ->
 def evidence_of(problem: ImagingProblem) -> Evidence:
     """Return a problem's measured changes, with the noise shown by reciprocal readings; else simulated ones.
 
-    Raises
-    ------
-    NumericsError
-        If the sample does not fit the problem, is not finite, or is of another unit.
+    NumericsError if the sample does not fit the problem, is not finite, or is of another unit.
     """
     return (
         simulated_evidence(problem, _FRAMES, _FRAMES)
@@ -193,10 +190,7 @@ def hyperparameter_for(
 ) -> float:
     """Find λ, to ten digits, whose noise figure is the target.
 
-    Raises
-    ------
-    NumericsError
-        If no λ reaches the target; names the possible range.
+    NumericsError if no λ reaches the target; names the possible range.
     """
     figure = noise_figure_of(spectrum, signal, areas, noise_variance)
     grid = np.log(searched(spectrum))

@@ -231,10 +231,7 @@ def by_l_curve(curves: RidgeCurves) -> float:
 def by_discrepancy(curves: RidgeCurves, level: float) -> float:
     """λ at which the residual of all frames is ``level``, number of readings times noise variance (Morozov 1966).
 
-    Raises
-    ------
-    NumericsError
-        If no λ in the searched range leaves so much: the readings are only noise, or have none.
+    NumericsError if no λ in the searched range leaves so much: the readings are only noise, or have none.
     """
     low, high = (float(curves.residual(end)) for end in (curves.grid[0], curves.grid[-1]))
     if not low < level < high:

@@ -63,10 +63,7 @@ class PixelImaging:
     def image(self, changes: Array) -> Pixels:
         """Image one frame of scaled changes (m,): (pixels, pixels) float32, relative conductance change.
 
-        Raises
-        ------
-        RefusedError
-            If the number of readings is not the prepared one, or one is not finite.
+        RefusedError if the number of readings is not the prepared one, or one is not finite.
         """
         if changes.shape != (self.readings,) or changes.dtype.kind not in _REAL:
             raise self._unfit(changes)

@@ -84,10 +84,7 @@ class Regularisation:
         A noise figure, and any criterion without measured changes, uses the sensor type's nominal problem; measured
         changes are used with their own readings and noise.
 
-        Raises
-        ------
-        NumericsError
-            If the criterion gives no value.
+        NumericsError if the criterion gives no value.
         """
         if self.criterion is None:
             assert self.given is not None

@@ -110,10 +110,7 @@ class TemporalImages:
     def images(self, changes: Array) -> Array:
         """Images (n, e) of scaled changes (n, m) of consecutive frames.
 
-        Raises
-        ------
-        RefusedError
-            If readings do not fit or are not finite.
+        RefusedError if readings do not fit or are not finite.
         """
         readings = checked_readings(changes, self.problem) @ self.spectrum.analysis.T
         coefficients = smoothed(readings, self.spectrum.values, self.choice.value**2, self.correlation)

@@ -61,10 +61,7 @@ class Truncation:
 
         Noise is that of the quiet readings (harmonic mean of the variances).
 
-        Raises
-        ------
-        NumericsError
-            If even the fewest components have a larger one, which it names.
+        NumericsError if even the fewest components have a larger one, which it names.
         """
         variance = self._problem.noise_variance
         louder = 1.0 if variance is None else float(np.sqrt(variance.mean() * (1 / variance).mean()))

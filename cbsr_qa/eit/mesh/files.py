@@ -38,10 +38,7 @@ _ELECTRODE: Final = re.compile(r"electrode[-_ ]?(\d+)", re.IGNORECASE)
 def write_mesh(path: Path, mesh: Mesh) -> None:
     """Write a mesh as ``.npz``: arrays by the names of :func:`cbsr_qa.domain.sensor.mesh_arrays`.
 
-    Raises
-    ------
-    NumericsError
-        If the file cannot be written.
+    NumericsError if the file cannot be written.
     """
     remedy = "choose an existing, writable folder"
     with writing(path, refusal=NumericsError, remedy=remedy), written_whole(path) as file:

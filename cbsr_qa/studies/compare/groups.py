@@ -59,10 +59,7 @@ class Grouping:
 def grouped(runs: Sequence[RunLine], terms: Terms) -> Grouping:
     """Sort runs into groups.
 
-    Raises
-    ------
-    RefusedError
-        If no run was finished and analysed, or a named group has no runs (with the nearest name).
+    RefusedError if no run was finished and analysed, or a named group has no runs (with the nearest name).
     """
     labels = _labels(runs, terms.by, terms.period)
     whys = [_left_out(run, label, terms.by) for run, label in zip(runs, labels, strict=True)]

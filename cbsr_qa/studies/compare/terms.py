@@ -84,10 +84,7 @@ class Terms:
 def read_groups(text: str | None) -> tuple[str, ...]:
     """Read ``A,B``: names of groups, the reference first; empty for empty text.
 
-    Raises
-    ------
-    RefusedError
-        If a name is empty or repeated.
+    RefusedError if a name is empty or repeated.
     """
     if text is None:
         return ()
@@ -106,10 +103,7 @@ def read_groups(text: str | None) -> tuple[str, ...]:
 def read_amounts(pairs: Sequence[str], option: str) -> dict[str, float]:
     """Read ``METRIC=VALUE`` pairs.
 
-    Raises
-    ------
-    RefusedError
-        If an entry is not such a pair, its value is not a positive number, or its metric is repeated.
+    RefusedError if an entry is not such a pair, its value is not a positive number, or its metric is repeated.
     """
     amounts: dict[str, float] = {}
     for pair in pairs:

@@ -106,10 +106,7 @@ class Task:
 def stored(kind: type[T], document: Mapping[str, Any]) -> T:
     """Return a finished piece of a sweep from its document, field by field of the right type.
 
-    Raises
-    ------
-    StoreError
-        If a field is missing, unknown, of another type, or not finite.
+    StoreError if a field is missing, unknown, of another type, or not finite.
     """
     try:
         adapter = TypeAdapter(kind)

@@ -118,10 +118,7 @@ def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Poin
     alone, the most accurate within it. Without either, the most accurate within 25 minutes, which must come within 20
     % of the paper's campaign if that was tried.
 
-    Raises
-    ------
-    RefusedError
-        If no tried setting meets the wish; names the nearest.
+    RefusedError if no tried setting meets the wish; names the nearest.
     """
     usable = [
         (setting, point) for setting, point in tried if _FORCE in point.accuracy and point.station_s is not None

@@ -137,10 +137,7 @@ class _ReferenceFile(FileModel[tuple[ReferenceValue, ...]]):
 def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
     """Read reference values: ``SERIAL.METRIC=VALUE±U UNIT``, or names of TOML files.
 
-    Raises
-    ------
-    RefusedError
-        If one cannot be read, or one sensor has two values of one metric.
+    RefusedError if one cannot be read, or one sensor has two values of one metric.
     """
     references: list[ReferenceValue] = []
     for text in given:

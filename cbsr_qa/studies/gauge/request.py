@@ -101,10 +101,7 @@ class GaugeRequest:
     def check(self) -> None:
         """Check the request before anything is read.
 
-        Raises
-        ------
-        RefusedError
-            If no runs are selected, or the appraiser or the confidence is not allowed.
+        RefusedError if no runs are selected, or the appraiser or the confidence is not allowed.
         """
         if self.appraiser not in APPRAISERS:
             raise RefusedError(f"--appraiser is {echo(self.appraiser)}", remedy=f"allowed: {', '.join(APPRAISERS)}")

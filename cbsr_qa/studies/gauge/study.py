@@ -41,10 +41,7 @@ def appraiser_of(line: RunLine, kind: str) -> str:
 def chosen_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, tuple[RunLine, ...], tuple[str, ...]]:
     """Return stored values, the indices of a study's runs, and notes on them.
 
-    Raises
-    ------
-    RefusedError
-        If no run fits, a name matches none (with the nearest one), or the runs have several recipes.
+    RefusedError if no run fits, a name matches none (with the nearest one), or the runs have several recipes.
     """
     table = store.fleet(request.runs)
     runs = tuple(run for run in table.runs if run.outcome is not None)

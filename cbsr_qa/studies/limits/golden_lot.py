@@ -99,10 +99,7 @@ _LARGEST_BYTES: Final = 2**24
 def read_serials(path: Path) -> tuple[str, ...]:
     """Read serial numbers, one per line; ``#`` begins a comment.
 
-    Raises
-    ------
-    RefusedError
-        If the file cannot be read, has none, or a line is not a serial number (with its line number).
+    RefusedError if the file cannot be read, has none, or a line is not a serial number (with its line number).
     """
     try:
         if path.is_char_device() or path.is_block_device() or path.stat().st_size > _LARGEST_BYTES:
@@ -127,10 +124,7 @@ def read_serials(path: Path) -> tuple[str, ...]:
 def gather(store: Repository, choice: LotChoice) -> Lot:
     """Gather the runs of a lot and check that they belong together.
 
-    Raises
-    ------
-    RefusedError
-        If nothing is selected or matches, a sensor is not stored, a run is not good, or runs differ.
+    RefusedError if nothing is selected or matches, a sensor is not stored, a run is not good, or runs differ.
     """
     if not choice.words():
         raise RefusedError(

@@ -50,10 +50,7 @@ def _censored(run: Iterable[Measurement]) -> bool:
 def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, ...]:
     """Group a lot's measurements: the named ones, all, or those limited by the recipe (all if it has no limits).
 
-    Raises
-    ------
-    RefusedError
-        If no run measured a name (with the nearest one), or one measurement has several units.
+    RefusedError if no run measured a name (with the nearest one), or one measurement has several units.
     """
     runs = {serial: tuple(_by_key(run) for run in members) for serial, members in lot.analysed.items()}
     latest = _by_key(max(lot.runs, key=lambda run: run.line.started_at))

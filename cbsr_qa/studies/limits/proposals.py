@@ -65,10 +65,7 @@ class Terms:
     ) -> "Terms":
         """Return terms from a user's input.
 
-        Raises
-        ------
-        RefusedError
-            If a number is out of range, or the distribution does not exist.
+        RefusedError if a number is out of range, or the distribution does not exist.
         """
         ranges = (("coverage", coverage_percent, 99.99), ("confidence", confidence_percent, 99.9))
         for name, percent, most in ranges:

@@ -126,10 +126,7 @@ def deviations_agree(ours: float, count: int, printed: float, printed_count: int
 
     The standard error of a deviation s of n ≥ 2 normal values is s / √(2 (n − 1)).
 
-    Raises
-    ------
-    NumericsError
-        If a deviation is not finite.
+    NumericsError if a deviation is not finite.
     """
     finite_numbers([ours, printed], "deviations")
     errors = ours / sqrt(2 * (count - 1)), printed / sqrt(2 * (printed_count - 1))

@@ -81,10 +81,7 @@ def all_jobs(*, quick: bool) -> tuple[Job, ...]:
 def simulate(job: Job) -> SheetValues | StripValues:
     """Simulate one sensor as ``cbsr-qa run`` does, without a database, and reduce it to values.
 
-    Raises
-    ------
-    NotReproducedError
-        If the run stopped or could not be analysed; names the run and the reason.
+    NotReproducedError if the run stopped or could not be analysed; names the run and the reason.
     """
     started, plugins = time.perf_counter(), discover()
     configuration = configuration_of(job)

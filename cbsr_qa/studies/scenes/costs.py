@@ -98,10 +98,7 @@ def measured_costs(
     distributed over its frames. An effect that changes how much is solved costs at least the difference between
     frames with it and frames without it and its dependents.
 
-    Raises
-    ------
-    ConfigError
-        If a frame cannot be taken, with the scene's file.
+    ConfigError if a frame cannot be taken, with the scene's file.
     """
     plan = recorded_plan(setup)
     watched = Watched(effect_factory)

@@ -83,10 +83,7 @@ def _check_suffix(own: Path) -> None:
 def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Written, ...]:
     """Write every file or, if one is refused, none.
 
-    Raises
-    ------
-    RefusedError
-        If a format cannot hold such a recording, or a file exists by now.
+    RefusedError if a format cannot hold such a recording, or a file exists by now.
     """
     begun: list[Path] = []
     try:

@@ -240,10 +240,7 @@ def most_probable_state(
 ) -> FoundState:
     """Iterate from the expected state θ₀ to the most probable state, for (g,) folded readings d.
 
-    Raises
-    ------
-    NumericsError
-        If no step lowers Φ, or steps run out, before it is within ``tolerance``; or if Φ is not finite.
+    NumericsError if no step lowers Φ, or steps run out, before it is within ``tolerance``; or if Φ is not finite.
     """
     origin, here, variance = start.solved.state, start, start.variance
     place = _Place(np.zeros(len(origin.unknowns)), np.zeros(len(origin.unknowns)))

@@ -53,10 +53,7 @@ def base_scene_readings(seeds: int) -> SimulatedReadings:
 
     Loads are so far apart in time that no residue remains; otherwise the scene is unchanged.
 
-    Raises
-    ------
-    ConfigError
-        If there are no seeds.
+    ConfigError if there are no seeds.
     """
     if seeds < 1:
         raise ConfigError(f"{seeds} seeds, and no sensor to simulate", remedy="simulate at least one sensor")

@@ -96,10 +96,7 @@ def press_frontier(
 def numbers_of(total: int) -> list[int]:
     """Numbers of presses to learn from where there are ``total``, each about twice the one before.
 
-    Raises
-    ------
-    RefusedError
-        If there are too few to learn from some and locate others.
+    RefusedError if there are too few to learn from some and locate others.
     """
     most = min(_MOST, total - _left_out(total))
     if most < FEWEST_PRESSES:

@@ -43,10 +43,7 @@ def in_random_order(labelled: LabelledPresses) -> LabelledPresses:
 def try_presses(labelled: LabelledPresses, learned: Indices, located: Indices) -> Trial:
     """Register and learn from some presses alone, and locate others.
 
-    Raises
-    ------
-    RecordingError, CalibrationError
-        If nothing can be learned from these presses.
+    RecordingError or CalibrationError if nothing can be learned from these presses.
     """
     begin = time.perf_counter()
     locate = PlaceEstimator(learn_presses(labelled.some(learned)).place.model)
