@@ -34,7 +34,7 @@ from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: One electrode that loses contact is told from loads by its change; several at once by the parts without them.
+#: One electrode that loses contact differs from loads by its change; several at once by the parts without them.
 _PARTS, _PART_FRAMES = 4, 8
 _MOST_LISTED = 6  #: channels named in a remark
 

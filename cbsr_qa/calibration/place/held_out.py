@@ -13,7 +13,7 @@ from cbsr_qa.calibration.place.templates import expected_features, learn_templat
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PatternTurns, PlaceScales, PlaceTemplates
 
-#: Up to so many presses all but a few are located together, and hyperparameters are found anew without every tenth.
+#: Up to so many presses are located with all but a few others; hyperparameters are found again without each tenth.
 _FEW: Final = 120
 _BLOCKS_OF_FEW: Final = 40
 _BLOCKS_WITH_SCALES: Final = 10

@@ -21,12 +21,12 @@ from cbsr_qa.eit.forward import ForwardModel, cover
 from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.mesh import sheet_mesh
 
-_SIZE: Final = 0.1  # edge length far from the pins, of the strip's radius: changes of readings to 5e-4
-_CHANGES: Final = np.expm1(np.linspace(-np.log(20.0), np.log(20.0), 41))  # of conductance, that are tabulated
+_SIZE: Final = 0.1  # edge length far from the pins, of the strip's radius: changes of readings are accurate to 5e-4
+_CHANGES: Final = np.expm1(np.linspace(-np.log(20.0), np.log(20.0), 41))  # tabulated range of conductance changes
 
 
 def check_strip(sensor_type: SensorType) -> None:
-    """Refuse a sensor type that is not a strip of two pins; NumericsError says what makes one."""
+    """Refuse a sensor type that is not a strip of two pins; NumericsError gives the requirements."""
     pattern = sensor_type.pattern
     if sensor_type.electrodes.count != 2 or pattern.drive[0] != pattern.measure[0]:
         raise NumericsError(
@@ -72,13 +72,14 @@ class StripModel:
             update.voltages(covered.elements, covered.change(model.conductance, float(change)))[0, 0]
             for change in _CHANGES
         ]
-        #: how much of the head is on the strip
+        #: share of the head on the strip
         self.pressed_mm2 = float(covered.share @ mesh.areas_mm2[covered.elements])
         #: resistance between the pins over the sheet resistance, unloaded
         self.squares = float(model.voltages()[0, 0])
-        #: of ``squares``, what lies in the contacts
+        #: part of ``squares`` in the contacts
         self.contact_squares = float((model.contact_jacobian()[0, 0] * contact).sum())
-        # In logarithms both ways are nearly straight: a spline through these points is right to 1e-6 of a change.
+        # In logarithms both relations are nearly straight: a spline through these points is accurate to 1e-6 of a
+        # change.
         local, apparent = np.log1p(_CHANGES), np.log(self.squares / np.array(resistance))
         self._apparent, self._local = CubicSpline(local, apparent), CubicSpline(apparent, local)
         self._range = (float(np.expm1(apparent[0])), float(np.expm1(apparent[-1])))
@@ -89,13 +90,13 @@ class StripModel:
         return float(self._apparent(0.0, 1))
 
     def apparent(self, local: Array) -> Array:
-        """Relative change of the conductance between the pins, of relative changes under the head."""
+        """Relative change of the conductance between the pins, from relative changes under the head."""
         return np.asarray(np.expm1(self._apparent(np.log1p(local))), dtype=np.float64)
 
     def local(self, apparent: Array) -> Array:
-        """Relative change of the conductance under the head, of relative changes between the pins.
+        """Relative change of the conductance under the head, from relative changes between the pins.
 
-        NumericsError if a change is more than the strip under the head can make.
+        NumericsError if a change exceeds what the strip under the head can cause.
         """
         lowest, highest = self._range
         if apparent.size and not lowest <= float(apparent.min()) <= float(apparent.max()) <= highest:
@@ -107,7 +108,7 @@ class StripModel:
         return np.asarray(np.expm1(self._local(np.log1p(apparent))), dtype=np.float64)
 
 
-_ORDERS: Final = 160  # of angle: electrodes of a tenth of the radius damp those beyond
+_ORDERS: Final = 160  # of angle: electrodes of a tenth of the radius damp higher orders
 _DAMPED: Final = 30.0  # modes are summed up to κ of this, over an electrode's height
 _UNIFORM: Final = 12  # orders from which Debye's expansion gives I_m to ten digits
 _RADII: Final = 241  # at which the radial functions are tabulated
@@ -156,7 +157,7 @@ class DeepTank:
         ----------
         places : (p, 2), in units of the tank's radius; inside 0.95.
         radius : of the balls.
-        conducts : whether they are perfect conductors; else insulators.
+        conducts : whether they are perfect conductors or insulators.
 
         Returns
         -------

@@ -1,7 +1,7 @@
 """Loads of fixed shape and varying strength: their response on the rim, tabulated.
 
-With X = (I + ΔΛ W)⁻¹ ΔΛ what a patch answers to the fields that reach its rim (:mod:`cbsr_qa.eit.loads.local`), X/s
-is analytic in the strength s wherever all elements still conduct, and so is the change of the elements over s: a
+With X = (I + ΔΛ W)⁻¹ ΔΛ the response of a patch to the fields at its rim (:mod:`cbsr_qa.eit.loads.local`), X/s is
+analytic in the strength s wherever all elements still conduct, and so is the change of the elements over s: a
 Chebyshev series of a few terms is exact to rounding (Trefethen 2013, theorem 8.2).
 """
 
@@ -16,21 +16,21 @@ from cbsr_qa.eit.forward import ForwardModel
 from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, Sized, check_change
 from cbsr_qa.eit.loads.rims import InverseEntries, own_rim, seen_outside
 
-#: Loads that overlap are residues where all together are no stronger than this, and are no more than so many.
+#: Overlapping loads are treated as residues if all together are weaker than this, up to this number.
 WEAK: Final = 2e-3
 _MOST_WEAK: Final = 8
-#: Terms of a series, and what its last ones may be of its largest.
+#: Terms of a series, and size of its last ones relative to its largest.
 TERMS: Final = 24
 _ROUNDING: Final = 1e-13
-_REACH: Final = 0.3  # a head that presses by half on the shipped materials
+_REACH: Final = 0.3  # a head at half strain on the shipped materials
 _HALVINGS: Final = 8
-_SAFE: Final = 0.5  # of an element's conductance: changes below it leave some, whatever their direction
+_SAFE: Final = 0.5  # of an element's conductance: smaller changes leave some in any direction
 
 
 class Series:
     """f(s)/s as a Chebyshev series where |s| is at most ``reach``; f itself, zero at zero, beyond.
 
-    ``reach`` is halved until the series has converged; NumericsError if f cannot be had even for small s.
+    ``reach`` is halved until the series has converged; NumericsError if f cannot be computed even for small s.
     """
 
     def __init__(self, exact: Callable[[float], Array], *, reach: float = _REACH) -> None:
@@ -50,7 +50,7 @@ class Series:
             size = np.abs(self.coefficients).reshape(TERMS, -1).max(axis=1)
             if size[-2:].max() <= _ROUNDING * size.max():
                 return
-        self.reach = 0.0  # not smooth: always the exact way
+        self.reach = 0.0  # not smooth: always computed exactly
 
     def __call__(self, strength: float) -> Array:
         """Return f(s)."""
@@ -78,7 +78,7 @@ class StackedSeries(Sized):
     Parameters
     ----------
     series : of the change of each load, (k, q, 2, 2) each.
-    places : (k,) int64 of each, where its elements are among all.
+    places : (k,) int64 of each, indices of its elements among all.
     shape : (all elements, q, 2, 2).
     """
 
@@ -115,7 +115,7 @@ class StackedSeries(Sized):
         return change
 
     def most(self, strengths: Sequence[float]) -> float:
-        """More than any entry of the sum; infinite where a strength is beyond its series."""
+        """Upper bound of all entries of the sum; infinite if a strength is beyond its series."""
         if (np.abs(strengths) > self._reach).any():
             return float("inf")
         return float(np.abs(strengths) @ self._slope)
@@ -127,7 +127,7 @@ class LoadFamily:
     Parameters
     ----------
     elements : (k,) int64, rising.
-    change : of their conductance, by strength: (k, q, 2, 2) [S], zero without strength.
+    change : of their conductance, by strength: (k, q, 2, 2) [S], zero for zero strength.
     """
 
     def __init__(self, elements: Indices, change: Callable[[float], Array]) -> None:
@@ -151,7 +151,7 @@ class Patch:
         places = [np.searchsorted(self._elements, family.elements) for family in families]
         self._stacked = StackedSeries([family.change for family in families], places, shape)
         self._least = float(model.conductance[self._elements].min())
-        #: of X by the strength of a single load; None where there are several
+        #: X as a function of the strength of a single load; None for several
         self.series = None if families[1:] else Series(lambda s: self.answer([s]), reach=families[0].change.reach)
 
     @property
@@ -164,8 +164,8 @@ class Patch:
     def answer(self, strengths: Sequence[float]) -> Array:
         """X for the strengths of its loads, without a series: (b, b) [S].
 
-        Residues of loads that overlap are answered to second order in their strengths. NumericsError if an element is
-        left without conductance.
+        Overlapping residues are included to second order in their strengths. NumericsError if an element is left
+        without conductance.
         """
         if 1 < len(strengths) <= _MOST_WEAK and sum(map(abs, strengths)) <= WEAK:
             linear, quadratic = self._weak

@@ -6,14 +6,14 @@ of the old), the patch seen from its rim changes by
 
     ΔΛ = Eᵀ ΔK E₀
 
-which is the difference of the two Schur complements without their cancellation. With F the fields of the electrodes
-on all rims and W = K₀⁻¹ between rim nodes the transfer impedance changes by −Fᵀ (I + ΔΛ W)⁻¹ ΔΛ F (Woodbury; Hager
-1989). F, W and E₀ do not depend on the change. What patches send to each other's rims is smooth there: to rounding it
-lies in a space of some fifteen dimensions, and one system over all patches in these links them.
+which is the difference of the two Schur complements without cancellation. With F the fields of the electrodes on all
+rims and W = K₀⁻¹ between rim nodes the transfer impedance changes by −Fᵀ (I + ΔΛ W)⁻¹ ΔΛ F (Woodbury; Hager 1989). F,
+W and E₀ do not depend on the change. Fields between rims are smooth: to rounding they lie in a space of some fifteen
+dimensions, and one system in these couples all patches.
 
 A contact is such a patch too, all rim: only the matrix under its electrode changes, by Δ(1/z) ∫ (u − ū)(v − v̄), and
-the electrode's own potential by Δz/|E|. Where so much changes that this would take longer, the whole sheet is
-factorised again.
+the electrode's own potential by Δz/|E|. If so much changes that this would take longer, the whole sheet is factorised
+again.
 """
 
 from collections import OrderedDict
@@ -26,9 +26,9 @@ from cbsr_qa.eit.forward import ForwardModel, check_values
 from cbsr_qa.eit.loads.patches import Patches, check_change, dense_work
 from cbsr_qa.eit.loads.rims import InverseEntries
 
-#: Memory for what is kept of sets of elements; nine heads on a mesh of 2.5 mm take 2 MB.
+#: Memory for caches of sets of elements; nine heads on a mesh of 2.5 mm take 2 MB.
 KEPT_BYTES: Final = 64 << 20
-_LEAST_CONTACT: Final = 1e-3  # z γ/|E|: readings are then right to some 1e-10
+_LEAST_CONTACT: Final = 1e-3  # z γ/|E|: readings are then accurate to some 1e-10
 _MOST_WORK: Final = 2e8  # cubes of the patches' nodes, about as long as factorising 8000 elements
 
 
@@ -53,8 +53,8 @@ class LocalUpdate:
         Parameters
         ----------
         elements : (k,) int64; changes of an element named twice add up.
-        conductance_change : (k,) [S] against the model's conductance; or (k, q, 2, 2) as of
-            :meth:`Cover.change <cbsr_qa.eit.forward.coverage.Cover.change>`.
+        conductance_change : (k,) [S] relative to the model's conductance; or (k, q, 2, 2) as in :meth:`Cover.change
+            <cbsr_qa.eit.forward.coverage.Cover.change>`.
         contact_impedance : (electrodes,) z in place of the model's [Ω·mm].
 
         Raises
@@ -65,7 +65,7 @@ class LocalUpdate:
         changed = self._changed(elements, conductance_change, contact_impedance)
         if isinstance(changed, ForwardModel):
             return changed.voltages()
-        lost, own = changed  # apart: what driven contacts drop costs the other readings no digits
+        lost, own = changed  # separately: voltages of driven contacts cost the other readings no digits
         return self._unchanged - self.model.readings(lost) + self.model.readings(own)
 
     def transfer_impedance(
@@ -128,7 +128,7 @@ class LocalUpdate:
         return self._kept[key]
 
     def contacts_can_be_patches(self, elements: Indices) -> bool:
-        """Whether no element touches an electrode, and no contact is so good that its own part is all rounding."""
+        """Whether no element touches an electrode, and no contact is so good that its own part is only rounding."""
         if np.isin(self.model.elements.cells[elements], self._touched).any():
             return False
         conductance = self.model.conductance

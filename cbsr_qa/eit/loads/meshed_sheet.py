@@ -1,8 +1,8 @@
 """Fields of a meshed sheet of uniform conductance, expanded about interior points from boundary values.
 
-Inside an even sheet every field is harmonic, and Green's identity with the pole p = (z − c)⁻ᵐ reads its coefficients
-off the edge: 2πm A_m = ∮ (p ∂u/∂n − u ∂p/∂n) ds, smooth in the place c and of twice the elements' order of accuracy.
-What edge and electrodes send back to a pole is b_pᵀ K⁻¹ b_g + ⟨p, g⟩, symmetric, with b_p the weak form's load of a
+Inside an even sheet every field is harmonic, and Green's identity with the pole p = (z − c)⁻ᵐ gives its coefficients
+from the edge: 2πm A_m = ∮ (p ∂u/∂n − u ∂p/∂n) ds, smooth in the place c and of twice the elements' order of accuracy.
+The response of edge and electrodes to a pole is b_pᵀ K⁻¹ b_g + ⟨p, g⟩, symmetric, with b_p the weak form's load of a
 pole, K the sheet's matrix and ⟨p, g⟩ an integral over the edge.
 """
 
@@ -21,8 +21,8 @@ from cbsr_qa.eit.loads.round_load import Expansion
 
 Complex = NDArray[np.complex128]
 
-_AT_ONCE = 8  # places whose poles are held along the whole edge
-_SOLVED_AT_ONCE = 8  # the solver slows down out of proportion with many
+_AT_ONCE = 8  # places whose poles are stored along the whole edge
+_SOLVED_AT_ONCE = 8  # the solver is disproportionately slower for more
 
 
 class MeshedSheet:
@@ -99,8 +99,8 @@ class MeshedSheet:
 
         Parameters
         ----------
-        place_mm : (n, 2), further from edge and electrodes than the edge's elements are long.
-        reach_mm : (n,) the length in units of which distances from each place are counted; positive.
+        place_mm : (n, 2), further from edge and electrodes than the length of the edge's elements.
+        reach_mm : (n,) unit of distances from each place; positive.
         orders : M.
         """
         fields, response = [], []
@@ -152,12 +152,12 @@ class MeshedSheet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Poles:
-    """Poles at n places as the edge feels them.
+    """Effect of poles at n places on the edge.
 
     Parameters
     ----------
     mean : (n, electrodes, 2M) under each electrode.
-    load : (n, nodes, 2M) into the nodes of the edge, to cancel what they drive through it.
+    load : (n, nodes, 2M) into the nodes of the edge, to cancel their current through it.
     own : (n, 2M, 2M) of the poles among themselves.
     weight : (2M, 1) 2πm.
     """

@@ -17,9 +17,9 @@ from cbsr_qa.eit.loads.rims import (
     spans_of,
 )
 
-# What reaches a patch from outside is smooth there: of the fields its rim could carry, few are ever met.
+# Outside fields are smooth at a patch: of the possible fields at its rim, only few occur.
 _NEGLIGIBLE: Final = 1e-14
-_NEGLIGIBLE_CONTACT: Final = 1e-12  # contacts are round and small: what is left out of their fields is not sent back
+_NEGLIGIBLE_CONTACT: Final = 1e-12  # contacts are round and small: omitted fields have no effect back
 
 
 class Sized:
@@ -32,21 +32,21 @@ class Sized:
 
 
 class PatchStack(Sized):
-    """Patches of about one size, each of elements that hang together; those inside are condensed away.
+    """Connected patches of about equal size, with condensed inner nodes.
 
     All arrays are filled up to the largest patch: with zeros on the rim, and with ones on the diagonal inside.
 
     Parameters
     ----------
     patches : elements of each, (k,) int64, each once.
-    rims : whether a node is seen from outside, for the sorted nodes of each patch.
+    rims : whether a node is coupled to the outside, for the sorted nodes of each patch.
     """
 
     def __init__(self, model: ForwardModel, patches: Sequence[Indices], rims: Sequence[Mask]) -> None:
         self._rim = max(int(rim.sum()) for rim in rims)
         size = self._rim + max(int((~rim).sum()) for rim in rims)
         cells = model.elements.cells
-        #: nodes on the rim of each patch, the rest filled up with −1: (g, b)
+        #: nodes on the rim of each patch, padded with −1: (g, b)
         self.rims: Indices = np.full((len(patches), self._rim), -1, dtype=np.int64)
         filled = np.tile(np.arange(size) >= self._rim, (len(patches), 1))
         scatter = []
@@ -67,7 +67,7 @@ class PatchStack(Sized):
         self._extension = np.concatenate([eye, -self._inside(self._base)], axis=1)
 
     def rim_changes(self, change: Array) -> Array:
-        """How the stiffness that each rim feels changes, ΔΛ = Eᵀ ΔK E₀: (g, b, b) [S].
+        """Change of the stiffness at each rim, ΔΛ = Eᵀ ΔK E₀: (g, b, b) [S].
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class ContactStack(Sized):
     def __init__(self, model: ForwardModel) -> None:
         contacts = model.prepared.contacts
         width = max(len(nodes) for nodes in contacts.nodes)
-        #: nodes under each electrode, the rest filled up with −1: (g, b)
+        #: nodes under each electrode, padded with −1: (g, b)
         self.rims: Indices = np.full((len(contacts.nodes), width), -1, dtype=np.int64)
         self._masses = np.zeros((len(contacts.nodes), width, width))
         for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
@@ -110,7 +110,7 @@ class ContactStack(Sized):
 class Patches(Sized):
     """A set of changed elements as patches that share no node, with the coupling of their rims.
 
-    Fields from outside are described on each rim by the few that are ever met, without their mean.
+    Outside fields are described on each rim by the few that occur, without their mean.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class ElementChanges(Sized):
 
     @cached_property
     def _directional(self) -> Array:
-        """Change for the entries of each integration point's conductance, (k, q · 4, n · n)."""
+        """Change by the entries of each integration point's conductance, (k, q · 4, n · n)."""
         gradients = self._model.elements.gradients[self._elements]  # (k, q, n, 2)
         weighted = self._model.elements.weights_mm2[self._elements][..., None, None] * gradients
         count, entries = len(gradients), self._stiffness[0].size
@@ -223,13 +223,13 @@ def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
 
 
 def dense_work(model: ForwardModel, elements: Indices) -> float:
-    """Sum of the cubed numbers of nodes of patches that elements (k,) form."""
+    """Sum of the cubed numbers of nodes of the patches formed by elements (k,)."""
     cells = model.elements.cells[elements]
     return float(sum(len(np.unique(cells[part])) ** 3 for part in connected_parts(cells)))
 
 
 def _alike(sizes: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
-    """Groups of patches that waste little when each is filled up to the largest (rim, inside)."""
+    """Groups of patches with little padding to the largest (rim, inside)."""
     group: list[int] = []
     for number in sorted(range(len(sizes)), key=lambda k: sizes[k][::-1]):
         if group and any(sizes[number][k] > 1.25 * min(sizes[n][k] for n in group) + 8 for k in (0, 1)):

@@ -18,8 +18,8 @@ from cbsr_qa.eit.loads.round_load import Expansion
 
 Complex = NDArray[np.complex128]
 
-_CENTRAL = 1e-4  # of the radius: a pin nearer to the centre is moved so far out
-_PIN_ERROR = 1e-6  # bound of what poles left out change, relative to a pin's own potential; in practice far less
+_CENTRAL = 1e-4  # of the radius: a pin closer to the centre is moved out to here
+_PIN_ERROR = 1e-6  # bound of the effect of omitted poles, relative to a pin's own potential; usually far less
 
 
 class PinnedDisc:
@@ -28,13 +28,13 @@ class PinnedDisc:
     Parameters
     ----------
     radius_mm : of the sheet.
-    electrodes : pins inside it, wherever they are.
+    electrodes : pins anywhere inside it.
     contact_mm : contact impedance times sheet conductance [mm].
 
     Raises
     ------
     NumericsError
-        If the electrodes are no pins, or do not lie inside the sheet clear of each other.
+        If the electrodes are not pins, or not inside the sheet clear of each other.
     """
 
     def __init__(self, radius_mm: float, electrodes: Electrodes, contact_mm: float) -> None:
@@ -42,7 +42,7 @@ class PinnedDisc:
             raise NumericsError("fields about a place are exact for pins only", remedy="use a mesh for arcs")
         self.radius_mm = radius_mm
         pins = electrodes.positions_mm() @ np.array([1, 1j]) / radius_mm
-        # The image of a pin in the very centre would be infinitely far.
+        # The image of a pin exactly at the centre would be infinitely far.
         self._pins: Complex = np.where(np.abs(pins) > _CENTRAL, pins, _CENTRAL + 0j)
         self._images = 1 / self._pins.conj()
         self._rim = electrodes.width_mm / 2 / radius_mm
@@ -83,8 +83,8 @@ class PinnedDisc:
         Parameters
         ----------
         place_mm : (n, 2).
-        reach_mm : (n,) the length in units of which distances from each place are counted; positive.
-        orders : M; what is left out falls as (reach over the distance of the nearest pin)^(2M).
+        reach_mm : (n,) unit of distances from each place; positive.
+        orders : M; the truncation error falls as (reach over the distance of the nearest pin)^(2M).
         """
         fields, poles, scale = self._about(place_mm, reach_mm, orders)
         weights = np.tile(np.arange(1, orders + 1), 2)
@@ -139,7 +139,7 @@ class PinnedDisc:
         return np.concatenate([upper, lower], axis=1)
 
     def _solve_pins(self) -> tuple[Array, Array]:
-        """Poles of the pins per pole of the field they stand in, (2K, 2K), and per electrode current, (2K, pins).
+        """Poles of the pins per pole of the field around them, (2K, 2K), and per electrode current, (2K, pins).
 
         A pin in a field Σ B_n wⁿ has poles d_n = −b²ⁿ (1 − ζn)/(1 + ζn) conj(B_n), ζ = zγ/b: its rim's potential
         behind the contact is one.
@@ -155,7 +155,7 @@ class PinnedDisc:
     def _pins_on_pins(self) -> tuple[Array, Array]:
         """Fields about each pin of the others' poles and of all images, (2K, 2K), and of currents, (2K, pins)."""
         apart = self._pins - self._pins[:, None]  # (about, of)
-        np.fill_diagonal(apart, np.inf)  # no pin stands in its own direct field
+        np.fill_diagonal(apart, np.inf)  # a pin is not in its own direct field
         near = _powers(1 / apart, 2 * self._poles)
         far = _powers(1 / (self._images - self._pins[:, None]), 2 * self._poles)
         poles = self._fields_of_poles(near, far, self._poles)

@@ -1,4 +1,4 @@
-"""Rims of changed patches: entries of K⁻¹ between their nodes, and what couples them, in few modes."""
+"""Rims of changed patches: entries of K⁻¹ between their nodes, and their coupling in few modes."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from scipy.sparse.csgraph import connected_components
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.eit.forward import ForwardModel
 
-#: More nodes than this are not kept: 2048² entries are 34 MB, and hold some seventy heads on a mesh of 2.5 mm.
+#: Most nodes kept: 2048² entries are 34 MB, and suffice for some seventy heads on a mesh of 2.5 mm.
 MOST_NODES: Final = 2048
 _AT_ONCE: Final = 16  # nodes solved for together: few enough for their full columns to stay in the cache
 
 
 class InverseEntries:
-    """The part of K⁻¹ that belongs to a growing set of nodes; begins anew when it would outgrow its bound."""
+    """The part of K⁻¹ for a growing set of nodes; restarted when it would exceed its bound."""
 
     def __init__(self, model: ForwardModel) -> None:
         self._model = model
@@ -31,7 +31,7 @@ class InverseEntries:
         return self._entries.nbytes
 
     def between(self, nodes: Indices) -> Array:
-        """Return the entries between nodes (p,), each once: (p, p) [V/A]."""
+        """Return the entries between distinct nodes (p,): (p, p) [V/A]."""
         missing = self._missing(nodes)
         self._reserve(missing)
         for first in range(0, len(missing), _AT_ONCE):
@@ -41,9 +41,9 @@ class InverseEntries:
         return self._entries[np.ix_(place, place)]
 
     def alone(self, nodes: Indices) -> Array:
-        """Return the entries between nodes (p,), each once, as solving for these alone gives them: (p, p) [V/A].
+        """Return the entries between distinct nodes (p,), solved for these alone: (p, p) [V/A].
 
-        The same to the last bit whatever was asked before, unlike :meth:`between`.
+        Identical to the last bit, independent of earlier calls, unlike :meth:`between`.
         """
         missing = self._missing(nodes)
         self._reserve(missing)
@@ -57,7 +57,7 @@ class InverseEntries:
         return entries
 
     def _missing(self, nodes: Indices) -> Indices:
-        """Which of these are not known; all of them where the known ones had to be forgotten."""
+        """Unknown ones among these nodes; all if the known ones had to be discarded."""
         missing = nodes[self._place[nodes] < 0]
         if missing.size and len(self._known) + missing.size > MOST_NODES:
             self._forget()
@@ -115,7 +115,7 @@ def connected_parts(corners: Indices) -> Iterator[Indices]:
 
 
 def spans_of(lengths: Sequence[int]) -> list[slice]:
-    """Slices of successive parts that are so long."""
+    """Slices of successive parts of given lengths."""
     ends = np.cumsum(lengths).tolist()
     return [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
 
@@ -123,11 +123,11 @@ def spans_of(lengths: Sequence[int]) -> list[slice]:
 def between_rims(
     model: ForwardModel, inverse: InverseEntries, rims: Sequence[Indices], spans: Sequence[slice]
 ) -> tuple[Array, Array]:
-    """K₀⁻¹ between all rims and the electrodes' fields there, without their means on each rim; 0 where filled up."""
+    """K₀⁻¹ between all rims and the electrodes' fields there, without their means on each rim; 0 in the padding."""
     nodes = np.concatenate(rims)
     real = nodes >= 0
     between = np.zeros((len(nodes), len(nodes)))
-    each, place = np.unique(nodes[real], return_inverse=True)  # patches side by side share nodes of their rims
+    each, place = np.unique(nodes[real], return_inverse=True)  # adjacent patches share nodes of their rims
     between[np.ix_(real, real)] = inverse.between(each)[np.ix_(place, place)]
     fields = np.zeros((len(nodes), len(model.contact_impedance)))
     fields[real] = model.electrode_fields[nodes[real]]
@@ -149,7 +149,7 @@ def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
 
 
 def met_bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
-    """Orthonormal bases (b, r) of the fields that reach each rim from other rims and electrodes, truncated."""
+    """Orthonormal bases (b, r) of the fields at each rim from other rims and electrodes, truncated."""
     bases = []
     for span, negligible in zip(spans, least, strict=True):
         # The factor R of the transpose has the same left vectors, and is square.
@@ -161,19 +161,19 @@ def met_bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequ
 
 
 def filled_up(bases: Sequence[Array]) -> list[Array]:
-    """Bases of one stack, with zeros up to the largest rank."""
+    """Bases of one stack, padded with zeros to the largest rank."""
     rank = max((basis.shape[1] for basis in bases), default=0)
     return [np.pad(basis, ((0, 0), (0, rank - basis.shape[1]))) for basis in bases]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coupling:
-    """What patches and electrodes feel of each other, in the few fields that are ever met.
+    """Coupling of patches and electrodes, in the few fields that occur.
 
     Parameters
     ----------
     own : K₀⁻¹ on each rim, without its means: (b, b) each.
-    bases : of the fields that reach each rim: (b, r) each.
+    bases : of the fields at each rim: (b, r) each.
     between : K₀⁻¹ between different rims in these: (sum of ranks,) * 2.
     fields : of the electrodes in these: (sum of ranks, electrodes).
     """
@@ -191,13 +191,13 @@ def coupled(
     least: Sequence[float],
     stacks: Sequence[int],
 ) -> Coupling:
-    """Describe the fields that each rim sees, and the coupling of rims and electrodes.
+    """Describe the fields at each rim, and the coupling of rims and electrodes.
 
     Parameters
     ----------
-    rims : nodes of each, filled up with −1.
-    least : what is left out of the fields at each rim, over the largest.
-    stacks : numbers of successive rims whose bases are filled up to one rank.
+    rims : nodes of each, padded with −1.
+    least : size of omitted fields at each rim, over the largest.
+    stacks : numbers of successive rims whose bases are padded to one rank.
     """
     spans = spans_of([len(rim) for rim in rims])
     between, fields = between_rims(model, inverse, rims, spans)

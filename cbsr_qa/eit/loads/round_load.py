@@ -1,10 +1,10 @@
 """Readings of a sheet under one round load, and their derivatives, without a mesh for the load.
 
-With A_m the coefficients of the field a disc stands in, its own field outside are poles −D_m conj(A_m)/(z − c)^m,
-D_m = μ r²ᵐ, μ = (γ_i − γ)/(γ_i + γ). What edge and electrodes send back couples the orders (:class:`Expansion`):
-one small dense system per load. The readings change by −2π Σ m D_m Re(A_m conj E_m) with E the field of the sheet
-without the load, by reciprocity; all derivatives are such sums of A alone (the shape derivative of a transmission
-problem, integrated round the circle).
+With A_m the coefficients of the field around a disc, its own field outside consists of poles −D_m conj(A_m)/(z −
+c)^m, D_m = μ r²ᵐ, μ = (γ_i − γ)/(γ_i + γ). The response of edge and electrodes couples the orders
+(:class:`Expansion`): one small dense system per load. The readings change by −2π Σ m D_m Re(A_m conj E_m) with E the
+field of the sheet without the load, by reciprocity; all derivatives are such sums of A alone (the shape derivative of
+a transmission problem, integrated round the circle).
 
 A load is described by its *strength* s = μ r² and the *square* q = r² of its radius: D_m = s qᵐ⁻¹ is a polynomial, so
 that least-squares estimates of s and q are nearly unbiased, and q may pass through zero on its way.
@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from cbsr_qa.domain import Array, Indices, NumericsError
 from cbsr_qa.domain.sensor import DrivePattern
 
-_ERROR = 1e-5  # of the series if every order were as strong as the first; in fact below 1e-6
+_ERROR = 1e-5  # of the series if every order were as strong as the first; usually below 1e-6
 _FEWEST, _MOST = 4, 16  # orders
 _DETUNED = 1e-9
-_SMALLEST_REACH = 1e-3  # of the sheet's radius: keeps powers in range where q is next to nothing
+_SMALLEST_REACH = 1e-3  # of the sheet's radius: keeps powers in range for q near zero
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,10 +33,10 @@ class Expansion:
     Parameters
     ----------
     orders : M.
-    fields : (n, 2M, electrodes) of a unit current into each electrode [V/A]; only currents that sum to zero mean
-        something.
-    response : (n, 2M, 2M), what edge and pins send back: a disc at the place whose poles are −D_m reach^m conj(A_m)
-        in a field with coefficients A sees A = fields − response · D · A.
+    fields : (n, 2M, electrodes) of a unit current into each electrode [V/A]; meaningful only for currents that sum to
+    zero.
+    response : (n, 2M, 2M), response of edge and pins: a disc at the place whose poles are −D_m reach^m conj(A_m) in a
+        field with coefficients A sees A = fields − response · D · A.
     """
 
     orders: int
@@ -134,15 +134,15 @@ class RoundLoadModel:
         Raises
         ------
         NumericsError
-            If a load's place, strength or size is no finite number, or its centre is on an electrode or off the
-            sheet, where the field has no power series.
+            If a load's place, strength or size is not finite, or its centre is on an electrode or off the sheet,
+            where the field has no power series.
         """
         self._check(loads)
         reach, order, growth = self._series(loads)
         orders = len(order)
         around = self.surroundings.expansion(loads.place_mm, reach, orders)
         strength = (loads.strength_mm2 / reach**2)[:, None]
-        poles = np.tile(strength * growth, 2)  # D_m, real and imaginary parts alike
+        poles = np.tile(strength * growth, 2)  # D_m, for both real and imaginary parts
         seen = _solved(around.response * poles[:, None] + np.eye(2 * orders), around.fields)
         drive, measure = seen @ self._drive, seen @ self._measure
         weight = -2 * np.pi * np.tile(order, 2)
@@ -156,7 +156,7 @@ class RoundLoadModel:
         return LoadReadings(change, np.stack([by_x, by_y, by_strength, by_square], axis=1))
 
     def weak(self, place_mm: Array, radius_mm: Array) -> Array:
-        """Changes per strength of loads so weak that they disturb no field: (n, drives, measures) [V/A per mm²]."""
+        """Changes per strength of loads too weak to disturb any field: (n, drives, measures) [V/A per mm²]."""
         nothing = np.zeros(len(place_mm))
         loads = RoundLoads(np.asarray(place_mm, dtype=np.float64), nothing, np.asarray(radius_mm) ** 2)
         reach, order, growth = self._series(loads)
@@ -191,7 +191,7 @@ class RoundLoadModel:
 
 
 def _solved(system: Array, fields: Array) -> Array:
-    """Fields with the load; an unphysical strength may resonate, and then counts as a very large field."""
+    """Fields with the load; an unphysical resonant strength counts as a very large field."""
     try:
         return np.asarray(np.linalg.solve(system, fields), dtype=np.float64)
     except np.linalg.LinAlgError:

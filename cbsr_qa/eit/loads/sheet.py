@@ -1,8 +1,8 @@
 """Voltages of a sheet under many loads of fixed shape and varying strength.
 
-As :class:`~cbsr_qa.eit.loads.LocalUpdate`, with which it agrees to eight digits, for sequences of frames: answers are
-tabulated over strength (:mod:`cbsr_qa.eit.loads.family`), contacts are eliminated once for many strengths, and of the
-fields that reach a rim those below a part in 10⁸ are left out.
+Like :class:`~cbsr_qa.eit.loads.LocalUpdate`, with which it agrees to eight digits, but for sequences of frames:
+responses are tabulated over strength (:mod:`cbsr_qa.eit.loads.family`), contacts are eliminated once for many
+strengths, and fields at a rim below a part in 10⁸ are left out.
 """
 
 from collections import OrderedDict
@@ -18,25 +18,25 @@ from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.eit.loads.patches import ContactStack
 from cbsr_qa.eit.loads.rims import InverseEntries, coupled
 
-# What of the fields at a rim is left out, over the largest. What a patch sends back of a field that it hardly meets
-# is hardly met elsewhere: readings feel the square of it.
+# Size of omitted fields at a rim, over the largest. The response to a weak field is weak at other rims too: readings
+# contain its square.
 _NEGLIGIBLE: Final = 1e-8
 _NEGLIGIBLE_CONTACT: Final = 3e-6
-_ROUNDING: Final = 1e-14  # a load by itself meets the electrodes' few fields alone
+_ROUNDING: Final = 1e-14  # a single load is only in the electrodes' few fields
 
 
 class LinkedPatches:
     """Change of a sheet's impedance by loads on patches that share no element, and by changed contacts.
 
-    With B = K₀⁻¹ between the patches and F the electrodes' fields there, both in the few fields that are ever met,
-    and A the patches' answers, the transfer impedance loses Fᵀ (I + A B)⁻¹ A F. Contacts come first: with G what they
-    lose in themselves, B − B G B and F − B G F serve all strengths of the loads until the contacts change again.
+    With B = K₀⁻¹ between the patches and F the electrodes' fields there, both in the few fields that occur, and A the
+    patches' responses, the transfer impedance loses Fᵀ (I + A B)⁻¹ A F. Contacts come first: with G their own
+    decrease, B − B G B and F − B G F serve all strengths of the loads until the contacts change again.
 
     Parameters
     ----------
     inverse : gives K₀⁻¹ between nodes of the rims.
-    patches : of the loads; nodes that they share are on both rims.
-    contacts : where contacts change too; no load may then touch one.
+    patches : of the loads; shared nodes are on both rims.
+    contacts : if contacts change too; no load may then touch one.
     """
 
     def __init__(
@@ -66,13 +66,13 @@ class LinkedPatches:
     def corrections(self, loads: Sequence[Mapping[LoadFamily, float]], contact_change: Array | None) -> Array:
         """Decrease of the transfer impedance, at several moments: (moments, electrodes, electrodes) [V/A].
 
-        The first moment's is exact. With φ = (I + B A)⁻¹ F what the patches meet then and D what their answers have
-        changed by since, the others' are the first's and φᵀ (D − D (B − B A B) D) φ, right to second order.
+        The first moment's is exact. With φ = (I + B A)⁻¹ F the fields at the patches then and D the later change of
+        their responses, the others' are the first's and φᵀ (D − D (B − B A B) D) φ, right to second order.
 
         Parameters
         ----------
         loads : strength of every load of the patches, at each moment.
-        contact_change : (electrodes,) of 1/z [S/mm], where contacts change too, at all moments alike.
+        contact_change : (electrodes,) of 1/z [S/mm], if contacts change too, the same at all moments.
         """
         between, fields, lost = self._without_contacts(contact_change)
         if not self._patches:
@@ -103,7 +103,7 @@ class LinkedPatches:
         return answers
 
     def _projected(self) -> tuple[Array, Array]:
-        """Series of the answers (patches, terms, rank · rank) in the fields that are met, and how far they reach."""
+        """Series of the responses (patches, terms, rank · rank) in the fields that occur, and their reach."""
         rank = self._bases[0].shape[1] if self._bases else 0
         series = np.zeros((len(self._patches), TERMS, rank * rank))
         reach = np.zeros(len(self._patches))
@@ -115,7 +115,7 @@ class LinkedPatches:
         return series, reach
 
     def _without_contacts(self, change: Array | None) -> tuple[Array, Array, Array]:
-        """B and F between loads with the contacts changed, and the contacts' own contribution."""
+        """B and F between loads with changed contacts, and the contacts' own contribution."""
         loads = slice(0, self._loads)
         if change is None or self._contacts is None:
             return self._between[loads, loads], self._fields[loads], np.zeros((self._fields.shape[1],) * 2)
@@ -149,7 +149,7 @@ def _times(blocks: Array, rows: Array) -> Array:
 
 Kept = TypeVar("Kept", Patch, LinkedPatches | None)
 
-_MOST_PATCHES: Final = 192  # some 0.3 MB each; of many loads that overlap tens of times that
+_MOST_PATCHES: Final = 192  # some 0.3 MB each; tens of times that for many overlapping loads
 _MOST_LINKS: Final = 24
 _MOST_BYTES: Final = 96 << 20  # of either
 _MOST_WORK: Final = 2e7  # cubes of the patches' elements, which have some two nodes each of their own
@@ -171,7 +171,7 @@ class LoadedSheet:
     ) -> Array:
         """Electrode potentials per electrode current at moments that follow each other closely.
 
-        The first moment's are exact, the others' right to second order in what has changed since.
+        The first moment's are exact, the others' accurate to second order in later changes.
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ class LoadedSheet:
 
 
 def _make_room(kept: "OrderedDict[Hashable, Kept]", most: int) -> None:
-    """Drop those unused for longest, until there are fewer and they take less memory than is allowed."""
+    """Discard those unused for longest, until number and memory are within the limits."""
     sizes = [item.nbytes if item is not None else 0 for item in kept.values()]
     used = sum(sizes)
     for size in sizes:
@@ -238,7 +238,7 @@ def _make_room(kept: "OrderedDict[Hashable, Kept]", most: int) -> None:
 
 
 def _overlapping(families: Sequence[LoadFamily]) -> list[tuple[LoadFamily, ...]]:
-    """Groups of loads that share elements. Those that only share nodes, which then are on both rims, are apart."""
+    """Groups of loads that share elements; loads that only share nodes, which are then on both rims, are separate."""
     groups: list[tuple[list[LoadFamily], set[int]]] = []
     for family in families:
         elements = set(family.elements.tolist())
@@ -250,7 +250,7 @@ def _overlapping(families: Sequence[LoadFamily]) -> list[tuple[LoadFamily, ...]]
 
 
 def _multi_load(model: ForwardModel, loads: Mapping[LoadFamily, float]) -> tuple[Indices, Array]:
-    """Elements and changes of all loads, one behind the other."""
+    """Elements and changes of all loads, concatenated."""
     none = np.zeros((0, len(model.elements.shapes.points), 2, 2))
     elements = [np.zeros(0, dtype=np.int64), *(family.elements for family in loads)]
     changes = [none, *(family.change(strength) for family, strength in loads.items())]

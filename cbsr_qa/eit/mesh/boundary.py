@@ -1,6 +1,6 @@
 """Boundary nodes of a sheet: spaced by a size field, with a node on every corner and electrode end.
 
-How large the elements of a sheet's mesh are, from place to place.
+It also defines the local size of the elements.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,21 +17,21 @@ from cbsr_qa.eit.mesh.triangulate import Points
 
 Lengths = Array
 Size = Callable[[Points], Lengths]
-#: (least edge length, distances from where it is) → edge lengths
+#: (least edge length, distances from its place) → edge lengths
 Grade = Callable[[float, Lengths], Lengths]
 
 FINEST: Final = 1 / 16  # edge length at a pin's rim or an arc's end, relative to the sheet's
-EDGES_PER_PIN: Final = 12  # at least so many edges round a pin
+EDGES_PER_PIN: Final = 12  # least number of edges round a pin
 EDGES_PER_ARC: Final = 10  # and along an arc
 FEWEST_SMOOTHLY: Final = 4  # edges along an arc, for elements of second order
 SMOOTHING: Final = 10  # passes
 _STEEPEST = 0.45  # growth of the edge length per distance from an electrode; more makes thin triangles
-# For the second order: with a size of 0.12 radii all readings of a disc with 16 arcs err by 1e-4, in 7000 unknowns.
+# For the second order: with a size of 0.12 radii all readings of a disc with 16 arcs err by 1e-4, with 7000 unknowns.
 _SMOOTH_SIZE = 0.12
 _SMOOTH_FACTOR = 0.17
 _SMOOTH_POWER = 0.6
 _SMOOTH_STEEPEST = 0.6
-_REACH = 0.13  # of the radius: how far the refinement reaches, so that a family of meshes refines everywhere alike
+_REACH = 0.13  # of the radius: reach of the refinement, so that a family of meshes refines everywhere alike
 
 
 def growth(size: float, radius: float) -> float:
@@ -40,20 +40,20 @@ def growth(size: float, radius: float) -> float:
 
 
 def plain_lengths(size: float, radius: float) -> Grade:
-    """Edge lengths by their least and the distance from there."""
+    """Edge lengths from the least one and the distance from there."""
     slope = growth(size, radius)
     return lambda finest, away: np.minimum(size, finest + slope * np.maximum(away, 0))
 
 
 def smooth_lengths(size: float, radius: float, power: float = _SMOOTH_POWER) -> Grade:
-    """Edge lengths for elements of second order by their least and the distance from there.
+    """Edge lengths for elements of second order, from the least one and the distance from there.
 
-    They equalise the error of a singularity at the distance 0: where a field goes as r log r both together are least
-    for h ∝ r^(2/3). Readings converge with the fourth order of ``size``.
+    They equalise the error of a singularity at the distance 0: for a field ∝ r log r error and size together are
+    minimal for h ∝ r^(2/3). Readings converge with the fourth order of ``size``.
 
     Parameters
     ----------
-    power : of the distance; 1 − λ/3 at a corner where the field goes as r^λ.
+    power : of the distance; 1 − λ/3 at a corner with a field ∝ r^λ.
     """
     scale = size / (_SMOOTH_SIZE * radius)
     slope = _SMOOTH_STEEPEST * min(1.0, scale)
@@ -85,7 +85,7 @@ def edges_round_pin_smoothly(size: float, radius: float) -> int:
 
 
 def finest_of_arc(size: float, radius: float, length: float) -> float:
-    """Edge length at an arc's ends, small enough that it takes its least number of edges."""
+    """Edge length at an arc's ends, small enough for its least number of edges."""
     slope = growth(size, radius)
     return min(size * FINEST, slope * length / 2 / float(np.expm1(slope * EDGES_PER_ARC / 2)))
 
@@ -96,7 +96,7 @@ def ring_edges(count: int) -> Indices:
 
 
 def spread(density: Lengths, places: Lengths, *, at_least: int) -> Lengths:
-    """Share out the integral of a density (n,) evenly: places from the first to the last, ends included."""
+    """Distribute the integral of a density (n,) evenly: places from the first to the last, ends included."""
     total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2) * (places[1] - places[0])])
     count = max(at_least, int(np.ceil(total[-1])))
     chosen: Lengths = np.interp(np.arange(count + 1) / count * total[-1], total, places)
@@ -104,13 +104,13 @@ def spread(density: Lengths, places: Lengths, *, at_least: int) -> Lengths:
 
 
 _ACROSS: Final = 2.5  # elements across a narrow place, at least
-#: Two places on the edge face each other where it is so much longer between them than straight.
+#: Two places on the edge face each other if the way along it is this many times the straight distance.
 _DETOUR: Final = 4.0
 _TURN_PER_EDGE: Final = np.pi / 3  # of a rounded corner, at most
 _SHORT_ARC: Final = 0.6  # of the elements: shorter arcs have one node
 _SHORT_EDGE: Final = 0.45  # of the elements: round shorter edges they are smaller
 _ON_CORNER: Final = 0.01  # of a strip's width: ends closer to a corner lie on it
-#: Where along a stretch sizes are looked at: close together at its ends, where they may be far smaller.
+#: Where sizes are evaluated along a stretch: dense at its ends, where they may be far smaller.
 _SAMPLES: Final = np.unique(
     np.concatenate([np.linspace(0, 1, 401), np.geomspace(1e-6, 0.1, 200), 1 - np.geomspace(1e-6, 0.1, 200)])
 )
@@ -118,7 +118,7 @@ _SAMPLES: Final = np.unique(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """A disc at whose rim elements are finest, or a point where its radius is 0."""
+    """A disc with the finest elements at its rim, or a point if its radius is 0."""
 
     centre: Points
     radius: float
@@ -128,11 +128,11 @@ class Source:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SizeField:
-    """Wanted edge lengths: ``size``, and less near places where the field is singular or the sheet narrow.
+    """Wanted edge lengths: ``size``, and less near singularities of the field and narrow places.
 
     Parameters
     ----------
-    size : far from everything.
+    size : far from such places.
     slope : growth of the edge length per distance from a narrow place.
     sources : where the field is singular.
     narrow, across : (w, 2), (w,) places on the edge and the edge length there.
@@ -163,7 +163,7 @@ class SizeField:
 
 
 def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
-    """Where the sheet, or the gap between two parts of it, is too narrow for elements of a size.
+    """Find places where the sheet, or the gap between two parts of it, is too narrow for elements of a size.
 
     (w, 2) places on the edge, and (w,) the edge length that fits, not below ``size`` times :data:`FINEST`.
     """
@@ -204,7 +204,7 @@ class Edge:
     ----------
     points : (k, 2) counterclockwise.
     strips : (k_l, 2) pairs of nodes for each strip.
-    arcs : edges that stand for arcs.
+    arcs : edges that represent arcs.
     """
 
     points: Points
@@ -213,12 +213,12 @@ class Edge:
 
 
 def fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float) -> Lengths:
-    """Lengths along an edge at which a node must be, rising: corners, ends of arcs, ends of strips."""
+    """Positions along an edge that need a node, rising: corners, ends of arcs, ends of strips."""
     begins, ends = curve.begins[:-1], curve.begins[1:]
     middles = (begins + ends) / 2
     short = (curve.curvature != 0) & (curve.length < _SHORT_ARC * sizes(curve.at(middles)))
     smooth = np.abs(curve.turns) < 1e-6
-    free = smooth & (short | np.roll(short, 1))  # where a short arc begins or ends
+    free = smooth & (short | np.roll(short, 1))  # start or end of a short arc
     corners = np.concatenate([begins[~free], middles[short]])
     stops = np.concatenate([strips - width / 2, strips + width / 2]) % curve.perimeter
     for corner in corners:
@@ -230,7 +230,7 @@ def fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float)
 
 
 def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
-    """Where nodes of a closed line are closer than elements are large: (w, 2) places and (w,) lengths."""
+    """Places (w, 2) and lengths (w,) where nodes of a closed line are closer than elements are large."""
     ends = np.roll(points, -1, axis=0)
     middles, length = (points + ends) / 2, np.hypot(*(ends - points).T)
     short = length < _SHORT_EDGE * sizes(middles)
@@ -240,7 +240,7 @@ def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
 def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths, width: float, fewest: int) -> Edge:
     """Spread nodes along an edge between fixed places.
 
-    ``strips``: (l,) lengths along the edge of the strips' centres; ``fewest``: edges that each strip has at least.
+    ``strips``: (l,) lengths along the edge of the strips' centres; ``fewest``: least number of edges of each strip.
     """
     points: list[Points] = []
     owners: list[int] = []

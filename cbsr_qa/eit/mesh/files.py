@@ -1,4 +1,4 @@
-"""Mesh files: our own ``.npz`` and, where meshio is installed, its formats; sensor types made from them."""
+"""Mesh files: our own ``.npz`` and, if meshio is installed, its formats; sensor types made from them."""
 
 import io
 import re
@@ -29,9 +29,9 @@ from cbsr_qa.domain.sensor import (
 from cbsr_qa.eit.mesh.imported import ElectrodeGiven, imported_mesh
 from cbsr_qa.system import writing, written_whole
 
-#: More than any mesh of a sheet holds; a file that claims more is refused before memory is taken for it.
+#: More than any mesh of a sheet; files that claim more are refused before memory is allocated.
 LARGEST_BYTES: Final = 200_000_000
-#: Name of a group of lines in a file that stands for an electrode, and its number.
+#: Name of a group of lines that represents an electrode, with its number.
 _ELECTRODE: Final = re.compile(r"electrode[-_ ]?(\d+)", re.IGNORECASE)
 
 
@@ -54,12 +54,12 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
     path : ``.npz`` with ``nodes_mm`` and ``elements`` (from 0), or any other format for meshio [mm].
     electrodes : as there; by default ``electrode_edges`` and ``electrode_edge_counts`` of an ``.npz``, groups of
         lines called "electrode 0", "electrode 1" and so on of another.
-    fix : turn clockwise elements and leave out nodes that no element uses.
+    fix : reverse clockwise elements and leave out unused nodes.
 
     Raises
     ------
     NumericsError
-        If the file is missing or no mesh, meshio is needed and not installed, or the mesh is refused.
+        If the file is missing or not a mesh, meshio is needed and not installed, or the mesh is refused.
     """
     if not path.is_file():
         raise NumericsError(f"there is no mesh file {path}", remedy="check its name and folder")
@@ -97,7 +97,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeG
         return imported_mesh(arrays["nodes_mm"], arrays["elements"], electrodes or (), fix=fix)
     mesh = imported_mesh(arrays["nodes_mm"], arrays["elements"], edge_lists(arrays, "electrode"), fix=fix)
     if len(mesh.nodes_mm) != len(arrays["nodes_mm"]) or "arc_edges" not in arrays:
-        return mesh  # arcs do not outlive nodes that are left out
+        return mesh  # arcs are dropped with left-out nodes
     return mesh_of_arrays({**arrays, **mesh_arrays(mesh), **{k: arrays[k] for k in arrays if k.startswith("arc_")}})
 
 
@@ -113,7 +113,7 @@ def _by_meshio(path: Path) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGi
     try:
         with redirect_stdout(printed), redirect_stderr(printed):
             content = meshio.read(path)
-    # meshio raises whatever its readers stumble over; on some formats it prints why and leaves the program.
+    # meshio raises various exceptions; for some formats it prints the reason and exits.
     except (Exception, SystemExit) as error:
         why = " ".join((printed.getvalue() or str(error)).split())
         raise NumericsError(f"meshio cannot read it: {why[:200]}") from error
@@ -125,7 +125,7 @@ def _by_meshio(path: Path) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGi
 
 
 def _named_lines(content: Any) -> list[ElectrodeGiven]:
-    """Groups of lines that are called electrodes, in the order of their numbers."""
+    """Groups of lines named as electrodes, in the order of their numbers."""
     lines = content.cells_dict.get("line")
     groups: dict[int, NDArray[Any]] = {}
     for name, members in content.cell_sets_dict.items():
@@ -140,7 +140,7 @@ def _named_lines(content: Any) -> list[ElectrodeGiven]:
     return [groups[number] for number in sorted(groups)]
 
 
-#: A sheet's outline follows its mesh's edge to this share of the radius.
+#: A sheet's outline follows its mesh's edge within this share of the radius.
 _OUTLINE: Final = 1e-3
 
 
@@ -152,14 +152,14 @@ def mesh_sensor(
     thickness_mm: float,
     response: Response = Response.AUTO,
 ) -> SensorType:
-    """Sensor type on a mesh that carries electrodes: its outline is the mesh's, its forward model's mesh is this one.
+    """Sensor type on a mesh that carries electrodes: with the mesh's outline, and this mesh in its forward model.
 
     Raises
     ------
     NumericsError
         If the mesh carries no electrodes, or fewer than three.
     RefusedError
-        If the pattern is of another number of electrodes, or the outline is none a sheet can have.
+        If the pattern has another number of electrodes, or the outline is not allowed for a sheet.
     """
     if len(mesh.electrode_edges) < 3:
         raise NumericsError(
@@ -167,7 +167,7 @@ def mesh_sensor(
             remedy="give imported_mesh its electrodes",
         )
     ring = outer_ring(mesh)
-    # What is furthest from the middle is a corner, where there are any.
+    # The furthest node from the middle is a corner, if there are corners.
     middle = mesh.nodes_mm[ring].mean(axis=0)
     ring = np.roll(ring, -int(np.hypot(*(mesh.nodes_mm[ring] - middle).T).argmax()))
     corners = thinned_ring(mesh.nodes_mm[ring], _OUTLINE * float(np.sqrt(mesh.areas_mm2.sum() / np.pi)))
@@ -189,7 +189,7 @@ def outer_ring(mesh: Mesh) -> Indices:
 
 
 def without_holes(image: Mesh, sheet: Mesh) -> Mesh:
-    """Leave out of an image's mesh the elements that lie in a hole of the sheet's, with all their corners."""
+    """Leave out elements of an image's mesh that lie in a hole of the sheet's, with all their corners."""
     inside = np.zeros(len(image.elements), dtype=np.bool_)
     for ring in _rings(sheet):
         corners = sheet.nodes_mm[ring]

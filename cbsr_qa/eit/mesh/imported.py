@@ -1,6 +1,6 @@
 """Imported meshes: validation, and placement of electrodes.
 
-What must be right about a mesh that was made elsewhere, each with what to do where it is not.
+Each requirement on an imported mesh is refused with a remedy.
 """
 
 from collections.abc import Sequence
@@ -16,13 +16,13 @@ from cbsr_qa.domain import Indices, NumericsError, array_of, real_numbers
 from cbsr_qa.domain.sensor import FARTHEST_MM, Mesh
 from cbsr_qa.eit.mesh.triangulate import Points, twice_area
 
-_SAME: Final = 1e-9  # of the mesh's size: nodes closer together are one
+_SAME: Final = 1e-9  # of the mesh's size: closer nodes coincide
 _SMALLEST_MM: Final = 1e-9  # extent of a mesh
-_FLAT: Final = 1e-9  # area over the longest edge squared: thinner elements have no area worth the name
+_FLAT: Final = 1e-9  # area over the longest edge squared: thinner elements are degenerate
 
 
 def plane_points(nodes_mm: ArrayLike) -> Points:
-    """Return nodes as (n, 2) finite numbers of an extent that a sheet has; a constant third coordinate is dropped."""
+    """Return nodes as (n, 2) finite numbers with the extent of a sheet; a constant third coordinate is dropped."""
     points = real_numbers(nodes_mm, "nodes")
     if points.ndim == 2 and points.shape[1] == 3 and len(points) and np.ptp(points[:, 2]) == 0:
         points = points[:, :2]
@@ -62,7 +62,7 @@ def whole_numbers(numbers: ArrayLike, what: str, tail: tuple[int, ...]) -> Indic
 
 
 def check_range(numbers: Indices, count: int, first: int, what: str) -> None:
-    """Refuse rows that name nodes that are not there."""
+    """Refuse rows with nodes that do not exist."""
     wrong = np.flatnonzero(~((numbers >= 0) & (numbers < count)).reshape(len(numbers), -1).all(axis=1))
     if wrong.size:
         row = (numbers[wrong[0]] + first).tolist()
@@ -74,7 +74,7 @@ def check_range(numbers: Indices, count: int, first: int, what: str) -> None:
 
 
 def check_doubled(points: Points, corners: Indices) -> None:
-    """Refuse nodes at one place, among those that elements use."""
+    """Refuse coinciding nodes among those that elements use."""
     size = float(np.ptp(points, axis=0).max())
     used = np.unique(corners)
     pairs = cKDTree(points[used]).query_pairs(_SAME * size, output_type="ndarray")
@@ -99,7 +99,7 @@ def check_used(points: Points, corners: Indices) -> None:
 
 
 def check_shape(points: Points, corners: Indices) -> None:
-    """Refuse elements that are flat or turned."""
+    """Refuse flat or clockwise elements."""
     twice = twice_area(points, corners)
     sides = points[corners] - np.roll(points[corners], 1, axis=1)
     longest = (sides**2).sum(axis=2).max(axis=1)
@@ -132,7 +132,7 @@ def boundary_edges(mesh: Mesh) -> Indices:
 
 
 def check_in_one_piece(mesh: Mesh) -> None:
-    """Refuse a mesh whose elements do not all hang together over shared edges."""
+    """Refuse a mesh whose elements are not all connected over shared edges."""
     first, second = mesh.neighbours.T
     count = len(mesh.elements)
     graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
@@ -146,7 +146,7 @@ def check_in_one_piece(mesh: Mesh) -> None:
 
 
 def check_hanging(mesh: Mesh, boundary: Indices) -> None:
-    """Refuse nodes that lie on an edge without dividing it: current would not pass there."""
+    """Refuse nodes on an edge that they do not divide: current would not pass there."""
     on_edge = np.unique(boundary)
     size = float(np.ptp(mesh.nodes_mm, axis=0).max())
     for first, second in boundary:
@@ -162,12 +162,12 @@ def check_hanging(mesh: Mesh, boundary: Indices) -> None:
             )
 
 
-_LEAST_COVERED: Final = 0.5  # of an electrode's width must be edges of the mesh
+_LEAST_COVERED: Final = 0.5  # share of an electrode's width that must be edges of the mesh
 
 
 @dataclass(frozen=True, slots=True)
 class ElectrodeAt:
-    """An electrode by its place: every edge of the boundary whose middle lies within half its width of there.
+    """An electrode by its place: every edge of the boundary with its middle within half the width.
 
     Parameters
     ----------
@@ -192,24 +192,24 @@ def imported_mesh(
     first: int = 0,
     fix: bool = False,
 ) -> Mesh:
-    """Check a mesh that was made elsewhere, and find its electrodes' edges.
+    """Check an imported mesh, and find its electrodes' edges.
 
     Parameters
     ----------
-    nodes_mm : (n, 2) [mm]; (n, 3) where the third coordinate is the same for all.
+    nodes_mm : (n, 2) [mm]; (n, 3) with a constant third coordinate.
     elements : (e, 3) nodes of each triangle.
     electrodes : each by its nodes, its edges or its place; in the order of their numbers. Nodes and edges are counted
-        as those of ``elements`` are.
+    as in ``elements``.
     first : number of the first node, 1 where software counts from one (MATLAB, EIDORS, gmsh).
-    fix : turn clockwise elements and leave out nodes that no element uses, instead of refusing them.
+    fix : reverse clockwise elements and leave out unused nodes, instead of refusing them.
 
     Raises
     ------
     NumericsError
-        If arrays have other shapes or name nodes that are not there; two nodes are at one place; a node is used by
-        no element; an element is turned or flat; three elements share an edge; a node hangs on an edge; the mesh
-        falls into pieces; an electrode is outside the mesh, not on its boundary, has no edges, or shares one.
-        Messages count nodes, elements and electrodes from 0.
+        If arrays have other shapes or name missing nodes; two nodes coincide; a node is unused; an element is
+        clockwise or flat; three elements share an edge; a node hangs on an edge; the mesh falls into pieces; an
+        electrode is outside the mesh, not on its boundary, has no edges, or shares one. Messages count nodes,
+        elements and electrodes from 0.
     """
     points = plane_points(nodes_mm)
     corners = whole_numbers(elements, "elements", (3,)) - first

@@ -1,7 +1,7 @@
 """Meshes of sheets of any outline with electrodes anywhere: boundary nodes first, then the interior.
 
-The outline is first laid in a frame of its own, its first corner in the origin and its first edge along +x, on a grid
-far finer than any drawing: a sheet that is turned or moved has the same mesh, turned or moved.
+The outline is first moved to its own frame, with its first corner at the origin and its first edge along +x, and
+rounded to a grid far finer than any drawing, so that a rotated or moved sheet has the same mesh, rotated or moved.
 """
 
 from collections.abc import Callable, Iterator
@@ -39,9 +39,9 @@ from cbsr_qa.eit.mesh.boundary import (
 )
 from cbsr_qa.eit.mesh.triangulate import Outline, Points, fill
 
-_ROUNDS: Final = 12  # of dividing edges that the triangles would cut
-_EDGES_ROUND_CLOSE_PIN: Final = 200  # at most: a pin as close to something as that has no room
-#: An image's outline leaves out corners that stick out by less than this, of the elements' size.
+_ROUNDS: Final = 12  # rounds of dividing edges that the triangles would cut
+_EDGES_ROUND_CLOSE_PIN: Final = 200  # limit: a pin closer to something has no room
+#: An image's outline leaves out corners that protrude by less than this, of the elements' size.
 _OUT_OF_LINE: Final = 0.03
 
 
@@ -84,7 +84,7 @@ def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
-    """Where the sheet's own frame lies: x = origin + turn · x_own.
+    """Transformation from the sheet's own frame: x = origin + turn · x_own.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class _Frame:
 
     @property
     def radius(self) -> float:
-        """Of the disc of equal area, the same to the bit however the sheet lies."""
+        """Radius of the disc of equal area, identical for any position of the sheet."""
         return float(np.sqrt(self.curve.area / np.pi))
 
     def into(self, points: Points) -> Points:
@@ -138,7 +138,7 @@ class _Pins:
 
     @classmethod
     def of(cls, curve: ClosedCurve, centres: Points, radius: float, size: float, order: int) -> Self:
-        """Edge lengths so short that enough edges surround a pin and fit between it and its neighbours."""
+        """Edge lengths short enough for the edges around a pin and between it and its neighbours."""
         room = curve.nearest(centres)[1] - radius
         if len(centres) > 1:
             next_pin = np.asarray(cKDTree(centres).query(centres, k=[2])[0])[:, 0]
@@ -152,7 +152,7 @@ class _Pins:
         return cls(centres, radius, np.minimum(finest, room))
 
     def finer(self, which: Indices) -> Self:
-        """Return them with half the edge length round some."""
+        """Return pins with half the edge length round some."""
         finest = self.finest.copy()
         finest[which] /= 2
         return replace(self, finest=finest)
@@ -174,7 +174,7 @@ class _Pins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contacts:
-    """Electrodes: pins, or strips by the lengths along the edge of their centres, their width and fewest edges."""
+    """Electrodes: pins, or strips by their centres along the edge, their width and fewest edges."""
 
     pins: _Pins
     strips: Lengths
@@ -182,7 +182,7 @@ class _Contacts:
     fewest: int
 
     def sources(self, curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:
-        """Yield where they make the field singular: at pins, at the ends of strips."""
+        """Yield the singularities of the field: pins, and ends of strips."""
         grade = plain_lengths(size, radius) if order == 1 else smooth_lengths(size, radius)
         for centre, finest in zip(self.pins.centres, self.pins.finest, strict=True):
             yield Source(centre, self.pins.radius, float(finest), grade)
@@ -214,7 +214,7 @@ def _filled(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Po
 
 
 def _followed(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tuple[Edge, _Pins, SizeField]:
-    """Spread nodes along the edge and round the pins, closer where triangles through them would cut either."""
+    """Distribute nodes along the edge and round the pins, closer where triangles would cut either."""
     fixed, pins = fixed_places(curve, sizes, contacts.strips, contacts.width), contacts.pins
 
     def spread() -> Edge:
@@ -236,7 +236,7 @@ def _followed(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tupl
 
 
 def _cut_edges(rings: list[Points]) -> Mask:
-    """Edges of closed lines that the Delaunay triangulation of all nodes lacks, one for each node."""
+    """Edges of closed lines missing in the Delaunay triangulation of all nodes, one for each node."""
     points = np.vstack(rings)
     triangles = Delaunay(points).simplices
     joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
@@ -257,7 +257,7 @@ def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:
 
 
 def _near_edge(curve: ClosedCurve, nodes: Points) -> Callable[[Points], Lengths]:
-    """Signed distance to the edge, exact near it and to the nearest node on it, which costs less, far from it."""
+    """Signed distance to the edge: exact near it, and to the nearest node (which is faster) far from it."""
     tree = cKDTree(nodes)
     longest = float(np.hypot(*(nodes - np.roll(nodes, 1, axis=0)).T).max())
 

@@ -38,7 +38,7 @@ _COARSEST = 0.25  # largest edge length, of the radius
 
 
 def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Mesh:
-    """Mesh a sheet for its forward model; the sensor type's own mesh where it comes with one.
+    """Mesh a sheet for its forward model; or return the sensor type's own mesh.
 
     Pins are round holes whose rims are the electrodes; arcs are stretches of the edge, refined at their ends. All
     edge lengths scale with ``size_mm``, so that a sequence of sizes shows a clean order of convergence.
@@ -46,7 +46,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
     Parameters
     ----------
     size_mm : edge length far from the electrodes [mm], at most a quarter of the radius.
-    order : of the elements that the mesh is to carry.
+    order : of the elements on the mesh.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
 
 @lru_cache(maxsize=4)
 def _round_mesh(layout: ElectrodeLayout, radius_mm: float, size_mm: float, order: int) -> Mesh:
-    """Mesh a disc, or return the mesh made before: a second sensor of a type has the first one's."""
+    """Mesh a disc, or return the cached mesh of an equal type."""
     ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
     outline, electrode_edges, arcs = ring(layout, radius_mm, size_mm, order)
     nodes, elements = fill(outline, np.zeros((0, 2)), smoothing=SMOOTHING)
@@ -75,7 +75,7 @@ def _round_mesh(layout: ElectrodeLayout, radius_mm: float, size_mm: float, order
 
 
 def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
-    """Mesh a sheet with near-uniform triangles, without electrodes, to carry images.
+    """Mesh a sheet with near-uniform triangles, without electrodes, for images.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     return Mesh(nodes, elements)
 
 
-#: Outline, edges of each electrode, and edges that stand for arcs.
+#: Outline, edges of each electrode, and edges that represent arcs.
 _Boundary = tuple[Outline, tuple[Indices, ...], tuple[CircleArcs, ...]]
 
 
@@ -174,20 +174,20 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
 
 
 def _round(edge: Points) -> Indices:
-    """Edges of the sheet's edge counterclockwise, whichever way its stretches follow each other."""
+    """Edges of the sheet's edge counterclockwise, for either order of its stretches."""
     order = np.argsort(np.arctan2(edge[:, 1], edge[:, 0]), kind="stable")
     return np.column_stack([order, np.roll(order, -1)])
 
 
 def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_least: int = 2) -> Array:
-    """Angles along an arc, both ends included, with the wanted distances between them."""
+    """Angles along an arc, both ends included, with the given distances between them."""
     angles = start + np.linspace(0, span, 2001)
     density = radius / sizes(radius * _unit(angles))
     return spread(density, angles, at_least=at_least)
 
 
 def _rotated(angles: Array, layout: ElectrodeLayout, radius: float) -> Points:
-    """Nodes of one electrode's stretch of the edge, repeated for every electrode, in the electrodes' order."""
+    """Nodes of one electrode's stretch of the edge, repeated for every electrode, in order."""
     every = angles + layout.step_rad * np.arange(layout.count)[:, None]
     return radius * _unit(every.ravel())
 

@@ -1,8 +1,8 @@
 """Triangulation of an outline to a size field: Delaunay refinement, then smoothing.
 
 Points are inserted at circumcentres of triangles that are too large (Chew 1989; Ruppert 1995), many at a time, and
-then moved so that every edge gets the length the size function wants (Persson & Strang 2004). No random
-numbers and no order of execution enter, so the same outline gives the same mesh on any machine with the same qhull.
+then moved so that every edge gets the length of the size function (Persson & Strang 2004). The result does not depend
+on random numbers or the order of execution: the same outline has the same mesh on any machine with the same qhull.
 """
 
 from collections.abc import Callable
@@ -16,11 +16,11 @@ from cbsr_qa.domain import Array, Indices, Mask, NumericsError
 
 Points = Array
 
-_TOO_LARGE = 1.25  # a circumradius above this many times an equilateral triangle's asks for a point
-_SPACING = 0.86  # points inserted together keep this distance, in wanted sizes
-_CLEARANCE = 0.58  # and this one from the outline
+_TOO_LARGE = 1.25  # a larger circumradius, relative to an equilateral triangle's, needs a point
+_SPACING = 0.86  # distance between points inserted together, in wanted sizes
+_CLEARANCE = 0.58  # and from the outline
 _ROUNDS = 60
-#: More points than any sheet's mesh has use for (3000 to 20000 do); filling so many takes about a minute.
+#: More points than any sheet's mesh needs (3000 to 20000); filling so many takes about a minute.
 MOST_POINTS: Final = 200_000
 
 
@@ -30,11 +30,11 @@ class Outline:
 
     Parameters
     ----------
-    points : (k, 2) nodes on the outline, which stay where they are.
+    points : (k, 2) fixed nodes on the outline.
     hole : (k,) int64, number of the hole a node is on the rim of, −1 on the outer edge. Holes are convex.
     size : wanted edge length at (n, 2) points, (n,).
     clearance : distance of (n, 2) points to the outline, (n,), negative outside.
-    inside : whether (n, 2) points lie within the outer edge, (n,); None where that is convex.
+    inside : whether (n, 2) points lie within the outer edge, (n,); None if that is convex.
     """
 
     points: Points
@@ -49,8 +49,8 @@ def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, In
 
     Parameters
     ----------
-    start : (n, 2) points to begin with inside the outline; may be empty.
-    smoothing : number of smoothing passes, of which the one with the best worst angle is kept; at least one.
+    start : (n, 2) initial points inside the outline; may be empty.
+    smoothing : number of smoothing passes, at least one; the pass with the best worst angle is kept.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, In
         points = _smoothed(outline, points, elements)
         elements = triangulate(outline, points)
         angle = float(smallest_angle_deg(points, elements).min())
-        if angle > best[2]:  # a pass helps on the whole, but may flatten a single element
+        if angle > best[2]:  # a pass helps overall, but may flatten single elements
             best = points, elements, angle
     return best[0], best[1]
 
@@ -72,7 +72,7 @@ def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, In
 def triangulate(outline: Outline, points: Points) -> Indices:
     """Delaunay triangles of the points, counterclockwise, without those that fill a hole or have no area.
 
-    Nor are there those outside a concave edge: they join three of its nodes.
+    Triangles outside a concave edge, which join three of its nodes, are left out too.
     """
     elements = Delaunay(points).simplices.astype(np.int64)
     hole = np.full(len(points), -1)
@@ -128,7 +128,7 @@ def _check_number(points: int, on_outline: int) -> None:
 
 
 def _spread(points: Points, distance: Array) -> Indices:
-    """Take points in order, leaving out each that is too close to one already taken."""
+    """Take points in order, leaving out those too close to one already taken."""
     near = cKDTree(points).query_ball_point(points, distance, return_sorted=True)
     dropped = np.zeros(len(points), dtype=bool)
     for index, neighbours in enumerate(near):

@@ -154,7 +154,7 @@ class StudyTable(Table):
 
 
 class MetricTable(Table):
-    """``[[metrics]]``: one metric, with the tolerance its gauge is held against; the recipe's where none is given."""
+    """``[[metrics]]``: one metric, with the tolerance for its gauge; by default the recipe's."""
 
     name: _Name
     phase: Annotated[str, Field(max_length=64)] = ""
