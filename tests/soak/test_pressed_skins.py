@@ -8,9 +8,11 @@ import pytest
 from pages import HOW_TO
 
 from benchmarks.pressed_places import GOALS, split
+from cbsr_qa.calibration.place import PlaceEstimator, learn_place, mahalanobis
 from cbsr_qa.studies.frontier.presses import try_presses
 
 PAGE = (HOW_TO.parent / "explanation" / "place.md").read_text(encoding="utf-8")
+RE_CHECKS = 20
 CASES = [(name, count) for name, counts in GOALS.items() for count in counts]
 
 
@@ -34,6 +36,27 @@ def test_last_presses_of_a_session_from_the_first(skins):
         found = try_presses(skins(name).labelled(), np.arange(400), np.arange(2100, 2500))
         assert found.error_mm.mean() <= limit_mm
         assert (found.inside.mean(axis=0) >= [0.63, 0.90]).all()
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("name", GOALS)
+def test_nine_presses_later_tell_where_the_readings_have_gone(skins, name, timed):
+    """Mean over random draws of the nine. Presses stand in their order; the gap of time may be told."""
+    skin, located = skins(name), np.arange(2100, 2500)
+    held = []
+    for seed in range(RE_CHECKS):
+        rechecks = np.random.default_rng([99, seed]).permutation(100)[:9] + 2000
+        rows = np.append(np.arange(400), np.sort(rechecks))
+        model = learn_place(
+            skin.changes[rows], skin.labels_mm[rows], skin.pairs, 16, time_s=10.0 * rows if timed else None
+        ).model
+        locate = PlaceEstimator(model)
+        places = locate(skin.changes[located])
+        ratio = mahalanobis(skin.labels_mm[located] - places.place_mm, places.covariance_mm2)
+        held.append([(ratio <= locate.q68).mean(), (ratio <= locate.q95).mean()])
+    low, high = np.mean(held, axis=0)
+    assert 0.63 <= low <= 0.73
+    assert 0.92 <= high <= 0.98
 
 
 def test_the_figure_is_that_of_the_table(monkeypatch):

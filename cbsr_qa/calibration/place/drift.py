@@ -1,66 +1,191 @@
-"""Drift of readings over a session of presses, and its later growth.
+"""Drift of readings over presses: presses are brought forward to the last of them, and drift further from there.
 
-For every reading an offset and a gain proportional to time are fitted to the differences of left-out presses from
-their templates. The part beyond its own standard error is treated as a random walk: after five sessions its variance
-is five times that of one session. Presses in random order show no drift, and get none.
+Of every reading an offset and a gain walk at random. Both are fitted to what presses differ by from the templates of
+all others, as the first functions of the Karhunen–Loève series of a random walk (Wiener process), with the variances
+of largest marginal likelihood. So a few presses made much later, a re-check, tell where the readings have gone.
+Presses in random order show no drift, and get none.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain import Array, Indices
 
-#: Number of sessions for which a calibration is specified.
+#: Sessions after the last press that a calibration is stated for; after a re-check it is one.
 SESSIONS: Final = 5.0
-#: Squared standard errors subtracted from a squared slope: one of three slopes of pure noise exceeds one.
-_CLEAR: Final = 2.0
-#: Shuffles of the presses that a drift must exceed.
+_FUNCTIONS: Final = 6  # they hold 97 % of the variance of a walk
+#: Variances of a walk over all presses that are tried, in variances of a reading's errors.
+_WALKS: Final = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+#: Variance of the offset and gain that all presses have in common.
+_COMMON: Final = 1.0
+#: Random orders of the presses that a drift must exceed.
 _SHUFFLES: Final = 49
 _SEED: Final = [int.from_bytes(b"drift"), 0]
+#: Presses of a re-check at least, their largest share of all, and how many times as many before them it is told from.
+_FEWEST_LATE: Final = 3
+_LATE_SHARE: Final = 0.1
+_BEFORE: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """Changes (m,) of features in one session: an offset, and a share of the feature itself."""
-
-    offset: Array
-    gain: Array
-
-    def later(self, expected: Array) -> Array:
-        """One standard deviation of drift (n, m) after :data:`SESSIONS`, of expected features (n, m)."""
-        change: Array = np.sqrt(SESSIONS) * (self.offset + self.gain * expected)
-        return change
-
-
-def find_drift(errors: Array, expected: Array, time: Array) -> Drift:
-    """Fit the drift of features; none if presses in random order show as much in one case of fifty.
+    """Changes of the features (n, m) of presses.
 
     Parameters
     ----------
-    errors, expected : (n, m) of left-out presses: observed less expected features, and expected ones.
-    time : (n,) of the presses, from −½ to ½.
+    since : by drift between each press and the last one. A press of a re-check is brought to where the others of the
+        re-check tell the readings are, so that it can tell how far that is right.
+    later : one standard deviation of what may be added later, in all features together.
+    late : how many presses at the end are a re-check.
+    horizon : sessions after the last press that a calibration is stated for.
     """
-    if not time.any():
-        return Drift(np.zeros(errors.shape[1]), np.zeros(errors.shape[1]))
-    slopes, squares = _slopes(errors, expected, time)
+
+    since: Array
+    later: Array
+    late: int
+    horizon: float
+
+
+def find_drift(errors: Array, expected: Array, time_s: Array | None) -> Drift | None:
+    """Fit the drift of features; None where presses in random order would show as much in one case of fifty.
+
+    Parameters
+    ----------
+    errors, expected : (n, m) of presses that were left out: seen less expected features, and expected ones.
+    time_s : (n,) of the presses, rising; None where they were made one after the other, a re-check at the end apart.
+    """
     random = np.random.default_rng(_SEED)
-    shuffled = [_slopes(errors, expected, random.permutation(time))[1].mean() for _ in range(_SHUFFLES)]
-    if squares.mean() <= max(shuffled):
-        slopes = np.zeros_like(slopes)
-    # Shrunk by the share of a square that comes from its own error (James & Stein's positive part, one at a time).
-    offset, gain = slopes * np.maximum(1 - _CLEAR / np.maximum(squares, _CLEAR), 0.0)
-    return Drift(offset, gain)
+    orders = [random.permutation(len(errors)) for _ in range(_SHUFFLES)]
+    deviation = np.sqrt((errors**2).mean(axis=0))
+    scaled = errors / np.where(deviation > 0, deviation, 1.0)
+    size = np.sqrt((expected**2).mean(axis=0))
+    relative = expected / np.where(size > 0, size, 1.0)
+    sessions, late = _sessions(scaled, time_s, orders)
+    walk, horizon = _Walk.over(sessions), 1.0 if late else SESSIONS
+    if walk.score(scaled, relative) <= max(
+        replace(walk, at=walk.at[order]).score(scaled, relative) for order in orders
+    ):
+        return None
+    variances = walk.likely(scaled, relative)
+    found = walk.fitted(scaled, relative, variances)
+    since = _added(walk.at[-1] - walk.at, found, relative)
+    for press in range(len(scaled) - late, len(scaled)):
+        others = np.delete(np.arange(len(scaled)), press)
+        less = replace(walk, at=walk.at[others]).fitted(scaled[others], relative[others], variances) - found
+        since[press] -= _added(
+            walk.at[[press]] - walk.at[: len(scaled) - late].mean(axis=0), less, relative[[press]]
+        )[0]
+    further = _added((walk.at[-1] - walk.at[0])[None], found, relative)
+    return Drift(deviation * since, deviation * np.sqrt(horizon / np.ptp(sessions)) * further, late, horizon)
 
 
-def _slopes(errors: Array, expected: Array, time: Array) -> tuple[Array, Array]:
-    """Least-squares slopes (2, m) of errors by time and by time × expected, and their squares in squared errors."""
-    along, both = time @ errors, time @ (expected * errors)
-    square, mixed, other = np.sum(time**2), time**2 @ expected, time**2 @ expected**2
-    determinant = np.maximum(square * other - mixed**2, np.finfo(float).tiny)
-    slopes = np.stack([other * along - mixed * both, square * both - mixed * along]) / determinant
-    rest = errors - time[:, None] * (slopes[0] + slopes[1] * expected)
-    variance = (rest**2).sum(axis=0) / max(len(errors) - 2, 1) / determinant
-    squares: Array = slopes**2 / np.maximum(variance * [other, np.full_like(other, square)], np.finfo(float).tiny)
-    return slopes, squares
+def _added(functions: Array, coefficients: Array, relative: Array) -> Array:
+    """Drift (n, m) of relative features (n, m) by the walk's functions (n, k) and coefficients (2, k, m)."""
+    offset, gain = functions @ coefficients
+    added: Array = offset + relative * gain
+    return added
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Walk:
+    """A random walk at the times of presses: functions (n, k) of its series, and their variances (k,)."""
+
+    at: Array
+    variances: Array
+
+    @classmethod
+    def over(cls, time: Array) -> "_Walk":
+        """The walk over times (n,), of variance one at the last."""
+        frequency = np.pi * (np.arange(_FUNCTIONS) + 0.5)
+        scaled = (time - time.min()) / max(float(np.ptp(time)), np.finfo(float).tiny)
+        functions: Array = 2**0.5 * np.sin(scaled[:, None] * frequency)
+        return cls(functions, 1 / frequency**2)
+
+    def score(self, scaled: Array, relative: Array) -> float:
+        """Slope of the likelihood of errors (n, m) by the variance of a walk of offset and gain, at none."""
+        at = self.at - self.at.mean(axis=0)
+        along = (at.T @ scaled) ** 2 + (at.T @ (scaled * relative)) ** 2
+        return float((self.variances @ along).sum())
+
+    def likely(self, scaled: Array, relative: Array) -> tuple[float, float]:
+        """Variances of offset and gain of largest marginal likelihood."""
+        problem = self._problem(scaled, relative)
+        tried = [(offset, gain) for offset in _WALKS for gain in _WALKS]
+        return max(tried, key=lambda variances: self._solved(problem, variances)[0])
+
+    def fitted(self, scaled: Array, relative: Array, variances: tuple[float, float]) -> Array:
+        """Coefficients (2, k, m) of offset and gain."""
+        means = self._solved(self._problem(scaled, relative), variances)[1]
+        coefficients: Array = means.T.reshape(2, len(self.variances) + 1, -1)[:, 1:]
+        return coefficients
+
+    def _problem(self, scaled: Array, relative: Array) -> tuple[Array, Array, Array]:
+        """Normal equations of every reading: (m, 2 k + 2, 2 k + 2) and (m, 2 k + 2), and the squared errors (m,)."""
+        count = len(scaled)
+        basis = np.column_stack([np.ones(count), self.at])
+        products = (basis[:, :, None] * basis[:, None, :]).reshape(count, -1)
+        plain, mixed, squared = (
+            (products.T @ relative**power).T.reshape(-1, *[basis.shape[1]] * 2) for power in range(3)
+        )
+        gram = np.concatenate(
+            [np.concatenate([plain, mixed], axis=2), np.concatenate([mixed, squared], axis=2)], axis=1
+        )
+        along = np.concatenate([basis.T @ scaled, basis.T @ (scaled * relative)]).T
+        return gram, along, (scaled**2).sum(axis=0)
+
+    def _solved(self, problem: tuple[Array, Array, Array], variances: tuple[float, float]) -> tuple[float, Array]:
+        """Logarithm of the likelihood, each reading's noise found with it, and means (m, 2 k + 2)."""
+        gram, along, total = problem
+        root = np.sqrt(np.concatenate([[_COMMON, *(each * self.variances)] for each in variances]))
+        precision = np.eye(len(root)) + gram * np.outer(root, root)
+        means = root * np.linalg.solve(precision, (root * along)[:, :, None])[:, :, 0]
+        left = np.maximum(total - (along * means).sum(axis=1), np.finfo(float).tiny)
+        likelihood = -len(self.at) * np.log(left).sum() - np.linalg.slogdet(precision)[1].sum()
+        return float(likelihood), means
+
+
+def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) -> tuple[Array, int]:
+    """Times (n,) of presses in sessions, and how many of them at the end are a re-check.
+
+    A re-check follows the longest break, if that is longer than the session before it. Without times it is seen by
+    its jump, and taken to be as late as a calibration is stated for.
+    """
+    count = len(scaled)
+    if time_s is None:
+        late = _late(scaled, orders)
+        time = np.linspace(0.0, 1.0, count - late)
+        return np.append(time, 1 + SESSIONS + np.arange(late) / count), late
+    breaks = np.diff(time_s)
+    last = int(breaks.argmax())
+    session = float(time_s[last] - time_s[0])
+    if 0 < session < breaks[last]:
+        return (time_s - time_s[0]) / session, count - last - 1
+    return (time_s - time_s[0]) / max(float(np.ptp(time_s)), np.finfo(float).tiny), 0
+
+
+def _late(scaled: Array, orders: Sequence[Indices]) -> int:
+    """How many presses at the end are a re-check: they jump more than in random orders, and than any before."""
+    count = len(scaled)
+    most = max(int(_LATE_SHARE * count), _FEWEST_LATE)
+    fewest = (1 + _BEFORE) * most
+    if fewest > count - most:
+        return 0
+    jumps = _jumps(scaled, most)
+    ends = np.unique(np.linspace(fewest, count - most, _SHUFFLES).astype(np.int64))
+    others = [scaled[order] for order in orders] + [scaled[:end] for end in ends]
+    if jumps.max() <= max(_jumps(other, most).max() for other in others):
+        return 0
+    return _FEWEST_LATE + int(jumps.argmax())
+
+
+def _jumps(scaled: Array, most: int) -> Array:
+    """Squared jumps of the errors' mean before the last presses, in squared standard errors, by their number."""
+    sums = np.cumsum(scaled[::-1], axis=0)
+    late = np.arange(_FEWEST_LATE, most + 1)
+    last = sums[late - 1] / late[:, None]
+    before = (sums[(1 + _BEFORE) * late - 1] - sums[late - 1]) / (_BEFORE * late[:, None])
+    jumps: Array = ((last - before) ** 2).mean(axis=1) * late * _BEFORE / (1 + _BEFORE)
+    return jumps

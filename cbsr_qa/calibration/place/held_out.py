@@ -1,44 +1,45 @@
-"""Presses of a sheet, each located from others alone: the basis of mixture, regions and stated errors."""
+"""Presses of a sheet, each located from others alone: what mixture, regions and stated errors rest on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.place.drift import SESSIONS
 from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mixed
 from cbsr_qa.calibration.place.process import given_presses, left_out, likely_scales
-from cbsr_qa.calibration.place.templates import expected_features, learn_templates, likeness, match
-from cbsr_qa.domain import Array, Indices
-from cbsr_qa.domain.results import PatternTurns, PlaceScales, PlaceTemplates
+from cbsr_qa.calibration.place.templates import TemplateLearning, expected_features, likeness, match
+from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.domain.results import PatternTurns, PlaceMixture, PlaceProcess, PlaceScales
 
-#: Up to so many presses are located with all but a few others; hyperparameters are found again without each tenth.
+#: Up to so many presses all but a few are located together, and hyperparameters are found anew without every tenth.
 _FEW: Final = 120
 _BLOCKS_OF_FEW: Final = 40
 _BLOCKS_WITH_SCALES: Final = 10
-#: Larger sets are left out in turn in this many blocks, in the order in which they were made.
+#: Blocks of more presses, in the order in which they were made, that are left out in turn.
 _BLOCKS: Final = 20
-#: Presses closer than this share of the radius are at the same place.
+#: Presses nearer to each other than this share of the radius are at one place.
 _ONE_PLACE: Final = 0.01
-#: Above that each half of the presses is located with hyperparameters of so many of the other half.
-_FOR_HALVES: Final = 200
-#: Levels at which the actual coverage of regions is compared with the nominal one.
+#: Presses that hyperparameters are found with. Of more than :data:`_FEW` each half is located with those of the other
+#: half; of more than _MANY times as many, all but these are located with hyperparameters from these.
+_FOR_SCALES: Final = 200
+_MANY: Final = 4
+#: Levels at which what regions hold is compared with what they are asked to hold.
 _LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, LEVELS[0], 0.75, 0.8, 0.85, 0.9, LEVELS[1], 0.975, 0.99)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
-    """Errors of presses located without learning from them.
+    """Errors of presses that nothing was learned from when they were located.
 
     Parameters
     ----------
-    mean_mm, stderr_mm : distance of the found from the true places.
+    mean_mm, stderr_mm : distance of the places found from the true ones.
     count : presses.
-    presses : (count,) their indices.
+    presses : (count,) their numbers.
     found_mm : (count, 2) places found.
-    levels, held : (k,) nominal and actual coverage of regions; the sizes of the regions were found with other
-        presses.
+    levels, held : (k,) what regions are asked to hold, and the shares of the presses that they hold; the sizes of the
+        regions were found with other presses.
     """
 
     mean_mm: float
@@ -58,29 +59,41 @@ class HeldOut:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeftOut:
-    """Both estimates (n, 2) of every press from others.
+    """Both estimates (k, 2) of presses (k,) from others.
 
-    For the second also its covariance (n, 2, 2), misfit (n,), and the likeness (n, k) to templates over the grid.
+    Of the second also its covariance (k, 2, 2), misfit (k,), and the likeness (k, g) to templates over the grid.
     """
 
+    presses: Indices
     process: Array
     templates: Array
     templates_covariance: Array
     misfit: Array
     likeness: Array
 
+    def of(self, chosen: Indices | Mask) -> "LeftOut":
+        """Some of them."""
+        return LeftOut(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def mixture(self, places_mm: Array, levels: Sequence[float] = LEVELS) -> PlaceMixture:
+        """The mixture that presses at places (n, 2) call for, with regions of some levels."""
+        parts = self.process, self.templates, self.templates_covariance, places_mm[self.presses]
+        return learn_mixture(*parts, levels)
+
+    def apart(self, mixture: PlaceMixture, places_mm: Array) -> tuple[Array, Array]:
+        """Errors (k, 2) of the mixed places, and dᵀΣ⁻¹d (k,) of them."""
+        found, covariance = mixed(mixture, self.process, self.templates, self.templates_covariance)
+        error = places_mm[self.presses] - found
+        return error, mahalanobis(error, covariance)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressedSheet:
-    """Features (n, m), places (n, 2) about the centre in the electrodes' axes, and times (n,) of presses.
-
-    ``time`` runs from −½ to ½ over the session.
-    """
+    """Features (n, m) of presses and their places (n, 2) about the centre, in the electrodes' axes."""
 
     turns: PatternTurns
     features: Array
     places_mm: Array
-    time: Array
 
     @property
     def radius_mm(self) -> float:
@@ -89,59 +102,69 @@ class PressedSheet:
 
     @property
     def visits(self) -> Indices:
-        """Index of the first press at its place, for each press (n,)."""
+        """For each press (n,) the number of the first one at its place."""
         return visits_of(self.places_mm)
 
     def likely(self, presses: Indices) -> PlaceScales:
         """Hyperparameters from some of the presses."""
         return likely_scales(self.turns, self.features[presses], self.places_mm[presses])
 
-    def templates(self, presses: Indices) -> tuple[PlaceTemplates, Array]:
-        """Templates of some of the presses, and their drift; see :func:`learn_templates`."""
-        parts = self.features[presses], self.places_mm[presses]
-        return learn_templates(self.turns, *parts, self.radius_mm, self.time[presses])
+    def template_learning(self) -> TemplateLearning:
+        """What learns the templates of the presses."""
+        return TemplateLearning(self.turns, self.features, self.places_mm, self.radius_mm)
 
-    def left_out(self) -> LeftOut:
-        """Locate every press from presses of other blocks, which are at other places."""
+    def left_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:
+        """Locate presses from presses of other blocks, at other places, and learn the process from all."""
         count, visits = len(self.places_mm), self.visits
-        places = np.unique(visits)
-        groups = np.array_split(places, min(_BLOCKS_OF_FEW if count <= _FEW else _BLOCKS, len(places)))
+        firsts = np.unique(visits)
+        groups = np.array_split(firsts, min(_BLOCKS_OF_FEW if count <= _FEW else _BLOCKS, len(firsts)))
         blocks = [np.flatnonzero(np.isin(visits, group)) for group in groups]
-        process = np.full((count, 2), np.nan)
-        for learned, located in self._parts():
-            given, inverse = given_presses(self.likely(learned), self.turns, self.features, self.places_mm)
-            predicted = left_out(given, inverse, [block for block in blocks if np.isin(block, located).any()])
-            process[located] = predicted[located]
-        return LeftOut(process, *self._from_templates(blocks))
+        places = np.full((count, 2), np.nan)
+        parts = self._parts()
+        for learned, located in parts:
+            process, inverse = given_presses(self.likely(learned), self.turns, self.features, self.places_mm)
+            predicted = left_out(process, inverse, [block for block in blocks if np.isin(block, located).any()])
+            places[located] = predicted[located]
+        if len(parts) > 1:
+            scales = self.likely(evenly(count, _FOR_SCALES))
+            process, _ = given_presses(scales, self.turns, self.features, self.places_mm)
+        some = np.flatnonzero(np.isfinite(places[:, 0]))
+        second = (each[some] for each in self._from_templates(learning, blocks, later))
+        return LeftOut(some, places[some], *second), process
 
-    def misfit_growth(self) -> float:
-        """Factor by which misfits may have grown after :data:`SESSIONS`; 1 if they do not grow.
+    def misfit_growth(self, learning: TemplateLearning, sessions: float) -> float:
+        """Factor by which misfits may have grown so many sessions later; 1 where they do not grow.
 
-        A random walk of features: half a session away the misfit's median has grown by a tenth of the total.
+        By a random walk, presses differ from the mean of the other half in order by 5/12 of what it gains in a
+        session, from that of presses in between by 1/6, and later by 1/3 and what it gains until then.
         """
         count = len(self.places_mm)
-        presses, still = np.arange(count), replace(self, time=np.zeros(count))
+        presses = np.arange(count)
         apart, mixed = (
-            float(np.median(still._from_templates(halves)[2]))
+            float(np.median(self._from_templates(learning, halves)[2]))
             for halves in ([presses[: count // 2], presses[count // 2 :]], [presses[::2], presses[1::2]])
         )
-        return max(1.0, 1 + 2 * SESSIONS * (apart / mixed - 1))
+        return max(1.0, 1 + (4 * sessions + 2 / 3) * (apart / mixed - 1))
 
     def _parts(self) -> list[tuple[Indices, Indices]]:
-        """Presses for hyperparameters, and presses located with them."""
+        """Presses that hyperparameters are found with, and those that are located with them."""
         count = len(self.places_mm)
+        presses = np.arange(count)
+        if count > _MANY * _FOR_SCALES:
+            some = evenly(count, _FOR_SCALES)
+            return [(some, np.setdiff1d(presses, some))]
         if count > _FEW:
-            halves = np.arange(0, count, 2), np.arange(1, count, 2)
-            return [(one[evenly(len(one), _FOR_HALVES)], other) for one, other in (halves, halves[::-1])]
-        blocks = np.array_split(np.arange(count), _BLOCKS_WITH_SCALES)
-        return [(np.setdiff1d(np.arange(count), block), block) for block in blocks if len(block)]
+            halves = presses[::2], presses[1::2]
+            return [(one[evenly(len(one), _FOR_SCALES)], other) for one, other in (halves, halves[::-1])]
+        blocks = np.array_split(presses, _BLOCKS_WITH_SCALES)
+        return [(np.setdiff1d(presses, block), block) for block in blocks if len(block)]
 
-    def _from_templates(self, blocks: Sequence[Indices]) -> tuple[Array, Array, Array, Array]:
+    def _from_templates(
+        self, learning: TemplateLearning, blocks: Sequence[Indices], later: Array | None = None
+    ) -> tuple[Array, Array, Array, Array]:
         found: list[tuple[Array, Array, Array, Array]] = []
         for block in blocks:
-            others = np.setdiff1d(np.arange(len(self.places_mm)), block)
-            templates, _ = self.templates(others)
-            features = self.features[block]
+            templates, features = learning.without(block, later), self.features[block]
             found.append((*match(templates, features), likeness(expected_features(templates), features)))
         order = np.argsort(np.concatenate(blocks))
         place, covariance, misfit, like = (np.concatenate(part)[order] for part in zip(*found, strict=True))
@@ -149,7 +172,7 @@ class PressedSheet:
 
 
 def visits_of(places_mm: Array) -> Indices:
-    """Index of the first press at its place, for each press (n,) at places (n, 2) about their centre."""
+    """For each press (n,) at places (n, 2) about their centre the number of the first one at its place."""
     cells = np.round(places_mm / (_ONE_PLACE * np.linalg.norm(places_mm, axis=1).max()))
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     visits: Indices = first[cell.ravel()]
@@ -159,26 +182,39 @@ def visits_of(places_mm: Array) -> Indices:
 def coverage_of(out: LeftOut, places_mm: Array, visits: Indices) -> HeldOut:
     """State errors and coverage of presses left out; mixture and regions are learned from the other half of them.
 
-    The standard error counts presses at one place (of the same index in ``visits``) as one.
+    The standard error takes the errors of presses at one place (of the same number in ``visits``) for one.
     """
-    count = len(places_mm)
-    places, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
+    count = len(out.presses)
+    found, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
     for half in (0, 1):
-        located, learned = np.arange(half, count, 2), np.arange(1 - half, count, 2)
-        first, second, second_covariance = out.process, out.templates, out.templates_covariance
-        parts = first[learned], second[learned], second_covariance[learned], places_mm[learned]
-        mixture = learn_mixture(*parts, _LEVELS)
-        places[located], covariance = mixed(mixture, first[located], second[located], second_covariance[located])
-        ratio = mahalanobis(places_mm[located] - places[located], covariance)
+        located = np.arange(half, count, 2)
+        mixture = out.of(np.arange(1 - half, count, 2)).mixture(places_mm, _LEVELS)
+        apart, ratio = out.of(located).apart(mixture, places_mm)
+        found[located] = places_mm[out.presses[located]] - apart
         inside[located] = ratio[:, None] <= mixture.quantiles
-    error = np.linalg.norm(places_mm - places, axis=1)
+    error = np.linalg.norm(places_mm[out.presses] - found, axis=1)
+    visits = visits[out.presses]
     sums = np.bincount(visits, error - error.mean())[np.unique(visits)]
     stderr = float(np.sqrt(np.sum(sums**2) * len(sums) / max(len(sums) - 1, 1)) / count)
-    return HeldOut(
-        float(error.mean()), stderr, count, np.arange(count), places, np.array(_LEVELS), inside.mean(axis=0)
+    return HeldOut(float(error.mean()), stderr, count, out.presses, found, np.array(_LEVELS), inside.mean(axis=0))
+
+
+def late_growth(mixture: PlaceMixture, early: LeftOut, late: LeftOut, places_mm: Array) -> float:
+    """Factor by which squared errors of late presses exceed those of earlier ones, at least 1.
+
+    The mean of what the readings' misfit says, which few presses tell, and of what the places say, on a scale of
+    logarithms: there no single press counts much.
+    """
+    misfit, ratio = (
+        [np.log(np.maximum(each, np.finfo(float).tiny)).mean() for each in pair]
+        for pair in (
+            (early.misfit, late.misfit),
+            (early.apart(mixture, places_mm)[1], late.apart(mixture, places_mm)[1]),
+        )
     )
+    return max(1.0, float(np.exp((misfit[1] - misfit[0] + ratio[1] - ratio[0]) / 2)))
 
 
 def evenly(count: int, most: int) -> Indices:
-    """Indices of at most ``most`` of ``count`` presses, evenly spread over the session."""
+    """Numbers of at most ``most`` of ``count`` presses, evenly spread over the session."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

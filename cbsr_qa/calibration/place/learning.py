@@ -1,4 +1,4 @@
-"""Learning places from presses at known places, with errors from left-out presses."""
+"""Learning where a sheet is pressed from presses at known places, and how well: held against presses left out."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.calibration.place.drift import SESSIONS
+from cbsr_qa.calibration.place.drift import Drift, find_drift
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
     features_of,
@@ -16,25 +16,21 @@ from cbsr_qa.calibration.place.features import (
     strengths,
     turn_by,
 )
-from cbsr_qa.calibration.place.held_out import HeldOut, PressedSheet, coverage_of, evenly
-from cbsr_qa.calibration.place.mixture import drifted, learn_mixture
+from cbsr_qa.calibration.place.held_out import HeldOut, PressedSheet, coverage_of, evenly, late_growth
+from cbsr_qa.calibration.place.mixture import few_presses_tell
 from cbsr_qa.calibration.place.process import (
     at_edges,
     frames_likelihoods,
-    given_presses,
     likely_scales,
-    located,
     start_scales,
 )
-from cbsr_qa.calibration.place.templates import at_places, match
+from cbsr_qa.calibration.place.templates import NO_PRESS, at_places
 from cbsr_qa.domain import Array, CalibrationError, Indices
 from cbsr_qa.domain.results import (
     FeatureScaling,
     LearnedPlace,
     PatternTurns,
-    PlaceProcess,
     PlaceScales,
-    PlaceTemplates,
 )
 
 FEWEST_PRESSES: Final = 6
@@ -43,25 +39,23 @@ FEWEST_PRESSES: Final = 6
 #: presses make more likely is taken: half where all press alike, all of it where forces differ.
 _EXPONENT: Final = 0.7
 _DAMPINGS: Final = (0.5, 1.0)
-#: Least gain in log likelihood per press for damping a frame's whole size.
+#: Logarithm of the likelihood, per press, that damping a frame's whole size must gain.
 _CLEARLY: Final = 0.2
-#: Number of presses for hyperparameters.
-_FOR_SCALES: Final = 400
-#: Number of presses used to try damping, axes and centre, and steps of a half turn.
+#: Presses that damping, axes and centre are tried with, and steps of a half turn.
 _FOR_FRAME: Final = 100
 _AXES: Final = 24
 #: Standard error of the centre along an axis, over the radius of what is pressed: of the presses' middle, and of a
 #: centre that was registered.
 _CENTRE: Final = 0.1
 _KNOWN_CENTRE: Final = 0.03
-#: Quantile of left-out presses that limits a touch's misfit, times an allowance for unseen presses.
+#: A touch misfits no more than this share of the presses left out, times the room for presses not seen.
 _MISFIT_LEVEL: Final = 0.98
 _MISFIT_ROOM: Final = 1.2
-#: A touch has at least this share of the 2 % quantile of learned sizes.
+#: A touch is at least this share of the 2 % quantile of the sizes learned from.
 _SIZE_ROOM: Final = 0.5
-#: Places further from the nearest press than this many median distances of neighbours are outside.
+#: Places further from the nearest press than this many median distances of neighbours lie outside.
 _REACH: Final = 4.0
-#: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
+#: Errors above this share of those of always guessing the middle say that readings tell little.
 _POOR: Final = 0.6
 
 Tell = Callable[[str], None]
@@ -69,7 +63,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceLearned:
-    """A learned place, its errors on left-out presses, and remarks.
+    """What was learned, how well it does on presses left out, and what to be told about it.
 
     Parameters
     ----------
@@ -97,20 +91,22 @@ def learn_place(
 
     Parameters
     ----------
-    changes : (n, m) of the readings, by each press, in one unit; finite. Readings that are zero in all are never
-    used.
-    places_mm : (n, 2) of the presses, in any frame; in order of time, unless ``time_s`` is given.
+    changes : (n, m) of the readings, by each press, in one unit; finite. Readings that are zero in all are not
+        used, whatever they are later.
+    places_mm : (n, 2) of the presses, in any frame; in the order in which they were made, unless ``time_s`` says it.
     pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
-    electrodes : number around the sheet, evenly spaced.
-    centre_mm : (2,) the sheet's centre in the frame of the presses; by default the middle of the presses.
-    axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`; by default the likeliest.
-    time_s : (n,) of the presses; by default evenly in their order. Drift over it is extrapolated.
-    tell : receives the progress in words.
+    electrodes : how many there are around the sheet, evenly spaced.
+    centre_mm : (2,) the sheet's centre in the frame of the presses; the middle of the presses where it is not known.
+    axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`; the likeliest where they are
+        not known.
+    time_s : (n,) of the presses; evenly in their order where it is not known. Drift over it is carried further.
+    tell : is told of each step, in words.
 
     Raises
     ------
     CalibrationError
-        If there are fewer than six presses, all are at one place, or no reading changes.
+        If there are fewer than six presses, all are at one place, no reading changes, or readings are the same in
+        every press.
     """
     _check(changes, places_mm)
     order = np.arange(len(changes)) if time_s is None else np.argsort(time_s, kind="stable")
@@ -121,35 +117,44 @@ def learn_place(
     tell("finding how the electrodes lie")
     scaling, axes, centre = _frame(changes, places_mm, turns, axes, centre_mm)
     about = places_mm - centre
-    sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T, _session(len(about), time_s))
+    sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T)
+    tell("finding how readings drift")
+    learning = sheet.template_learning()
+    drift = find_drift(*learning.left_out(), time_s)
+    growth, later, late = 1.0, None, 0
+    if drift is not None:
+        growth = sheet.misfit_growth(learning, drift.horizon)
+        later, late = drift.later, drift.late
+        sheet = replace(sheet, features=sheet.features + drift.since)
+        learning = sheet.template_learning()
     tell("locating presses that were left out")
-    out = sheet.left_out()
+    out, process = sheet.left_out(learning, later)
     tell("learning from all presses")
-    scales = sheet.likely(evenly(len(about), _FOR_SCALES))
-    process, _ = given_presses(scales, turns, sheet.features, sheet.places_mm)
-    templates, later = sheet.templates(np.arange(len(about)))
-    room = _MISFIT_ROOM * (sheet.misfit_growth() if later.any() else 1.0)
-    mixture = learn_mixture(out.process, out.templates, out.templates_covariance, sheet.places_mm)
+    rechecks = out.presses >= len(about) - late
+    early = out.of(~rechecks)
+    mixture = early.mixture(sheet.places_mm)
+    if rechecks.any():
+        growth = late_growth(mixture, early, out.of(rechecks), sheet.places_mm)
+        mixture = replace(mixture, quantiles=mixture.quantiles * few_presses_tell(int(rechecks.sum())))
     size = np.sqrt((changes**2).mean(axis=1))
     model = LearnedPlace(
         scaling,
         turns,
         process,
-        templates,
-        drifted(mixture, _shift(turns, process, templates, mixture.share, sheet.features, later)),
+        learning.without(NO_PRESS, later),
+        replace(mixture, spread=growth * mixture.spread),
         centre,
         axes,
-        misfit=float(room * np.quantile(out.misfit, _MISFIT_LEVEL)),
+        misfit=float(_MISFIT_ROOM * growth * np.quantile(early.misfit, _MISFIT_LEVEL)),
         least_size=float(_SIZE_ROOM * np.quantile(size, 1 - _MISFIT_LEVEL)),
         reach_mm=_reach(about[np.unique(sheet.visits)]),
     )
-    held_out = coverage_of(out, sheet.places_mm, sheet.visits)
-    strength = strengths(changes, at_places(templates.grid_mm, out.likeness, held_out.found_mm), scaling)
+    held_out = coverage_of(early, sheet.places_mm, sheet.visits)
+    like = at_places(model.templates.grid_mm, early.likeness, held_out.found_mm)
+    strength = strengths(changes[early.presses], like, scaling)
     found_mm = held_out.found_mm @ axes + centre
     held_out = replace(held_out, presses=order[held_out.presses], found_mm=found_mm)
-    return PlaceLearned(
-        model, held_out, strength, tuple(_warnings(held_out, sheet, scales, drifts=bool(later.any())))
-    )
+    return PlaceLearned(model, held_out, strength, tuple(_warnings(held_out, sheet, process.scales, drift=drift)))
 
 
 def _check(changes: Array, places_mm: Array) -> None:
@@ -164,15 +169,20 @@ def _check(changes: Array, places_mm: Array) -> None:
         raise CalibrationError(
             "no reading changes in any press", remedy="check that these are readings of the presses"
         )
+    if not np.ptp(changes, axis=0).any():
+        raise CalibrationError(
+            "all readings are the same in every press: they do not tell the place",
+            remedy="check that these are readings of the presses",
+        )
 
 
 def _frame(
     changes: Array, places_mm: Array, turns: PatternTurns, axes: Array | None, centre_mm: Array | None
 ) -> tuple[FeatureScaling, Array, Array]:
-    """Find the most likely damping, and axes and centre of the electrodes.
+    """Find the damping and the electrodes' axes and centre that make the presses most likely.
 
-    First with the initial scales of a search, then with the likeliest in that frame. A sheet rotated with its
-    electrodes looks the same after half a turn, so half a turn of axes is tried if none are known.
+    First with the scales that a search begins with, then with the likeliest in that frame. A sheet that turns with
+    its electrodes looks the same half a turn on, so that half a turn of axes is tried where none are known.
     """
     some = evenly(len(changes), _FOR_FRAME)
     centre = (places_mm.min(axis=0) + places_mm.max(axis=0)) / 2 if centre_mm is None else np.asarray(centre_mm)
@@ -198,30 +208,6 @@ def _frame(
     return scaling, tried[best], centre + centres[best]
 
 
-def _session(count: int, time_s: Array | None) -> Array:
-    """Times (n,) of the presses from −½ to ½."""
-    time = np.arange(count, dtype=np.float64) if time_s is None else time_s - time_s.min()
-    span = float(np.ptp(time))
-    session: Array = time / span - 0.5 if span > 0 else np.zeros(count)
-    return session
-
-
-def _shift(
-    turns: PatternTurns,
-    process: PlaceProcess,
-    templates: PlaceTemplates,
-    share: float,
-    features: Array,
-    later: Array,
-) -> float:
-    """Mean square shift [mm²] of the places found by later drift (n, m) of features."""
-    found = [
-        (1 - share) * located(process, turns, seen) + share * match(templates, seen)[0]
-        for seen in (features, features + later, features - later)
-    ]
-    return float(np.mean([((moved - found[0]) ** 2).sum(axis=1).mean() for moved in found[1:]]))
-
-
 def _half_turn() -> Array:
     angles = np.linspace(0, np.pi, _AXES, endpoint=False)
     return np.array([turn_by(angle, mirrored=mirrored) for mirrored in (False, True) for angle in angles])
@@ -234,13 +220,13 @@ def _beside(axes: Array) -> Array:
 
 
 def _reach(about: Array) -> float:
-    """Distance from the nearest of some different places (n, 2) beyond which nothing was learned [mm]."""
+    """Distance from the nearest of some different places (n, 2) beyond which none was learned [mm]."""
     nearest = np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]
     return float(_REACH * np.median(nearest))
 
 
-def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, *, drifts: bool) -> Iterator[str]:
-    """Remarks for a person on the learned place."""
+def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, drift: Drift | None) -> Iterator[str]:
+    """What a person should know of what was learned."""
     spread_mm = float(np.linalg.norm(sheet.places_mm - sheet.places_mm.mean(axis=0), axis=1).mean())
     if held_out.mean_mm > _POOR * spread_mm:
         yield (
@@ -250,8 +236,8 @@ def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, *, dr
     at_edge = at_edges(scales, sheet.turns, sheet.features, sheet.places_mm)
     if at_edge:
         yield f"hyperparameters at the edge of their range: {', '.join(at_edge)}; press at more places"
-    if drifts:
+    if drift is not None:
         yield (
-            "readings drift over the session: regions are widened to hold as far as"
-            f" {SESSIONS:g} sessions later; press at some known places again before that"
+            "readings drift over the session: regions are widened to hold until"
+            f" {drift.horizon:g} times its length after the last press; press at some known places again before that"
         )

@@ -1,7 +1,6 @@
 """Both estimates of a place mixed, with a covariance whose regions have the stated coverage on left-out presses."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -47,12 +46,6 @@ def learn_mixture(
     return PlaceMixture(share, spread, np.array([quantile(ratio, level) for level in levels]))
 
 
-def drifted(mixture: PlaceMixture, shift_mm2: float) -> PlaceMixture:
-    """Widen regions by a mean square shift [mm²] of places, so that normal errors of that size stay inside."""
-    factor = float(chi2.ppf(LEVELS[0], 2)) / float(mixture.quantiles[0])
-    return replace(mixture, spread=mixture.spread + np.array([0.0, factor * shift_mm2 / 2, 0.0]))
-
-
 def _fitted(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> tuple[float, Array]:
     share, apart = _share(first, second, places_mm), second - first
     return share, _spread(places_mm - first - share * apart, apart, second_covariance)
@@ -60,7 +53,7 @@ def _fitted(first: Array, second: Array, second_covariance: Array, places_mm: Ar
 
 def mahalanobis(error: Array, covariance: Array) -> Array:
     """Return dᵀΣ⁻¹d (n,) of errors (n, 2) with covariances (n, 2, 2)."""
-    squares: Array = np.einsum("na,na->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    squares: Array = np.einsum("na,nab,nb->n", error, _inverted(covariance)[0], error)
     return squares
 
 
@@ -77,6 +70,13 @@ def quantile(ratio: Array, level: float) -> float:
     return max(float(ratio.mean() * fisher.ppf(level, 2, 2 * len(ratio))), float(ratio.max()))
 
 
+def few_presses_tell(count: int) -> Array:
+    """Factors (2,) by which regions of normal errors grow where their variance is told by few presses."""
+    levels = np.array(LEVELS)
+    factors: Array = np.asarray(2 * fisher.ppf(levels, 2, 2 * count) / chi2.ppf(levels, 2))
+    return factors
+
+
 def _share(first: Array, second: Array, places_mm: Array) -> float:
     apart, error = second - first, places_mm - first
     size = np.linalg.norm(error - 0.5 * apart, axis=1)
@@ -91,17 +91,28 @@ def _share(first: Array, second: Array, places_mm: Array) -> float:
 
 
 def _spread(error: Array, apart: Array, second_covariance: Array) -> Array:
-    """Weights (3,) of largest normal likelihood."""
+    """Weights (3,) of largest normal likelihood, in logarithms about a weak prior."""
+    parts = np.stack([_covariance(each, apart, second_covariance) for each in np.eye(3)])
     start = np.full(3, np.log(0.3))
     start[1] = np.log(max(float(np.median((error**2).sum(axis=1))), 1e-6) / 4)
 
-    def surprise(logs: Array) -> float:
-        covariance = _covariance(np.exp(np.clip(logs, -20, 20)), apart, second_covariance)
-        value = mahalanobis(error, covariance).sum() + np.linalg.slogdet(covariance)[1].sum()
-        return float(value + 0.1 * ((logs - start) ** 2).sum())
+    def surprise(logs: Array) -> tuple[float, Array]:
+        weights = np.exp(logs)
+        inverse, determinant = _inverted(np.tensordot(weights, parts, axes=1))
+        turned = np.einsum("nab,nb->na", inverse, error)
+        value = np.einsum("na,na->", turned, error) + np.log(determinant).sum()
+        slope = np.einsum("knab,nab->k", parts, inverse - turned[:, :, None] * turned[:, None, :])
+        away = logs - start
+        return float(value + 0.1 * away @ away), weights * slope + 0.2 * away
 
-    spread: Array = np.exp(np.clip(minimize(surprise, start, method="Nelder-Mead").x, -20, 20))
-    return spread
+    return np.exp(minimize(surprise, start, jac=True, method="L-BFGS-B", bounds=[(-20, 20)] * 3).x)
+
+
+def _inverted(covariance: Array) -> tuple[Array, Array]:
+    """Inverses (n, 2, 2) and determinants (n,) of covariances (n, 2, 2)."""
+    determinant = covariance[:, 0, 0] * covariance[:, 1, 1] - covariance[:, 0, 1] ** 2
+    adjugate = covariance[:, ::-1, ::-1] * [[1, -1], [-1, 1]]
+    return adjugate / determinant[:, None, None], determinant
 
 
 def _covariance(spread: Array, apart: Array, second_covariance: Array) -> Array:

@@ -1,30 +1,33 @@
-"""Gaussian process from features to places: an independent covariance and one that rotates with the sheet.
+"""Gaussian process from features to places: a covariance of its own and one that turns with the sheet.
 
-K(x, x') = v₁ k(|x − x'|₁) I + v₂ Σ_g k(|x − g x'|₂) R_g: the second part belongs to processes whose place rotates by
-R_g when the features are those of a sheet rotated by g (Reisert & Burkhardt 2007, "Learning equivariant functions
-with matrix valued kernels"). On a uniform sheet every press then informs about all symmetric ones; on a sheet without
-that symmetry the marginal likelihood switches this part off.
+K(x, x') = v₁ k(|x − x'|₁) I + v₂ Σ_g k(|x − g x'|₂) R_g: the second part is that of all processes whose place turns
+by R_g where the features are those of a sheet turned by g (Reisert & Burkhardt 2007, "Learning equivariant functions
+with matrix valued kernels"). On a uniform sheet every press then teaches about all others of its kind; on a sheet
+without that symmetry the marginal likelihood turns the part off.
 """
 
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import dpotri
 from scipy.optimize import Bounds, minimize
 
 from cbsr_qa.calibration.place.features import matern, matern_and_slope, squared_distances
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PatternTurns, PlaceProcess, PlaceScales
 
-_ITERATIONS: Final = 25  # L-BFGS steps; further ones gain less than 0.01 mm on left-out presses
-_FURTHEST: Final = 12.0  # of a logarithm from its initial value
+_ITERATIONS: Final = 25  # L-BFGS; further ones gain less than 0.01 mm on presses left out
+_FURTHEST: Final = 12.0  # of a logarithm from where the search begins
 #: Weak log-normal priors: standard deviations of logarithms.
-_SPREAD_OF_SCALES: Final = 1.0  # of single readings about their mean: prevents 192 scales from fitting 100 presses
+_SPREAD_OF_SCALES: Final = 1.0  # of single readings about their mean: keeps 192 scales from fitting 100 presses
 _SPREAD_OF_LENGTH: Final = 1.4
 _SPREAD_OF_TURNING: Final = 2.0
 _SPREAD_OF_VARIANCE: Final = 3.0
 _SPREAD_OF_NOISE: Final = 1.4
+#: Presses whose squared distance is this share of the largest have the same features: rounding.
+_ALIKE: Final = 1e-12
 #: Centre of the prior of the noise, relative to the variance of places.
 _NOISE_SHARE: Final = 0.005
 
@@ -47,9 +50,7 @@ def given_presses(
     scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array
 ) -> tuple[PlaceProcess, Array]:
     """Return the process given presses (n, m) at places (n, 2), and the inverse of its covariance (2n, 2n)."""
-    covariance = _covariance(scales, turns, features)
-    factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
-    inverse: Array = cho_solve((factor, True), np.eye(len(factor)), overwrite_b=True, check_finite=False)
+    _, inverse = _inverted(_covariance(scales, turns, features))
     weights = (inverse @ places_mm.ravel()).reshape(-1, 2)
     return PlaceProcess(scales, features, places_mm, weights), inverse
 
@@ -63,7 +64,7 @@ def left_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) -
 
     Returns
     -------
-    NaN for presses without block.
+    NaN for presses of no block.
     """
     predicted = np.full(process.places_mm.shape, np.nan)
     for block in blocks:
@@ -81,15 +82,29 @@ def _covariance(scales: PlaceScales, turns: PatternTurns, features: Array) -> Ar
     covariance[:, 0, :, 0] = covariance[:, 1, :, 1] = near
     scaled = features * np.sqrt(scales.turning)
     for number, turn in enumerate(turns.turns):
+        opposite = int(np.abs(turns.turns - turn.T).sum(axis=(1, 2)).argmin())
+        if number > opposite:
+            continue
         near = scales.turning_variance * matern(squared_distances(turns.back(scaled, number), scaled))
         covariance += near[:, None, :, None] * turn[None, :, None, :]
+        if number < opposite:  # K(x, g⁻¹x') is K(gx, x'): the same, transposed
+            covariance += near.T[:, None, :, None] * turn.T[None, :, None, :]
     full: Array = covariance.reshape(2 * count, 2 * count)
     full[np.diag_indices(2 * count)] += scales.noise_variance
     return full
 
 
+def _inverted(covariance: Array) -> tuple[Array, Array]:
+    """Lower Cholesky factor and inverse of a covariance, which is overwritten. LinAlgError if it has none."""
+    factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
+    inverse, _ = dpotri(factor, lower=True)
+    below = np.tril_indices(len(inverse), -1)
+    inverse.T[below] = inverse[below]
+    return factor, inverse
+
+
 def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> PlaceScales:
-    """Hyperparameters of maximum marginal likelihood times weak priors.
+    """Hyperparameters of largest marginal likelihood times weak priors.
 
     Parameters
     ----------
@@ -103,9 +118,9 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
 
 
 def at_edges(scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array) -> list[str]:
-    """Hyperparameters at the edge of their search range, in words.
+    """Hyperparameters at the edge of the range they are searched in, in words.
 
-    One part, one reading or the noise may vanish: that is not an edge.
+    One part, one reading or the noise may fade to zero: that is not an edge.
     """
     begin = start_scales(turns, features, places_mm)
     sizes = {
@@ -119,7 +134,7 @@ def at_edges(scales: PlaceScales, turns: PatternTurns, features: Array, places_m
 
 
 def start_scales(turns: PatternTurns, features: Array, places_mm: Array) -> PlaceScales:
-    """Initial hyperparameters of a search for the likeliest."""
+    """Hyperparameters that a search for the likeliest begins with."""
     likelihood = _Likelihood(turns, features, places_mm)
     return likelihood.scales(likelihood.start())
 
@@ -131,7 +146,7 @@ def frames_likelihoods(
 
     Parameters
     ----------
-    places_mm : (n, 2) about a centre with the error ``centre_stderr_mm`` along each axis.
+    places_mm : (n, 2) about a centre that is known to ``centre_stderr_mm`` along each axis.
     axes : (a, 2, 2) orthogonal.
 
     Returns
@@ -155,23 +170,32 @@ class _Likelihood:
 
     def __init__(self, turns: PatternTurns, features: Array, places_mm: Array) -> None:
         self._features, self._y = features, places_mm.ravel()
-        self._turned = np.concatenate([turns.forth(features, number) for number in range(len(turns))])
         self._turns = turns.turns.reshape(-1, 4)
         self._orbit = turns.orbits()
         self._readings, self._orbits = features.shape[1], int(self._orbit.max()) + 1
+        # Squared distances (orbits, n n g) in each orbit's readings, from every press to every press in every turn.
+        turned = np.stack([turns.forth(features, number) for number in range(len(turns))], axis=1)
+        turned = turned.reshape(-1, self._readings)
+        self._apart = np.stack(
+            [
+                squared_distances(features[:, among], turned[:, among]).ravel()
+                for among in (self._orbit == number for number in range(self._orbits))
+            ]
+        )
         apart = squared_distances(features, features)[np.triu_indices(len(features), 1)]
-        self._log_scale = -float(np.log(max(float(np.median(apart)), np.finfo(float).tiny)))
+        different = apart[apart > _ALIKE * apart.max()]
+        self._log_scale = -float(np.log(np.median(different))) if len(different) else 0.0
         self._log_variance = float(np.log(np.mean(self._y**2)))
 
     def start(self) -> Array:
-        """Initial logarithms of a search: one length, that of the median distance."""
+        """Logarithms that a search begins with: one length, that of the median distance."""
         begin = np.full(3 + self._readings + self._orbits, self._log_scale)
         begin[:2] = self._log_variance
         begin[2] = self._log_variance + np.log(_NOISE_SHARE)
         return begin
 
     def scales(self, logs: Array) -> PlaceScales:
-        """Scales from their logarithms: three variances, the readings', and the orbits'."""
+        """Scales of their logarithms: three variances, the readings', and the orbits'."""
         own, turning, noise = np.exp(logs[:3]).tolist()
         each = np.exp(logs[3 : 3 + self._readings])
         return PlaceScales(own, turning, noise, each, np.exp(logs[3 + self._readings :])[self._orbit])
@@ -179,40 +203,29 @@ class _Likelihood:
     def __call__(self, logs: Array) -> tuple[float, Array]:
         scales = self.scales(logs)
         gradient = np.zeros_like(logs)
-        (near, near_slope), (turned, turned_slope) = (matern_and_slope(part) for part in self._squared(scales))
+        own = self._features * np.sqrt(scales.own)
+        count, by_orbit = len(own), np.exp(logs[3 + self._readings :])
+        near, near_slope = matern_and_slope(squared_distances(own, own))
+        turned, turned_slope = matern_and_slope(by_orbit @ self._apart)
         try:
-            factor = cholesky(self._covariance(scales, near, turned), lower=True, check_finite=False)
+            factor, inverse = _inverted(self._covariance(scales, near, turned.reshape(count * count, -1)))
         except np.linalg.LinAlgError:
             return 1e10, gradient
-        inverse = cho_solve((factor, True), np.eye(len(factor)), check_finite=False)
         weights = inverse @ self._y
         value = -0.5 * float(weights @ self._y) - float(np.log(np.diag(factor)).sum())
         slope = 0.5 * (np.outer(weights, weights) - inverse)
-        count = len(self._features)
         blocks = slope.reshape(count, 2, count, 2)
         both = scales.own_variance * (blocks[:, 0, :, 0] + blocks[:, 1, :, 1])
-        along = blocks.transpose(0, 2, 1, 3).reshape(-1, 4) @ (scales.turning_variance * self._turns.T)
-        along = along.reshape(count, count, -1).transpose(0, 2, 1).reshape(count, -1)
-        gradient[:3] = (both * near).sum(), (along * turned).sum(), scales.noise_variance * np.trace(slope)
-        own_slope = self._by_scale(both * near_slope, self._features)
-        gradient[3 : 3 + self._readings] = scales.own * own_slope
-        turning_slope = self._by_scale(along * turned_slope, self._turned)
-        gradient[3 + self._readings :] = np.bincount(self._orbit, scales.turning * turning_slope, self._orbits)
+        along = (blocks.transpose(0, 2, 1, 3).reshape(-1, 4) @ (scales.turning_variance * self._turns.T)).ravel()
+        gradient[:3] = (both * near).sum(), along @ turned, scales.noise_variance * np.trace(slope)
+        gradient[3 : 3 + self._readings] = scales.own * self._by_scale(both * near_slope)
+        gradient[3 + self._readings :] = by_orbit * (self._apart @ (along * turned_slope))
         prior, prior_slope = self._prior(logs)
         return -(value + prior), -(gradient + prior_slope)
 
-    def _squared(self, scales: PlaceScales) -> tuple[Array, Array]:
-        """Squared distances (n, n) between presses, and (n, g n) to presses on the rotated sheet."""
-        own, turning = np.sqrt(scales.own), np.sqrt(scales.turning)
-        features = self._features * own
-        return squared_distances(features, features), squared_distances(
-            self._features * turning, self._turned * turning
-        )
-
     def _covariance(self, scales: PlaceScales, near: Array, turned: Array) -> Array:
         count = len(near)
-        by_turn = turned.reshape(count, -1, count).transpose(0, 2, 1).reshape(count * count, -1)
-        covariance = (by_turn @ (scales.turning_variance * self._turns)).reshape(count, count, 2, 2)
+        covariance = (turned @ (scales.turning_variance * self._turns)).reshape(count, count, 2, 2)
         covariance = np.ascontiguousarray(covariance.transpose(0, 2, 1, 3))
         covariance[:, 0, :, 0] += scales.own_variance * near
         covariance[:, 1, :, 1] += scales.own_variance * near
@@ -220,11 +233,12 @@ class _Likelihood:
         full[np.diag_indices(2 * count)] += scales.noise_variance
         return full
 
-    def _by_scale(self, slope: Array, other: Array) -> Array:
-        """Σᵢⱼ slopeᵢⱼ (xᵢ − x'ⱼ)² for every reading."""
-        squares = slope.sum(axis=1) @ self._features**2 + slope.sum(axis=0) @ other**2
-        by: Array = squares - 2 * np.einsum("nm,nm->m", self._features, slope @ other)
-        return by
+    def _by_scale(self, slope: Array) -> Array:
+        """Σᵢⱼ slopeᵢⱼ (xᵢ − xⱼ)² for every reading, of a symmetric slope."""
+        by: Array = slope.sum(axis=1) @ self._features**2 - np.einsum(
+            "nm,nm->m", self._features, slope @ self._features
+        )
+        return 2 * by
 
     def _prior(self, logs: Array) -> tuple[float, Array]:
         own, turning = logs[3 : 3 + self._readings], logs[3 + self._readings :]

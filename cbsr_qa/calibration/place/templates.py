@@ -1,8 +1,8 @@
-"""Expected readings over the sheet, and the place that fits a frame of readings best.
+"""What each reading is expected to be over the sheet, and where a frame of readings fits best.
 
-Every reading is a smooth function of place: a function shared by all readings that are equal under rotations of the
-sheet, from all rotated presses, plus a separate Gaussian process for the residual. Differences of left-out presses
-from their templates give the covariance of the readings (shrunk as by Schäfer & Strimmer 2005).
+Every reading is a smooth function of place: first one shared by all readings that become each other when the sheet is
+turned, from all presses so turned, then a Gaussian process of its own for what that leaves. What presses that were
+left out differ by from their templates gives the covariance of the readings (shrunk as by Schäfer & Strimmer 2005).
 """
 
 from dataclasses import dataclass
@@ -11,27 +11,29 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from cbsr_qa.calibration.place.drift import find_drift
 from cbsr_qa.calibration.place.features import matern, squared_distances
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PatternTurns, PlaceTemplates
 
-#: Power of the likelihood: the readings' errors have common causes that the covariance of a few presses does not
-#: show. Chosen on left-out presses of both kinds of sheet; 0.1 to 0.3 are within 2 % of one another.
+#: Power the likelihood is raised to: the readings' errors have causes in common that the covariance of a few presses
+#: does not show. Chosen on presses left out of both kinds of sheet; 0.1 to 0.3 are within 2 % of one another.
 TEMPERING: Final = 0.2
 #: Power of the determinant of a template's own uncertainty beside that.
 _DETERMINANT: Final = 0.7
 #: Places along a radius of the grid, and nodes of the shared functions.
 _ALONG_RADIUS: Final = 16
 _NODES_ALONG_RADIUS: Final = 5.5
-#: Correlation lengths of readings that are tried, in radii of the pressed area.
+#: Lengths over which readings change, in radii of what is pressed, that are tried.
 _LENGTHS: Final = (0.35, 0.5, 0.65, 1.0)
 _SHARED_LENGTH: Final = 0.65
 _RATIOS: Final = np.exp(np.linspace(-5, 5, 21))  # of noise to signal, as variances
 _MARGIN: Final = 1.05
 #: Standard deviation of the weights of places beside one, in spacings of the grid.
 _SMOOTH: Final = 0.6
-#: Presses for lengths and ratios; all presses are used for the templates.
+#: Presses' worth of trust that the shared part has no offset.
+_TRUST: Final = 5
+NO_PRESS: Final[Indices] = np.arange(0)
+#: Presses that lengths and ratios are found with; all are used for the templates.
 _FOR_LENGTHS: Final = 400
 
 
@@ -61,7 +63,7 @@ def expected_features(templates: PlaceTemplates) -> Array:
 
 
 def likeness(expected: Array, features: Array) -> Array:
-    """Least-squares factor (n, k) of features (n, m) relative to expected features (k, m)."""
+    """How many times expected features (k, m) features (n, m) are, by least squares: (n, k)."""
     times: Array = features @ expected.T / np.maximum((expected**2).sum(axis=1), np.finfo(float).tiny)
     return times
 
@@ -75,36 +77,65 @@ def at_places(grid_mm: Array, values: Array, places_mm: Array) -> Array:
     return mean
 
 
-def learn_templates(
-    turns: PatternTurns, features: Array, places_mm: Array, radius_mm: float, time: Array
-) -> tuple[PlaceTemplates, Array]:
-    """Learn the templates of presses (n, m) at places (n, 2), about the centre in the electrodes' axes.
+class TemplateLearning:
+    """Learns templates from presses, from all of them or from all but some.
+
+    One matrix of all presses is inverted once; block formulas leave presses out of it.
 
     Parameters
     ----------
+    features, places_mm : (n, m) of presses and (n, 2), about the centre in the electrodes' axes.
     radius_mm : that all places are within.
-    time : (n,) of the presses, from −½ to ½ over the session.
-
-    Returns
-    -------
-    Templates, and one standard deviation of the drift (n, m) that the presses' features may show later.
     """
-    shared = _Shared.learn(turns, features, places_mm, radius_mm * _MARGIN)
-    grid = _disc(radius_mm * _MARGIN, radius_mm * _MARGIN / _ALONG_RADIUS)
-    rest = features - shared.at(places_mm)
-    offset = rest.sum(axis=0) / (len(rest) + 5)  # five presses' worth of weight on the shared part
-    rest = rest - offset
-    own = smoothness(rest, places_mm, radius_mm)
-    inverse = np.linalg.inv(_between(places_mm, places_mm, own.length_mm) + own.ratio * np.eye(len(rest)))
-    weights = inverse @ rest
-    errors = weights / np.diag(inverse)[:, None]
-    near = _between(grid, places_mm, own.length_mm)
-    uncertainty = np.maximum(1 - np.einsum("kn,kn->k", near @ inverse, near), 0.0) / own.ratio
-    later = find_drift(errors, features - errors, time).later(features - errors)
-    covariance = _shrunk_covariance(errors) + later.T @ later / len(later)
-    whitening = np.linalg.cholesky(np.linalg.inv(covariance))
-    templates = shared.at(grid) + offset + near @ weights
-    return PlaceTemplates(grid, whitening, templates @ whitening, uncertainty), later
+
+    def __init__(self, turns: PatternTurns, features: Array, places_mm: Array, radius_mm: float) -> None:
+        self._features = features
+        self._grid = _disc(radius_mm * _MARGIN, radius_mm * _MARGIN / _ALONG_RADIUS)
+        self._shared = _Shared(turns, features, places_mm, self._grid, radius_mm * _MARGIN)
+        rest, _ = self._without_shared(NO_PRESS)
+        own = smoothness(rest, places_mm, radius_mm)
+        self._ratio = own.ratio
+        self._inverse = np.linalg.inv(_between(places_mm, places_mm, own.length_mm) + own.ratio * np.eye(len(rest)))
+        near = _between(self._grid, places_mm, own.length_mm)
+        self._near = near @ self._inverse
+        self._explained = np.einsum("kn,kn->k", self._near, near)
+
+    def without(self, block: Indices, later: Array | None = None) -> PlaceTemplates:
+        """Templates of all presses but those of a block; ``later`` (n, m): a standard deviation of drift to come."""
+        rest, on_grid = self._without_shared(block)
+        weights = self._inverse @ rest
+        near = self._near[:, block]
+        taken = np.linalg.solve(self._inverse[np.ix_(block, block)], np.column_stack([weights[block], near.T]))
+        on_grid += self._near @ rest - near @ taken[:, : rest.shape[1]]
+        explained = self._explained - np.einsum("kb,bk->k", near, taken[:, rest.shape[1] :])
+        errors = self._errors(block, weights)
+        covariance = _shrunk_covariance(errors) + (0.0 if later is None else later.T @ later / len(later))
+        whitening = np.linalg.cholesky(np.linalg.inv(covariance))
+        uncertainty = np.maximum(1 - explained, 0.0) / self._ratio
+        return PlaceTemplates(self._grid, whitening, on_grid @ whitening, uncertainty)
+
+    def left_out(self) -> tuple[Array, Array]:
+        """What every press (n, m) differs by from the templates of all others, and those templates."""
+        errors = self._errors(NO_PRESS, self._inverse @ self._without_shared(NO_PRESS)[0])
+        return errors, self._features - errors
+
+    def _without_shared(self, block: Indices) -> tuple[Array, Array]:
+        """What the shared part of all presses but a block leaves of features (n, m), and that part on the grid."""
+        there, on_grid = self._shared.without(block)
+        rest = self._features - there
+        others = len(rest) - len(block)
+        offset = (rest.sum(axis=0) - rest[block].sum(axis=0)) / (others + _TRUST)
+        return rest - offset, on_grid + offset
+
+    def _errors(self, block: Indices, weights: Array) -> Array:
+        """What each press that is not in a block differs by from templates of all others that are not in it."""
+        others = np.setdiff1d(np.arange(len(weights)), block)
+        between = self._inverse[np.ix_(others, block)]
+        taken = np.linalg.solve(self._inverse[np.ix_(block, block)], np.column_stack([weights[block], between.T]))
+        readings = weights.shape[1]
+        precision = np.diag(self._inverse)[others] - np.einsum("ab,ba->a", between, taken[:, readings:])
+        errors: Array = (weights[others] - between @ taken[:, :readings]) / precision[:, None]
+        return errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +147,7 @@ class Smoothness:
 
 
 def smoothness(rest: Array, places_mm: Array, radius_mm: float) -> Smoothness:
-    """Length and ratio of maximum marginal likelihood, with each reading's variance.
+    """Length and ratio of largest marginal likelihood, each reading's variance found with them.
 
     Parameters
     ----------
@@ -136,62 +167,87 @@ def smoothness(rest: Array, places_mm: Array, radius_mm: float) -> Smoothness:
     return best[1]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Shared:
-    """Functions shared by the readings of an orbit: Gaussian processes on few nodes."""
+    """The functions that readings of one orbit share: Gaussian processes on few nodes, of presses in every turn.
 
-    turns: PatternTurns
-    nodes_mm: Array
-    length_mm: float
-    weights: Array  # (nodes, orbits) of the covariances with the nodes
-    mean: Array  # (orbits,)
-    of: Indices  # (m,) orbit of each reading
-    by: Indices  # (m,) rotation from the first reading of the orbit to that reading
+    Parameters
+    ----------
+    grid_mm : (k, 2) places that they are wanted at, beside those of the presses.
+    radius_mm : that all places are within.
+    """
 
-    @classmethod
-    def learn(cls, turns: PatternTurns, features: Array, places_mm: Array, radius_mm: float) -> "_Shared":
-        apart = radius_mm / _NODES_ALONG_RADIUS
-        nodes = _disc(radius_mm + 1.2 * apart, apart)
-        length = _SHARED_LENGTH * radius_mm
-        factor = cholesky(_between(nodes, nodes, length) + 1e-6 * np.eye(len(nodes)), lower=True)
+    def __init__(
+        self, turns: PatternTurns, features: Array, places_mm: Array, grid_mm: Array, radius_mm: float
+    ) -> None:
+        nodes = _Nodes(radius_mm)
         orbit = turns.orbits()
         first = np.array([int(np.flatnonzero(orbit == number)[0]) for number in range(int(orbit.max()) + 1)])
-        by = np.zeros(len(orbit), dtype=np.int64)
+        by = np.zeros(len(orbit), dtype=np.int64)  # the turn that makes the first of an orbit that reading
+        self._sign = np.empty(len(orbit))
         for number in reversed(range(len(turns))):
-            by[turns.permuted[number][first]] = number
-        places = np.concatenate([places_mm @ turn.T for turn in turns.turns])
-        values = np.concatenate([turns.forth(features, number)[:, first] for number in range(len(turns))])
-        mean = values.mean(axis=0)
-        basis = solve_triangular(factor, _between(places, nodes, length).T, lower=True).T
-        weights = solve_triangular(factor.T, _ridge(basis, values - mean, len(features)), lower=False)
-        return cls(turns, nodes, length, weights, mean, orbit, by)
+            made = turns.permuted[number][first]
+            by[made], self._sign[made] = number, turns.signs[number][first]
+        self._values = np.stack([turns.forth(features, number)[:, first] for number in range(len(turns))])
+        self._basis = np.stack([nodes.basis(places_mm @ turn.T) for turn in turns.turns])
+        self._sums = self._summed(np.arange(len(places_mm)))
+        self._made = [
+            (readings, orbit[readings], nodes.basis(places_mm @ turn), nodes.basis(grid_mm @ turn))
+            for number, turn in enumerate(turns.turns)
+            if len(readings := np.flatnonzero(by == number))
+        ]
 
-    def at(self, places_mm: Array) -> Array:
-        """Features (k, m) at places (k, 2)."""
-        features = np.empty((len(places_mm), len(self.of)))
-        for number, turn in enumerate(self.turns.turns):
-            readings = np.flatnonzero(self.by == number)
-            if not len(readings):
-                continue
-            values = _between(places_mm @ turn, self.nodes_mm, self.length_mm) @ self.weights + self.mean
-            features[:, readings] = values[:, self.of[readings]] * self._signs(number, readings)
-        return features
+    def without(self, block: Indices) -> tuple[Array, Array]:
+        """Features at the presses (n, m) and on the grid (k, m), learned from all presses but those of a block."""
+        squares, along, basis, total, values = (
+            of_all - of_block for of_all, of_block in zip(self._sums, self._summed(block), strict=True)
+        )
+        presses = self._basis.shape[1] - len(block)
+        count = presses * len(self._basis)  # each press once in every turn
+        mean = values / count
+        weights = _ridge(squares, along - np.outer(basis, mean), total - count * mean**2, count, presses)
+        there, on_grid = (np.empty((len(each), len(self._sign))) for each in self._made[0][2:])
+        for readings, orbit, here, grid in self._made:
+            there[:, readings] = here @ weights[:, orbit] + mean[orbit]
+            on_grid[:, readings] = grid @ weights[:, orbit] + mean[orbit]
+        return there * self._sign, on_grid * self._sign
 
-    def _signs(self, number: int, readings: Indices) -> Array:
-        sign = np.empty(len(self.of))
-        sign[self.turns.permuted[number]] = self.turns.signs[number]
-        return sign[readings]
+    def _summed(self, block: Indices) -> tuple[Array, ...]:
+        """Moments of a block's basis functions and values, in every turn."""
+        basis = self._basis[:, block].reshape(-1, self._basis.shape[-1])
+        values = self._values[:, block].reshape(-1, self._values.shape[-1])
+        squares = (values**2).sum(axis=0)
+        return basis.T @ basis, basis.T @ values, basis.sum(axis=0), squares, values.sum(axis=0)
 
 
-def _ridge(basis: Array, values: Array, presses: int) -> Array:
-    """Weights (nodes, orbits) of largest marginal likelihood over one ratio of noise to signal.
+class _Nodes:
+    """Functions of place that have covariances with few nodes alone."""
 
-    Each press counts once in that, for any number of rotations.
+    def __init__(self, radius_mm: float) -> None:
+        apart = radius_mm / _NODES_ALONG_RADIUS
+        self._nodes_mm = _disc(radius_mm + 1.2 * apart, apart)
+        self._length_mm = _SHARED_LENGTH * radius_mm
+        covariance = _between(self._nodes_mm, self._nodes_mm, self._length_mm)
+        self._factor = cholesky(covariance + 1e-6 * np.eye(len(covariance)), lower=True)
+
+    def basis(self, places_mm: Array) -> Array:
+        """Values (n, nodes) at places (n, 2) of functions that are independent of one another, of variance one."""
+        near = _between(self._nodes_mm, places_mm, self._length_mm)
+        values: Array = solve_triangular(self._factor, near, lower=True, check_finite=False).T
+        return values
+
+
+def _ridge(squares: Array, along: Array, total: Array, count: int, presses: int) -> Array:
+    """Weights (functions, orbits) of largest marginal likelihood over one ratio of noise to signal.
+
+    Each press counts once in that, however many turns it stands for.
+
+    Parameters
+    ----------
+    squares, along, total : BᵀB, BᵀV and the column sums of V² of the basis B and ``count`` values V of each orbit.
     """
-    eigenvalues, vectors = np.linalg.eigh(basis.T @ basis)
+    eigenvalues, vectors = np.linalg.eigh(squares)
     eigenvalues = np.maximum(eigenvalues, 0)
-    along = vectors.T @ (basis.T @ values)
-    total, count = (values**2).sum(axis=0), len(values)
+    along = vectors.T @ along
     best = (-np.inf, vectors)
     for ratio in _RATIOS * presses:
         variance = (total - (along**2 / (eigenvalues + ratio)[:, None]).sum(axis=0)) / count
@@ -203,7 +259,7 @@ def _ridge(basis: Array, values: Array, presses: int) -> Array:
 
 
 def _shrunk_covariance(errors: Array) -> Array:
-    """Covariance (m, m) of errors (n, m), its correlations shrunk towards zero (Schäfer & Strimmer 2005)."""
+    """Covariance (m, m) of errors (n, m), its correlations shrunk towards none (Schäfer & Strimmer 2005)."""
     count, readings = errors.shape
     deviation = np.sqrt((errors**2).mean(axis=0))
     deviation = np.maximum(deviation, 1e-6 * deviation.max(initial=np.finfo(float).tiny))

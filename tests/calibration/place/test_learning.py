@@ -105,17 +105,20 @@ def test_rows_come_in_any_order_where_times_are_given(sheet, learned):
 
 @pytest.mark.parametrize("registered", [True, False])
 def test_a_known_frame_of_the_electrodes_is_kept(registered):
-    """Electrode 0 lies at 25° from the labels' x, numbers run clockwise there: that is what axes are."""
-    sheet = pressed_sheet(60, seed=9, mirrored=True, rectified=True)
-    angle = np.radians(25.0)
+    """Electrode 0 lies at 28.6° from the labels' x, numbers run clockwise there: that is what axes are.
+
+    Axes are tried every 2.5°: 28.6° is nearly as far from those of a half turn as can be.
+    """
+    sheet = pressed_sheet(60, seed=9, rotation_deg=28.6, mirrored=True, rectified=True)
+    angle = np.radians(28.6)
     axes = np.array([[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]])
     known = {"axes": axes, "centre_mm": np.array([46.0, -408.0])} if registered else {}
     model = learn_place(sheet.changes, sheet.labels_mm, sheet.pairs, 16, **known).model
     # Half a turn, a mirror at an electrode's axis, and steps of electrodes are the same to readings.
     off = np.degrees(np.arctan2(*(model.axes @ axes.T)[1::-1, 0])) % 22.5
-    assert min(off, 22.5 - off) <= (3 if registered else 6)
+    assert min(off, 22.5 - off) <= 2.0
     assert np.linalg.det(model.axes) == pytest.approx(-1)
-    assert model.centre_mm == pytest.approx([46, -408], abs=1.5 if registered else 4)
+    assert model.centre_mm == pytest.approx([46, -408], abs=1.5 if registered else 2.5)
 
 
 def test_drift_over_a_session_widens_regions(sheet, learned):
@@ -128,6 +131,27 @@ def test_drift_over_a_session_widens_regions(sheet, learned):
         locate = PlaceEstimator(learn_place(drifting, sheet.labels_mm[LEARNED], sheet.pairs, 16, time_s=time_s).model)
         size[name] = locate.q68 * np.linalg.det(locate(sheet.changes[TESTED]).covariance_mm2).mean() ** 0.5
     assert size["in order"] > 2 * size["shuffled"]
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_a_re_check_tells_where_readings_have_gone(sheet, timed):
+    """Gains and offsets that differ by 40 % long after the session, and nine presses then; without times, a jump."""
+    random = np.random.default_rng(5)
+    gain, offset = 1 + 0.4 * random.standard_normal((2, sheet.changes.shape[1]))
+    offset = 0.2 * (offset - 1) * np.median(np.abs(sheet.changes))
+    later = sheet.changes * np.abs(gain) + offset
+    rows, rechecks = np.arange(120), np.arange(120, 129)
+    both = np.concatenate([sheet.changes[rows], later[rechecks]]), sheet.labels_mm[:129], sheet.pairs, 16
+    time_s = np.concatenate([10.0 * rows, 36_000 + 10.0 * rechecks]) if timed else None
+    old = PlaceEstimator(learn_place(sheet.changes[rows], sheet.labels_mm[rows], sheet.pairs, 16).model)
+    new = PlaceEstimator(learn_place(*both, time_s=time_s).model)
+    truth = sheet.labels_mm[129:]
+    places = new(later[129:])
+    assert distances(places, truth).mean() < 0.75 * distances(old(later[129:]), truth).mean()
+    ratio = mahalanobis(truth - places.place_mm, places.covariance_mm2)
+    assert (ratio <= new.q68).mean() == pytest.approx(0.68, abs=0.2)  # nine presses tell a variance to a third
+    assert (ratio <= new.q95).mean() > 0.85
+    assert places.in_model.mean() > 0.9
 
 
 def test_frames_that_are_no_such_touch_are_flagged(sheet, learned):
@@ -164,12 +188,21 @@ def test_warnings_name_what_limits_a_calibration(sheet, learned):
 
 
 def test_nothing_is_learned_from_nothing(sheet):
-    with pytest.raises(CalibrationError, match="6 at least"):
+    with pytest.raises(CalibrationError, match="6 or more"):
         learn_place(sheet.changes[:5], sheet.labels_mm[:5], sheet.pairs, 16)
     with pytest.raises(CalibrationError, match="one place"):
         learn_place(sheet.changes[:9], sheet.labels_mm[[0] * 9], sheet.pairs, 16)
     with pytest.raises(CalibrationError, match="no reading changes"):
         learn_place(0 * sheet.changes[:9], sheet.labels_mm[:9], sheet.pairs, 16)
+    with pytest.raises(CalibrationError, match="the same in every press"):
+        learn_place(sheet.changes[[0] * 9], sheet.labels_mm[:9], sheet.pairs, 16)
+
+
+def test_many_presses_with_the_same_readings_are_learned_from(sheet):
+    changes = np.where(np.arange(12)[:, None] < 11, sheet.changes[0], sheet.changes[:12])
+    learned = learn_place(changes, sheet.labels_mm[:12], sheet.pairs, 16)
+    assert np.isfinite(PlaceEstimator(learned.model)(sheet.changes[TESTED]).place_mm).all()
+    assert "readings hardly depend on the place" in learned.warnings[0]
 
 
 @pytest.mark.parametrize(("name", "limit_mm"), [("no_pattern", 3.9), ("parallel_lines", 6.3)])
