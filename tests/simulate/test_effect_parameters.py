@@ -62,7 +62,7 @@ def test_a_parameter_an_effect_does_not_have_is_refused_with_those_it_has():
     error = refused("measurement-noise", relative_nois=0.1)
     assert "relative_nois is not a known key" in error.reason
     assert "did you mean 'relative_noise'?" in error.remedy
-    assert refused("elastic-stress", decay_ms=1.0).remedy == "no keys are allowed here"
+    assert refused("elastic-stress", decay_ms=1.0).remedy == "this takes no options"
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ def test_without_a_terminal_a_station_worked_by_hand_is_refused(station, monkeyp
 def test_a_dry_run_asks_nobody(station):
     request = RunRequest(station, "nine-locations", "S-1", seed=1)
     assert plan_run(request, attended=True).dry.loads > 0
-    with pytest.raises(ConfigError, match="worked by hand"):
+    with pytest.raises(ConfigError, match="operated by hand"):
         plan_run(request)
 
 
@@ -123,5 +123,5 @@ def test_instruments_and_prompts_are_given_the_operator(station, monkeypatch):
         run_sensor(RunRequest(station, "nine-locations", "S-1", seed=1), ask=ask)
     assert len(given) == 2
     assert [one("?") for one in given] == ["yes", "yes"]
-    with pytest.raises(ConfigError, match="worked by hand"):
+    with pytest.raises(ConfigError, match="operated by hand"):
         run_sensor(RunRequest(station, "nine-locations", "S-1", seed=1))

@@ -62,6 +62,7 @@ def test_results_that_cannot_be_pickled_are_made_here(processors):
 
 
 def test_no_helper_is_left_behind(processors):
-    side_by_side([lambda k=k: _slowly(k) for k in range(COUNT)])
-    with pytest.raises(ChildProcessError):
-        os.waitpid(-1, os.WNOHANG)
+    workers = set(side_by_side([lambda k=k: (_slowly(k), os.getpid())[1] for k in range(COUNT)]))
+    for helper in workers - {os.getpid()}:
+        with pytest.raises(ProcessLookupError):
+            os.kill(helper, 0)

@@ -46,9 +46,9 @@ def umask(request):
 
 @pytest.mark.parametrize("writer", WRITERS.values(), ids=WRITERS)
 def test_a_file_obeys_the_umask(tmp_path, writer, umask):
-    writer(tmp_path / "out")
-    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o666 & ~umask
-    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    writer(tmp_path / "out.toml")
+    assert stat.S_IMODE((tmp_path / "out.toml").stat().st_mode) == 0o666 & ~umask
+    assert [p.name for p in tmp_path.iterdir()] == ["out.toml"]
 
 
 @pytest.mark.parametrize("name", ["out", "n" * 250])

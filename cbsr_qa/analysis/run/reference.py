@@ -20,6 +20,7 @@ _LOST_SHARE = 0.25
 #: Channels are left out until at most this share of the frames is still affected by a flag.
 _TOUCHED_SHARE = 0.01
 _NAMED = 6  # readings named in a warning
+_LAST_FRAMES = 8  # of a run, in which a reading that stopped changing does not change
 
 
 def unloaded_frames(record: RunRecord) -> FrameBlock:
@@ -112,7 +113,9 @@ def _stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
         return np.zeros_like(pattern)
     constant = np.ptp(kept.voltages, axis=0) == 0
     still = constant if not constant[pattern].all() else np.zeros_like(pattern)
-    stuck: NDArray[np.bool_] = still | find_faults(kept, ScanKind.FULL).stuck
+    # What varies again is not left out: a reading without noise in a stretch is weighed like a common one.
+    ends_still = np.ptp(kept.voltages[-_LAST_FRAMES:], axis=0) == 0
+    stuck: NDArray[np.bool_] = still | (find_faults(kept, ScanKind.FULL).stuck & ends_still)
     return stuck
 
 

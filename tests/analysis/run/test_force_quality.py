@@ -237,7 +237,7 @@ def test_the_section_shows_map_errors_and_line(observed, measured):
         assert "nan" not in figure.svg.lower()
     words = " ".join(block.text for block in section.blocks if isinstance(block, Paragraph))
     assert "13 of 13 loads" in words
-    assert "On 5 loads it was not learned from" in words
+    assert "On 5 held-out loads" in words
     (table,) = [block for block in section.blocks if isinstance(block, Table)]
     assert [row[0].text for row in table.rows][:2] == ["place known", "place estimated"]
 

@@ -130,7 +130,7 @@ def test_the_section_shows_what_was_measured(result):
     section = Section().render(result)
     words, figure, table = section.blocks
     assert isinstance(words, Paragraph)
-    assert "4 loads placed" in words.text
+    assert "4 loads located" in words.text
     assert isinstance(figure, Figure)
     checked_svg(figure.svg)
     assert isinstance(table, Table)

@@ -21,7 +21,7 @@ from cbsr_qa.analysis.recording import (
 )
 from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
 from cbsr_qa.cli import guarded
-from cbsr_qa.domain import NumericsError, PluginError
+from cbsr_qa.domain import Goodness, NumericsError, PluginError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.readings import FrameBlock, ReadOptions, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.results import LinearReconstruction, ParameterChoice
@@ -179,7 +179,7 @@ def test_the_image_of_a_sum_is_not_the_sum_of_the_images_unless_the_method_says_
     problem = type("Problem", (), {"mesh": type("Mesh", (), {"elements": np.zeros((2, 3))})})
     place = Place(0.0, 0.0, 0, 1.0)
     one, other = (
-        Sighting(0, 0, 0, place, 1.0, change, change[None], slice(0, 1), change)
+        Sighting(0, 0, 0, place, 1.0, change, change[None], slice(0, 1), change, Goodness(1.0, 1.0, in_model=True))
         for change in (np.array([1.0, 2.0]), np.array([3.0, 5.0]))
     )
     for linear, together in ((False, [16, 49]), (True, [10, 29])):

@@ -76,7 +76,7 @@ _UNSOUND = {
     "names within names": (_many_names, "more than 10000 names"),
     "table of texts": (_added("assumed", "text", shape=(1, 2), **_TEXTS), "assumed holds texts of the shape"),
     "millions of texts": (_added("assumed", "text", shape=(2**26,), **_TEXTS), "assumed holds texts of the shape"),
-    "control characters": (_added("force/\x1b[2J", data=np.complex128(1)), "is a name that no file"),
+    "control characters": (_added("force/\x1b[2J", data=np.complex128(1)), "is not a name of such a file"),
     "circle": (lambda file: file.__setitem__("image/again", file["image"]), "is a link"),
     "terabytes": (_added("huge", shape=(10**12,), dtype="f8", chunks=(1000,)), "too large"),
     "half precision": (_added("odd", data=np.zeros(2, dtype="f2")), "odd is of the type float16"),

@@ -281,9 +281,9 @@ def test_bad_input_is_refused_in_words(arguments, options, said):
 def test_the_event_rate_follows_from_the_settling_times():
     assert event_rate_per_min(30.0, 36.0, ramp_s=1.2) == pytest.approx(60 / (45 + 54 + 2.4))
     assert event_rate_per_min(30.0, 36.0, held=0.3, rested=0.3) == pytest.approx(60 / (9 + 10.8))
-    with pytest.raises(NumericsError, match="no rate"):
+    with pytest.raises(NumericsError, match="no event rate"):
         event_rate_per_min(0.0, 0.0)
-    with pytest.raises(NumericsError, match="no rate"):
+    with pytest.raises(NumericsError, match="no event rate"):
         event_rate_per_min(30.0, np.nan)
 
 

@@ -102,7 +102,7 @@ def test_loads_all_alike_say_nothing_about_the_intercept():
     result = learned(loads)
     assert not result.fitted_intercept
     assert result.line.intercept.value == line().intercept.value
-    assert "press alike" in result.line.intercept.source
+    assert "have the same force" in result.line.intercept.source
 
 
 def test_an_assumed_intercept_is_as_unsure_as_its_material_says():
@@ -131,7 +131,7 @@ class TestRefused:
         place = loads.place_mm.copy()
         place[3] = (60.0, 0.0)
         result = learned(replace(loads, rows=rows, force_N=cell, place_mm=place))
-        assert "the other way" in result.refused[0]
+        assert "opposite to" in result.refused[0]
         assert "does not stand out" in result.refused[1]
         assert result.refused[2] == "no force was measured"
         assert "outside" in result.refused[3]

@@ -80,5 +80,5 @@ def test_without_a_location_there_is_no_map(calibration):
     bare = Calibration(
         replace(calibration.issued, baseline=tuple(replace(p, value=None) for p in calibration.issued.baseline))
     )
-    with pytest.raises(CalibrationError, match="no location of calibration c says"):
+    with pytest.raises(CalibrationError, match="no location of calibration c relates"):
         PressureMap(bare)

@@ -75,7 +75,7 @@ def test_a_misplaced_sheet_is_calibrated_where_it_lies():
 def test_the_report_says_how_the_sheet_lay():
     said = _sheet_pose_words(SheetPose((1.04, -0.5), -2.0, 0.05, 0.1, moved=True))
     assert "(+1.0, −0.5) ± 0.1 mm from the sheet's" in said
-    assert "turned by −2.0 ± 0.1°" in said
+    assert "rotated by −2.0 ± 0.1°" in said
 
 
 def test_places_that_are_pressed_again_stay_equal_to_the_last_bit():

@@ -129,7 +129,7 @@ def test_a_declared_order_that_the_board_has_not_is_refused_at_opening(bench):
 
 def test_a_board_whose_pairs_are_others_is_refused_at_opening():
     with Scanning(multiplexer={"current_skip": 1}) as bench:
-        with pytest.raises(InstrumentError, match=r"drives from electrode 0 to 2 .* no pairs of the sensor type"):
+        with pytest.raises(InstrumentError, match=r"drives from electrode 0 to 2 .* not pairs of the sensor type"):
             bench.open_multiplexer(current_skip=0)
         with pytest.raises(ConfigError, match="pair 0-2 is not among the sensor type's"):
             bench.open_multiplexer()

@@ -115,8 +115,8 @@ def test_the_scatter_of_trials_is_the_nonlinearitys_uncertainty():
 @pytest.mark.parametrize(
     ("strains", "kPa", "said"),
     [
-        ((0.2,), 132.5, "this one has 1"),
-        ((0.1, 0.2), 132.5, "this one has 2"),
+        ((0.2,), 132.5, "there are 1"),
+        ((0.1, 0.2), 132.5, "there are 2"),
         (STRAINS, None, "no force was recorded"),
     ],
 )

@@ -157,7 +157,7 @@ def test_one_run_a_sensor_is_least_squares_and_says_so():
     found, matrix = fit(rows.design, values), rows.design.columns().toarray()
     assert found.model is Model.FIXED
     assert found.sensor_deviation is found.ratio is found.criterion is None
-    assert "cannot be told apart" in found.notes[0]
+    assert "cannot be separated" in found.notes[0]
     effects, squares = np.linalg.lstsq(matrix, values, rcond=None)[:2]
     contrast = found.group_difference("b001", "b000")
     assert contrast.value == pytest.approx(effects[1] - effects[0], rel=1e-9)

@@ -170,7 +170,7 @@ def frame_without_any_change() -> Answer:
 @AREA.against("no load, although readings change")
 def changes_no_load_makes() -> Answer:
     """Readings that change a million times as much as under any load."""
-    return nothing_found(1e6 * changes_of(10.0, 0.0), "not as one round load")
+    return nothing_found(1e6 * changes_of(10.0, 0.0), "the sheet is not what the sensor type describes")
 
 
 @AREA.against("rows have a variance of one")
