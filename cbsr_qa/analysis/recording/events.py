@@ -99,7 +99,7 @@ class NoLoads:
     Parameters
     ----------
     frame : (m,) whitened change that doubles every reading; zeros if a common gain cannot be determined or does not
-    matter.
+        matter.
     suspects : contacts.
     """
 

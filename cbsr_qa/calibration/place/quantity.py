@@ -51,7 +51,7 @@ class Quantities:
     values : (n,) in the learned unit; NaN without a place.
     within_68, within_95 : (n, 2) lowest and highest of the interval of that probability.
     below, above : (n,) whether a value is beyond all learned presses. Its intervals then reach back to them, and as
-    far the other way, as the slope of the continuation is unknown.
+        far the other way, as the slope of the continuation is unknown.
     """
 
     values: Array

@@ -93,7 +93,7 @@ def register_presses(
     changes : (n, m) by each press, any unit.
     place_mm : (n, 2) labels of the presses.
     radius_stated : True if the sheet's radius is known and the scale estimated; False to estimate the radius at a
-    scale of 1.
+        scale of 1.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class Setting:
     checks : random loads held for a minute, for relaxation and the accuracy of force.
     frame_period_s : of one frame; its noise falls with the square root (NPLC of the source meter).
     choice : choice of places: ``"sunflower"``, as in a recipe; or out of thirty ``"farthest first"`` or ``"least sure
-    first"``, which evaluates the loads before the next choice.
+        first"``, which evaluates the loads before the next choice.
     """
 
     places: int

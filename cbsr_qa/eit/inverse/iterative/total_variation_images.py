@@ -137,7 +137,7 @@ def choose_alpha(
     Parameters
     ----------
     given : α itself, without a variance; None for the discrepancy principle, on the problem's measured changes, or
-    else on simulated ones of the sensor type's nominal problem.
+        else on simulated ones of the sensor type's nominal problem.
     noise_dB : noise below the mean reading without measured changes; α is proportional to the noise.
 
     Raises
