@@ -102,7 +102,6 @@ class Ask:
 
     @property
     def sides(self) -> int:
-        """Number of bounds."""
         return self.lower + self.upper
 
 

@@ -59,7 +59,6 @@ class Sheet:
 
     @property
     def layout(self) -> Electrodes:
-        """Layout of the electrodes."""
         return self.problem.sensor_type.electrodes
 
 

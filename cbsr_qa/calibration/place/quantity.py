@@ -144,7 +144,6 @@ class _Process:
 
     @classmethod
     def given(cls, learned: LearnedQuantity) -> "_Process":
-        """The process of what was learned."""
         data = learned.centre_mm, learned.strength, learned.places_mm, learned.values
         return cls(learned.scales, learned.logarithmic, *data)
 
@@ -162,7 +161,6 @@ class _Process:
         return self._weights / diagonal, 1 / np.sqrt(diagonal)
 
     def unscaled(self, y: Array) -> Array:
-        """Values in their unit."""
         transformed: Array = self._middle + self._spread * y
         return np.exp(transformed) if self._logarithmic else transformed
 

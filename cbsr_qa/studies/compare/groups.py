@@ -178,12 +178,10 @@ class Design:
 
     @property
     def noun(self) -> str:
-        """Noun for one group."""
         return _GROUPS.get(self.terms.by, str(self.terms.by))
 
     @property
     def of_stations(self) -> bool:
-        """Whether stations are the groups."""
         return self.terms.by is By.STATION
 
     def shared(self, first: str, second: str) -> tuple[str, ...]:

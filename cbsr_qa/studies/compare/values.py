@@ -69,12 +69,10 @@ class MetricValues:
 
     @property
     def identity(self) -> tuple[str, str, str, str]:
-        """Return the fields of :class:`OfMetric`."""
         return self.key.name, self.key.phase, self.key.qualifier, self.unit
 
     @property
     def limited(self) -> bool:
-        """Whether its recipe limits it."""
         return self.lower is not None or self.upper is not None
 
 

@@ -81,7 +81,6 @@ class Setting:
         return self.choice == SUNFLOWER and self.frame_period_s == _USUAL_FRAME_S
 
     def locations_mm(self) -> tuple[tuple[float, float], ...]:
-        """Return the pressed places."""
         return NINE_LOCATIONS_MM if self.places == len(NINE_LOCATIONS_MM) else sunflower_mm(self.places)
 
     def recipe(self, name: str = "frontier") -> dict[str, Any]:

@@ -46,7 +46,6 @@ class WhiteReadings:
 
     @classmethod
     def of(cls, problem: ImagingProblem) -> "WhiteReadings":
-        """Whiten a problem."""
         fold = ReadingFold.of(problem)
         deviation = np.sqrt(fold.variance)
         return cls(fold, deviation, fold.rows(problem.jacobian) / deviation[:, None])
