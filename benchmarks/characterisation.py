@@ -1,4 +1,4 @@
-"""How well a strip tells its material: the figures of docs/explanation/characterisation.md.
+"""How well a strip determines its material: the values in docs/explanation/characterisation.md.
 
 ``python -m benchmarks.characterisation`` characterises simulated strips in closed form, with the noise, relaxation
 and residue of the shipped scene, over twelve seeds and both materials, and prints what came out, and how large
@@ -37,7 +37,6 @@ RESIDUE = 0.02
 def strip(
     material: str, seed: int, strains: Sequence[float] = PAPER, cycles: int = 10, residue: float = RESIDUE
 ) -> Characterisation:
-    """Characterise one strip."""
     truth = Truth(load_material(material).value, residue=residue)
     cycled = readings(truth, strains=strains, count=cycles, noise=MATERIALS[material], seed=seed)
     return characterise(cycled, specimen(Response.AUTO), CharacterisationSettings())

@@ -2,7 +2,7 @@
 
     python -m benchmarks.chart_alarms
 
-Normal values of deviation 1, a reference of 30 or 100 runs, and what is told at the end of each run after it.
+Normal values of deviation 1, a reference of 30 or 100 runs, and the signals at the end of each run after it.
 """
 
 import numpy as np

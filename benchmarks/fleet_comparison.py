@@ -2,7 +2,7 @@
 
 Fills a database with simulated runs of which only what a comparison reads is there (no frames), unless it holds runs
 already: every sensor once, some (every third) on all three stations; three batches, each mostly on its own. Then
-compares batches in a process of its own, and prints its time and the most memory it took.
+compares batches in a separate process, and prints its time and peak memory.
 """
 
 import argparse
@@ -173,13 +173,12 @@ def _measurements(
 
 
 def timed(url: str, page: Path) -> tuple[float, float]:
-    """Compare batches in a process of its own; return its time [s] and the most memory it took [MB]."""
+    """Compare batches in a separate process; return its time [s] and peak memory [MB]."""
     command = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "compare", "--by", "batch"]
     return whole_command([*command, "--database", url, "--output", str(page)])
 
 
 def main() -> None:
-    """Fill where nothing is, and time."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--sensors", type=int, default=10_000)
     options.add_argument("--metrics", type=int, default=30)

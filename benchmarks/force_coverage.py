@@ -108,7 +108,7 @@ def _map_error(seen: Observed, found: RunForce) -> Errors:
 
 
 def table(results: Mapping[str, Mapping[str, Result]]) -> Iterator[str]:
-    """Lines of a table in Markdown, then what is told of each kind of sensor beside it."""
+    """Lines of a table in Markdown, then remarks on each kind of sensor."""
     yield f"| {' | '.join(_COLUMNS)} |"
     yield "|" + " --- |" * len(_COLUMNS)
     kinds = [(kind, list(results[name].values())) for name, kind in SENSORS.items() if results.get(name)]
@@ -160,7 +160,6 @@ def add(results: dict[str, dict[str, Result]], name: str, seed: int, to: Path) -
 
 
 def main() -> None:
-    """Simulate what is asked for, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.force_coverage", description=__doc__)
     parser.add_argument("--sensors", choices=SENSORS, action="append", help="by default all kinds")
     parser.add_argument("--seeds", help="first and one after the last, as 9000:9018; by default those of the table")

@@ -103,7 +103,6 @@ class Observed:
 
 
 def observed(sensors: Sensors, seed: int) -> Observed:
-    """Simulate one sensor and observe its run."""
     plugins, truth = discover(), _intercept(sensors, seed)
     configuration = _configuration(sensors, seed, _material(sensors, truth))
     clock = station_clock(configuration)

@@ -35,14 +35,12 @@ _USED = _ARCS.pattern.usable()
 
 
 def rows() -> Iterator[Row]:
-    """Voltages, order of convergence, solves and updates."""
     yield from _accuracy()
     yield _forward_solve()
     yield from _local_updates()
 
 
 def notes() -> str:
-    """What accuracy costs in time, and how fast it comes."""
     return "\n".join([*_cost_of_accuracy(), "", *_orders(), "", *_loads(), ""])
 
 

@@ -26,7 +26,6 @@ class Figures:
     measurements: tuple[Measurement, ...]
 
     def every(self, name: str, qualifier: str = "") -> list[Measurement]:
-        """All measurements of a name and qualifier, of single loads too."""
         return [one for one in self.measurements if (one.name, one.qualifier) == (name, qualifier)]
 
     def one(self, name: str, qualifier: str = "") -> Measurement:

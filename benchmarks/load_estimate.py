@@ -37,7 +37,6 @@ _PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "load-estim
 
 
 def rows() -> Iterator[Row]:
-    """The grid, then bounds, nine sites and time."""
     judged = [judge(cell) for cell in all_cells()]
     _PAGE.write_text(_page(judged))
     grid = f"γ +3 to +50 %, 40 to 80 dB, {len(PLACES)} places from 0 to 40 mm"
@@ -93,7 +92,7 @@ def _named(cell: Cell) -> str:
 
 
 def _refusals(judged: list[Judged]) -> Row:
-    """Where no answer is asked for there must be none, but by chance.
+    """Where no answer is expected there must be none, except by chance.
 
     The d′ of a frame scatters by one about the load's, so that a load of 5.6 passes a rule at 8 in one frame of 120.
     More than that, in a one-sided binomial test at one in a thousand, is a fault. Cells at the border are apart.

@@ -79,7 +79,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Judged:
-    """A cell's answers. ``scores``: ``place`` and ``amplitude``, and ``diameter`` where asked for."""
+    """A cell's answers. ``scores``: ``place`` and ``amplitude``, and ``diameter`` if requested."""
 
     cell: Cell
     bound: LoadBound
@@ -91,7 +91,7 @@ class Judged:
 
     @property
     def border(self) -> bool:
-        """Not asked for, but by less than d′ and standard errors scatter from frame to frame."""
+        """Not expected, but within the scatter of d′ and standard errors from frame to frame."""
         beyond = self.bound.place_mm / (_ASKED_SHARE * self.cell.radius_mm)
         return not self.asked and self.bound.detectability >= BORDER_D and beyond <= BORDER_SHARE
 

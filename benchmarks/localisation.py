@@ -45,7 +45,6 @@ _PAIL_CM, _WATER_CM, _BALL_CM = 15.0, 26.0, 7.0  # as the data's authors state t
 
 
 def rows() -> Iterator[Row]:
-    """Nine sites, phantom B, size responses."""
     truth = loads()
     problem = imaging_problem(disc())
     yield from _nine_sites(truth, problem)

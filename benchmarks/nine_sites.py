@@ -105,7 +105,6 @@ def _loads_at(places: Array, contrast: float = 0.5, radius_mm: float = RADIUS_MM
 
 @lru_cache(maxsize=1)
 def disc() -> SensorType:
-    """The shipped 100 mm disc."""
     return load_sensor_type("disc-100mm").value
 
 

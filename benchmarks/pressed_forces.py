@@ -79,7 +79,6 @@ def _over(sheets: list[Array]) -> tuple[Array, Array]:
 
 
 def main() -> None:
-    """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pressed_forces", description=__doc__)
     parser.add_argument("--learn", action="store_true", help="learn the places too")
     parser.add_argument("--presses", type=int, nargs="+", default=[20, 39, 100, 400])

@@ -52,7 +52,6 @@ def _stderr(values: Array) -> float:
 
 
 def main() -> None:
-    """Calibrate the sensors that are asked for, and print what came out."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.recommended_recipe", description=__doc__)
     parser.add_argument("--seeds", default="4001:4007", help="first and one after the last; two at least")
     pairs = []

@@ -92,9 +92,9 @@ class Pair:
     Parameters
     ----------
     flagged : whether ``force`` says that there is more than one.
-    one_of_sum : the force it tells, over the sum of both.
-    found : whether ``forces`` tells two, or says that there are.
-    error_N, stderr_N, place_mm : of each head: its force, and how far off its place is; empty where there is one.
+    one_of_sum : estimated single force over the sum of both.
+    found : whether ``forces`` reports two, or flags them.
+    error_N, stderr_N, place_mm : errors of each head's force and place; empty for one head.
     sum_error : of both together, relative.
     """
 
@@ -145,7 +145,7 @@ def row(distance_mm: float, pairs: Sequence[Pair]) -> str:
 
 
 def taken_for_two(sheet: Sheet, count: int) -> int:
-    """How many of so many single loads are flagged, or told as anything but one."""
+    """How many of so many single loads are flagged, or not reported as one."""
     wrong = 0
     for place in somewhere(sheet.random, count, _RADIUS_MM):
         frame = sheet.frame(place[None], sheet.random.uniform(*_FORCES_N, 1))
@@ -156,7 +156,6 @@ def taken_for_two(sheet: Sheet, count: int) -> int:
 
 
 def main() -> None:
-    """Press all pairs, then single heads, and print what came out."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.several_heads", description=__doc__)
     parser.add_argument("--pairs", type=int, default=20, help="a sheet and distance")
     count = parser.parse_args().pairs

@@ -22,7 +22,7 @@ from cbsr_qa.domain.results import Measurement
 from cbsr_qa.domain.run import RunRecord
 
 NINE = "nine locations"
-#: Relative noise that passes for none.
+#: Relative noise that counts as negligible.
 _QUIET = 1e-7
 #: Scene → seeds that relaxations are compared on.
 _SCENES = {"base": range(1, 5), "everything": range(1, 3)}

@@ -1,4 +1,4 @@
-"""Forces told while a head still presses: what a stream of frames says of a load after seconds.
+"""Forces estimated while a head still presses, after seconds of a stream of frames.
 
 ``python -m benchmarks.streams`` prints the table of docs/explanation/force.md: the random loads of simulated runs of
 the recipe ``nine-locations`` (half a minute a seed), followed by each run's own calibration.
@@ -22,13 +22,13 @@ _FRAMES = (1, 2, 3, 5, 7, 13)
 
 
 class Told(NamedTuple):
-    """What was told of one load at one frame.
+    """Estimate of one load at one frame.
 
     Parameters
     ----------
     frame : of the hold, from 0.
     held_s : since the head was down.
-    error_N, stderr_N : of the force it will have, against the load cell; NaN where no load was told there.
+    error_N, stderr_N : of the force it will have, against the load cell; NaN if no load was reported.
     share : of the error, relative.
     """
 
@@ -40,7 +40,6 @@ class Told(NamedTuple):
 
 
 def told(run: Issued) -> Iterator[Told]:
-    """Follow all loads of a run."""
     stream, frames = ForceStream(run.calibration), run.recording.frames
     head_mm = run.calibration.issued.indenter.diameter_mm
     in_turn = zip(frames.time_s.tolist(), frames.voltages, strict=True)

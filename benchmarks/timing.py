@@ -35,8 +35,8 @@ def compare(
     Parameters
     ----------
     repeats : turns.
-    burst : calls of one way in its turn: more than one where it is used call after call, as for a stream of frames,
-        and its data are so small that the other way's would push them out of the cache.
+    burst : consecutive calls of one way: more than one if it is used repeatedly, as for a stream of frames, and its
+        data are so small that the other way's would push them out of the cache.
     """
     best = [float("inf"), float("inf")]
     for _ in range(repeats):
@@ -56,7 +56,6 @@ def fastest(run: Callable[[], object], repeats: int) -> float:
 
 
 def shown(seconds: float) -> str:
-    """A time in a unit that fits."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if seconds >= size:
             return f"{seconds / size:.2f} {unit}"
@@ -74,8 +73,8 @@ print(time.perf_counter() - before, resource.getrusage(resource.RUSAGE_CHILDREN)
 def whole_command(command: Sequence[str]) -> tuple[float, float]:
     """Run a command to its end, and return its time [s] and the most memory that it or a child of it took [MB].
 
-    A small process of its own starts it and waits: what is told of children is the largest of all there were, and
-    Linux counts what their parent held when it started them as theirs.
+    A small separate process starts it and waits: peak memory of children is the maximum over all of them, and Linux
+    includes what their parent held at the start.
     """
     watched = subprocess.run([sys.executable, "-c", _WATCH, *command], check=True, capture_output=True, text=True)
     seconds, megabytes = map(float, watched.stdout.split())

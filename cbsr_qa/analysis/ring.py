@@ -38,7 +38,7 @@ class RingFit:
     gain_error : as a fraction; None if volts or current are unknown.
     offset : common to all readings, in their unit; None if the pattern cannot distinguish it from the gain.
     lead_ohm : (electrodes,) as the station reads them, including its gain error; None if the pattern cannot determine
-    them, or volts or current are unknown.
+        them, or volts or current are unknown.
     residual : (drives, measures) as a fraction of the expected reading.
     """
 

@@ -119,7 +119,6 @@ class _Reader:
         return sheet_pose_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
 
     def reference_change(self) -> float:
-        """Relative change of the unloaded readings."""
         before = self._calibration.issued.reference[self._used]
         now = self._run.reference[self._used] * self._per_A
         return float(np.linalg.norm(now - before) / np.linalg.norm(before))

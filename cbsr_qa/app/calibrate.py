@@ -51,7 +51,6 @@ class HeldOutQuantity:
 
     @classmethod
     def of(cls, learned: LearnedQuantity | None) -> "HeldOutQuantity | None":
-        """What presses left out say of a quantity."""
         if learned is None:
             return None
         coverage = dict(zip(("68", "95"), learned.covered.tolist(), strict=True))
@@ -75,7 +74,6 @@ class HeldOut:
 
     @classmethod
     def of(cls, issued: PressCalibration) -> "HeldOut":
-        """What presses left out say of a calibration."""
         places = HeldOutPlaces(issued.held_out_mm, issued.held_out_stderr_mm, issued.held_out)
         coverage = {"68": issued.covered_68, "95": issued.covered_95}
         return cls(places, coverage, HeldOutQuantity.of(issued.force), HeldOutQuantity.of(issued.depth))

@@ -136,7 +136,6 @@ class Value:
 
     @classmethod
     def of(cls, entry: Entry) -> Self:
-        """Return what is shown of an entry."""
         units = "" if entry.units in (PURE, TEXT, INDEX, FLAG) else entry.units
         if isinstance(entry.value, str):
             return cls(entry.value, units, ())
@@ -154,7 +153,6 @@ class Value:
 
     @property
     def text(self) -> str:
-        """The value for people."""
         if self.value is None:
             return "not measured"
         each = self.value if isinstance(self.value, tuple) else (self.value,)

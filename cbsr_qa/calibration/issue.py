@@ -50,7 +50,7 @@ def issue_calibration(
     overlap_threshold : lowest area overlap the recipe accepts [%].
     noise_figure : measured on this sensor; None if the recipe did not request it.
     learned : force model of the sensor; its line replaces the material's α, β against stress, since its map was
-    learned with it. None for the reason ``no_force``.
+        learned with it. None for the reason ``no_force``.
     learned_from : used and refused loads, in the order of ``learned.refused``.
     confirmed : other loads whose force it predicted within its stated error: they widen the range.
 

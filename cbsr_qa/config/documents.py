@@ -39,7 +39,6 @@ class DocumentKind(Enum):
 
     @property
     def noun(self) -> str:
-        """The kind as messages name it."""
         return self.value[0]
 
     @property

@@ -38,7 +38,6 @@ class LimitTable(Table):
 
     @property
     def judges(self) -> tuple[str, str, str]:
-        """What it is a limit of."""
         return self.measurement, self.phase, self.qualifier
 
     def problems(self, index: int, phases: Sequence[str] | None) -> Iterator[Problem]:

@@ -136,7 +136,6 @@ class CharacterisationTable(Table):
     end_s: Annotated[float, Field(gt=0)] = 10.0
 
     def to_domain(self) -> CharacterisationSettings:
-        """Percent become fractions."""
         return as_domain(CharacterisationSettings, self)
 
 
@@ -161,7 +160,6 @@ class RecipeFile(FileModel[Recipe]):
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
-        """Yield sequences, reconstruction, metrics and sections."""
         for index, phase in tables(data, "phases"):
             yield from chosen(Kind.SEQUENCE, phase, ("phases", index), "sequence", ("name",))
         yield from chosen(Kind.RECONSTRUCTION, data.get("reconstruction"), ("reconstruction",), "method")

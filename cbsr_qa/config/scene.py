@@ -71,7 +71,6 @@ class HeadTable(IndenterTable):
     hover_mm: Annotated[float, Field(ge=CLEARANCE_MM, le=1e4)] = 25.0
 
     def motion(self) -> Motion:
-        """Speeds become mm/s."""
         return Motion(
             press_speed_mm_s=self.press_speed_mm_per_min / 60,
             travel_speed_mm_s=self.travel_speed_mm_per_min / 60,
@@ -141,7 +140,6 @@ class SceneFile(FileModel[ScenePlan]):
             yield Problem(("recording", "duration_s"), f"{what}; {longest}")
 
     def to_domain(self) -> ScenePlan:
-        """Percent become fractions, milliampere ampere."""
         return ScenePlan(
             scene=self._scene(),
             sensor_type=None if self.sensor is None else self.sensor.sensor_type,

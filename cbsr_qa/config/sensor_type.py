@@ -82,7 +82,6 @@ class ElectrodesTable(Table):
 
     @property
     def width_key(self) -> str:
-        """The key that gives the electrodes' size."""
         return "diameter_mm" if self.kind == "pin" else "length_mm"
 
     @property

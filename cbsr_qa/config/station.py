@@ -56,7 +56,6 @@ class IndenterTable(Table):
     outline_mm: Annotated[list[Corner], Field(min_length=3)] | None = None
 
     def problems(self, table: str = "indenter") -> Iterator[Problem]:
-        """Yield what does not fit together within the table of this name."""
         if self.outline_mm is None:
             return
         if self.diameter_mm is not None:
@@ -100,7 +99,6 @@ class SafetyTable(Table):
             yield Problem(("safety", "temperature_C"), "is no range; give the lowest and then the highest")
 
     def to_domain(self) -> SafetyLimits:
-        """Percent become fractions, hours seconds."""
         return as_domain(SafetyLimits, self, duration_s=self.duration_h * 3600)
 
 
@@ -130,7 +128,6 @@ class ReferenceRingTable(Table):
             yield Problem(("reference_ring",), what)
 
     def to_domain(self) -> ReferenceRing:
-        """Percent and ppm become fractions, millivolts volts."""
         one = () if self.resistance_ohm is None else (self.resistance_ohm,)
         return as_domain(
             ReferenceRing,
@@ -202,7 +199,6 @@ class StationFile(FileModel[Station]):
             yield Problem(("emulation",), f"is given, but no instrument has address = {EMULATED!r}")
 
     def to_domain(self) -> Station:
-        """Speeds become mm/s, percent a fraction, hours seconds."""
         return as_domain(
             Station,
             self.station,

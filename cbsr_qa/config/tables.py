@@ -38,7 +38,6 @@ class OpenTable(BaseModel):
 
     @property
     def options(self) -> dict[str, Any]:
-        """The keys that are not the table's own."""
         return dict(self.model_extra or {})
 
 

@@ -64,7 +64,6 @@ class Plugins:
         return tuple(sorted(chosen, key=lambda r: (r.kind, r.name)))
 
     def names(self, kind: Kind) -> tuple[str, ...]:
-        """Names registered under a kind, sorted."""
         return tuple(r.name for r in self.registrations(kind))
 
     def in_order(self, kind: Kind) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""An outcome as a JSON document, and the JSON Schema of it: both from the fields of its dataclass."""
+"""An outcome as a JSON document, and its JSON Schema: both from the fields of its dataclass."""
 
 import json
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from pydantic import Field, TypeAdapter
 
 T = TypeVar("T")
 
-#: Annotation of a key that a document leaves out where there is nothing to say: no null.
+#: Annotation of a key that a document omits instead of writing null.
 IF_GIVEN: Final = Field(exclude_if=lambda value: value is None)
 
 
@@ -24,7 +24,7 @@ class Refusal:
 
 
 def json_document(result: Any) -> dict[str, Any]:
-    """Return a result as JSON has it: fields by name, tuples as lists, dates and times as text (ISO 8601)."""
+    """Return a result as JSON: fields by name, tuples as lists, dates and times as text (ISO 8601)."""
     kind: type = type(result)
     # pydantic would write UTC as Z, which Python 3.10 and the other documents do not know
     document: dict[str, Any] = json.loads(

@@ -1,4 +1,4 @@
-"""What the head of a report says: the banner, who and what it is about, and what was simulated."""
+"""The head of a report: the banner, its subject, and what was simulated."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ _SYMBOLS: Final = {
     Outcome.NOT_JUDGED: "–",
 }
 
-#: How a run that did not finish is announced; its verdict alone would hide that.
+#: Headline of a run that did not finish, which its verdict alone would hide.
 _ENDS: Final = {
     EndReason.RUNNING: "The run is incomplete: it began and did not end",
     EndReason.ABORTED: "The run was aborted",
@@ -27,7 +27,7 @@ _ENDS: Final = {
 R = TypeVar("R")
 Facts = Sequence[tuple[str, str]]
 
-#: What a recording's times are from, where "the computer's" would not do.
+#: Clock of a recording's times, if not the computer's.
 _CLOCKS = {"none": "no time recorded", "documented": "as the format documents it"}
 
 
@@ -39,18 +39,18 @@ def answer(
     printed: Facts = (),
     warnings: Sequence[str] = (),
 ) -> CommandOutcome[R]:
-    """Return the outcome of a command that did what it was asked for, and has no page of its own.
+    """Return the outcome of a successful command without a separate page.
 
     Parameters
     ----------
-    facts, printed : as of :class:`~cbsr_qa.domain.results.Page`.
+    facts, printed : as in :class:`~cbsr_qa.domain.results.Page`.
     """
     page = Page("", "", Banner("pass", "✓", headline, reason), tuple(facts))
     return CommandOutcome(result, replace(page, printed=tuple(printed), warnings=tuple(warnings)))
 
 
 def run_page(result: RunResult) -> Page:
-    """Say what a run's report begins with."""
+    """Return the head of a run's report."""
     record, identity = result.record, result.record.identity
     facts = (
         ("Sensor", identity.sensor.serial),
@@ -90,7 +90,7 @@ def _tries(result: RunResult) -> tuple[tuple[str, str], ...]:
 
 
 def recording_page(result: RecordingResult) -> Page:
-    """Say what a recording's report begins with."""
+    """Return the head of a recording's report."""
     recording, count = result.recording, len(result.events)
     rate = result.frame_rate_hz
     facts = (

@@ -72,7 +72,6 @@ class Chain:
         self._stages = {stage: tuple(_applied(named, stage)) for stage in STAGES}
 
     def has(self, stage: str) -> bool:
-        """Whether any effect perturbs a stage."""
         return bool(self._stages[stage])
 
     @property

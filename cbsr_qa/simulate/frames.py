@@ -174,7 +174,6 @@ class FrameMaker:
         return [moment.impedance_ohm for moment in moments if moment.impedance_ohm is not None]
 
     def _changes(self, moment: Moment) -> bool:
-        """Whether anything can change within a frame."""
         return bool(moment.presses) or self._chain.has("contacts") or self._chain.has("impedance")
 
 

@@ -75,7 +75,6 @@ class PressWriter:
         self._movements = index
 
     def travel(self, to: HeadPosition, time_s: float) -> None:
-        """Move to a commanded place at a time."""
         self._true = self._arrival(to, time_s)
 
     def stroke(self, to: HeadPosition, start_s: float, duration_s: float, speed_mm_s: float) -> None:
@@ -157,7 +156,6 @@ class SimulatedHead:
         self._free_at_s = 0.0
 
     def count_from(self, index: int) -> None:
-        """Set the address of the movements that follow."""
         self._written.count_from(index)
 
     @property

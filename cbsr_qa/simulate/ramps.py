@@ -100,7 +100,6 @@ class Transients:
         return max(lasts, default=0.0)
 
     def of(self, press: SimulatedPress, time_s: float) -> float:
-        """Return the transient of a press at a time."""
         if not press.steps or time_s <= press.steps[0].start_s:
             return 0.0
         over = self._known.get(press.index)

@@ -85,7 +85,6 @@ class StepAddresses:
         self._first: list[int] = [0]
 
     def begin_step(self, phase: int, number: int) -> int:
-        """Begin a step; return its first address."""
         return self._begin((phase * _STEPS + number) * _ACTS)
 
     def begin_act(self) -> int:
@@ -93,7 +92,6 @@ class StepAddresses:
         return self._begin(self._act + 1)
 
     def frame(self) -> int:
-        """Return the address of the next frame."""
         self._frames += 1
         return self._act * _COUNTS + self._frames
 

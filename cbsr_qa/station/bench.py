@@ -43,7 +43,6 @@ class _Call(threading.Thread):
         self._action = action
 
     def run(self) -> None:
-        """Call the action, and keep its exception."""
         try:
             self._action()
         except BaseException as error:  # noqa: BLE001 - nothing one instrument does may stop the others
@@ -102,7 +101,6 @@ class Mounted:
 
     @property
     def name(self) -> str:
-        """Role and driver, for messages."""
         return f"{self.spec.role} ({self.spec.driver})"
 
 
@@ -149,13 +147,11 @@ class Bench:
         )
 
     def name_of(self, instrument: object) -> str:
-        """Return role and driver of an instrument, for messages."""
         return next(
             (mounted.name for mounted in self.mounted if mounted.instrument is instrument), "an unknown instrument"
         )
 
     def alive(self) -> tuple[Alive, ...]:
-        """Return the instruments with a liveness check."""
         return tuple(mounted.instrument for mounted in self.mounted if isinstance(mounted.instrument, Alive))
 
     def safe_state(self) -> tuple[str, ...]:

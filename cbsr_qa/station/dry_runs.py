@@ -149,7 +149,6 @@ class _DryWalk:
         return DryPhase(scheduled, tuple(durations_s), self.frames)
 
     def finish(self) -> None:
-        """Check the duration of the whole plan."""
         total_s, allowed_s = self.spent.total_s(), self.plan.safety.duration_s
         if not total_s <= allowed_s:
             self._note(f"the run takes {duration(total_s)}; the station allows {duration(allowed_s)}")

@@ -190,7 +190,6 @@ class _Execution:
             self._phase(phase)
 
     def where(self) -> str:
-        """Describe the current step and the bench's state."""
         if self._at is None:
             return "before the first step"
         phase, step = self._at

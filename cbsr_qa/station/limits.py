@@ -150,11 +150,9 @@ class Limits:
         self._counted = usable if usable.any() else np.ones_like(usable)
 
     def check_load(self, load: Load) -> None:
-        """Check strain, expected force and place before a press."""
         _refuse(load_violations(load, self._plan))
 
     def check_place(self, x_mm: float, y_mm: float) -> None:
-        """Check a place before the head moves there."""
         _refuse(place_violations(x_mm, y_mm, self._plan))
 
     def check_samples(self, block: SampleBlock, who: str) -> None:

@@ -45,7 +45,6 @@ class LoadLog:
     eased: list[EasedStrain] = field(default_factory=list)
 
     def begin(self, index: int, load: Load, now_s: float, lift_off_s: float) -> None:
-        """Record that the head starts down."""
         self.index, self.load, self.times_s, self.lift_off_s = index, load, [now_s], lift_off_s
         self.eased = []
 

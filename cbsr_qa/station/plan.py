@@ -159,7 +159,6 @@ class Plan:
 
     @property
     def context(self) -> SequenceContext:
-        """Context given to the sequences."""
         return SequenceContext(self.sensor_type, self.indenter, self.seed)
 
 

@@ -102,7 +102,6 @@ class _Bar:
         self._bar.update(self._task, total=self._total_s, completed=done_s, phase=phase, doing=doing)
 
     def say(self, line: str) -> None:
-        """Print a line above the bar."""
         self._bar.console.print(line, markup=False, highlight=False)
 
     def show_again(self) -> None:

@@ -62,7 +62,6 @@ class Crossing:
         return _crossing([_used(name, code) for name, code in zip(names, codes, strict=True)])
 
     def first_runs(self) -> IntArray:
-        """Return the index of each sensor's first run."""
         first: IntArray = np.unique(self.sensor, return_index=True)[1]
         return first
 

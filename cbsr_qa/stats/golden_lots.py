@@ -102,7 +102,6 @@ class Ask:
 
     @property
     def sides(self) -> int:
-        """Number of bounds."""
         return self.lower + self.upper
 
 
@@ -139,7 +138,8 @@ class Bound:
     limit : rounded outwards to a hundredth of its distance from the mean.
     distribution : of single values.
     independent_values : the sensors' worst values are modelled as the largest of this many independent ones: all of a
-    run, or 1 if that is rejected and worst values are themselves normal, as when values of a sensor are correlated.
+        run, or 1 if that is rejected and worst values are themselves normal, as when values of a sensor are
+        correlated.
     tests : of the distributions tried, in order.
     scale : of ``parts``.
     parts : of the sensors' worst values on that scale.

@@ -241,7 +241,6 @@ class Referenced(Judged):
 
     @property
     def standard_error(self) -> float:  # type: ignore[override]
-        """Return the combined standard error."""
         return hypot(self.scatter, self.known)
 
     def p_value(self) -> float:

@@ -53,7 +53,6 @@ class Repository:
         self.close()
 
     def close(self) -> None:
-        """Close the connections."""
         self._engine.dispose()
 
     @property
@@ -67,7 +66,6 @@ class Repository:
         return address(self._engine.url)
 
     def is_at(self, url: str) -> bool:
-        """Whether a URL means this database."""
         return parsed_url(url) == self._engine.url
 
     def new_id(self) -> str:

@@ -57,7 +57,6 @@ class IdSource:
                 self._last_ms, self._counter = found
 
     def new(self) -> str:
-        """Return a new identifier as text."""
         now_ms = int(self._wall().timestamp() * 1000)
         with self._lock:
             if now_ms > self._last_ms:
@@ -166,7 +165,6 @@ class Whole(_Typed[int]):
     _kinds = int
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> int | None:
-        """Convert when writing."""
         return None if value is None else int(value)
 
 
@@ -206,7 +204,6 @@ class Instant(TypeDecorator[datetime]):
         return instant.replace(tzinfo=None) if dialect.name == "sqlite" else instant
 
     def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
-        """Return it with its zone."""
         if value is None:
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)

@@ -159,12 +159,10 @@ class ScriptedApplicator(ScriptedInstrument):
         self.script.called(f"{self.role}.press", depth_mm, speed_mm_s)
 
     def release(self) -> None:
-        """Be up, if the call does not fail."""
         self.script.called(f"{self.role}.release")
         self.down = False
 
     def safe_state(self) -> None:
-        """Be up, if the call does not fail."""
         super().safe_state()
         self.down = False
 
@@ -181,7 +179,6 @@ class ScriptedLoadCell(ScriptedInstrument):
         self._applicator = applicator
 
     def samples_since(self, time_s: float) -> SampleBlock:
-        """Return what was sampled after a time."""
         self.script.called(f"{self.role}.samples_since", time_s)
         first = int(np.floor(time_s * self.rate_hz + 1e-6)) + 1
         last = int(np.floor(self.script.clock.now() * self.rate_hz + 1e-6))
@@ -214,7 +211,6 @@ class FixedSequence:
     role: Role = Role.OTHER
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield them, whatever the context."""
         del context
         yield from self.given
 

@@ -168,7 +168,6 @@ class _Seen:
         self._head, self._depth_now_mm, self._hover_mm = head, depth_now_mm, motion.hover_mm
 
     def up(self, after: str) -> None:
-        """Demand that it is at the hover height."""
         if self._depth_now_mm is not None:
             height_mm = -self._depth_now_mm()
             demand(

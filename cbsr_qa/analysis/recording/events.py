@@ -62,6 +62,7 @@ class Press:
     end : fractional frame of the release, or the last frame.
     before, held : frames of the reference and of the hold; for a load held from the beginning the reference is later.
     places : of its loads, several if pressed simultaneously.
+    score : of its strongest step.
     slow : whether only its release was a step.
     """
 
@@ -99,7 +100,7 @@ class NoLoads:
     Parameters
     ----------
     frame : (m,) whitened change that doubles every reading; zeros if a common gain cannot be determined or does not
-    matter.
+        matter.
     suspects : contacts.
     """
 

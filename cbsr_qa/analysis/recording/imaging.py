@@ -59,7 +59,6 @@ class Sheet:
 
     @property
     def layout(self) -> Electrodes:
-        """Layout of the electrodes."""
         return self.problem.sensor_type.electrodes
 
 
@@ -69,7 +68,7 @@ def nominal_disc(layout: Electrodes | None, electrode_count: int) -> SensorType:
     Parameters
     ----------
     layout : numbering documented by the recording's format; electrode 0 on +x, counterclockwise, if it documents none
-    or the electrodes are not on a ring.
+        or the electrodes are not on a ring.
     """
     ring = layout if isinstance(layout, ElectrodeLayout) else None
     first_deg = 0.0 if ring is None else ring.first_angle_deg

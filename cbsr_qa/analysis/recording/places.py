@@ -171,7 +171,7 @@ def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) 
     Parameters
     ----------
     places : found from each channel's change relative to its own reference value, which weights far readings
-    correctly for the distance, but also their faults.
+        correctly for the distance, but also their faults.
     change : (m,) in one scale for all channels, unwhitened. match : prepared for it with equal noise.
     """
     sigma = np.ones_like(change)

@@ -131,7 +131,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     ----------
     wanted : whether to correct carry-over; None to correct it if that improves the readings.
     pattern : of the named sensor type; None if the same adjacent pairs are driven and measured. Otherwise no readings
-    are reciprocal, and checks of reciprocity are skipped.
+        are reciprocal, and checks of reciprocity are skipped.
     """
     block = recording.frames
     faults = find_faults(block, recording.scan)

@@ -36,7 +36,7 @@ class MapCost:
     station_s : their share of the time of their phases, including travel, surface finding and rests.
     stated : relative standard error of the map within the calibrated area, root mean square.
     seen : relative error at the left-out places, root mean square, less the noise of their own loads; None without
-    any.
+        any.
     expected : error that the map states there; None likewise.
     """
 

@@ -69,7 +69,7 @@ class RunForce:
     ----------
     learned : None if nothing could be learned, for the reason ``why``.
     used : loads it was learned from, in order of ``learned.refused``; for predicted holds with the force at the
-    predicted time.
+        predicted time.
     tests : of unused loads: held out, or of a left-out trial at places of the other trials.
     sheet_pose : position of the sheet; places of the map and of all loads are relative to it.
     """

@@ -83,7 +83,6 @@ class StrengthTraces:
         return self._known[key]
 
     def loading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
-        """The kernel of presses."""
         noises = [self.held(load)[2] for load in loads]
         return _usable([self.change(load) for load in loads], [ramp_s(load) for load in loads], noises, None, 0.0)
 
@@ -93,7 +92,6 @@ class StrengthTraces:
         return time_s, strength - self.left(load) * self.fading(time_s)
 
     def unloading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
-        """The kernel of releases."""
         traces, ramps, noises, released = [], [], [], []
         for load in loads:
             record = load.record

@@ -199,7 +199,7 @@ def gauge_factor(
     Parameters
     ----------
     traces : of holds, which determine how the conductance approaches its steady state; by default those of the run's
-    blobs.
+        blobs.
 
     Raises
     ------

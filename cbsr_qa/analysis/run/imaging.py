@@ -32,7 +32,6 @@ class Imager:
 
     @property
     def mesh(self) -> Mesh:
-        """Mesh of the images."""
         return self.reconstruction.problem.mesh
 
     def images(self, frames: FrameBlock) -> NDArray[np.float64]:

@@ -81,7 +81,7 @@ def observe_run(
     ----------
     record : the run as stored, the only input.
     over_time : whether to compute relaxations and metrics of every frame too, which take most of the time and which
-    force does not need. Without them it is unknown whether holds had settled.
+        force does not need. Without them it is unknown whether holds had settled.
 
     Raises
     ------

@@ -73,7 +73,6 @@ def _difference(recording: Recording, empty: Recording) -> str:
 
 
 def _stated_difference(recording: Recording, empty: Recording) -> str:
-    """Compare what both files state."""
     current_A, other_A = recording.frames.current_A, empty.frames.current_A
     if recording.layout and empty.layout and empty.layout != recording.layout:
         return "its electrodes are numbered or placed in another way"
@@ -147,7 +146,6 @@ class AnalyseRequest:
 
     @property
     def chosen(self) -> PluginChoice:
-        """Plugin that images the events."""
         name = DEFAULT_RECONSTRUCTION if self.reconstruction is None else self.reconstruction
         return PluginChoice(name, self.options)
 

@@ -70,7 +70,6 @@ class ReadRecording:
 
     @classmethod
     def of(cls, recording: Recording, frame_rate_hz: float | None = None) -> Self:
-        """Return what was read from a file."""
         return filled(
             cls,
             recording,
@@ -246,7 +245,6 @@ class Analysed:
 
     @classmethod
     def of(cls, file: Path, result: RecordingResult) -> Self:
-        """Return what was found in a recording."""
         return filled(
             cls,
             result,
@@ -260,7 +258,6 @@ class Analysed:
         )
 
     def with_refusal(self, error: CbsrError) -> Self:
-        """Return the same with why it was refused."""
         return replace(self, refused=filled(Refusal, error), error=error)
 
     @property

@@ -73,7 +73,6 @@ class MeasuredValue:
 
     @classmethod
     def of(cls, measurement: Measurement) -> Self:
-        """Return a measurement with the bounds of its limit."""
         limit = measurement.limit
         if limit is None:
             return filled(cls, measurement)

@@ -49,7 +49,6 @@ def write_outputs(
 
 
 def _material(result: RunResult, failed: list[str]) -> tuple[Path | None, str]:
-    """Write the material file of a characterisation that passed."""
     if result.characterisation is None:
         return None, ""
     why = why_no_material(result)

@@ -166,7 +166,6 @@ class Session:
         )
 
     def instruments(self) -> tuple[InstrumentIdentity, ...]:
-        """Ask every instrument for its identity."""
         return self._bench.identities()
 
     def run(self, identity: RunIdentity, store: Repository) -> RunOutcome:

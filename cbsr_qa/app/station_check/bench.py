@@ -134,7 +134,6 @@ class _Look:
         self._bench: Bench | None = None
 
     def open(self, spec: InstrumentSpec, opened: Callable[[InstrumentSpec], Instrument], today: date) -> None:
-        """Open one instrument and ask for identity and self-test."""
         self._tell(f"asking {spec.role}")
         try:
             mounted = Mounted(spec, opened(spec))

@@ -113,14 +113,12 @@ class Reading:
         return pair
 
     def text(self, path: str) -> str:
-        """Return a text."""
         value = self._value(path)
         if not isinstance(value, str):
             raise CalibrationError(f"{path} is not a text")
         return value
 
     def texts(self, path: str) -> tuple[str, ...]:
-        """Return a list of texts."""
         value = self._value(path)
         if not isinstance(value, tuple):
             raise CalibrationError(f"{path} is not a list of texts")
@@ -136,7 +134,6 @@ class Reading:
         return tuple(sorted({name.split("/")[0] for name in inside if "/" in name}))
 
     def units(self, path: str) -> str:
-        """Return the units of an entry."""
         self._value(path)
         return self._entries[path].units
 

@@ -28,7 +28,7 @@ class CommonRelaxation:
     ----------
     fit : of the mean trace; time constants and shares of the amplitudes are those of every trace.
     offsets, scales : (traces,) of each: Gᵢ(t) = offsetᵢ + scaleᵢ (share₁ e^(−t/τ₁) + share₂ e^(−t/τ₂)); empty without
-    a curve.
+        a curve.
     shares : (k,), adding to 1.
     covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, amplitudes and log τ.
     traces : number used.
@@ -55,7 +55,7 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     Parameters
     ----------
     traces : (times (n,) [s] strictly rising, values (n,)) of each load, any unit, times from the end of the ramp;
-    traces of fewer than 5 points are left out.
+        traces of fewer than 5 points are left out.
 
     Returns
     -------

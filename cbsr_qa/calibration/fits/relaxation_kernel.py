@@ -198,7 +198,7 @@ def learn_kernel(
     Parameters
     ----------
     traces : (times (n,) [s] from the end of the ramp, values (n,)) of each load; traces of fewer than 6 values are
-    left out. Any unit: weights are relative.
+        left out. Any unit: weights are relative.
     ramp_s : duration of the head's movement before; the kernel is that of a step.
     frame_s : averaging time of a value; 0 for instantaneous ones.
     released : change reversed by each release, for unloadings; None for loadings.

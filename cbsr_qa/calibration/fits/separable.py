@@ -50,7 +50,6 @@ class Exponentials:
 
     @property
     def sum_of_squares(self) -> float:
-        """Sum of the squared residuals."""
         return float(self.residual @ self.residual)
 
 

@@ -32,8 +32,8 @@ def settling_time(
     tolerance : half width of the band as a fraction (the paper's 15 %).
     band : ``"steady"``: of the steady change from before the load, as in the paper; ``"step"``: of G(0) − a₀.
     loaded_change : the steady change under load. Given for an unloading, which ends near zero change: the band is
-    relative to it, since a band relative to the end would vanish. The fitted curve must also be in the band about
-    zero at the window's end, since a short trace of a slow return seems to end elsewhere.
+        relative to it, since a band relative to the end would vanish. The fitted curve must also be in the band about
+        zero at the window's end, since a short trace of a slow return seems to end elsewhere.
     start_s : start of the fit (after an unloading spike); earlier the trace counts as unsettled.
 
     Returns

@@ -58,7 +58,6 @@ class CalibrationLoads:
     force_stderr_N: Array
 
     def select(self, which: Mask) -> "CalibrationLoads":
-        """Return some of them."""
         return CalibrationLoads(*(getattr(self, column.name)[which] for column in fields(self)))
 
     def changed(self) -> tuple[Array, Array]:

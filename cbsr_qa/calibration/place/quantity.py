@@ -51,7 +51,7 @@ class Quantities:
     values : (n,) in the learned unit; NaN without a place.
     within_68, within_95 : (n, 2) lowest and highest of the interval of that probability.
     below, above : (n,) whether a value is beyond all learned presses. Its intervals then reach back to them, and as
-    far the other way, as the slope of the continuation is unknown.
+        far the other way, as the slope of the continuation is unknown.
     """
 
     values: Array
@@ -144,7 +144,6 @@ class _Process:
 
     @classmethod
     def given(cls, learned: LearnedQuantity) -> "_Process":
-        """The process of what was learned."""
         data = learned.centre_mm, learned.strength, learned.places_mm, learned.values
         return cls(learned.scales, learned.logarithmic, *data)
 
@@ -162,7 +161,6 @@ class _Process:
         return self._weights / diagonal, 1 / np.sqrt(diagonal)
 
     def unscaled(self, y: Array) -> Array:
-        """Values in their unit."""
         transformed: Array = self._middle + self._spread * y
         return np.exp(transformed) if self._logarithmic else transformed
 

@@ -68,7 +68,7 @@ class PressesLearned:
     ----------
     findings : on readings, electrodes and sheet, in words.
     used : (n,) whether each press was used; no reading changes in the others. Left-out presses are numbered among
-    those used.
+        those used.
     modelled : the place by the modelled sheet alone.
     quantities : force and depth by their names, where the presses have them.
     """

@@ -93,7 +93,7 @@ def register_presses(
     changes : (n, m) by each press, any unit.
     place_mm : (n, 2) labels of the presses.
     radius_stated : True if the sheet's radius is known and the scale estimated; False to estimate the radius at a
-    scale of 1.
+        scale of 1.
 
     Raises
     ------
@@ -187,7 +187,6 @@ class _Search:
         self._steps = np.array([self._reach, self._reach, 1.0, 1.0]) * _STEP
 
     def best(self, likeness: Likeness, *, mirrored: bool) -> tuple[_Pose, float]:
-        """Most likely pose, and its log likelihood."""
         refined = (self._refined(likeness, pose) for pose in self._candidates(likeness, mirrored=mirrored))
         return max(refined, key=lambda found: found[1])
 

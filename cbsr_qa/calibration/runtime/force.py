@@ -56,7 +56,7 @@ class Forces:
         frame flagged MORE_THAN_ONE the error includes the sum of its heads. If a place was searched and no load
         detected, 0 and the least force detectable anywhere in the calibrated area.
     place_mm, place_stderr_mm : (n, 2) place, and (n,) its error, root mean square over two axes; 0 if given. NaN if
-    searched in a frame flagged UNREADABLE or OTHER_SENSOR.
+        searched in a frame flagged UNREADABLE or OTHER_SENSOR.
     detectability : (n,) d′, the load's signal over the noise of the readings.
     flags : (n,) int64 of :class:`Flag`.
     """
@@ -97,9 +97,9 @@ class SeveralForces:
     loads : of k heads, the clearest first; inseparable heads are one entry, flagged MORE_THAN_ONE, with the sum of
         their forces and its error at their middle.
     total_N, total_stderr_N : sum of all forces; 0 and the least detectable force without a head, NaN in unusable
-    frames.
+        frames.
     flags : of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE if heads were not
-    separated or there are more than searched for, SPIKE; else none.
+        separated or there are more than searched for, SPIKE; else none.
     """
 
     loads: Forces
@@ -124,7 +124,7 @@ class ForceInverse:
     ----------
     model : of the sensor.
     line : α_σ [1/kPa] and β_σ with their covariance, that of the line through the calibrated stresses; shared errors
-    are in the map.
+        are in the map.
     area_mm2 : of the head.
     tables : (nodes, 4) of the map, see :func:`map_tables`.
     """

@@ -98,7 +98,7 @@ class Calibration:
         Parameters
         ----------
         frames : (n, drives, measures) or (drives, measures) [V], in the order of the sensor type's pattern. Frames
-        are independent: settling and residues of earlier loads are not corrected. A masked reading counts as NaN.
+            are independent: settling and residues of earlier loads are not corrected. A masked reading counts as NaN.
         place_mm : (2,) or (n, 2) place of the head, from the sheet's centre; by default it is estimated.
         indenter : head, if not the calibrating one.
         current_A : drive current of the frames, if not the calibration's.

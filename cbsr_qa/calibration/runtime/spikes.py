@@ -17,7 +17,7 @@ class SpikeFilter:
     pattern : of the frames.
     used : (drives, measures) bool with m True entries.
     merging : (rows, m) of the force model, which gives the readings' noise: entries of merged readings of precision
-    pᵢ are pᵢ/√Σp.
+        pᵢ are pᵢ/√Σp.
     """
 
     def __init__(self, pattern: DrivePattern, used: Mask, merging: Array) -> None:

@@ -263,7 +263,7 @@ def scattered(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches
     Parameters
     ----------
     size_slope : (n, 2) at the places (:meth:`TemplateFilter.size_slope`): a head misplaced to where changes are
-    larger seems correspondingly weaker.
+        larger seems correspondingly weaker.
     scatter_mm : standard deviation along an axis.
     """
     towards = np.empty((len(size_slope), 3, 2))

@@ -126,7 +126,6 @@ class Track:
 
     @property
     def pressing(self) -> bool:
-        """Whether a head is present."""
         return self.state in ("loading", "steady")
 
     @property
@@ -148,11 +147,9 @@ class Track:
         self._information, self._weighed, self._frames = np.zeros((2, 2)), np.zeros(2), 0
 
     def distance_mm(self, place_mm: Array) -> float:
-        """Distance of a place."""
         return float(np.hypot(*(self.place_mm - place_mm)))
 
     def add_place(self, place_mm: Array, covariance: Array) -> None:
-        """Add another estimate of the place."""
         if self._frames >= _PLACED or not np.isfinite(covariance).all():
             return
         if covariance[0, 0] <= 0 or np.linalg.det(covariance) <= 0:  # noise on a ridge between places

@@ -40,7 +40,7 @@ class TrackedLoad:
     place_mm, place_stderr_mm : place, and its error, root mean square over two axes.
     force_N, stderr_N : of a pressing load: its value after the calibrated hold. 0 ± 0 once released.
     left_N : of a released load: the force equivalent to its residue; else 0. NaN, flagged OUTSIDE, at an impossible
-    place.
+        place.
     flags : as :class:`~cbsr_qa.calibration.runtime.Flag`.
     """
 

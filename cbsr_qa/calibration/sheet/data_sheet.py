@@ -44,7 +44,7 @@ class StraightLine:
     deviations : (n,) float64, points minus line, in the unit of y.
     largest : of their absolute values.
     stderr : of ``largest``, with the deciding points held fixed: too large if several compete, never too small. None
-    if the points' errors are unknown.
+        if the points' errors are unknown.
     """
 
     slope: float
@@ -217,7 +217,7 @@ class PlaceResponse:
     location, x_mm, y_mm : of its loads.
     baseline : ρ₀ of Eq 7, mean over the loads, relative image units.
     responses : of each load, the same over the image of the linearised model of an even sheet there: 1 if the sheet
-    responds as that model with the material's α.
+        responds as that model with the material's α.
     """
 
     location: str

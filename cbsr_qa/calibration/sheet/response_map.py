@@ -197,7 +197,7 @@ def learn_response(
     variance : (n,) of it, by the readings' and the force's noise.
     radius_mm : of the sheet, the unit of the correlation lengths.
     bend : (n,) a column with an unknown multiple in the logarithm, the effect of a wrong intercept of the line; None
-    without one.
+        without one.
     bend_stderr : prior standard deviation of that multiple.
     """
     if len(log_response) < FEWEST:

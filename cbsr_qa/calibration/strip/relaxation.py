@@ -187,7 +187,6 @@ class KernelCurve:
 
     @classmethod
     def of_sheet(cls, kernel: RelaxationKernel, start_s: float, window_s: float) -> Self:
-        """Return the common kernel of a sheet's loads."""
         start_s = max(kernel.start_s, start_s)
         level = float(kernel.loading)
         return cls(kernel.weights, kernel.time_constants_s, kernel.covariance, start_s, window_s, level)

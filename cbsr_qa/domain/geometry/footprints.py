@@ -151,11 +151,9 @@ class PolygonFootprint:
         return squared_distance_integral(start, end, self.corners_mm)
 
     def distance_mm(self, points: Points) -> Values:
-        """Distance from the nearest side."""
         return distance_to_outline(points, self.corners_mm)
 
     def contains(self, points: Points) -> NDArray[np.bool_]:
-        """Whether the outline goes around the points."""
         return inside_polygon(points, self.corners_mm)
 
     def drawn_mm(self) -> Points:

@@ -52,7 +52,6 @@ class InstrumentSpec:
 
     @property
     def address(self) -> str:
-        """Address in the station file, for messages."""
         return str(self.options.get("address", "an address of the driver's choice"))
 
 

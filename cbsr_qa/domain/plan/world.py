@@ -51,11 +51,9 @@ class SimulatedPress:
 
     @property
     def end_s(self) -> float:
-        """End of its last ramp so far."""
         return self.steps[-1].start_s + self.steps[-1].ramp_s if self.steps else -math.inf
 
     def strain_at(self, time_s: float) -> float:
-        """Strain under the head at a time."""
         if not self.steps or time_s <= self.steps[0].start_s:
             return 0.0
         if time_s >= self.end_s:  # true of most presses of a run

@@ -38,7 +38,6 @@ class _OnDisc:
 
     @property
     def r_over_R(self) -> float:
-        """Distance from the centre in units of the radius."""
         return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
 
     @property

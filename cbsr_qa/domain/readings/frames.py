@@ -101,7 +101,6 @@ class FrameBlock:
         return int(self.time_s.shape[0])
 
     def select(self, which: NDArray[np.bool_] | slice) -> Self:
-        """Return the frames chosen by a mask or a slice, as a new block."""
         own = None if self.reading_time_s is None else self.reading_time_s[which]
         return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
 
@@ -244,7 +243,6 @@ class Recording:
 
     @property
     def rows_rejected(self) -> int:
-        """Number of rows that were excluded."""
         return sum(problem.rejected for problem in self.problems)
 
 

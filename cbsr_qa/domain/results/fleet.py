@@ -35,7 +35,6 @@ class MetricKey:
 
     @property
     def title(self) -> str:
-        """The same for people, the name in words."""
         return self._with_detail(metric_words(self.name))
 
     def _with_detail(self, name: str) -> str:
@@ -115,7 +114,6 @@ class RunLine:
 
     @property
     def finished(self) -> bool:
-        """Whether it ran to its end."""
         return self.end is EndReason.FINISHED
 
     @property

@@ -223,9 +223,7 @@ class PreparedReconstruction(Protocol):
         ...
 
     @property
-    def problem(self) -> ImagingProblem:
-        """The problem it was prepared for."""
-        ...
+    def problem(self) -> ImagingProblem: ...
 
     @property
     def choice(self) -> ParameterChoice:

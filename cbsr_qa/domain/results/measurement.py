@@ -200,7 +200,6 @@ class Measurement:
 
     @property
     def label(self) -> str:
-        """Name with location, repetition and qualifier, for people."""
         parts = [self.location, f"trial {self.trial + 1}" if self.trial else "", self.qualifier]
         detail = ", ".join(part for part in parts if part)
         name = metric_words(self.name)

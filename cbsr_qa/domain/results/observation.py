@@ -216,7 +216,6 @@ class LoadObservation:
 
     @property
     def hold_s(self) -> float:
-        """How long it was held."""
         return self.record.release_start_s - self.record.hold_start_s
 
     def relaxation(self, signal: str, *, loading: bool) -> RelaxationObservation | None:

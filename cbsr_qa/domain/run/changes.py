@@ -47,7 +47,6 @@ class EarlierRun:
 
     @property
     def words(self) -> str:
-        """Day and end of the run."""
         return self._ended if self.chained else f"{self._ended} (no chain)"
 
     @property
@@ -114,7 +113,6 @@ class SensorHistory:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings for a run of this sensor."""
         return (*self.differences, *self.changed)
 
     @property
@@ -236,7 +234,6 @@ class ChangeHistory:
     changes: tuple[ConfigurationChange, ...] = ()
 
     def of(self, run: str) -> tuple[ConfigurationChange, ...]:
-        """Return the changes that came with one run."""
         return tuple(change for change in self.changes if change.run == run)
 
 

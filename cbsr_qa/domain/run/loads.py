@@ -69,7 +69,6 @@ class Indenter:
         return PolygonFootprint(np.array(self.outline_mm) + np.array([x_mm, y_mm]))
 
     def scaled(self, factor: float) -> Self:
-        """Return a scaled copy of the head."""
         return type(self)(factor * self.diameter_mm, tuple((factor * x, factor * y) for x, y in self.outline_mm))
 
     def words(self) -> str:

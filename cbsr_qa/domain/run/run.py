@@ -39,7 +39,6 @@ class ChainState:
 
     @property
     def words(self) -> str:
-        """The state in words, for reports and terminals."""
         if not self.chained:
             return _NONE
         if self.signature == "none":

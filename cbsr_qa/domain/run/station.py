@@ -177,7 +177,6 @@ class ChartReference(ChartSettings):
 
     @property
     def settings(self) -> ChartSettings:
-        """How the chart is made."""
         return ChartSettings(**{one.name: getattr(self, one.name) for one in fields(ChartSettings)})
 
     @property

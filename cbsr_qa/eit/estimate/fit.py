@@ -117,7 +117,6 @@ class _Run:
         self.steps = np.zeros(count, dtype=np.int64)
 
     def step(self) -> None:
-        """One trial step for every load that still moves."""
         which = np.flatnonzero(self.active)
         move, gain = self._moves(which)
         aim, cut, placed = self.fitter.bounded(self.at[which] + move, square=self.square)

@@ -66,7 +66,7 @@ def merged_readings(pattern: DrivePattern, used: Mask, variance: Array) -> Merge
     Parameters
     ----------
     variance : (drives, measures) of the readings' changes, independent of each other; only those of used readings
-    matter.
+        matter.
 
     Raises
     ------

@@ -39,7 +39,7 @@ class Cover:
     elements : (k,) int64, rising, the touched ones.
     share : (k,) covered fraction of their area, in (0, 1].
     spread : (k, q) covered fraction about each integration point: its mean is the share. May leave [0, 1], as the
-    best linear fit to a step does.
+        best linear fit to a step does.
     across : (k, q, 2) unit normal of the load's outline near each point.
     """
 

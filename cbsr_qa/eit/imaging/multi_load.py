@@ -181,7 +181,7 @@ class TwoTouch:
     Parameters
     ----------
     separation_mm : smallest distance of their centres above which they are always resolved; None if not even at the
-    largest.
+        largest.
     tried_mm : largest distance tried.
     step_mm : between distances.
     """
@@ -207,7 +207,7 @@ def two_touch_resolution(
     Parameters
     ----------
     mask : of the image's maximum, for contours; None for a watershed of the 25 % mask that separates peaks with a
-    valley of 5 % between them.
+        valley of 5 % between them.
     furthest_mm : largest distance of the centres; by default 0.8 of the sheet's radius.
 
     Raises

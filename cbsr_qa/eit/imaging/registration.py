@@ -25,9 +25,9 @@ class Registration:
     rotation_deg : θ, counterclockwise.
     scale : s.
     shift_stderr_mm, rotation_stderr_deg, scale_stderr : standard errors (equal for both components of the shift) from
-    the scatter of the residuals.
+        the scatter of the residuals.
     residuals_mm : (n, 2) measured places less those of the similarity, rotated and scaled back to nominal
-    coordinates.
+        coordinates.
     """
 
     shift_mm: Array

@@ -201,7 +201,7 @@ class GreitFigures:
     resolution : RES = √(A_q/A_0), of the area of the sheet.
     shape_deformation : SD, share of q outside a circle of its area about its centre.
     ringing : RNG, integral of the opposite sign outside that circle over the integral within it; None if that is not
-    positive (a set q in several pieces, with a gap at the centre).
+        positive (a set q in several pieces, with a gap at the centre).
     """
 
     amplitude_response: float | None

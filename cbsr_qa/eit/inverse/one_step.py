@@ -111,16 +111,13 @@ class RidgeSearch:
         return False
 
     def noise_figures(self, values: Array) -> Array:
-        """Noise figure at each of some λ."""
         figure = noise_figure_of(self._spectrum, self._signal, self._areas, self._variance)
         return np.array([figure(float(value)) for value in values])
 
     def for_noise_figure(self, target: float) -> float:
-        """λ with this noise figure."""
         return hyperparameter_for(target, self._spectrum, self._signal, self._areas, self._variance)
 
     def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
-        """λ chosen from readings."""
         regularised = self._spectrum.analysis[: len(self._spectrum.values)]
         curves = RidgeCurves(self._spectrum.values, evidence.changes @ regularised.T)
         if criterion is Criterion.GCV:

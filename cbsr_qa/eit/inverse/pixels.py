@@ -38,7 +38,7 @@ class PixelImaging:
     inner : (p, g) its non-zero rows, which suffice for one frame and fit a core's cache.
     one, other : (g,) readings that are folded, reciprocal ones in most methods.
     ratio : (g,) weight of the second over that of the first, which is in the matrix; 0 for single readings, None if
-    always one.
+        always one.
     readings : m.
     """
 

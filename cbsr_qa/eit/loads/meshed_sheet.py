@@ -69,7 +69,6 @@ class MeshedSheet:
 
     @property
     def extent_mm(self) -> tuple[float, float, float, float]:
-        """Lowest and highest x, lowest and highest y."""
         x, y = self._points.real, self._points.imag
         return float(x.min()), float(x.max()), float(y.min()), float(y.max())
 

@@ -135,7 +135,6 @@ class Patches(Sized):
 
     @property
     def nbytes(self) -> int:
-        """Memory it takes."""
         parts = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
         arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met, *self._linked]
         return super().nbytes + parts + sum(array.nbytes for array in arrays)

@@ -63,7 +63,6 @@ class PinnedDisc:
 
     @property
     def extent_mm(self) -> tuple[float, float, float, float]:
-        """Lowest and highest x, lowest and highest y."""
         return -self.radius_mm, self.radius_mm, -self.radius_mm, self.radius_mm
 
     def clearance_mm(self, place_mm: Array) -> Array:

@@ -27,7 +27,6 @@ class InverseEntries:
 
     @property
     def nbytes(self) -> int:
-        """Memory the entries take."""
         return self._entries.nbytes
 
     def between(self, nodes: Indices) -> Array:

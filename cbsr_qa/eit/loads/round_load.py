@@ -34,7 +34,7 @@ class Expansion:
     ----------
     orders : M.
     fields : (n, 2M, electrodes) of a unit current into each electrode [V/A]; meaningful only for currents that sum to
-    zero.
+        zero.
     response : (n, 2M, 2M), response of edge and pins: a disc at the place whose poles are −D_m reach^m conj(A_m) in a
         field with coefficients A sees A = fields − response · D · A.
     """

@@ -199,7 +199,7 @@ def imported_mesh(
     nodes_mm : (n, 2) [mm]; (n, 3) with a constant third coordinate.
     elements : (e, 3) nodes of each triangle.
     electrodes : each by its nodes, its edges or its place; in the order of their numbers. Nodes and edges are counted
-    as in ``elements``.
+        as in ``elements``.
     first : number of the first node, 1 where software counts from one (MATLAB, EIDORS, gmsh).
     fix : reverse clockwise elements and leave out unused nodes, instead of refusing them.
 

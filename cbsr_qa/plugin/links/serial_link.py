@@ -53,7 +53,6 @@ class SerialLink:
 
     @property
     def port(self) -> str:
-        """Path of the port the device is at now."""
         return str(self._port.port)
 
     def write(self, data: bytes) -> None:
@@ -100,7 +99,6 @@ class SerialLink:
             return self._taken(len(self._held))
 
     def flush_input(self) -> None:
-        """Discard unread input."""
         with self._reading, self._mapped():
             self._held.clear()
             self._port.reset_input_buffer()
@@ -200,7 +198,6 @@ class SerialLink:
             raise self.error(f"the link is down ({error})", remedy=_CABLE) from error
 
     def error(self, reason: str, remedy: str = "", *, retryable: bool = False) -> InstrumentError:
-        """Return an error that names role and address."""
         return InstrumentError(self.role, self.address, reason, remedy=remedy, retryable=retryable)
 
 

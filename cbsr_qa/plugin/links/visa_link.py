@@ -196,7 +196,6 @@ class VisaLink:
         return self.error(f"the link is down ({error})", remedy=_CABLE, retryable=True)
 
     def error(self, reason: str, remedy: str = "", *, retryable: bool = False) -> InstrumentError:
-        """Return an error that names role and address."""
         return InstrumentError(self.role, self.address, reason, remedy=remedy, retryable=retryable)
 
 

@@ -30,7 +30,6 @@ from cbsr_qa.report.draw.style import (
 
 
 def _stress_pair(figure: Canvas, end_kPa: float, titles: tuple[str, str], labels: tuple[str, str]) -> list[Axes]:
-    """Two panels beside each other, both against stress."""
     boxes = ((0.075, 0.16, 0.39, 0.74), (0.575, 0.16, 0.41, 0.74))
     panels = [
         plot(figure, box, title, x="stress [kPa]", y=label)

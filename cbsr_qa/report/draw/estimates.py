@@ -1,4 +1,4 @@
-"""Where loads were estimated to be, with how surely, beside where their images show them."""
+"""Estimated places of loads with their uncertainty, and their places in images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ _CORNERS: Final = 48
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedLoad:
-    """One press as its readings and its image place it.
+    """A press with its places by readings and by image.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def estimates_figure(loads: Sequence[PlacedLoad], sensor: SensorType) -> Canvas:
 
 
 def error_scale(loads: Sequence[PlacedLoad]) -> int:
-    """By how much errors and ellipses are lengthened: the largest then leaves the head by no more than half of it."""
+    """Factor that lengthens errors and ellipses: the largest then exceeds the head by at most half of it."""
     errors = [
         float(np.hypot(*e)) for load in loads for e in (load.imaged_error, load.estimated_error) if e is not None
     ]

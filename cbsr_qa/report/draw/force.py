@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _FURTHEST: Final = 1.5
 _BANDS: Final = ((2.0, 0.10), (1.0, 0.16))
 _STEPS: Final = 60
-#: Of loads as they would be without what the figure is about.
+#: Colour of loads without the effect that the figure shows.
 _FAINT_MARK: Final[dict[str, Any]] = {
     "markersize": 2.8,
     "markerfacecolor": "none",
@@ -30,7 +30,7 @@ _FAINT_MARK: Final[dict[str, Any]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForcePanel:
-    """Loads as one way of estimating has them.
+    """Loads by one way of estimating.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canva
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RatioPoints:
-    """Seen over predicted change of the loads of a calibration.
+    """Measured over predicted change of the loads of a calibration.
 
     Parameters
     ----------
@@ -185,7 +185,6 @@ def _draw_ratios(axes: Axes, points: RatioPoints) -> None:
 
 
 def _draw_deviations(axes: Axes, points: RatioPoints) -> None:
-    """Draw the distribution of the residuals of the loads."""
     expected = np.interp(points.force_N, points.line_N, points.line)
     left = np.sort(100 * (points.placed / expected - 1))
     rank = (np.arange(len(left)) + 0.5) / len(left)

@@ -29,7 +29,7 @@ from cbsr_qa.report.draw.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, ca
 from cbsr_qa.report.select import SIGNS, LocationVerdict, outcome_counts
 
 _ACROSS: Final = 3
-#: As dark in grey print as the outcome is bad; the edge tells them apart besides.
+#: Darker in grey print for worse outcomes; edges differ as well.
 _LOOK: Final[dict[Outcome, dict[str, Any]]] = {
     Outcome.PASS: {"facecolor": "#e9f5f0", "edgecolor": "#00664b", "linewidth": 0.8},
     Outcome.MARGINAL: {"facecolor": "#f3d9a0", "edgecolor": "#8a5a00", "linewidth": 1.1, "linestyle": (0, (3, 1.5))},

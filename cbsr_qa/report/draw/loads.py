@@ -1,4 +1,4 @@
-"""Where loads were, where they were seen, and what their images look like."""
+"""Places of loads, places found, and their images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ _ARROW_SCALES: Final = (1, 2, 5, 10, 20, 50)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenLoad:
-    """One press as figures need it.
+    """A press for figures.
 
     Parameters
     ----------
@@ -253,7 +253,6 @@ def _draw_polar(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType) -> No
 
 
 def _draw_rays(axes: Axes, radius: float) -> None:
-    """Rings and rays of a disc."""
     step = 10.0 if radius <= 60 else 25.0
     for ring in np.arange(step, radius, step):
         draw_circles(axes, np.zeros((1, 2)), float(ring), color=_GRID, width=0.5)

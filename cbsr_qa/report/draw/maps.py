@@ -1,4 +1,4 @@
-"""How strongly each place of the sheet answers: baseline conductance at loads, and the map of the response."""
+"""Response of each place of the sheet: baseline conductance at loads, and the response map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -160,7 +160,7 @@ def _scale(field: SheetField, values: Array) -> tuple[Array, Colormap]:
 def round_levels(least: float, most: float) -> Array:
     """Zero and the numbers 1, 2, 5 × 10ⁿ from below the least value to above the most, at most three decades.
 
-    An error is told by its order of size: even steps would spend themselves on the sheet's rim.
+    Errors vary by orders of magnitude: even steps would only resolve the sheet's rim.
     """
     most = max(most, 1e-9)
     least = max(least, most / 1e3)

@@ -1,4 +1,4 @@
-"""Noise figure against a regularisation parameter: what there was to choose from, and what was chosen."""
+"""Noise figure against a regularisation parameter: candidates and choice."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ _FEW: Final = 30  #: with fewer values those looked at are drawn as dots
 
 @dataclass(frozen=True, slots=True)
 class ParameterMark:
-    """What one criterion says, and the noise figure there; None where it has no answer."""
+    """Choice of one criterion, and its noise figure; None if it has no answer."""
 
     title: str
     value: float | None

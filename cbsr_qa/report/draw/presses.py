@@ -1,4 +1,4 @@
-"""Presses of a sheet that were left out: how far each was missed, and what their regions hold."""
+"""Presses of a sheet that were left out: errors of place, and coverage of their regions."""
 
 from typing import Final
 

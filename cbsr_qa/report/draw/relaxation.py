@@ -31,7 +31,7 @@ from cbsr_qa.report.draw.style import (
 from cbsr_qa.report.draw.time import thinned
 from cbsr_qa.report.tables import unit_shown
 
-#: Standard errors of an interval of 90 %: the one that two one-sided tests at 5 % hold against the margin.
+#: Standard errors of an interval of 90 %: the one that two one-sided tests at 5 % compare with the margin.
 _NINETY: Final = 1.6449
 
 

@@ -1,4 +1,4 @@
-"""How the sheet, its electrodes and what lies on it are drawn."""
+"""Drawing of the sheet, its electrodes and objects on it."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -92,7 +92,7 @@ class Raster:
         return np.ma.MaskedArray(values[np.where(outside, 0, self.elements)], mask=outside)
 
 
-#: More places than this stand too close for their names.
+#: More places than this are too close for their names.
 MOST_NAMES: Final = 16
 #: A circle of this many sides is round in print.
 _SIDES: Final = 72

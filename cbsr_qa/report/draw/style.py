@@ -42,7 +42,7 @@ ORDERED: Final = ("#9ecae1", "#56a0d3", "#2171b5", "#08306b")
 #: Text width of an A4 page with the report's margins [in].
 WIDTH_IN: Final = 6.9
 
-#: A line that is not the first to be looked at.
+#: A line of secondary importance.
 DASHED: Final = (0, (4, 2))
 
 #: Kept clear at a figure's left edge [in].
@@ -210,7 +210,7 @@ def name_rows(axes: Axes, names: Sequence[str], most: int = 34) -> None:
 
 
 def bare(axes: Axes) -> None:
-    """Leave nothing of the axes but what is drawn in them, in equal scale."""
+    """Remove everything of the axes except their content, in equal scale."""
     axes.set_axis_off()
     axes.set_aspect("equal")
 
@@ -269,7 +269,7 @@ def svg_of(build: Callable[[], Canvas]) -> str:
 
 
 def checked_svg(svg: str) -> str:
-    """Return an SVG that can do nothing but be looked at.
+    """Return an SVG without active content.
 
     Raises
     ------
@@ -303,7 +303,7 @@ def _check_element(element: ElementTree.Element) -> None:
 
 
 def _body(document: str) -> str:
-    """Strip what belongs to a file of its own: declarations, metadata, comments, the style sheet for ``*``."""
+    """Strip what only a separate file needs: declarations, metadata, comments, the style sheet for ``*``."""
     body = document[document.index("<svg") :]
     body = re.sub(r"<!--.*?-->\s*", "", body, flags=re.DOTALL)
     body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)

@@ -1,4 +1,4 @@
-"""Traces against time, and where the time went."""
+"""Traces against time, and time budgets."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

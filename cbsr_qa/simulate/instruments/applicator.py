@@ -116,7 +116,6 @@ class EmulatedApplicator:
         send(_BANNER[self._firmware].encode())
 
     def received(self, data: bytes) -> bytes:
-        """Execute received commands, line by line."""
         if Fault.BUSY in self._told:
             self._told.discard(Fault.BUSY)
             self._keep_busy()

@@ -57,7 +57,6 @@ class EmulatedErtBoard:
         self._scale = self._counts_per_volt()
 
     def attached(self, line: Port) -> None:
-        """Start to send."""
         self._line = line
         self._rig.clock.watch(self._time_passed)
 

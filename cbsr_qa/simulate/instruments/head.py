@@ -86,7 +86,6 @@ class EmulatedHead:
 
     @property
     def touching(self) -> bool:
-        """Whether it is below the sheet's surface."""
         x, y, depth_mm = self._sheet_position(self.position_mm)
         return self._above_sheet(x, y) and depth_mm > self._world.surface_mm(x, y, self._clock.now()) + _NEAR_MM
 
@@ -97,12 +96,10 @@ class EmulatedHead:
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is active or queued."""
         return bool(self._ways)
 
     @property
     def queued(self) -> int:
-        """Number of active and queued motions."""
         return len(self._ways)
 
     @property
@@ -131,7 +128,6 @@ class EmulatedHead:
             self._begin(self._ways[0])
 
     def stop(self) -> None:
-        """Stop at once, and discard queued motions."""
         if self._ways:
             self._rests = self.position_mm
             self._written.halt(self._clock.now())

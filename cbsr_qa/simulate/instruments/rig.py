@@ -140,7 +140,6 @@ class Emulation:
         self.ports[role].faults.arm(fault)
 
     def close(self) -> None:
-        """Stop every emulator."""
         for port in self.ports.values():
             port.close()
 

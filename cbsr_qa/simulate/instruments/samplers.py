@@ -51,7 +51,6 @@ class LineSender(ABC):
         self._port = line
 
     def received(self, data: bytes) -> bytes:
-        """Ignore received bytes."""
         return b""
 
     def misbehave(self, fault: Fault) -> None:

@@ -103,7 +103,6 @@ class EmulatedSourceMeter:
         self._switched_off()
 
     def received(self, data: bytes) -> bytes:
-        """Execute the complete lines."""
         *lines, self._held = (self._held + data).split(b"\n")
         self._said = bytearray()
         with self._rig.lock:
@@ -112,7 +111,6 @@ class EmulatedSourceMeter:
         return bytes(self._said)
 
     def misbehave(self, fault: Fault) -> None:
-        """Stay in compliance, or reset."""
         with self._rig.lock:
             if fault is Fault.COMPLIANCE:
                 self._stuck = True
@@ -130,7 +128,6 @@ class EmulatedSourceMeter:
         return self._names[name]()
 
     def assign(self, name: str, value: Any) -> None:
-        """Set an attribute."""
         channel, _, rest = name.partition(".")
         bounds = _FORMAT.get(name) or _NODE.get(name) or (_CHANNEL.get(rest) if channel in self._buffers else None)
         if bounds is None:
@@ -144,7 +141,6 @@ class EmulatedSourceMeter:
         self._wire()
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
-        """Call a built-in function."""
         channel, _, rest = name.partition(".")
         if channel in self._buffers and rest in ("reset", "nvbuffer1.clear", "measure.v", "measure.i", "abort"):
             return self._of_channel(channel, rest, arguments)

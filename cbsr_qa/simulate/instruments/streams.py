@@ -139,7 +139,6 @@ class Port(ABC):
         self.failure: BaseException | None = None
 
     def serve(self, instrument: Served) -> None:
-        """Start to serve."""
         self._thread = threading.Thread(target=self._run, args=(instrument,), name=self._name, daemon=True)
         self._thread.start()
 
@@ -212,7 +211,6 @@ class PtyPort(Port):
             os.write(self._master, data)
 
     def unread(self) -> int:
-        """Number of bytes waiting at the driver's end."""
         with self._writing, suppress(OSError):
             return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0])
         return 0
@@ -232,7 +230,6 @@ class PtyPort(Port):
                     os.close(end)
 
     def close(self) -> None:
-        """End the thread and release all resources."""
         super().close()
         with self._writing:
             ends, self._wakes, self._wake = (self._wakes, self._wake), -1, -1

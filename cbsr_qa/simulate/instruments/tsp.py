@@ -69,17 +69,14 @@ class Interpreter:
             statement({})
 
     def define(self, name: str, parameters: tuple[str, ...], body: tuple[Statement, ...]) -> None:
-        """Define a function."""
         self._functions[name] = _Function(parameters, body)
 
     def named(self, name: str, local: Locals) -> Any:
-        """Return the value of a name."""
         if name in _CONSTANTS:
             return _CONSTANTS[name]
         return local[name] if name in local else self._machine.value(name)
 
     def assign(self, name: str, value: Any) -> None:
-        """Set an attribute."""
         self._machine.assign(name, value)
 
     def call(self, name: str, arguments: tuple[Any, ...]) -> tuple[Any, ...]:

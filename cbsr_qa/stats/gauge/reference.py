@@ -52,7 +52,6 @@ class RegressionLine:
         return Contrast(self.level + self.slope * away, error, self.count - 2)
 
     def rise(self) -> Contrast:
-        """Return the slope with its standard error."""
         return Contrast(self.slope, self.residual / sqrt(self.squares), self.count - 2)
 
 

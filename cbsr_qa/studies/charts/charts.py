@@ -51,7 +51,6 @@ class Charts:
 
     @property
     def signals(self) -> tuple[StandingSignal, ...]:
-        """Active signals."""
         return tuple(chart.signal for chart in self.charts if chart.signal is not None)
 
 

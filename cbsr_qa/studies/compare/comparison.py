@@ -107,12 +107,10 @@ class Comparison:
 
     @property
     def all_stations(self) -> list[str]:
-        """Stations of all groups, sorted."""
         return sorted({name for group in self.groups for name in group.stations})
 
     @property
     def all_batches(self) -> list[str]:
-        """Batches of all groups, sorted."""
         return sorted({name for group in self.groups for name in group.batches})
 
     @property

@@ -113,7 +113,7 @@ class Difference(Estimated):
     equivalent : whether two one-sided tests show the difference to be within ``margin``, by ``equivalence_p``, which
         is adjusted for all such tests of the comparison.
     sensors_to_show_alike : of each of two groups on one station, to show equivalence within the margin with 80 %
-    power if they do not differ, by one test at the comparison's level; None if 10⁹ do not suffice.
+        power if they do not differ, by one test at the comparison's level; None if 10⁹ do not suffice.
     sensors_needed : of each group to detect the difference ``detect``, likewise.
     """
 

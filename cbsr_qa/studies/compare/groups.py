@@ -157,14 +157,14 @@ class Design:
     Parameters
     ----------
     crossing : of groups and stations; of batches and stations where stations are compared; of groups and *levels* if
-    periods or software versions are compared: every batch at every station is a level, so that batches are not
-    mistaken for periods.
+        periods or software versions are compared: every batch at every station is a level, so that batches are not
+        mistaken for periods.
     rows : (N,) indices of the runs.
     stations : to compare besides the groups, the one with most runs (in the part with most stations) first; empty for
-    a single station, or if stations are the groups.
+        a single station, or if stations are the groups.
     levels : level → its station and batch; empty if the crossing's levels are stations.
     of_the_stations : crossing for the comparison of stations: of batches and stations if there are levels, or
-    materials of several batches are compared; else the crossing itself.
+        materials of several batches are compared; else the crossing itself.
     sides : (R,) other side of the crossing for every run: a level, or a station.
     """
 
@@ -178,12 +178,10 @@ class Design:
 
     @property
     def noun(self) -> str:
-        """Noun for one group."""
         return _GROUPS.get(self.terms.by, str(self.terms.by))
 
     @property
     def of_stations(self) -> bool:
-        """Whether stations are the groups."""
         return self.terms.by is By.STATION
 
     def shared(self, first: str, second: str) -> tuple[str, ...]:

@@ -59,7 +59,7 @@ class Terms:
     groups : names to compare, the reference first; empty for all, the earliest period or the largest group first.
     names : metrics to compare; empty for all.
     margins, detect : name of a metric → difference that does not matter, or for which the number of sensors is
-    computed.
+        computed.
     power : for numbers of sensors.
     """
 

@@ -48,7 +48,7 @@ class MetricValues:
     title : its name, with phase and qualifier if another metric has the same name.
     lower, upper : limit of the latest run with one, or None.
     mean, least, most : (R,) of each run's values; NaN without any, or if one is only a lower bound, infinite or too
-    large to be squared.
+        large to be squared.
     per_run : largest number of values per run.
     at : location → (R,) mean of the values there; empty for values without location.
     failed : (R,) whether a value was outside its limit or, though limited, could not be measured.
@@ -69,12 +69,10 @@ class MetricValues:
 
     @property
     def identity(self) -> tuple[str, str, str, str]:
-        """Return the fields of :class:`OfMetric`."""
         return self.key.name, self.key.phase, self.key.qualifier, self.unit
 
     @property
     def limited(self) -> bool:
-        """Whether its recipe limits it."""
         return self.lower is not None or self.upper is not None
 
 

@@ -45,7 +45,7 @@ class Setting:
     checks : random loads held for a minute, for relaxation and the accuracy of force.
     frame_period_s : of one frame; its noise falls with the square root (NPLC of the source meter).
     choice : choice of places: ``"sunflower"``, as in a recipe; or out of thirty ``"farthest first"`` or ``"least sure
-    first"``, which evaluates the loads before the next choice.
+        first"``, which evaluates the loads before the next choice.
     """
 
     places: int
@@ -81,7 +81,6 @@ class Setting:
         return self.choice == SUNFLOWER and self.frame_period_s == _USUAL_FRAME_S
 
     def locations_mm(self) -> tuple[tuple[float, float], ...]:
-        """Return the pressed places."""
         return NINE_LOCATIONS_MM if self.places == len(NINE_LOCATIONS_MM) else sunflower_mm(self.places)
 
     def recipe(self, name: str = "frontier") -> dict[str, Any]:

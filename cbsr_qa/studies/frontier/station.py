@@ -141,7 +141,6 @@ class _Simulated:
         return lambda load: load.index in numbers
 
     def tried(self, series: str, setting: Setting, wanted: Callable[[LoadRecord], bool] = lambda load: True) -> Tried:
-        """Try this setting, or a part of it."""
         try:
             chosen = wanted if setting.choice == SUNFLOWER else self._chosen(setting)
             own = only(self._observed(setting), lambda load: load.phase != GRID or chosen(load.record))

@@ -123,7 +123,6 @@ class ReferenceTable(Table):
     uncertainty: Annotated[float, Field(ge=0)] = 0.0
 
     def to_domain(self) -> ReferenceValue:
-        """Return the reference value."""
         return ReferenceValue(self.serial, self.metric, self.value, self.uncertainty, self.unit)
 
 

@@ -136,7 +136,6 @@ class StudyTable(Table):
     confidence_percent: float = 95.0
 
     def problems(self) -> Iterator[Problem]:
-        """Yield contradictions within the table."""
         if not self.name.isprintable():
             yield Problem(("study", "name"), "has characters that cannot be printed; give one line")
         if self.recipe is None and self.serials is None:
@@ -165,7 +164,6 @@ class MetricTable(Table):
     tolerance: Annotated[float, Field(gt=0)] | None = None
 
     def problems(self, where: KeyPath) -> Iterator[Problem]:
-        """Yield contradictions within the table."""
         numbers = [key for key in ("lower", "upper", "tolerance") if getattr(self, key) is not None]
         if numbers and self.unit is None:
             yield Problem((*where, "unit"), f"is missing: {' and '.join(numbers)} of {self.name} must have one")
@@ -179,12 +177,10 @@ class MetricTable(Table):
             yield Problem((*where, "lower"), f"is {self.lower:g}, not below upper = {self.upper:g}")
 
     def overlaps(self, other: "MetricTable") -> bool:
-        """Whether a value may belong to both."""
         same = (self.name, self.qualifier) == (other.name, other.qualifier)
         return same and (self.phase == other.phase or not self.phase or not other.phase)
 
     def to_domain(self) -> MetricWanted:
-        """Return the metric."""
         return MetricWanted(
             self.name, self.phase, self.qualifier, self.unit or "", self.lower, self.upper, self.tolerance
         )

@@ -77,7 +77,6 @@ class Lot:
 
     @property
     def runs(self) -> tuple[LotRun, ...]:
-        """Every run of every sensor."""
         return tuple(run for runs in self.analysed.values() for run in runs)
 
     def data_sha256(self) -> str:

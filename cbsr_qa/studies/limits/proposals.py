@@ -174,7 +174,6 @@ class ProposedLimit(Judged):
     lot_marginal: tuple[str, ...]
 
     def limit(self, version: str) -> Limit:
-        """Return it as a recipe's limit."""
         ends = self.lower, self.upper, self.marginal
         return Limit(self.measurement, self.unit, *ends, self.phase, self.qualifier, version)
 

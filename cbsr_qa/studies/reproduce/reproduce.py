@@ -70,7 +70,6 @@ class Reproduction:
 
     @property
     def tables(self) -> tuple[ComparedTable, ...]:
-        """All tables, in reading order."""
         return (
             self.table1, self.table2, self.table3, self.table4, self.table5, self.tableF6, self.settling, self.force,
         )  # fmt: skip

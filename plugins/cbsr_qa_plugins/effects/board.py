@@ -130,7 +130,6 @@ class ReadingMemory(SceneEffect):
         moment.voltages = mixed.T if turned else mixed
 
     def _order(self, moment: Moment) -> str:
-        """Which pair steps faster."""
         at_s = moment.reading_offsets_s
         if at_s is None or min(at_s.shape) < 2:
             return self.options.inner or "measure"

@@ -33,7 +33,6 @@ class BoardOptions(PluginOptions):
 
     @property
     def speed(self) -> int | None:
-        """Baud; there is no default for text."""
         return _BINARY_BAUD if self.baud is None and self.format == "binary" else self.baud
 
     @property

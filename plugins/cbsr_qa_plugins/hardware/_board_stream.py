@@ -39,7 +39,7 @@ class BoardFrame:
 
 
 class BoardStream(Protocol):
-    """Takes the board's bytes apart."""
+    """Parses the board's bytes."""
 
     #: Bytes so far that belonged to no whole frame, since the first whole one.
     spoilt: int
@@ -92,7 +92,7 @@ class BinaryStream:
         self._locked = self._lost = self._any = False
 
     def _synchronised(self) -> bool:
-        """Find where a frame begins, and drop what stands before it."""
+        """Find the start of a frame, and drop bytes before it."""
         held = self._held
         start = next((k for k in range(len(held) - BINARY_FRAME + 1) if _fits(held, k)), None)
         if start is None:
@@ -108,7 +108,7 @@ class BinaryStream:
         return True
 
     def _undoubted(self, start: int) -> int | None:
-        """Of all places of a round that fit, the one that goes on fitting; None where more must come to tell."""
+        """Return the only start within a round that keeps fitting; None if more bytes are needed."""
         left = list(range(start, start + BINARY_FRAME))
         for number in range(_MOST_ROUNDS):
             if len(self._held) < start + (number + 2) * BINARY_FRAME - 1:
@@ -126,7 +126,6 @@ class BinaryStream:
 
 
 def _fits(data: bytearray, at: int) -> bool:
-    """Whether 770 bytes from a place on are a frame."""
     end = at + BINARY_FRAME
     if data[end - 2] != _MARK or data[end - 1] != _RETURN:
         return False
@@ -145,7 +144,7 @@ class TextStream:
     A frame is whole when the next ``A`` follows its sixteenth row: a row that came twice would make one too early.
 
     The board's clock [ms] may stand in front of a row. Logs that the board prints between rows are left out; a row
-    that is cut, joined with another or holds what is no count spoils its frame.
+    that is cut, joined with another or holds anything but counts spoils its frame.
     """
 
     def __init__(self, lowest: int, highest: int) -> None:
@@ -184,7 +183,6 @@ class TextStream:
         return None
 
     def _marked(self) -> BoardFrame | None:
-        """End the frame before a mark, and begin the next."""
         frame = None
         if self._rows is not None and len(self._rows) == PAIRS:
             frame = BoardFrame(np.array(self._rows, dtype=np.int64), self._lost)
@@ -195,7 +193,7 @@ class TextStream:
         return frame
 
     def _row(self, text: str) -> list[int] | None:
-        """Return a row's counts, without the board's clock; None where one is missing or is none."""
+        """Return a row's counts, without the board's clock; None if one is missing or invalid."""
         if not text.endswith(","):
             return None
         try:
@@ -208,7 +206,7 @@ class TextStream:
         return counts if right else None
 
     def _spoil(self, count: int) -> None:
-        """Give up the frame that is under way."""
+        """Discard the current frame."""
         if self._any:
             self.spoilt += count
             self._lost = True
@@ -216,7 +214,7 @@ class TextStream:
 
 
 def _is_row(text: str) -> bool:
-    """Whether a line was meant as a row of counts, right or wrong; a log is none."""
+    """Whether a line was meant as a row of counts, valid or not, rather than a log."""
     fields = text.rstrip(",").split(",")
     return len(fields) > 2 and sum(field.strip().lstrip("-").isdigit() for field in fields) > len(fields) / 2
 

@@ -52,7 +52,7 @@ class ContactFault:
             who = f"pin{'' if len(self.pins) == 1 else 's'} {_listed(self.pins, 'or')} {self.state}"
         plural = len(self.pairs) > 1
         pairs = _listed([f"{a}-{b}" for a, b in self.pairs], "and")
-        # That none could be driven is said once for all of them.
+        # If none could be driven, one message covers all.
         read = _listed([_shown(ohm) for ohm in (self.ohm if np.isfinite(self.ohm).any() else self.ohm[:1])], "and")
         text = f"{who}: pair{'s' if plural else ''} {pairs} read{'' if plural else 's'} {read}"
         return text + (f", the median pair {_shown(self.median_ohm)}" if np.isfinite(self.median_ohm) else "")

@@ -67,7 +67,7 @@ class DriverBase:
         self._role, self._clock = context.role, context.clock
 
     def safe_state(self) -> None:
-        """Do nothing: it moves nothing and drives nothing."""
+        """Do nothing: it neither moves nor drives."""
 
     def close(self) -> None:
         """Give back nothing."""
@@ -84,7 +84,7 @@ class DriverBase:
         return InstrumentIdentity(self._role, self._driver, model, serial, firmware, simulated=simulated, notes=notes)
 
     def _check_count(self, count: int, *, retryable: bool = False) -> None:
-        """Refuse to take no frame."""
+        """Refuse a count below 1."""
         if count < 1:
             raise self._error(f"{count} frames were asked for; at least 1 is needed", retryable=retryable)
 
@@ -98,7 +98,7 @@ class DriverBase:
 
 
 class HeadDriver(DriverBase):
-    """A head over a sheet that is not told to go where it must not."""
+    """A head over a sheet, with checked targets."""
 
     def _check_place(self, x_mm: float, y_mm: float) -> None:
         outline = self._context.sensor_type.outline

@@ -54,7 +54,7 @@ class Scale:
     ----------
     per_unit_N : newtons per unit.
     scale, offset : quantity in that unit = scale × number + offset.
-    sign : 1 where compression reads positive, -1 where it reads negative.
+    sign : 1 if compression reads positive, -1 if negative.
     """
 
     per_unit_N: float
@@ -87,7 +87,7 @@ class CellOptions(PluginOptions):
 class ForceCell(DriverBase):
     """Samples ``force`` all the time, compression positive.
 
-    ``who``: model, serial number and firmware; asked only while it answers.
+    ``who``: model, serial number and firmware, queried only while it answers.
     """
 
     channel = "force"
@@ -126,7 +126,7 @@ class ForceCell(DriverBase):
         """Return the force after a time on the station's clock, up to now.
 
         InstrumentError if the link is down, or carries something else; SafetyError with rule ``force``, while the
-        cell stands at its limit: the force may be anything above it.
+        cell is at its limit: the force may be anything above it.
         """
         times, values = self._source.samples_since(time_s)
         self._check_limit()
@@ -153,7 +153,7 @@ class ForceCell(DriverBase):
     def self_test(self) -> tuple[CheckResult, ...]:
         """Look at zero and noise for two seconds, and hold a known mass against what is read if there is one.
 
-        Returns lines ``zero``, ``noise`` and ``dead weight``; for the last the operator is asked to put the mass on.
+        Returns lines ``zero``, ``noise`` and ``dead weight``; for the last the operator puts the mass on.
         """
         mean_N, error_N = self._mean_N(_TEST_S)
         zero_N, limit_N = mean_N - self._zero_N, self._settings.tare_limit_N
@@ -204,7 +204,7 @@ class ForceCell(DriverBase):
         return float(values.mean()), spread_N / float(np.sqrt(len(values)))
 
     def _check_limit(self) -> None:
-        """Refuse a cell that stands at its limit now, and is flat there."""
+        """Refuse a cell whose readings are constant at its limit."""
         limit_N = self._settings.limit_N
         if limit_N is None:
             return

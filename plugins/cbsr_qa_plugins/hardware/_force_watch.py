@@ -20,7 +20,7 @@ _STALE_S: Final = 2.0
 
 
 def force_among(peers: Mapping[str, Instrument]) -> Sampler:
-    """Find the instrument of a bench that samples the force. ConfigError if there is none."""
+    """Return the instrument of a bench that samples the force. ConfigError if missing."""
     for instrument in peers.values():
         if isinstance(instrument, Sampler) and instrument.channel == CHANNEL:
             return instrument
@@ -66,7 +66,7 @@ class ForceWatch:
     def mean_since(self, time_s: float) -> float:
         """Return the mean force since a time; waits for a sample, but no longer than one may be old [N].
 
-        InstrumentError if none came; SafetyError if one is above the ceiling.
+        InstrumentError without samples; SafetyError if one is above the limit.
         """
         late_s = self._clock.now() + self.stale_s
         while not len(block := self._force.samples_since(time_s)):

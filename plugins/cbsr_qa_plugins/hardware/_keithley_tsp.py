@@ -15,7 +15,7 @@ _TOLERANCE = 1e-4
 
 
 class TspUnit:
-    """A unit that is spoken to in TSP."""
+    """A unit controlled by TSP."""
 
     def __init__(self, link: VisaLink) -> None:
         self._link = link
@@ -23,7 +23,7 @@ class TspUnit:
         self._known: tuple[str, str] | None = None
 
     def write(self, line: str) -> None:
-        """Send a line that has no answer."""
+        """Send a line without an answer."""
         self._link.write(line)
 
     def greet(self) -> None:
@@ -31,7 +31,7 @@ class TspUnit:
         try:
             self.identity()
         except InstrumentError as stranger:
-            # An answer left over from before is no stranger: then it comes back into step.
+            # An answer to an earlier question is not an error: resynchronise.
             try:
                 self.recover()
             except InstrumentError:
@@ -47,7 +47,7 @@ class TspUnit:
         self._link.recover()
 
     def identity(self) -> tuple[str, str, str, str]:
-        """Return maker, model, serial number and firmware. InstrumentError if it is no unit of the series."""
+        """Return maker, model, serial number and firmware. InstrumentError if it is not of the series."""
         answer = self._link.query("*IDN?")
         parts = [part.strip() for part in answer.split(",")]
         if len(parts) != 4 or "keithley" not in parts[0].lower() or not parts[1].lower().startswith("model 26"):
@@ -58,9 +58,9 @@ class TspUnit:
         return parts[0], parts[1], parts[2], parts[3]
 
     def recognise(self) -> None:
-        """Make sure that it is the unit it was when it was first asked: another one is not the record's.
+        """Check that it is still the unit that was identified and recorded.
 
-        InstrumentError if it is another unit, or none of the series.
+        InstrumentError if it is another unit, or not of the series.
         """
         _, model, serial, _ = self.identity()
         known = self._known or (model, serial)
@@ -74,7 +74,6 @@ class TspUnit:
         self._known = known
 
     def numbers(self, *names: str) -> tuple[float, ...]:
-        """Ask for attributes, or what functions return."""
         word = f"w{next(self._words)}"
         answer = self._link.query(f'print("{word}", {", ".join(names)})', mark=word)
         try:
@@ -92,7 +91,6 @@ class TspUnit:
         return numbers.reshape(rows, columns)
 
     def check(self, wanted: dict[str, float]) -> None:
-        """Read settings back and compare."""
         for (name, value), value_read in zip(wanted.items(), self.numbers(*wanted), strict=True):
             if abs(value_read - value) > _TOLERANCE * abs(value):
                 raise self._link.error(f"{name} was set to {value:.9g}, and reads back as {value_read:.9g}")

@@ -1,4 +1,4 @@
-"""A free-running instrument that sends one number a line, with or without the time of its own clock."""
+"""A free-running instrument that sends one number per line, with or without its own time."""
 
 import math
 import re
@@ -77,13 +77,13 @@ class DeviceTime:
         self._least: deque[tuple[float, float]] = deque()  # (device time, offset): offsets rise from the front on
         self._recent: deque[float] = deque(maxlen=_REMEMBERED)
         self._arrived_s = -math.inf
-        self._odd: tuple[float, float] | None = None  # device time and arrival of a step nobody has confirmed
+        self._odd: tuple[float, float] | None = None  # device time and arrival of an unconfirmed step
         self._last_s = -math.inf
         #: How often the device's clock began again, or was set.
         self.restarts = 0
 
     def on_station(self, device_s: float, arrival_s: float) -> float | None:
-        """Return when a line was sent on the station's clock; None where it is an old line again, or its time odd.
+        """Return when a line was sent on the station's clock; None if it is an old line, or its time is implausible.
 
         Times rise strictly from line to line, and lie no later than the arrival.
         """
@@ -109,7 +109,7 @@ class DeviceTime:
 
 
 def _follows(line: tuple[float, float], before: tuple[float, float]) -> bool:
-    """Whether a device time goes on from another: forwards, by no more than has passed, but for late arrivals."""
+    """Whether a device time follows another: forwards, by no more than has passed, except for late arrivals."""
     return 0 < line[0] - before[0] <= line[1] - before[1] + _CATCHES_UP_S
 
 
@@ -161,7 +161,7 @@ class LineSampler:
 
     @property
     def restarts(self) -> int:
-        """How often the instrument's own clock began again."""
+        """Number of restarts of the instrument's clock."""
         return self._device.restarts
 
     def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -187,7 +187,7 @@ class LineSampler:
         return self._log.newest(count)
 
     def wait_for_first(self, allowed_s: float) -> None:
-        """Let time pass until there is a sample. InstrumentError if none comes in time, saying what came instead."""
+        """Wait for a sample. InstrumentError if none arrives in time, quoting what arrived instead."""
         until_s = self._clock.now() + allowed_s
         while not len(self.samples_since(-np.inf)[0]):
             if self._clock.now() >= until_s:
@@ -241,7 +241,7 @@ class LineSampler:
                     self._over.wait(_LOOK_S)
 
     def _mend(self) -> None:
-        """Open the port again where its cable was pulled: a device named by its identity may be back elsewhere."""
+        """Reopen the port after its cable was pulled: a device named by identity may have another port."""
         if self._link.down and not self._over.is_set():
             self._link.reopen()
             with self._keeping:

@@ -1,4 +1,4 @@
-"""Three axes of a Marlin printer: where they are, motions that are watched, and what is done when they must stop."""
+"""Three axes of a Marlin printer: position, monitored motions, and stopping."""
 
 import math
 import re
@@ -17,15 +17,15 @@ _NUMBER: Final = r"\s*(-?\d+(?:\.\d+)?)"
 _REPORT: Final = re.compile(
     rf"^X:{_NUMBER}\s+Y:{_NUMBER}\s+Z:{_NUMBER}.*\bCount\s+X:{_NUMBER}\s+Y:{_NUMBER}\s+Z:{_NUMBER}"
 )
-#: While it moves, the head is asked this often where it is [s].
+#: Interval of position queries during motion [s].
 POLL_S: Final = 0.1
 #: What is left of a motion below this is over: a few ticks of the clock [s].
 _OVER_S: Final = 1e-5
-#: How far from where it was told to be counts as there: firmware says positions to 0.01 mm.
+#: Tolerance of a reached position: firmware reports positions to 0.01 mm.
 _THERE_MM: Final = 0.05
-#: How far off its way a moving head may be said to be.
+#: Allowed deviation of reported positions from the path.
 _ASTRAY_MM: Final = 1.0
-#: How long a thread that hangs on the line is waited for before it is gone around [s, real time].
+#: How long to wait for a thread that hangs on the line before bypassing it [s, real time].
 _PATIENCE_S: Final = 0.25
 _REPORTS: Final = 3
 #: No count of restarts is this: it was homed once, and its position is lost.
@@ -55,7 +55,6 @@ class MachineFrame:
         return self.centre_mm[0] + x_mm, self.centre_mm[1] + y_mm, z
 
     def depth_mm(self, z: float) -> float:
-        """Return the depth below the nominal surface."""
         return self.upward * (self.hover_z_mm - z) - self.hover_mm
 
 
@@ -86,18 +85,16 @@ class MarlinAxes:
         self._fail = fail
         self._homed_at: int | None = None
         self._lifted_at: int | None = None
-        self._at: Position | None = None  # where it was told to be and has got to; None while nobody has looked
+        self._at: Position | None = None  # confirmed position; None until checked
         self._stops = 0
         self._allowed_stops = 0
 
     @property
     def ever_homed(self) -> bool:
-        """Whether it has homed since it was opened."""
         return self._homed_at is not None
 
     @property
     def homed(self) -> bool:
-        """Whether its position is known."""
         return self._homed_at == self._link.restarts
 
     def check_homed(self) -> None:
@@ -122,7 +119,7 @@ class MarlinAxes:
         a = self.machine.acceleration_mm_s2
         self._link.command(f"M201 X{a:g} Y{a:g} Z{a:g}")
         self._link.command(f"M204 P{a:g} T{a:g}")
-        # Until it has answered, nobody knows where it is: a stop in the middle of it leaves axes that have not homed.
+        # Until it has answered the position is unknown: a stop during homing leaves axes that have not homed.
         self._homed_at, self._lifted_at = _NOWHERE, None
         # Named axes: a plain G28 levels the mesh as well on a Prusa, tapping where the sheet lies.
         self._link.command("G28 X Y Z")
@@ -130,7 +127,7 @@ class MarlinAxes:
         self._homed_at, self._at = self._link.restarts, None
 
     def at(self) -> Position:
-        """Return where it stands, once all motions are over; told and live position must agree."""
+        """Return the position after all motions; target and live position must agree."""
         if self._at is None:
             self._link.command("M400")
             target, live = self._report()
@@ -140,7 +137,7 @@ class MarlinAxes:
         return self._at
 
     def live(self) -> Position:
-        """Return where it is at this moment."""
+        """Return the present position."""
         return self._report()[1]
 
     def go(self, goal: Position, speed_mm_s: float, look: Callable[[Position], None] | None = None) -> None:
@@ -187,7 +184,7 @@ class MarlinAxes:
                 self._stop_and_lift()
             except InstrumentError:
                 if self._link.restarts == restarts:
-                    # It may hear what it does not answer; the way up to a known height can be told twice.
+                    # It may receive commands without answering; a lift to a known height can be sent twice.
                     self._link.shout(*self._stopping())
                     raise
                 self._stop_and_lift()  # it has restarted in between: now upwards from wherever it is
@@ -195,15 +192,15 @@ class MarlinAxes:
     def _stop_and_lift(self) -> None:
         lines = self._stopping()
         self._at = None
-        for line in lines or ["M114"]:  # where nothing is to be told, it must answer all the same
+        for line in lines or ["M114"]:  # without commands, it must still answer
             self._link.command(line)
         self._lifted_at = self._link.restarts
 
     def _stopping(self) -> list[str]:
         """Lines that stop and lift.
 
-        None where its position is lost and it was told to lift already: a stop would leave it on its way up, perhaps
-        still in the sheet, and how far it has got nobody knows.
+        None if its position is lost and a lift was already sent: a stop would leave it at an unknown height, perhaps
+        still in the sheet.
         """
         lifts_already = not self.homed and self._lifted_at == self._link.restarts
         return [] if lifts_already else ["M410", *self._lifting()]
@@ -249,7 +246,7 @@ class MarlinAxes:
             raise self._fail("it was stopped on its way", "nothing: the bench was stopped")
 
     def _on_the_way(self, origin: Position, goal: Position) -> Position:
-        """Return the live position; one that is off the way is asked for once more, since digits may be garbled."""
+        """Return the live position; one off the path is queried again, since digits may be garbled."""
         for _ in range(2):
             live = self.live()
             length = math.dist(origin, live) + math.dist(live, goal)
@@ -265,7 +262,6 @@ class MarlinAxes:
         raise self._fail(f"it stands at {_words(live)} and was told to go to {_words(goal)}", _LOOK)
 
     def _report(self) -> tuple[Position, Position]:
-        """Return target and live position."""
         for _ in range(_REPORTS):
             for line in self._link.query("M114"):
                 if match := _REPORT.match(line):

@@ -1,4 +1,4 @@
-"""Marlin's serial protocol from the host's side: every command is done exactly once, or it is said that it was not.
+"""Marlin's serial protocol from the host's side: every command is executed exactly once, or reported as failed.
 
 Lines carry a number and a checksum, so that one that was garbled is asked for again, and one whose answer was lost
 can be sent again without being done twice: a printer that has it already says which number it expects next.
@@ -21,7 +21,7 @@ _LONGEST_LINE: Final = 96
 _ATTEMPTS: Final = 4
 #: How long a printer may go on saying that it is busy [s, real time]: homing with mesh levelling takes minutes.
 _BUSY_AT_MOST_S: Final = 600.0
-#: While it starts, it is asked this often whether it is there [s, real time].
+#: Interval of queries during its start [s, real time].
 _KNOCK_S: Final = 0.5
 _TOKENS: Final = 3
 
@@ -29,8 +29,8 @@ _TOKENS: Final = 3
 class MarlinLink:
     """Sends commands to a printer and waits for their acknowledgements.
 
-    InstrumentError if nobody answers within this time. ``boot_s``: how long the printer may take from the opening of
-    its port to its first answer [s, real time].
+    InstrumentError if there is no answer within this time. ``boot_s``: how long the printer may take from the opening
+    of its port to its first answer [s, real time].
     """
 
     def __init__(self, link: SerialLink, *, boot_s: float) -> None:
@@ -41,7 +41,7 @@ class MarlinLink:
         self._tokens = 0
         self._exchanging = threading.RLock()
         self._lost = False
-        #: Whether it has stopped answering: it may still hear what it is told.
+        #: Whether it has stopped answering; it may still receive commands.
         self.silent = False
         #: How often the printer has restarted or halted since the port was first opened: its position is lost then.
         self.restarts = 0
@@ -53,7 +53,7 @@ class MarlinLink:
         return self._link.down
 
     def command(self, text: str) -> list[str]:
-        """Let a command be done, and return what the printer said before its acknowledgement.
+        """Execute a command, and return the printer's output before its acknowledgement.
 
         After a restart lines are counted anew: whether the command may be done is the caller's to know.
         InstrumentError if it is not acknowledged, the printer does not know it, or has restarted.
@@ -69,7 +69,7 @@ class MarlinLink:
         return lines
 
     def query(self, text: str) -> list[str]:
-        """Ask what may be asked again, until there is one answer and not an old one beside it."""
+        """Repeat a query without side effects until there is exactly one answer."""
         with self._exchanging:
             for _ in range(_ATTEMPTS):
                 lines = self.command(text)
@@ -90,13 +90,13 @@ class MarlinLink:
                 self._exchanging.release()
 
     def shout(self, *commands: str) -> None:
-        """Send commands without number, and wait for no answer: another thread hangs on the line, or none comes."""
+        """Send commands without number or waiting: another thread hangs on the line, or answers fail to arrive."""
         self._link.write(b"\n" + b"".join(f"{text}\n".encode("ascii") for text in commands))
 
     def reopen(self) -> None:
         """Open the port again; printers restart on that, so the position is lost.
 
-        InstrumentError if it does not open, or nobody answers.
+        InstrumentError if it does not open, or there is no answer.
         """
         with self._exchanging:
             self._forget()
@@ -136,7 +136,7 @@ class MarlinLink:
     # --- exchange ---
 
     def _exchange(self, number: int, text: str) -> list[str]:
-        """Send a numbered line until it was done."""
+        """Send a numbered line until it was executed."""
         body = f"N{number} {text}"
         line = f"{body}*{reduce(xor, body.encode('ascii'), 0)}\n".encode("ascii")
         assert len(line) <= _LONGEST_LINE, f"{text!r} is too long for the printer's buffer"
@@ -160,7 +160,7 @@ class MarlinLink:
         raise self._link.error(f"{text!r} did not get through in {_ATTEMPTS} attempts", remedy=_CHECK)
 
     def _answer(self, *, lasts: bool) -> tuple[list[str], int | None]:
-        """Read up to the acknowledgement; return what was said before, and the line it asks for, if it does.
+        """Read up to the acknowledgement; return the output before it, and the line it requests again, if any.
 
         ``lasts``: the command may take long, and the printer says only after a while that it is busy with it.
         """
@@ -187,7 +187,7 @@ class MarlinLink:
         return line
 
     def _notice(self, line: str) -> None:
-        """Raise where a line says that the position is lost."""
+        """Raise if a line reports a lost position."""
         if line == "start" or "Printer halted" in line or "kill()" in line:
             self._forget()
             if self._number > _FIRST_NUMBER:

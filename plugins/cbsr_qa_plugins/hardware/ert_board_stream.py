@@ -1,4 +1,4 @@
-"""The authors' ERT board, and a multiplexer with streaming firmware: frames that come without being asked for."""
+"""The authors' ERT board, and a multiplexer with streaming firmware: frames arrive unrequested."""
 
 import logging
 import math
@@ -24,13 +24,13 @@ from cbsr_qa_plugins.hardware._board_stream import (
 from cbsr_qa_plugins.hardware._driver import DriverBase, closed_on_error
 
 _DRIVER: Final = "ert-board-stream"
-#: Between two calls nothing on the bench moves within this time: a frame that goes on across them counts [s].
+#: Between two calls nothing on the bench moves within this time: a frame that spans them counts [s].
 _GOES_ON_S: Final = 0.05
 #: A row is waited for a little longer than it takes, so that each waiting finds one.
 _WAITED_ROWS: Final = 1.05
 #: How long bytes that were sent may be on their way through the computer [s, real time].
 _ON_ITS_WAY_S: Final = 0.2
-#: A board that sends no whole frame for so many periods and this much time sends none at all.
+#: A board without a whole frame for so many periods and this much time counts as silent.
 _SILENT_PERIODS, _SILENT_S = 3.0, 0.5
 #: The table's frame period is believed within this share.
 _PERIOD_SHARE: Final = 0.2
@@ -90,7 +90,7 @@ class ErtBoardStream(DriverBase):
         self._read_s = -math.inf
         self._heard = self._waits = 0
         self._down = False
-        #: Frames the board sent and nobody got, within calls and from one to the next that follows it at once.
+        #: Frames lost within calls, and between calls that follow at once.
         self.frames_lost = 0
         assert options.speed is not None
         self._link = SerialLink(self._role, options.address, baud=options.speed)
@@ -100,7 +100,7 @@ class ErtBoardStream(DriverBase):
     # --- instrument ---
 
     def identity(self) -> InstrumentIdentity:
-        """Say what the table says: a board without commands cannot be asked."""
+        """Return the identity in the table: a board without commands has no query."""
         model = f"ERT board, {self._options.format} stream of {self._period_s:g} s a frame"
         if self._options.memory_share:
             model += f", reading memory of {self._options.memory_share:g} taken out"
@@ -132,9 +132,9 @@ class ErtBoardStream(DriverBase):
         return self._period_s
 
     def acquire(self, count: int) -> FrameBlock:
-        """Take frames one after the other, none of which began before this call.
+        """Take consecutive frames, all begun after this call.
 
-        InstrumentError if none comes in time or the link is down (retryable: the port is opened again).
+        InstrumentError if no frame arrives in time or the link is down (retryable: the port is opened again).
         """
         self._check_count(count, retryable=True)
         with self._retried():
@@ -143,7 +143,7 @@ class ErtBoardStream(DriverBase):
         return self._options.block([end_s for end_s, _ in taken], [frame.counts for _, frame in taken])
 
     def _begun_since(self) -> float:
-        """Return from when on a frame may have begun; throw away what nobody asked for."""
+        """Return the earliest allowed start of a frame; discard earlier ones."""
         now_s = self._clock.now()
         slack_s = _WAITED_ROWS * self._row_s
         if now_s - self._read_s <= _GOES_ON_S:
@@ -163,7 +163,6 @@ class ErtBoardStream(DriverBase):
             self._receive()
 
     def _counted(self, end_s: float, frame: BoardFrame) -> float:
-        """Notice frames that are missing before this one."""
         missing = round((end_s - self._read_s) / self._period_s) - 1 if math.isfinite(self._read_s) else 0
         lost = max(missing, int(frame.after_loss))
         if lost:
@@ -173,7 +172,7 @@ class ErtBoardStream(DriverBase):
         return end_s
 
     def _receive(self) -> None:
-        """Wait for about a row, and take in what has come."""
+        """Wait for about a row, and parse what arrived."""
         data = self._link.read_available()
         if not data:
             # One that has sent nothing for some rows is not looked after row by row.
@@ -217,7 +216,7 @@ class ErtBoardStream(DriverBase):
         return self._period_s / PAIRS
 
     def _check_stream(self) -> None:
-        """See that frames come, as often as the table says."""
+        """Check that frames arrive at the stated rate."""
         self._drain()
         _, first = self._next(-math.inf), self._clock.now()
         self._next(-math.inf)
@@ -237,7 +236,7 @@ class ErtBoardStream(DriverBase):
 
     @contextmanager
     def _retried(self) -> Iterator[None]:
-        """Open the port again where it was lost; let whoever meets a failure try again, with a new stream."""
+        """Reopen a lost port; mark failures as retryable with a new stream."""
         try:
             if self._down:
                 self._reopen()
@@ -250,7 +249,7 @@ class ErtBoardStream(DriverBase):
             raise self._repeated(error, retryable=True) from error
 
     def _check_patience(self, asked_s: float) -> None:
-        """Give up where no frame has come for too long."""
+        """Raise if no frame arrived for too long."""
         after_s = self._clock.now() - asked_s
         if after_s <= _SILENT_PERIODS * self._period_s + _SILENT_S:
             return

@@ -20,7 +20,7 @@ _DRIVER: Final = "esp32-multiplexer"
 Skip = Annotated[int, Field(ge=0, le=10**6)]
 
 _ESCAPE: Final = b"\x1b"
-#: The counter comes with the next log line, up to a second after it was asked for.
+#: The counter arrives with the next log line, up to a second after the query.
 _COUNTER_S: Final = 1.5
 #: Out of step, this long a silence says that nothing more is to come [s, real time].
 _QUIET_S: Final = 0.15
@@ -70,8 +70,8 @@ def open_multiplexer(context: StationContext, options: MultiplexerOptions) -> "E
 class Esp32Multiplexer(DriverBase):
     """Steps by ``i``, and is asked where it is by ``g``: a step that was lost or done twice does not stay unseen.
 
-    After any failure it is brought back into step before it is used again; where that does not help, its port is
-    opened anew, which restarts it.
+    After any failure it is resynchronised before it is used again; if that does not help, its port is opened anew,
+    which restarts it.
     """
 
     def __init__(self, context: StationContext, options: MultiplexerOptions) -> None:
@@ -82,7 +82,7 @@ class Esp32Multiplexer(DriverBase):
         self._order = self._declared()
         self._lock = threading.RLock()
         self._in_step = False
-        #: Index of the combination that is connected; None where only asking tells.
+        #: Index of the connected combination; None if a query is needed.
         self._at: int | None = None
         self._link = SerialLink(self._role, options.address, baud=options.baud, timeout_s=options.timeout_s)
         with closed_on_error(self._link):
@@ -102,14 +102,14 @@ class Esp32Multiplexer(DriverBase):
         self._link.close()
 
     def alive(self) -> None:
-        """Ask whether it is where it was left. InstrumentError if it does not answer, or has been restarted."""
+        """Check that its combination is unchanged. InstrumentError if it does not answer, or has restarted."""
         with self._talking():
             before = self._at
             if self._asked() != before and before is not None:
                 raise self._error("it has been restarted: it is not where it was left", retryable=True)
 
     def self_test(self) -> tuple[CheckResult, ...]:
-        """Step through a whole round, and see that it ends where it began (line ``round``)."""
+        """Step through a whole round, and check that it ends where it began (line ``round``)."""
         with self._talking():
             self._started()
             for _ in self._order:
@@ -196,7 +196,7 @@ class Esp32Multiplexer(DriverBase):
                 )
 
     def _started(self) -> bool:
-        """Step on to the first combination; false where it is there already."""
+        """Step on to the first combination; false if already there."""
         at = self._asked() if self._at is None else self._at
         if at == 0:
             return False
@@ -207,7 +207,7 @@ class Esp32Multiplexer(DriverBase):
         return True
 
     def _check_counter(self, at: int) -> None:
-        """Hold its counter against where it says it is; a counter that stays out is let pass."""
+        """Compare its counter with its combination; a missing counter is accepted."""
         self._link.flush_input()
         self._link.write(b"c")
         until_s, answer = self._time.now() + _COUNTER_S, b""
@@ -259,7 +259,7 @@ class Esp32Multiplexer(DriverBase):
         self._at = None if before is None else (before + 1) % len(self._order)
 
     def _forget(self) -> None:
-        """Throw away what it said unasked; of a log line the rest as well."""
+        """Discard unrequested output, including the rest of a log line."""
         unread = self._link.read_available()
         if unread.rfind(_ESCAPE) > unread.rfind(b"\n") or is_log(unread.rpartition(b"\n")[2]):
             self._link.read_line()
@@ -289,7 +289,7 @@ class Esp32Multiplexer(DriverBase):
         return self._at
 
     def _line(self, timeout_s: float) -> bytes:
-        """Return the next line, or nothing where none comes in time."""
+        """Return the next line, or nothing after a timeout."""
         try:
             return self._link.read_line(timeout_s) + b"\n"
         except InstrumentError as error:

@@ -20,17 +20,17 @@ _DRIVER: Final = "keithley-2600"
 Volts = Annotated[float, Field(ge=0.02, le=200)]
 #: Status bits of a reading in a buffer.
 _OVER_TEMPERATURE, _COMPLIANCE = 0x02, 0x40
-#: The instrument says 9.91e37 where a reading is beyond the range, or a buffer has none.
+#: The instrument returns 9.91e37 for a reading beyond the range, or an empty buffer.
 _NO_NUMBER: Final = 9e37
 #: A voltage above this share of the compliance is taken for the limit, as in the rig's own script.
 _AT_THE_LIMIT: Final = 0.99
 #: The source's own current is read this fast: it costs 20 µs and brings the status bit of its limit [NPLC].
 _CURRENT_NPLC: Final = 0.001
-#: So read, it agrees with what was asked for within these shares of itself and of its range.
+#: Allowed deviation of the readback from the request, as shares of itself and of its range.
 _CURRENT_SHARE, _CURRENT_RANGE_SHARE = 0.05, 0.01
 #: What the instrument needs for a reading beside the aperture [s], from its data sheet's rates at 0.001 NPLC.
 _OVERHEAD_S: Final = 1e-4
-#: With no current asked for, neither reads more than this share of its range.
+#: Without a requested current, neither reads more than this share of its range.
 _ZERO_SHARE: Final = 1e-3
 #: How long the safe state waits for a thread that hangs in a question before it goes around it [s, real time].
 _PATIENCE_S: Final = 0.1
@@ -55,7 +55,6 @@ class KeithleyOptions(PluginOptions):
 
     @property
     def largest_A(self) -> float:
-        """Largest current that may be asked for."""
         return 1e-3 * self.largest_current_mA
 
     def problems(self) -> Iterator[Problem]:
@@ -94,9 +93,9 @@ def open_source_meter(context: StationContext, options: KeithleyOptions) -> "Kei
 class Keithley2600(DriverBase):
     """A two-channel source-measure unit of the 2600 series.
 
-    Every question carries a word of its own which the answer must repeat: an answer that comes late is never taken
-    for that to the next question. After any failure the instrument is brought back into step, reset and set up
-    anew before it is used again; its output is then off until :meth:`source` is called.
+    Every question carries a unique word that the answer must repeat: an answer that comes late is never taken for
+    that to the next question. After any failure the instrument is brought back into step, reset and set up anew
+    before it is used again; its output is then off until :meth:`source` is called.
     """
 
     def __init__(self, context: StationContext, options: KeithleyOptions) -> None:
@@ -152,7 +151,7 @@ class Keithley2600(DriverBase):
                 raise self._error("it has been reset: its output is not as it was left", retryable=True)
 
     def self_test(self) -> tuple[CheckResult, ...]:
-        """Look at the error queue, and at what both channels read while no current is asked for.
+        """Check the error queue, and both channels' readings without a requested current.
 
         Returns lines ``errors``, ``zero voltage`` and ``zero current``; both channels are off after them.
         """
@@ -242,7 +241,7 @@ class Keithley2600(DriverBase):
         )
 
     def _given(self, amperes: NDArray[np.float64], compliance: bool) -> float:
-        """Return the current that flowed; the source must give what it was told, unless it is at its limit."""
+        """Return the current that flowed; it must be the requested one, unless the source is at its limit."""
         asked_A = float(self._given_A or 0.0)
         if (np.abs(amperes) > _NO_NUMBER).any():
             return asked_A
@@ -292,7 +291,7 @@ class Keithley2600(DriverBase):
         )
 
     def _switch_off(self) -> None:
-        """Tell both channels, whatever the instrument is doing; a script that runs is ended first."""
+        """Switch off both channels in any state; a running script is aborted first."""
         self._unit.write("abort")
         for channel in (self._source, self._meter):
             self._unit.write(f"{channel}.source.output = 0")
@@ -305,7 +304,7 @@ class Keithley2600(DriverBase):
             with suppress(InstrumentError):
                 self._ready = self._says_off()
                 return
-        with suppress(InstrumentError):  # before anything is asked: the link may be deaf on our side only
+        with suppress(InstrumentError):  # before any query: the link may fail only in receiving
             self._switch_off()
         self._unit.recover()
         self._says_off()

@@ -56,13 +56,13 @@ class ManualApplicator(DriverBase):
     # --- instrument ---
 
     def identity(self) -> InstrumentIdentity:
-        """Say what the table says: the stand cannot be asked."""
+        """Return the identity in the table: the stand has no query."""
         return self._identified(self._options.label, self._options.number or "")
 
     def safe_state(self) -> None:
-        """Say that a head which is down can only be lifted by hand; nobody is asked, so that nobody is waited for.
+        """Report that a head which is down can only be lifted by hand, without waiting for an operator.
 
-        InstrumentError if the head is down, by all that was told.
+        InstrumentError if the head is down according to the orders.
         """
         if self._down:
             raise self._error("the head is down and is moved by hand: LIFT IT NOW")
@@ -71,12 +71,12 @@ class ManualApplicator(DriverBase):
 
     @property
     def orders(self) -> int:
-        """How often it was told to go anywhere."""
+        """Number of orders to move."""
         return self._orders
 
     @property
     def down(self) -> bool:
-        """Whether it is in the sheet, by all that was told."""
+        """Whether it is in the sheet according to the orders."""
         return self._down
 
     # --- force applicator ---
@@ -139,7 +139,7 @@ class ManualApplicator(DriverBase):
         )
 
     def release(self) -> None:
-        """Ask for a head that is down to be lifted."""
+        """Request to lift a head that is down."""
         if self._down:
             self._orders += 1
             self._operator.told("lift the head straight up to the hover height")

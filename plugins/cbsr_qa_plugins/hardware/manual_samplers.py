@@ -1,4 +1,4 @@
-"""A load cell or scale, and a thermometer, that an operator reads: asked again until the answer is a number."""
+"""A load cell or scale, and a thermometer, read by an operator: asked again until the answer is a number."""
 
 import math
 import re
@@ -14,7 +14,7 @@ from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.plugin import Instrument, PluginOptions, StationContext, driver
 from cbsr_qa_plugins.hardware._driver import DriverBase, Text
 
-#: After so many answers that are none, somebody else should look.
+#: Number of invalid answers before giving up.
 _MOST_ASKED: Final = 5
 _NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
@@ -25,19 +25,19 @@ class HandMoved(Instrument, Protocol):
 
     @property
     def orders(self) -> int:
-        """How often it was told to go anywhere."""
+        """Number of orders to move."""
         ...
 
     @property
     def down(self) -> bool:
-        """Whether it is in the sheet, by all that was told."""
+        """Whether it is in the sheet according to the orders."""
         ...
 
 
 def hand_moved(peers: Mapping[str, Instrument], what: str) -> HandMoved:
     """Return the bench's head, which must be one that is moved by hand.
 
-    ConfigError if the head moves by itself: it would press on, unwatched, while somebody looks for a display.
+    ConfigError if the head is motorised: it would press on, unwatched, while the operator reads a display.
     """
     head = peers.get("force_applicator")
     if not isinstance(head, HandMoved):
@@ -49,7 +49,7 @@ def hand_moved(peers: Mapping[str, Instrument], what: str) -> HandMoved:
 
 
 class Operator:
-    """Asks the operator, and takes no nonsense for an answer. ConfigError if nobody is there to be asked."""
+    """Asks the operator until the answer is valid. ConfigError without an operator."""
 
     def __init__(self, context: StationContext, driver: str) -> None:
         if context.ask is None:
@@ -61,7 +61,7 @@ class Operator:
         self._ask: Callable[[str], str] = context.ask
 
     def told(self, text: str) -> None:
-        """Ask for something to be done; any answer says that it is."""
+        """Request an action; any answer confirms it."""
         self._ask(f"{self._role}: {text}. Press Enter when done.")
 
     def number(self, text: str, unit: str, *, least: float, most: float, default: float | None = None) -> float:
@@ -72,7 +72,7 @@ class Operator:
         Parameters
         ----------
         unit : the answer's; it may be typed behind the number.
-        default : what an empty answer means; None where it means nothing.
+        default : meaning of an empty answer; None if it is invalid.
         """
         question = f"{self._role}: {text} [{unit}]:"
         for _ in range(_MOST_ASKED):
@@ -121,11 +121,11 @@ class HandRead(DriverBase):
         self._last: tuple[float, float] | None = None
 
     def identity(self) -> InstrumentIdentity:
-        """Say what the table says: it cannot be asked."""
+        """Return the identity in the table: it has no query."""
         return self._identified(self._label, self._number)
 
     def link(self, peers: Mapping[str, Instrument]) -> None:
-        """Be given the head; ConfigError if it moves by itself: it would press on while somebody looks."""
+        """Link to the head; ConfigError if it is motorised: it would press on while the operator reads."""
         self._head = hand_moved(peers, self._what)
 
     def samples_since(self, time_s: float) -> SampleBlock:
@@ -141,7 +141,6 @@ class HandRead(DriverBase):
         raise NotImplementedError
 
     def _read(self) -> float:
-        """Ask for a reading, and return it in the channel's unit."""
         raise NotImplementedError
 
 
@@ -211,7 +210,7 @@ class ManualLoadCell(HandRead):
             shown = self._tare
         else:
             shown = self._asked(f"read the load cell, the head is {'down' if down else 'up'}")
-        # Orders given meanwhile would make this reading one of another depth; none can be, it is asked in one thread.
+        # No order can change the depth during this reading, which is taken in one thread.
         self._orders = orders
         return (shown - (self._tare or 0.0)) * _NEWTONS[self._shown]
 

@@ -50,7 +50,6 @@ class MarlinOptions(PluginOptions):
             yield Problem(("steps_per_mm",), "is missing", "stock Marlin counts in steps: give those of x, y and z")
 
     def machine(self, hover_mm: float) -> MachineFrame:
-        """Where the sheet lies in the machine."""
         return MachineFrame(
             centre_mm=self.centre_mm,
             hover_z_mm=self.hover_height_mm,
@@ -124,7 +123,7 @@ class MarlinApplicator(HeadDriver):
         self._depths = SampleLog()
         self._watch: ForceWatch | None = None
         self.identity()
-        marlin.command("M410")  # whatever it was doing; where it stands is not known, so it does not move
+        marlin.command("M410")  # stop in any state; its position is unknown, so it does not move
 
     # --- instrument ---
 
@@ -151,7 +150,7 @@ class MarlinApplicator(HeadDriver):
         self._axes.stop_and_lift()
 
     def close(self) -> None:
-        """Give the port back; what moves goes on to where it was told."""
+        """Close the port; a motion continues to its target."""
         self._link.close()
 
     def link(self, peers: Mapping[str, Instrument]) -> None:
@@ -162,7 +161,7 @@ class MarlinApplicator(HeadDriver):
     # --- sampler: where the head is ---
 
     def samples_since(self, time_s: float) -> SampleBlock:
-        """Return the depths that were asked for while it moved, and the present one."""
+        """Return the depths queried during motion, and the present one."""
         if self._axes.ever_homed:
             self._axes.check_homed()
             if self._depths.last_s < self._clock.now():
@@ -287,7 +286,7 @@ class MarlinApplicator(HeadDriver):
             self._depths.append(now_s, self._machine.depth_mm(live[2]))
 
     def _depth_mm(self) -> float:
-        """Depth below the nominal surface where it stands."""
+        """Depth below the nominal surface at its position."""
         return self._machine.depth_mm(self._axes.at()[2])
 
     def _surface_mm(self) -> float:

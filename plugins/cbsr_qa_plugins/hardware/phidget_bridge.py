@@ -1,7 +1,7 @@
 """Load cell at a PhidgetBridge (1046 and others with a bridge input), through the library Phidget22.
 
-Not tried on the hardware: there was none where this was written. Its calls are those of Phidget22 1.26, whose library
-was loaded and asked for a device that was not there; everything else is tested against a stand-in for the library.
+Not tried on the hardware. Its calls are those of Phidget22 1.26, whose library was loaded and queried for a missing
+device; everything else is tested against a stand-in for the library.
 """
 
 import ctypes
@@ -23,7 +23,7 @@ from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 
 _DRIVER: Final = "phidget-bridge"
 _GAINS: Final = (1, 8, 16, 32, 64, 128)
-_TIMEOUT: Final = 0x3  # nobody attached in time
+_TIMEOUT: Final = 0x3  # no device attached in time
 _SILENT_INTERVALS: Final = 10
 _INSTALL: Final = 'install it with: pip install "cbsr-qa[phidget]"'
 _LIBUSB: Final = (
@@ -82,9 +82,9 @@ def open_bridge(context: StationContext, options: BridgeOptions) -> ForceCell:
 class PhidgetSource(DriverBase):
     """Forces from one input of a bridge; the library calls from a thread of its own.
 
-    A bridge that is unplugged is told of at the next look, and used again once it is back: the library knows it by
-    its serial number. ConfigError if the library is not installed, or libusb is missing; InstrumentError if the
-    bridge does not attach.
+    An unplugged bridge is reported at the next check, and used again once it is back: the library knows it by its
+    serial number. ConfigError if the library is not installed, or libusb is missing; InstrumentError if the bridge
+    does not attach.
     """
 
     def __init__(self, context: StationContext, options: BridgeOptions) -> None:
@@ -135,7 +135,7 @@ class PhidgetSource(DriverBase):
             raise self._error(f"it has sent nothing for {silent_s:.3g} s{complaint}", "check cell, cable and bridge")
 
     def close(self) -> None:
-        with suppress(Exception):  # the library raises where it is not open
+        with suppress(Exception):  # the library raises if it is not open
             self._input.setOnVoltageRatioChangeHandler(None)
             self._input.close()
         self._lock.release()
@@ -159,7 +159,7 @@ class PhidgetSource(DriverBase):
         self._attached = True
 
     def _set_up(self, bridge: Any) -> None:
-        """Set what a bridge forgets when it is unplugged; every interval is a sample, also where nothing changes."""
+        """Set what a bridge forgets when unplugged; every interval gives a sample, even without a change."""
         gains = import_module("Phidget22.BridgeGain").BridgeGain
         bridge.setBridgeGain(getattr(gains, f"BRIDGE_GAIN_{self._options.gain}"))
         bridge.setDataInterval(self._options.data_interval_ms)

@@ -75,7 +75,7 @@ class ReplayedRecording(DriverBase):
     # --- instrument ---
 
     def identity(self) -> InstrumentIdentity:
-        """Say that nothing is measured, and what is played instead."""
+        """Report that nothing is measured, and which recording is played."""
         recording = self._recording
         origin = f"; itself of {'; '.join(recording.simulated)}" if recording.simulated else ""
         dataset = f", data set {recording.dataset}" if recording.dataset else ""
@@ -83,7 +83,7 @@ class ReplayedRecording(DriverBase):
         return self._identified(model, simulated=True)
 
     def safe_state(self) -> None:
-        """Take the head for up; nothing moves."""
+        """Count the head as up; nothing moves."""
         self._depth_mm = None
 
     # --- frame source ---
@@ -159,7 +159,6 @@ class ReplayedRecording(DriverBase):
         return self._motion.hover_mm
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
-        """Take the time of the way."""
         self.release()
         self._clock.sleep(kinematics.travel_s(self._motion, math.dist(self._place, (x_mm, y_mm))))
         self._place = (x_mm, y_mm)

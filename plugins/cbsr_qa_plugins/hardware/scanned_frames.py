@@ -235,7 +235,7 @@ class ScannedFrames(DriverBase):
             _log.warning("%s: %s", self._role, text)
 
     def _contact_faults(self, ohm: NDArray[np.float64]) -> tuple[ContactFault, ...]:
-        """Find the faults, and keep in words what was found."""
+        """Find the faults, and keep their description."""
         measured = ohm[~np.isnan(ohm)]
         if not measured.size:
             return ()

@@ -30,7 +30,7 @@ class LoadCellOptions(CellOptions):
     unit: Literal["N", "g", "counts"] = "N"
 
     def problems(self) -> Iterator[Problem]:
-        """Nobody but the table knows what a count is."""
+        """The scale of a count must be stated."""
         if self.unit == "counts" and "scale" not in self.model_fields_set:
             yield Problem(("scale",), "is missing", "it must be how many newtons one count is")
 

@@ -91,7 +91,6 @@ class SimulatedBench(HeadDriver):
         self._head.drop_everything()
 
     def close(self) -> None:
-        """Take no more orders."""
         self._open = False
 
     # --- frame source ---
@@ -121,7 +120,7 @@ class SimulatedBench(HeadDriver):
     # --- sampler: the load cell ---
 
     def samples_since(self, time_s: float) -> SampleBlock:
-        """Return the force samples after a time up to now, worked out only now.
+        """Return the force samples after a time up to now, computed on demand.
 
         They come 8 a second from the beginning of each step, and from each order to the head within it.
         """

@@ -56,7 +56,6 @@ class Repeatability:
     measures: ClassVar[dict[str, str]] = {"repeatability": "%"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Pool the scatter of the trials."""
         loads = data_sheet_loads(run)
         try:
             overall = repeatability(loads, run.main_mask)
@@ -95,7 +94,6 @@ class Nonlinearity:
     measures: ClassVar[dict[str, str]] = {"nonlinearity": "%"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Draw the lines of the mean and of each location."""
         loads = data_sheet_loads(run)
         curves = characteristics(loads, run.main_mask)
         try:
@@ -219,7 +217,6 @@ class Hysteresis:
     measures: ClassVar[dict[str, str]] = {"hysteresis": "%"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Compare the branches of all loops."""
         if not run.loops:
             return (refused("hysteresis", "%", _NO_LOOP),)
         return (*_measured(run, relaxed=True), *_measured(run, relaxed=False))
@@ -263,7 +260,6 @@ class PreconditioningChange:
     measures: ClassVar[dict[str, str]] = {_NAME: "%", "preconditioning_cycles": "1"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Compare the last two cycles of every location."""
         phases = {phase.name for phase in run.record.phases if phase.role is Role.PRECONDITIONING}
         loads = [load for load in run.loads if load.phase in phases]
         if not loads:

@@ -105,7 +105,7 @@ def _everything() -> Iterator[tuple[str, str]]:
 
 def _errors(tests: tuple[ForceTest, ...], after: str, none: str) -> Iterator[Measurement]:
     if after and not tests:
-        yield _without("force_error_sd", f"{KNOWN}{after}", none)  # once is enough
+        yield _without("force_error_sd", f"{KNOWN}{after}", none)  # reported once
         return
     for qualifier, errors in (
         (f"{KNOWN}{after}", errors_of(tests, known=True)),
@@ -178,7 +178,7 @@ def _gauge(run: RunObservation, force: RunForce) -> Measurement:
 def _of(
     name: str, qualifier: str, estimate: Callable[[], Estimate], how: str, factor: float = 1.0, *, none: bool
 ) -> Measurement:
-    """Make a measurement of an estimate, or say why there is none."""
+    """Make a measurement of an estimate, or give the reason for its absence."""
     if none:
         return _without(name, qualifier, how)
     try:

@@ -67,7 +67,6 @@ class LoadAssignment:
     measures: ClassVar[dict[str, str]] = {"false_regions": "1", "missed_loads": "1", "merged_loads": "1"}
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
-        """Count under each mask."""
         return tuple(
             at_load(
                 load,
@@ -91,7 +90,7 @@ class LoadAssignment:
         )
 
 
-#: Highest mask that is tried: at the maximum itself there is nothing to count.
+#: Highest mask tried: nothing lies above the maximum itself.
 _HIGHEST: Final = 0.99
 _WATERSHED: Final = "watershed"
 
@@ -120,7 +119,7 @@ class TwoTouchResolution:
 
 
 def told_apart_by(qualifier: str, run: RunObservation) -> str:
-    """Say what tells two loads apart in a ``two_touch_resolution`` with this qualifier."""
+    """Describe how a ``two_touch_resolution`` with this qualifier distinguishes two loads."""
     if qualifier == _WATERSHED:
         return "valleys 5 % deep under the 25 % mask"
     return f"contours at {100 * min(run.main_mask, _HIGHEST):g} %"
@@ -151,7 +150,6 @@ class RegistrationOfPlaces:
     measures: ClassVar[dict[str, str]] = {**_WHOLE, "registered_centre_of_mass_error": "mm"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Register the loads that were seen."""
         grids = {phase.name for phase in run.record.phases if phase.role is Role.GRID}
         loads = [load for load in run.loads if load.phase in grids]
         seen = [(load, place) for load in loads if (place := _seen(load, run))]
@@ -205,7 +203,7 @@ class SizeResponseMetric:
     measures: ClassVar[dict[str, str]] = {"size_response": "1", "region_area": "mm²"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Measure; where no target fits the sheet there is no value."""
+        """Measure; no value if no target fits the sheet."""
         try:
             sizes = size_response_of(run)
         except NumericsError as error:

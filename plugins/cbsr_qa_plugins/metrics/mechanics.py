@@ -33,7 +33,6 @@ class Uniformity:
     measures: ClassVar[dict[str, str]] = {"uniformity": "%"}
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Spread the locations."""
         try:
             places, strain = place_responses(run, data_sheet_loads(run))
             own = relative_spread([place.response for place in places])

@@ -50,7 +50,7 @@ def _noise(run: RunObservation) -> Array | None:
         return None
     readings = changes(frames.voltages, run.reference, run.reconstruction.problem, run.scale)
     left = off_the_line(readings, frames.time_s)
-    # Rounding of frames that are all alike is no noise.
+    # Rounding of identical frames is not noise.
     if np.abs(left).max() <= 1e-12 * np.abs(run.reconstruction.problem.reference).max():
         return np.zeros_like(left)
     left *= np.sqrt(len(frames) / (len(frames) - 2))
@@ -171,7 +171,7 @@ class ChannelNoise(WithOptions):
     options: Options
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Measure; fewer than three unloaded frames, or frames that are all alike, give no ratio."""
+        """Measure; fewer than three unloaded frames, or identical frames, give no ratio."""
         ratio_dB = signal_to_noise_dB(run.unloaded)
         if ratio_dB is None:
             why = f"{len(run.unloaded)} unloaded frames are too few; {FEWEST_FRAMES} are needed"

@@ -21,7 +21,7 @@ def contradicted(options: PluginOptions, given: str, others: tuple[str, ...]) ->
 
 
 class ParameterOptions(PluginOptions):
-    """The parameter by a criterion; subclasses add the option by which it is given itself."""
+    """The parameter by a criterion; subclasses add an option for its value."""
 
     given_as: ClassVar[str]
     choose: Literal["noise-figure", "gcv", "l-curve", "discrepancy"] | None = None
@@ -33,7 +33,6 @@ class ParameterOptions(PluginOptions):
             yield from contradicted(self, "choose", ("noise_figure",))
 
     def regularisation(self) -> Regularisation:
-        """How the parameter is chosen."""
         given = getattr(self, self.given_as)
         if given is not None:
             return Regularisation(None, 1.0, float(given), self.given_as)

@@ -53,7 +53,6 @@ class TotalVariation(WithOptions):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> TotalVariationImages:
-        """Choose α and prepare the minimisation."""
         options = self.options
         choice, variance = choose_alpha(problem, given=options.hyperparameter, noise_dB=options.noise_dB)
         return TotalVariationImages.of(
@@ -105,7 +104,7 @@ class AbsoluteGaussNewton(WithOptions):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> AbsoluteImages:
-        """Find the state of the unloaded sensor."""
+        """Compute the state of the unloaded sensor."""
         given = self.options.model_dump(exclude={"noise_figure"})
         expected = Expected(noise_figure=self.options.noise_figure or 1.0, **given)
         return AbsoluteImages.of(_NAME_ABSOLUTE_GAUSS_NEWTON, problem, expected)

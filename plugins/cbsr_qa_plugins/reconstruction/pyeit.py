@@ -58,7 +58,7 @@ class PyeitOptions(PluginOptions):
 
 
 class _PyeitMethod(WithOptions):
-    """Refuses to be made where pyEIT is not installed."""
+    """Refused if pyEIT is not installed."""
 
     Options: ClassVar[type[PluginOptions]] = PyeitOptions
     options: PyeitOptions
@@ -70,7 +70,7 @@ class _PyeitMethod(WithOptions):
 
 
 def pyeit_problem(problem: ImagingProblem, mesh_size: float) -> PyeitProblem:
-    """Put a problem into pyEIT's words."""
+    """Convert a problem for pyEIT."""
     sensor = problem.sensor_type
     if sensor.polygon is not None:
         raise NumericsError(

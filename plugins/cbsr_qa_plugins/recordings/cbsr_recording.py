@@ -19,7 +19,7 @@ class CbsrRecording(OneDataSet):
     """Reads what ``cbsr-qa export`` writes, and writes simulated scenes."""
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell by HDF5's own signature; an HDF5 file of another kind is refused by name when read."""
+        """Recognise HDF5's signature; an HDF5 file of another kind is refused when read."""
         return head.startswith((SIGNATURE, BLOCK_BEGINS)) and path.suffix != ".mat"
 
     def _read(self, path: Path) -> Recording:

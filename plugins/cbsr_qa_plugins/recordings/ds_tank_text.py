@@ -32,7 +32,7 @@ class DsTankText(OneDataSet):
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell by the ``#MEAS`` first line and the ``#Vector, Vr Vi I`` line."""
+        """Recognise the ``#MEAS`` first line and the ``#Vector, Vr Vi I`` line."""
         return head.lstrip().startswith(b"#MEAS") and b"#Vector" in head
 
     def _read(self, path: Path) -> Recording:

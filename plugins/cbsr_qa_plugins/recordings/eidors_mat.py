@@ -113,7 +113,7 @@ def _unpacked(element: memoryview, most: int) -> memoryview:
 
 
 def _header(element: memoryview, order: str) -> _Variable | None:
-    """Read the header of a variable; None where it is no array of numbers."""
+    """Read the header of a variable; None if it is not an array of numbers."""
     try:
         flags = struct.unpack_from(f"{order}I", element, 8)[0]
         if flags & 0xFF not in _NUMERIC_CLASSES or flags & _LOGICAL:
@@ -158,7 +158,7 @@ class EidorsMat:
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell by the header every MATLAB file starts with; HDF5 of that ending is refused with how to save it."""
+        """Recognise the header of MATLAB files; HDF5 with that suffix is refused with advice on saving."""
         return head.startswith((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")) or (
             path.suffix == ".mat" and head.startswith((b"MATLAB", _HDF5))
         )
@@ -177,7 +177,7 @@ class EidorsMat:
         Raises
         ------
         RecordingError
-            If the file is damaged, holds no such matrix, several and none was chosen, or not the one asked for.
+            If the file is damaged, lacks such a matrix or the requested one, or holds several and none was chosen.
         """
         matrices = _matrices(path, options.dataset)
         name = _chosen(path, matrices, options.dataset)
@@ -270,7 +270,7 @@ def _reference(matrices: dict[str, Matrix], name: str) -> tuple[FrameBlock | Non
 
 
 def _block(matrix: Matrix, rate_hz: float | None) -> FrameBlock:
-    """Frames of a matrix. Driven positions were not measured: what they hold, 0 or not, is no reading."""
+    """Frames of a matrix. Driven positions were not measured: their values are not readings."""
     frames = matrix.T.reshape(-1, _ELECTRODES, _ELECTRODES)
     times = np.arange(len(frames), dtype=np.float64) / (rate_hz or 1.0)
     usable = adjacent_pattern(_ELECTRODES).usable()

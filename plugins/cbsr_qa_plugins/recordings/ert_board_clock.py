@@ -65,7 +65,7 @@ def board_clock(lines: list[BoardLine], width: int) -> RowClock:
     clock = RowClock("board", {}, sessions=offsets)
     _follow_board(clock, rows, computer)
     lags = np.array([computer[row.number] - clock.row_s[row.number] for row in rows])
-    # A line can only be read after it was sent: the least delayed row tells how the clocks lie to each other.
+    # A line is read after it was sent: the least delayed row gives the offset of the clocks.
     clock.lag_s = float(lags.min())
     worst = float(lags.max() - lags.min())
     if worst > _NOTEWORTHY_LAG_S:
@@ -94,7 +94,7 @@ def force_samples(
 
     Returns
     -------
-    One block of N, or none where the column is missing or constantly zero (the load cell was off), and notes.
+    One block of N, or none if the column is missing or constantly zero (load cell off), and notes.
     """
     found = [line for line in lines if line.mass_g is not None and line.computer_s is not None]
     if not any(line.mass_g for line in found):
@@ -137,7 +137,7 @@ def _follow_board(clock: RowClock, rows: list[BoardLine], computer: dict[int, fl
 
 
 def _stands_still(rows: list[BoardLine]) -> bool:
-    """Whether the board's clock cannot tell frames apart: less than one step a frame."""
+    """Whether the board's clock cannot separate frames: less than one step per frame."""
     return len(rows) > 1 and len({row.numbers[0] for row in rows}) < max(2.0, len(rows) / PAIRS)
 
 

@@ -45,7 +45,7 @@ class ErtBoardCsv(OneDataSet):
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell by the titles, or by the ``UTC:`` line of a file that is cut right after it."""
+        """Recognise the titles, or the ``UTC:`` line of a file cut right after it."""
         if b"voltage [V]" in head:
             return False
         text = head.removeprefix(b"\xef\xbb\xbf").lstrip().replace(b"\r", b"\n")

@@ -64,7 +64,7 @@ class BoardLine:
     ----------
     number : 1-based line of the file.
     computer_s : the computer's clock [s]; None for headers.
-    mass_g : the load cell [g]; None where the line has none.
+    mass_g : the load cell [g], or None.
     numbers : the payload's numbers; empty unless the line is a row.
     said : the payload in words: a header's key, a log line's text, or what is wrong with a garbled row.
     closed : whether a comma follows the last number, as the board prints it; without one the number may be cut.

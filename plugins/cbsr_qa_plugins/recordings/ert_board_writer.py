@@ -121,11 +121,9 @@ class _Port:
         self.now_s = zero_s
 
     def board_ms(self, time_s: float) -> int:
-        """Say what the board's clock shows."""
         return FIRST_BOARD_MS + round(1000 * (time_s - self._zero_s))
 
     def line(self, time_s: float, payload: str) -> None:
-        """Write a line that is sent at a time."""
         mass_g = round(float(np.interp(time_s, self._time_s, self._mass_g)), 4) + 0.0  # no -0
         self._file.write(f"{time_s - self._zero_s:.6f},{mass_g:g},{payload}\n")
         self.now_s = time_s
@@ -165,7 +163,7 @@ def _by_place(dumps: Sequence[Dump]) -> dict[int, dict[int, list[Dump]]]:
 
 
 def _converted(recording: Recording, gain: float) -> list[str]:
-    """Say what becomes of volts, amperes and times."""
+    """Describe the conversion of volts, amperes and times."""
     said = [
         f"{gain:g} counts per volt: readings are rounded to {1e6 / gain:g} µV; the file does not state the scale",
         "rows carry the mean time of their readings, in whole milliseconds",

@@ -34,7 +34,7 @@ class TextLine:
     Parameters
     ----------
     number : 1-based.
-    text : without its line end; NULs at its ends are gone (a file system pads files with them after a crash).
+    text : without its line end, and without NULs at its ends (file systems pad files with them after a crash).
     ended : whether a line end follows; False only for the last line of a file.
     too_long : whether ``text`` is only its beginning.
     """
@@ -98,7 +98,7 @@ _NOT_IN_A_FIELD: Final = str.maketrans({",": ";", '"': "'", "\n": " ", "\r": " "
 
 
 def mark(simulated: Iterable[str]) -> str:
-    """Further fields of a ``UTC:`` line, each with the comma before it; empty where nothing was simulated."""
+    """Further fields of a ``UTC:`` line, each after a comma; empty if nothing was simulated."""
     fields = "".join(f",{_MARK}{what.translate(_NOT_IN_A_FIELD)}" for what in simulated)
     return fields if len(fields) <= _MOST else fields[:_MOST] + " …"
 
@@ -123,7 +123,7 @@ def utc_line(recording: Recording) -> str:
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse with RefusedError to write over a file."""
+    """RefusedError if the file exists."""
     if path.exists():
         raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first")
 

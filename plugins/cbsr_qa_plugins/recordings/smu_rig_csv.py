@@ -134,12 +134,11 @@ class SmuRigCsv(OneDataSet):
     """Reads and writes the rig's CSV: one line per reading, 256 per frame, the current pair as the inner loop.
 
     Frames are put into canonical order (row = drive pair, column = measure pair). The rig's start-up query was itself
-    a step of the multiplexer, so a file may be shifted by one reading: where the scan stands is decided from where
-    the large driven-pair readings are, again behind every gap, and said.
+    a step of the multiplexer, so a file may be shifted by one reading: the phase of the scan is found from the large
+    driven-pair readings, again after every gap, and reported.
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell by the titles."""
         return b"voltage [V]" in head and b"i_src [A]" in head
 
     def _read(self, path: Path) -> Recording:

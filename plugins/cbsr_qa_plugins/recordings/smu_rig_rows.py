@@ -50,7 +50,7 @@ class Reading:
     line : 1-based.
     time_s, voltage : as written; a bad line keeps its place in the scan with ``bad`` set.
     saturated : whether the source was at its voltage limit.
-    current_A : None where it was not read.
+    current_A : None if not read.
     others : force [N], x, y, z [mm].
     bad : what is wrong; empty if nothing is.
     copy : whether the line above reads the same.
@@ -231,7 +231,7 @@ def _frame_lines(
     volts = recording.frames.voltages[frame].T.ravel().tolist()
     at_limit = (recording.frames.flags[frame].T.ravel() & ReadingFlag.COMPLIANCE.value) > 0
     gone = lost.tolist() * ELECTRODES
-    read_at = gone.index(False)  # place within each 16 of the line that has the current
+    read_at = gone.index(False)  # place of the line with the current within each 16
     out = []
     for k, (time_s, volt, limit, others) in enumerate(
         zip((scan_s - zero_s).tolist(), volts, at_limit.tolist(), columns, strict=True)

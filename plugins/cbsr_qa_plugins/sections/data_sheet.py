@@ -181,7 +181,7 @@ def _by_strain(measurements: Sequence[Measurement]) -> list[Block]:
 
 
 def _characteristic(run: RunObservation) -> Iterator[Figure]:
-    """Figure of change against stress; nothing where there are too few strains, or no force."""
+    """Figure of change against stress; nothing with too few strains, or without force."""
     loads = data_sheet_loads(run)
     curves = [c for c in characteristics(loads, run.main_mask) if _drawable(c)]
     try:

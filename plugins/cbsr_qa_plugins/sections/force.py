@@ -55,7 +55,7 @@ class Force(ObservedSection):
     title = "Force"
 
     def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
-        """Return what was learned, how well it tells forces it was not learned from, and what limits that."""
+        """Return the force model, its held-out errors, and their limits."""
         if not any(m.name == "force_error_sd" for m in result.measurements):
             return
         force = run_force(run)
@@ -237,7 +237,7 @@ def _measured(tests: Sequence[ForceTest]) -> Array:
 
 
 def _results(result: RunResult) -> list[Block]:
-    """The numbers as they were measured and judged."""
+    """The measured numbers and their outcomes."""
     measured = {(m.name, m.qualifier): m for m in result.measurements}
     names = ("force_error_sd", "force_error_bias", "force_coverage_68", "force_coverage_95")
     rows: list[list[str | Cell]] = []
@@ -311,7 +311,7 @@ def _assumed_words(learned: LearnedForce) -> str:
 
 
 def _reduced(run: RunObservation, force: RunForce, learned: LearnedForce, tests: Sequence[ForceTest]) -> list[str]:
-    """What makes less of the numbers than they look."""
+    """Caveats about the numbers."""
     words = []
     radius_mm = calibrated_radius_mm(force)
     outside = sum(float(np.hypot(t.load.record.load.x_mm, t.load.record.load.y_mm)) > radius_mm for t in tests)

@@ -1,4 +1,4 @@
-"""Figures of merit of images, what areas of regions say about sizes, and the regularisation parameter."""
+"""Figures of merit of images, sizes from areas of regions, and the regularisation parameter."""
 
 from collections.abc import Iterator, Sequence
 from functools import partial
@@ -132,7 +132,7 @@ def _table_size_response(responses: Sequence[SizeResponse]) -> Table:
 
 
 def in_words(responses: Sequence[SizeResponse]) -> str:
-    """Say what an overlap is worth."""
+    """Describe the quality of an overlap."""
     seen = [response for response in responses if response.slope is not None]
     if not seen:
         return "No target, of any size, gives a region in the images of this reconstruction."
@@ -153,7 +153,7 @@ def in_words(responses: Sequence[SizeResponse]) -> str:
 
 
 def _measured(measurements: Sequence[Measurement]) -> list[SizeResponse]:
-    """Put what was measured together again, place by place."""
+    """Collect the measurements place by place."""
     areas: dict[str, list[tuple[float, float | None]]] = {}
     for m in measurements:
         target = m.dimensions
@@ -177,7 +177,7 @@ _TITLES: Final = {
     "l-curve": "L-curve",
     "discrepancy": "discrepancy",
 }
-_APART: Final = 0.005  # noise figures of a sensor and of its type that differ less are told as one
+_APART: Final = 0.005  # noise figures of a sensor and of its type that differ less are shown as one
 
 
 class RegularisationParameter(ObservedSection):
@@ -186,7 +186,7 @@ class RegularisationParameter(ObservedSection):
     title = "Regularisation"
 
     def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
-        """Return the choice in words; figure and table where there is a curve."""
+        """Return the choice in words; figure and table if there is a curve."""
         choice = run.reconstruction.choice
         yield Paragraph(_in_words_regularisation(run.reconstruction))
         if choice.curve is not None:
@@ -208,7 +208,7 @@ def _in_words_regularisation(made: LinearReconstruction) -> str:
 
 
 def _own_figure(made: LinearReconstruction, curve: ParameterCurve) -> str:
-    """Say the noise figure of this sensor's matrix where it is not that of the curve."""
+    """State the noise figure of this sensor's matrix if it differs from that of the curve."""
     figure, of_type = made.choice.noise_figure, curve.noise_figure_at(made.choice.value)
     if of_type is not None and abs(figure / of_type - 1) <= _APART:
         return ""

@@ -159,10 +159,10 @@ class LoadImages(ObservedSection):
     title = "Images"
 
     def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
-        """Return the pictures, and how many presses have none."""
+        """Return the images, and the number of presses without one."""
         if not run.loads:
             return
-        # First trials come first where there are too many: they cover every place and strain.
+        # First trials come first if there are too many: they cover every place and strain.
         chosen = sorted(run.loads, key=lambda load: load.record.load.trial)[:_MOST]
         printed = [load for load in run.loads if any(load is kept for kept in chosen)]
         seen = seen_loads(printed, run, Measured(result.measurements))
@@ -187,7 +187,6 @@ class RandomLoads(ObservedSection):
     title = "Random loads"
 
     def observed(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
-        """Return a figure and a table."""
         loads = loads_of(run, Role.RANDOM)
         if not loads:
             return

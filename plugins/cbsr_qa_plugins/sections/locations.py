@@ -78,7 +78,7 @@ def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Mea
 
 
 def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Block]:
-    """One row a strain over all locations; nothing where there is one strain."""
+    """One row per strain over all locations; nothing with one strain."""
     strains = sorted({round(load.record.load.strain, 9) for load in loads})
     if len(strains) < 2:
         return []
@@ -93,7 +93,7 @@ def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Blo
 
 
 def _placed(loads: Sequence[LoadObservation], measured: Measured) -> bool:
-    """Whether the recipe measures where presses are seen; where it does, one that is not seen says why."""
+    """Whether the recipe locates presses; one that was not seen then has a reason."""
     return any(measured.of_load("centre_of_mass_error", load) is not None for load in loads)
 
 
@@ -110,7 +110,7 @@ def _in_words(loads: Sequence[LoadObservation], measured: Measured) -> str:
 
 
 def _registration(result: RunResult, left_mm: Sequence[float]) -> tuple[Paragraph, ...]:
-    """What all places share, and what is left without it; nothing where it was not measured."""
+    """Offset shared by all places, and the residual; nothing if not measured."""
     whole = {m.name: m for m in result.measurements if m.name.startswith("registration_")}
     shift, rotation, scale = (whole.get(f"registration_{part}") for part in ("shift", "rotation", "scale"))
     if shift is None or rotation is None or scale is None or not left_mm:
@@ -169,7 +169,7 @@ def _cell(name: str, members: Sequence[LoadObservation], measured: Measured) -> 
 
 
 def _bands(members: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> str:
-    """Return the bands of the loads' overlaps, with counts where they differ."""
+    """Return the bands of the loads' overlaps, with counts if they differ."""
     bands, sizes = run.settings.overlap_bands, run.settings.size_ratio
     names = []
     for load in members:

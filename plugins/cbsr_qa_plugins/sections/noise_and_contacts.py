@@ -24,7 +24,7 @@ from cbsr_qa.report.draw import channel_map_figure, pair_bar_figure
 _WORDS: Final = ("noise", "conductance_noise", "channel", "reciprocity", "drift", "contact", "interelectrode")
 
 
-#: Pairs closer together than this share of their median are alike: none is worth naming.
+#: Pairs within this share of their median are not named.
 _ALIKE = 0.01
 
 

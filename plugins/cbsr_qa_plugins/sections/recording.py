@@ -27,7 +27,7 @@ class RecordingChannels(RecordingSection):
     title = "Channels and noise"
 
     def blocks(self, result: RecordingResult) -> Iterator[Block]:
-        """Return a table, a map, and steps of the noise where there are any."""
+        """Return a table, a map, and steps of the noise, if any."""
         yield from (_facts(result), _map(result))
         if result.noise.steps:
             yield _steps(result)
@@ -104,7 +104,7 @@ class RecordingEvents(RecordingSection):
     title = "Events"
 
     def blocks(self, result: RecordingResult) -> Iterator[Block]:
-        """Return the events as a table and as images, or why there are none, and their traces."""
+        """Return the events as a table and as images, or the reason for none, and their traces."""
         if result.events:
             yield from (_table(result.events, still=result.frame_rate_hz is None), *_moving(result.events))
             yield from (_images(result), _imaging(result), _imaged(result.events))
@@ -200,7 +200,7 @@ def _images(result: RecordingResult) -> Figure:
     events, named = result.events, result.sensor_type
     shown = events[:_MOST_IMAGES]
     sensor = named or nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1])
-    # Images of a sensor nobody named may be in any unit.
+    # Images of an unnamed sensor may be in any unit.
     sheet = Disc(sheet_radius(shown[0].image.mesh)) if named is None else named.outline
     panels = []
     for rank, event in enumerate(shown):

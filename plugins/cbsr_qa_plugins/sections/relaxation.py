@@ -56,7 +56,7 @@ class RelaxationFits(ObservedSection):
 
 
 def _shown(loads: Sequence[SettledLoad], apart: Sequence[SettledLoad]) -> SettledLoad:
-    """Return the load worth pointing out: one that was held for this, else the one whose fits explain most."""
+    """Return the load to highlight: one held for this purpose, else the one with the best fits."""
     wanted = apart[0] if apart else None
     near = [load for load in loads if wanted and (load.label, load.group) == (wanted.label, wanted.group)]
     return near[0] if near else max(loads, key=lambda load: sum(r.fit.r_squared for r in load.relaxations))
@@ -97,7 +97,7 @@ def _together(measurements: Sequence[Measurement]) -> list[Block]:
 
 
 def _agreements(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[Block]:
-    """What relaxes alike, as far as this run's metrics ask: the whole image as the blobs, the sheet as a strip."""
+    """Agreement of relaxations requested by this run's metrics: whole image and blobs, sheet and strip."""
     wanted = {m.name for m in measurements}
     if "relaxation_shape_difference" in wanted:
         yield from _agreement(image_against_blobs(run), "The whole image against the blobs")
@@ -174,7 +174,7 @@ def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
 
 
 def _strain_classes(loads: Sequence[SettledLoad]) -> dict[str, list[SettledLoad]]:
-    """Group loads by strain; where there are more strains than the paper's six, in classes of 10 %."""
+    """Group loads by strain; if there are more strains than the paper's six, in classes of 10 %."""
     exact = sorted({round(load.strain, 3) for load in loads})
     if len(exact) <= 6:
         return {f"{100 * s:.3g}": [load for load in loads if round(load.strain, 3) == s] for s in exact}

@@ -21,7 +21,7 @@ class Traceability(RunSection):
     title = "Traceability"
 
     def blocks(self, result: RunResult) -> Iterator[Block]:
-        """Return the tables; those of overrides and sessions only where there are any."""
+        """Return the tables; those of overrides and sessions only if there are any."""
         record = result.record
         yield from (_instruments(record), _sensor(record))
         if result.observation is not None:
@@ -192,7 +192,6 @@ class StationChecked(RunSection):
     title = "Station"
 
     def blocks(self, result: RunResult) -> Iterator[Block]:
-        """Return what charts and check say."""
         identity = result.record.identity
         yield from chart_blocks(result.station_charts)
         yield from station_blocks(identity.station, result.station_check, identity.started_at)

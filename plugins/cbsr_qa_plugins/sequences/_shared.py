@@ -9,10 +9,10 @@ from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, 
 from cbsr_qa.domain.run import Load
 from cbsr_qa.plugin import Array, PluginOptions
 
-#: Lowest strain any sequence may be asked for [%]: 0.04 mm of a 4 mm sheet, less than one step of 0.05 mm in which
-#: the head feels for the surface. Whoever asks for less has written a fraction instead of per cent.
+#: Lowest strain any sequence may request [%]: 0.04 mm of a 4 mm sheet, less than one step of 0.05 mm in which the
+#: head feels for the surface. Whoever asks for less has written a fraction instead of per cent.
 STRAIN_FLOOR_PERCENT: Final = 1.0
-#: Highest strain any sequence may be asked for [%]; what the station allows is checked by the runner besides.
+#: Highest strain any sequence may request [%]; what the station allows is checked by the runner besides.
 STRAIN_CEILING_PERCENT: Final = 60.0
 #: Longest single hold or rest [s].
 LONGEST_S: Final = 86400.0
@@ -72,7 +72,7 @@ class RestedOptions(PluginOptions):
 
 
 def rested(options: RestedOptions, places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:
-    """Find the surfaces if that is asked for, let the sheet rest, and take the unloaded frames."""
+    """Find the surfaces if requested, let the sheet rest, and take the unloaded frames."""
     if options.find_surface:
         yield from find_surfaces(places_mm)
     yield from unloaded(options.initial_rest_s, options.unloaded_frames)

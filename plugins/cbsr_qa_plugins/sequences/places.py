@@ -86,7 +86,6 @@ class GivenLoad(PluginOptions):
     angle_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
 
     def place_mm(self) -> tuple[float, float]:
-        """Where it is pressed."""
         if self.radius_mm is None:
             return self.x_mm, self.y_mm
         angle = radians(self.angle_deg)

@@ -219,7 +219,6 @@ class _Search:
         self._seen: dict[float, float] = {}
 
     def at(self, hyperparameter: float) -> GreitMatrix:
-        """Return the matrix of a λ."""
         matrices = self._kept.matrices
         if hyperparameter not in matrices:
             values = self._fits.matrix(self._calibration.rows(hyperparameter))
@@ -231,7 +230,6 @@ class _Search:
         return matrices[hyperparameter]
 
     def for_noise_figure(self, target: float) -> GreitChoice:
-        """λ of a noise figure."""
         self._seen = {}
         ends = self._ends(target) if np.isfinite(target) and target > 0 else None
         if ends is None:

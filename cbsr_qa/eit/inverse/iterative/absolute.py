@@ -77,7 +77,6 @@ class SheetModel:
         )
 
     def at(self, state: SheetState) -> "SolvedSheet":
-        """Solve for a state."""
         conductance = self._share @ np.exp(state.log_conductance)
         model = self._even.changed(conductance=conductance, contact_impedance=np.exp(state.log_contact))
         return SolvedSheet(state, model, self._share, self._drive, self._measure)

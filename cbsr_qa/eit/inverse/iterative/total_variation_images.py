@@ -46,7 +46,6 @@ class WhiteReadings:
 
     @classmethod
     def of(cls, problem: ImagingProblem) -> "WhiteReadings":
-        """Whiten a problem."""
         fold = ReadingFold.of(problem)
         deviation = np.sqrt(fold.variance)
         return cls(fold, deviation, fold.rows(problem.jacobian) / deviation[:, None])
@@ -137,7 +136,7 @@ def choose_alpha(
     Parameters
     ----------
     given : α itself, without a variance; None for the discrepancy principle, on the problem's measured changes, or
-    else on simulated ones of the sensor type's nominal problem.
+        else on simulated ones of the sensor type's nominal problem.
     noise_dB : noise below the mean reading without measured changes; α is proportional to the noise.
 
     Raises

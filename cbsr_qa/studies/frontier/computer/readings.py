@@ -37,7 +37,7 @@ class SimulatedReadings:
     Parameters
     ----------
     unloaded : (seeds, frames, drives, measures) [V], of the rested sheet: for the noise floor, then for the
-    reference.
+        reference.
     loaded : (seeds, n, drives, measures) [V] under n heads, each the mean of the last frames of a hold.
     """
 
