@@ -47,7 +47,7 @@ Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 
 
 def _mesh(value: object) -> Mesh:
-    """The content of a mesh file, which the loader puts in place of its name."""
+    """The content of a mesh file, by which the loader replaces its name."""
     if not isinstance(value, Mapping):
         raise ValueError("it must be the name of a mesh file")
     try:

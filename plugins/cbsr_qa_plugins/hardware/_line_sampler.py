@@ -216,7 +216,7 @@ class LineSampler:
     # --- reading ---
 
     def _drain(self) -> None:
-        """Read what has come up to now, in the calling thread."""
+        """Read pending input, in the calling thread."""
         with self._keeping:
             try:
                 self._mend()

@@ -297,7 +297,7 @@ class Keithley2600(DriverBase):
             self._unit.write(f"{channel}.source.output = 0")
 
     def _confirmed_off(self) -> None:
-        """Switch off and read back, a second time where the link was out of step."""
+        """Switch off and read back, again if the link was out of step."""
         self._given_A = None
         ready, self._ready = self._ready, False
         if ready:
