@@ -17,7 +17,7 @@ from cbsr_qa.domain import InstrumentError
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa.system import Clock, RealClock
 
-#: Whoever wants samples comes every few seconds; an hour holds any pause between two steps [s].
+#: Samples are fetched every few seconds; an hour covers any pause between two steps [s].
 KEPT_S: Final = 3600.0
 
 

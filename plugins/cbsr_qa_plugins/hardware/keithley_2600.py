@@ -85,7 +85,7 @@ def open_source_meter(context: StationContext, options: KeithleyOptions) -> "Kei
     ConfigError
         If an option is unknown or out of range.
     InstrumentError
-        If nobody answers, another instrument does, or it does not take its settings.
+        If there is no answer, another instrument answers, or it does not accept its settings.
     """
     return Keithley2600(context, options)
 
