@@ -1,4 +1,4 @@
-"""How well a force is told that was learned from labelled presses of simulated sheets, and what its intervals hold.
+"""Error of forces learned from labelled presses of simulated sheets, and coverage of their intervals.
 
 ``python -m benchmarks.pressed_forces`` prints the table of docs/explanation/place.md: sheets of 16 electrodes that
 answer by 20 % more or less over some 20 mm, pressed with 1 to 5 N, with noise of 10 % of a median change; half of
@@ -41,7 +41,7 @@ def found(sheet: Pressed, seed: int) -> Places:
 
 
 def errors(count: int, seed: int, *, learn: bool) -> tuple[Array, Array, Array]:
-    """Forces of presses that are told, errors of what is told, and whether intervals of 68 and 95 % hold it."""
+    """Estimated forces of presses, their errors, and whether intervals of 68 and 95 % hold them."""
     sheet = sheet_of(count, seed)
     some, rest = slice(0, count), slice(count, None)
     if learn:

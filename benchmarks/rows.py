@@ -14,7 +14,7 @@ class Row:
     what : is measured, with sizes.
     goal : to reach, in words; empty for a figure that is only reported.
     here : what was measured.
-    peer : what somebody else's software does in the same run, or its published figure with the source.
+    peer : result of other software in the same run, or its published value with the source.
     met : whether the goal is reached; None if there is none.
     """
 

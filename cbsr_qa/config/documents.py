@@ -14,9 +14,9 @@ from typing import Any
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.plugin import echo, printable
 
-#: Larger than any configuration anybody writes by hand; a recording given by mistake is not read into memory.
+#: Larger than any configuration; a recording given by mistake is not read into memory.
 LARGEST_FILE_BYTES = 1_000_000
-#: Parts of a dotted key; parsing takes their number squared, and no key here has more than four.
+#: Most parts of a dotted key; parsing time grows with their square, and no key here has more than four.
 MOST_KEY_PARTS = 50
 
 _TOO_DEEP = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++\s*+\.\s*+){{{MOST_KEY_PARTS}}}""")
@@ -54,7 +54,7 @@ class DocumentKind(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Document:
-    """A configuration file as read, before anybody checked what it says.
+    """A configuration file as read, not yet checked.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def open_document(kind: DocumentKind, name_or_path: str | Path, *, near: Path | 
 
 
 def reference_path(name: str, near: Path | None) -> Path | None:
-    """Where a reference inside a user's file points next to that file; None where nothing is there."""
+    """Path of a reference next to the user's file that states it; None if it does not exist."""
     if near is None:
         return None
     for candidate in (near / name, near / f"{name}.toml"):
@@ -119,7 +119,7 @@ def reference_path(name: str, near: Path | None) -> Path | None:
 
 
 def _path_of(name_or_path: str | Path, near: Path | None) -> Path | None:
-    """Decide whether a path is meant. A path that is given but absent is still a path."""
+    """Return the path if one is meant, even if it does not exist."""
     if isinstance(name_or_path, Path):
         return name_or_path
     if found := reference_path(name_or_path, near):

@@ -1,6 +1,6 @@
-"""Files of limits that a recipe refers to are taken in by content, so that a stored run needs no file.
+"""Files of limits that a recipe refers to are included by content, so that a stored run needs no file.
 
-Limits in recipes and in files of their own, and the version they carry.
+Limits in recipes and in separate files, and their version.
 """
 
 import hashlib
@@ -53,7 +53,7 @@ class LimitTable(Table):
     def bounds_size_of(self, overlap: "LimitTable", phase: str) -> bool:
         """Whether this limit bounds, from both sides, the size of the blob whose overlap another limit judges.
 
-        A lower bound of nothing or less bounds no size.
+        A lower bound of 0 or less does not bound the size.
         """
         fits = self.phase in ("", phase) and self.qualifier == overlap.qualifier
         return self.measurement == "area_ratio" and fits and (self.lower or 0.0) > 0 and self.upper is not None
@@ -95,11 +95,11 @@ class LimitsFile(FileModel[None]):
         yield from version_problems(self.limits_version, self.limits)
 
     def to_domain(self) -> None:
-        """Return nothing: a recipe takes in what the file says and makes limits of it."""
+        """Return nothing: a recipe includes the file's content and creates the limits."""
 
 
 def version_problems(header: LimitsVersionTable | None, limits: Sequence[LimitTable]) -> Iterator[Problem]:
-    """Yield what does not fit between limits and the version they say they are of."""
+    """Yield inconsistencies between limits and their stated version."""
     for index, limit in enumerate(limits):
         if limit.version is not None and (header is None or limit.version != header.version):
             found = f"limits_version.version is {header.version!r}" if header else "there is no [limits_version]"
@@ -117,7 +117,7 @@ def version_problems(header: LimitsVersionTable | None, limits: Sequence[LimitTa
 
 
 def limits_digest(limits: Sequence[dict[str, Any]]) -> str:
-    """Return the SHA-256 of limits as canonical JSON, in whatever order they stand."""
+    """Return the SHA-256 of limits as canonical JSON, independent of their order."""
     rows = sorted(json.dumps(_whole(limit), sort_keys=True, ensure_ascii=False) for limit in limits)
     return hashlib.sha256("\n".join(rows).encode()).hexdigest()
 
@@ -133,7 +133,7 @@ def with_limits(document: Document) -> Document:
     Raises
     ------
     ConfigError
-        If the file cannot be read or is not sound, or if the recipe limits the same measurement itself.
+        If the file cannot be read or is invalid, or if the recipe limits the same measurement itself.
     """
     recipe = document.data.get("recipe")
     name = recipe.get("limits_from") if isinstance(recipe, Mapping) else None

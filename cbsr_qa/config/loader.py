@@ -1,6 +1,6 @@
 """Configuration files, checked and turned into domain objects: the front door of this package.
 
-Mesh files that a sensor type refers to are taken in by content, so that a stored run needs no file.
+Mesh files that a sensor type refers to are included by content, so that a stored run needs no file.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ def with_mesh(document: Document) -> Document:
     Raises
     ------
     ConfigError
-        If it cannot be read, or is no mesh a sheet can have.
+        If it cannot be read, or is not a valid mesh of a sheet.
     """
     sheet = document.data.get("sensor_type")
     name = sheet.get("mesh") if isinstance(sheet, Mapping) else None
@@ -73,7 +73,7 @@ class Loaded(Generic[T]):
 
     @property
     def folder(self) -> Path | None:
-        """Folder in which references are looked for first; hand it on as ``near``."""
+        """Folder in which references are looked for first; pass it on as ``near``."""
         return self.document.folder
 
 
@@ -82,12 +82,12 @@ def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Stati
 
     Parameters
     ----------
-    plugins : with them the options of what the file names are checked too; as for every loader here.
+    plugins : to check plugin options as well; the same for every loader here.
 
     Raises
     ------
     ConfigError
-        As every loader here: no such file, not TOML, or a list of all that is wrong with it.
+        As for every loader here: the file does not exist or is not TOML, or a list of its problems.
     """
     loaded = _load(DocumentKind.STATION, StationFile, source, None, plugins)
     instruments = tuple(resolved_options(i, loaded.folder) for i in loaded.value.instruments)
@@ -144,7 +144,7 @@ def load_material(source: Source, *, near: Path | None = None) -> Loaded[Materia
 def load_scene(source: Source, plugins: Plugins | None = None, *, near: Path | None = None) -> Loaded[Scene]:
     """Load what a station needs of a scene, looked for in the folder ``near`` first; raises as :func:`load_station`.
 
-    The document holds only that too: what a station's run does not use is no part of its configuration.
+    The document is reduced in the same way: the rest is not part of a run's configuration.
     """
     plan = load_scene_plan(source, plugins, near=near)
     used = {key: value for key, value in plan.document.data.items() if key in STATION_TABLES}

@@ -1,6 +1,6 @@
-"""Material files, read and written: every parameter with its source, or said to be chosen by us.
+"""Material files, read and written: every parameter has a source, or is marked as chosen by us.
 
-A material that was measured on a strip has ``[material.strip_relaxation]``: how the strip relaxed, with errors.
+A material measured on a strip has ``[material.strip_relaxation]``: how the strip relaxed, with errors.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +20,7 @@ Positive = Annotated[float, Field(gt=0)]
 Strain = Annotated[float, Field(gt=0, lt=1)]
 #: Digits that are lost when a covariance is written by hand.
 _ROUNDING = 1e-3
-#: No characterisation tells more exponentials than this.
+#: No characterisation resolves more exponentials than this.
 _MOST = 4
 
 
@@ -50,7 +50,7 @@ class MeasuredKernelTable(Table):
             yield Problem((*where, "start_s"), what)
 
     def _no_covariance(self, where: KeyPath) -> Iterator[Problem]:
-        """Yield why these numbers are no covariance: some combination would have a negative variance."""
+        """Yield why these numbers are not a covariance: some combination would have a negative variance."""
         given = np.array(self.covariance)
         diagonal = np.diag(given)
         scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -62,7 +62,7 @@ class MeasuredKernelTable(Table):
 
 
 class StripRelaxationTable(Table):
-    """What it was learned from, and a table for each direction that could be told."""
+    """Its origin, and a table for each direction that could be determined."""
 
     cycles: Annotated[int, Field(gt=0)]
     least_strain: Strain
@@ -87,7 +87,7 @@ Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class ParameterTable(Table):
-    """A parameter of either sign with its standard error, where one is stated, and its source."""
+    """A parameter of either sign with its standard error, if stated, and its source."""
 
     value: float
     stderr: Annotated[float, Field(ge=0)] | None = None
@@ -202,6 +202,6 @@ def material_text(material: Material, comments: Sequence[str] = ()) -> str:
 
 
 def _stated(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Leave out what nobody stated, in tables within it too."""
+    """Leave out unstated values, also in nested tables."""
     stated = {key: value for key, value in table.items() if value is not None}
     return {key: _stated(value) if isinstance(value, Mapping) else value for key, value in stated.items()}

@@ -1,4 +1,4 @@
-"""The whole configuration of a run as one document: what is stored with it, digested, and restored on resume."""
+"""The whole configuration of a run as one document, which is stored, digested, and restored on resume."""
 
 import hashlib
 import json
@@ -51,11 +51,11 @@ def merge(
     seed: int,
     plugins: Plugins | None = None,
 ) -> Configuration:
-    """Put the files of a run together; scenes its instruments refer to are taken in by content.
+    """Merge the files of a run; scenes of its instruments are included by content.
 
     Parameters
     ----------
-    plugins : with them the effects of scenes are checked too.
+    plugins : to check the effects of scenes as well.
 
     Raises
     ------
@@ -90,12 +90,12 @@ def merge(
 
 
 def restore(canonical: str) -> Configuration:
-    """Return the configuration a run was stored with, checked again by today's rules.
+    """Return the stored configuration of a run, checked again by today's rules.
 
     Raises
     ------
     ConfigError
-        If it is of a layout this version does not know, or no longer passes the checks.
+        If its layout is unknown to this version, or it no longer passes the checks.
     """
     content = json.loads(canonical)
     if not isinstance(content, Mapping) or content.get("layout") != LAYOUT:
@@ -124,7 +124,7 @@ def restore(canonical: str) -> Configuration:
 
 
 def canonical_json(content: Any) -> str:
-    """Write JSON in one way only: keys sorted, no blanks, dates in ISO form, UTF-8.
+    """Write canonical JSON: keys sorted, no blanks, dates in ISO form, UTF-8.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def _plain(value: object) -> object:
 
 
 def _with_scenes(station: Station, scenes: Mapping[str, Loaded[Scene]], world: Loaded[Scene] | None) -> Station:
-    """Hand drivers the content of their scene, so that a stored run needs none of the files it began with."""
+    """Pass drivers the content of their scene, so that a stored run needs no files."""
     instruments = tuple(
         replace(i, options={**i.options, "scene": scenes[i.role].document.data}) if i.role in scenes else i
         for i in station.instruments

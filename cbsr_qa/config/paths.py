@@ -9,7 +9,7 @@ from cbsr_qa.domain import ConfigError
 
 
 def var_folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Folder for everything that is written: ``CBSR_QA_VAR``, or ``var`` in the current folder. Not created here."""
+    """Folder for all output: ``CBSR_QA_VAR``, or ``var`` in the current folder. Not created here."""
     return Path(environment.get("CBSR_QA_VAR") or "var")
 
 
@@ -43,12 +43,12 @@ def materials_folder(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that could not be created or written to; nothing is written to find out.
+    """Refuse a folder that could not be created or written to, without writing.
 
     Raises
     ------
     ConfigError
-        Naming it and what is in the way.
+        Naming it and the obstacle.
     """
     there = next((one for one in (folder, *folder.absolute().parents) if os.path.lexists(one)), folder)
     if not there.is_dir():
@@ -63,7 +63,7 @@ def writable_folder(folder: Path) -> Path:
     Raises
     ------
     ConfigError
-        If it cannot be created or written to; nothing was written then.
+        If it cannot be created or written to; nothing is written then.
     """
     probe = folder / f".cbsr-qa-{os.getpid()}"
     try:

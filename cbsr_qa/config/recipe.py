@@ -22,7 +22,7 @@ Count = Annotated[int, Field(ge=1)]
 class RecipeTable(Table):
     """``[recipe]``. ``calibrate_phases`` are the phases whose loads the calibration is taken from.
 
-    ``limits_from`` is replaced by what that file says before the recipe is checked.
+    ``limits_from`` is replaced by the content of that file before the recipe is checked.
     """
 
     name: Name
@@ -174,7 +174,7 @@ class RecipeFile(FileModel[Recipe]):
 
     @classmethod
     def plugin_problems(cls, data: Any, plugins: Plugins) -> Iterator[Problem]:
-        """Yield what is wrong with plugins, and with limits of what they do not measure."""
+        """Yield problems of plugins, and limits of quantities they do not measure."""
         measured: dict[str, str] = dict(STRIP_MEASURES) if "characterisation" in data else {}
         all_known = True
         for choice in cls.choices(data):
@@ -190,7 +190,7 @@ class RecipeFile(FileModel[Recipe]):
         yield from check_measured(tables(data, "limits"), measured, all_known=all_known)
 
     def problems(self) -> Iterator[Problem]:
-        """Names that are used must be there, and only once."""
+        """Referenced names must exist, and be unique."""
         names = [phase.name for phase in self.phases]
         seen: Counter[str] = Counter()
         for index, name in enumerate(names):

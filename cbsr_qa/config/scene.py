@@ -40,7 +40,7 @@ NameOrPath = Annotated[str, Field(min_length=1, max_length=255)]
 
 #: Largest seed: what every tool that reads a recording can hold as an integer.
 MOST_SEED = 2**31 - 1
-#: Tables that a station's run uses; all others are for ``cbsr-qa scene``.
+#: Tables used by a station's run; all others are for ``cbsr-qa scene``.
 STATION_TABLES = ("scene", "effects")
 
 
@@ -56,7 +56,7 @@ class SceneTable(Table):
 
 
 class SensorTable(Table):
-    """``[sensor]``: what is simulated where no station says so."""
+    """``[sensor]``: the simulated sensor, unless a station states it."""
 
     sensor_type: NameOrPath
     material: NameOrPath
@@ -118,7 +118,7 @@ class SceneFile(FileModel[ScenePlan]):
             yield from chosen(Kind.EFFECT, effect, ("effects", index), "name")
 
     def problems(self) -> Iterator[Problem]:
-        """An effect is on once or not at all; a recording has frames, and not too many."""
+        """An effect is on at most once; a recording has frames, and not too many."""
         seen: set[str] = set()
         for index, effect in enumerate(self.effects):
             if effect.name in seen:

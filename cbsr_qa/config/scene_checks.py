@@ -1,4 +1,4 @@
-"""What a scene's loads must keep to, once the size of the sheet is known."""
+"""Checks of a scene's loads against the size of the sheet."""
 
 import math
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from cbsr_qa.plugin import Problem
 from cbsr_qa.simulate import finest_mesh_mm
 
 _ROUNDING_S = 1e-9  # of times that are sums of others
-_PER_SIDE = 16  # points of a head's side that are held against the sheet's edge
+_PER_SIDE = 16  # points of a head's side that are compared with the sheet's edge
 
 #: A load, its place in the file's list, and when it is pressed.
 _Timed = tuple[int, SceneLoad, PressTimes]
@@ -28,7 +28,7 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
     ------
     ConfigError
         If the mesh is too fine for the sheet; listing every load whose centre is off the sheet, that its head cannot
-        press in time, or that meets another head, each with what is allowed.
+        press in time, or that collides with another head, each with the allowed values.
     """
     plan = loaded.value
     finest_mm = finest_mesh_mm(sensor_type)
@@ -46,7 +46,7 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
 
 
 def edge_remarks(plan: ScenePlan, sensor_type: SensorType) -> dict[int, str]:
-    """Say of which loads, by their place in the list from 0, the head is partly over the sheet's edge."""
+    """Remark on loads (numbered from 0) whose head is partly over the sheet's edge."""
     return {
         index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at {_at(load)} is partly over the sheet's"
         " edge; only what lies on the sheet is pressed"
@@ -109,7 +109,7 @@ def _too_late(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
 
 
 def _meeting_heads(head: Indenter, timed: list[_Timed]) -> Iterator[Problem]:
-    """Presses of two heads that are below the hover height at one time and would stand in each other."""
+    """Presses of two heads that are below the hover height at the same time and would collide."""
     down: list[_Timed] = []
     for one in sorted(timed, key=lambda each: each[2].leaves_s):
         index, load, times = one
@@ -141,5 +141,5 @@ def _at(load: SceneLoad) -> str:
 
 
 def _up(time_s: float) -> str:
-    """A time, rounded up so that what is printed works."""
+    """Round a time up so that the printed value works."""
     return f"{math.ceil(100 * time_s - 1e-6) / 100:.2f}"

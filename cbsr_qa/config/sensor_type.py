@@ -47,7 +47,7 @@ Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 
 
 def _mesh(value: object) -> Mesh:
-    """The content of a mesh file, which the loader puts in place of its name."""
+    """The content of a mesh file, by which the loader replaces its name."""
     if not isinstance(value, Mapping):
         raise ValueError("it must be the name of a mesh file")
     try:
@@ -249,7 +249,7 @@ class SensorTypeFile(FileModel[SensorType]):
             return
         found = [Problem(path, what) for path, what in self._pair_problems(count)]
         yield from found
-        if not found and count > 2:  # two pins make a strip: nobody images it
+        if not found and count > 2:  # two pins make a strip, which is not imaged
             pattern = DrivePattern(count, self.pattern.pairs("drive", count), self.pattern.pairs("measure", count))
             for what in imaging_problems(pattern):
                 yield Problem(("pattern",), what)

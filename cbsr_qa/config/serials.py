@@ -1,4 +1,4 @@
-"""What people type to identify things: serial numbers, batches, operators. Nothing else reaches a path or a page."""
+"""Identifiers typed by people: serial numbers, batches, operators. Only valid ones reach a path or a page."""
 
 import re
 import unicodedata
@@ -15,7 +15,7 @@ _IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def validate_serial(text: str) -> str:
-    """Return a serial number that is fit for use.
+    """Return a valid serial number.
 
     Raises
     ------
@@ -26,12 +26,12 @@ def validate_serial(text: str) -> str:
 
 
 def validate_batch(text: str) -> str:
-    """Return a batch name that is fit for use; the same rule as for serial numbers, but it may be empty."""
+    """Return a valid batch name, by the rule for serial numbers; may be empty."""
     return _identifier("batch", text) if text else ""
 
 
 def validate_operator(text: str) -> str:
-    """Return an operator's name that is fit for use; may be empty.
+    """Return a valid operator's name; may be empty.
 
     Raises
     ------
@@ -52,12 +52,12 @@ def validate_operator(text: str) -> str:
 
 
 def validate_reason(text: str) -> str:
-    """Return a reason for a change that is fit to be stored and shown; may be empty.
+    """Return a valid reason for a change; may be empty.
 
     Raises
     ------
     ConfigError
-        If it is longer than 500 characters, or holds line breaks or other characters that cannot be seen.
+        If it is longer than 500 characters, or holds line breaks or other invisible characters.
     """
     hidden = next(
         (character for character in text if unicodedata.category(character)[0] in "CZ" and character != " "), ""

@@ -1,4 +1,4 @@
-"""Station files: what is on the bench and what the bench may do."""
+"""Station files: the instruments of the bench and its limits."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -81,7 +81,7 @@ class MotionTable(Table):
 
 
 class SafetyTable(Table):
-    """``[safety]``: what this station allows, whatever a recipe asks for."""
+    """``[safety]``: limits of this station for any recipe."""
 
     force_N: Positive
     strain_percent: Annotated[float, Field(gt=0, lt=100)]
@@ -109,7 +109,7 @@ class EmulationTable(Table):
 
 
 class ReferenceRingTable(Table):
-    """``[reference_ring]``: resistors in place of a sensor, and what ``cbsr-qa station check`` allows there."""
+    """``[reference_ring]``: resistors in place of a sensor, and their limits in ``cbsr-qa station check``."""
 
     resistance_ohm: Resistance | None = None
     resistances_ohm: Annotated[list[Resistance] | None, Field(min_length=3)] = None
@@ -139,7 +139,7 @@ class ReferenceRingTable(Table):
 
 
 class InstrumentTable(OpenTable):
-    """``[instruments.<role>]``: its driver, what it provides, who it must be, and the driver's own options."""
+    """``[instruments.<role>]``: driver, provided role, expected identity, and the driver's options."""
 
     driver: Name
     provides: Annotated[list[Word], Field(min_length=1)]
@@ -172,7 +172,7 @@ class StationFile(FileModel[Station]):
             )
 
     def problems(self) -> Iterator[Problem]:
-        """Every role filled once; the head one thing only; emulated instruments with a world."""
+        """Every role is filled once, the head by one instrument; emulated instruments have a world."""
         yield from self.indenter.problems()
         yield from self.safety.problems()
         yield from self._unemulated()

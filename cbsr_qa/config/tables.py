@@ -1,4 +1,4 @@
-"""What the models of all configuration files share: strict tables, problems, and how they are worded."""
+"""Shared by the models of all configuration files: strict tables, problems, and their wording."""
 
 import re
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ T = TypeVar("T")
 D = TypeVar("D")
 _PERCENT = "_percent"
 
-#: Problems of a file that are listed.
+#: Most problems of a file that are listed.
 MOST_LISTED = 50
 
 
@@ -46,12 +46,12 @@ class FileModel(CheckedTable, Generic[T]):
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
-        """Yield the plugins that a file names, as far as what it says can be made out."""
+        """Yield the plugins that a file names, as far as it is readable."""
         yield from ()
 
     @classmethod
     def plugin_problems(cls, data: Any, plugins: Plugins) -> Iterator[Problem]:
-        """Yield what is wrong with plugins and their options."""
+        """Yield problems of plugins and their options."""
         for choice in cls.choices(data):
             yield from check_choice(choice, plugins)[1]
 
@@ -78,12 +78,12 @@ def validated(model: type[FileModel[T]], document: Document, plugins: Plugins | 
 
     Parameters
     ----------
-    plugins : to check what the file says of them as well.
+    plugins : to check their options as well.
 
     Raises
     ------
     ConfigError
-        Listing every problem of the file with its line, what was found and what is allowed.
+        Listing every problem of the file with line, value found and allowed values.
     """
     infinite = [Problem(path, "is not a finite number") for path in not_finite(document.data)]
     parsed, problems = check(model, document.data)
@@ -98,7 +98,7 @@ def validated(model: type[FileModel[T]], document: Document, plugins: Plugins | 
 
 
 def refusal(document: Document, problems: list[Problem]) -> ConfigError:
-    """Return the error that lists what is wrong with a file, each with its line; of very many the first ones."""
+    """Return the error that lists the first problems of a file, each with its line."""
     some = "" if len(problems) <= MOST_LISTED else f", of which these are the first {MOST_LISTED}"
     lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}{some}:"]
     placed = [(line_of(document.text, problem.path), problem) for problem in problems]

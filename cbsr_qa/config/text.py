@@ -10,7 +10,7 @@ from cbsr_qa.plugin import KeyPath
 
 
 def plainly(number: float) -> str:
-    """Return a number in few digits, unless that would be another number."""
+    """Return a number in few digits if that is exact."""
     short = f"{number:g}"
     return short if float(short) == number else repr(number)
 
@@ -28,8 +28,8 @@ def line_of(text: str, path: KeyPath) -> int | None:
 
     Returns
     -------
-    1-based line, or None where not even the outermost table is in the text (or it was written in a form
-    this scan does not follow, such as tables inside inline arrays).
+    1-based line, or None if the outermost table is not in the text (or in a form this scan does not follow, such as
+    tables inside inline arrays).
     """
     first = _first_lines(text)
     return next((first[path[:length]] for length in range(len(path), 0, -1) if path[:length] in first), None)
@@ -37,7 +37,7 @@ def line_of(text: str, path: KeyPath) -> int | None:
 
 @lru_cache(maxsize=1)  # a file with a thousand problems is scanned once
 def _first_lines(text: str) -> dict[KeyPath, int]:
-    """First line of every key, and of every table by what is within it."""
+    """First line of every key, and of every table by its contents."""
     first: dict[KeyPath, int] = {}
     for line, place in _places(text):
         for length in range(1, len(place) + 1):
@@ -90,12 +90,12 @@ def _open_string(line: str, inside: str) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """Write a value; tables stand inline.
+    """Write a value; tables are inline.
 
     Raises
     ------
     TypeError
-        If TOML has no such value, as None.
+        If TOML has no such value, e.g. None.
     """
     if isinstance(value, float):
         return float.__repr__(value)  # of numpy's floats too
@@ -117,7 +117,7 @@ def toml_document(document: Mapping[str, Any], comments: Sequence[str] = ()) -> 
 
     Returns
     -------
-    Text that reads back as the same document. Tables within tables of an array stand inline.
+    Text that reads back as the same document. Tables within tables of an array are inline.
     """
     lines = [f"# {one_line(comment)}".rstrip() for comment in comments]
     return "\n".join([*lines, *_table(document, ())]).strip() + "\n"

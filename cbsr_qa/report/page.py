@@ -133,7 +133,7 @@ def _verdict(result: RunResult) -> Banner:
 
 
 def _overridden(result: RunResult) -> tuple[str, ...]:
-    """Say that somebody decided against the verdict; the whole history stands under Traceability."""
+    """Report an override of the verdict; its history is under Traceability."""
     if not result.overrides:
         return ()
     decided = f"The verdict was {result.overrides[-1].words}"

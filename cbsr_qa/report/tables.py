@@ -51,7 +51,7 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def plain(value: float, unit: str) -> str:
-    """Write a value whose uncertainty nobody stated: three digits, but no more decimals than its unit deserves."""
+    """Write a value without a stated uncertainty: three digits, but no more decimals than its unit deserves."""
     most = _DECIMALS.get(unit)
     if most is None or abs(value) >= 1e5 or value == 0:
         return number(value)
@@ -170,7 +170,7 @@ def text_table(
 
 
 def value_cell(measurement: Measurement | None, *, unit: bool = False) -> Cell:
-    """Write a measurement's value, coloured by its outcome; a dash where nobody took it."""
+    """Write a measurement's value, coloured by its outcome; a dash if not taken."""
     if measurement is None:
         return Cell("–")
     outcome = measurement.outcome if measurement.limit is not None else None
@@ -197,7 +197,7 @@ def limit_text(limit: Limit) -> str:
     bounds = [b for b in (limit.lower, limit.upper) if b is not None]
     scale, shown = scaled_unit(max(bounds, key=abs), limit.unit)
     gap = "\N{NO-BREAK SPACE}" if shown else ""
-    written = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as whoever set it did
+    written = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as it was set
     sign = "" if len(bounds) > 1 else "≥ " if limit.lower is not None else "≤ "
     return f"{sign}{' to '.join(written)}{gap}{shown}"
 

@@ -1,4 +1,4 @@
-"""Presses of a sheet, each located from others alone: what mixture, regions and stated errors rest on."""
+"""Presses of a sheet, each located from others alone: the basis of mixture, regions and stated errors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -16,30 +16,30 @@ from cbsr_qa.domain.results import PatternTurns, PlaceMixture, PlaceProcess, Pla
 _FEW: Final = 120
 _BLOCKS_OF_FEW: Final = 40
 _BLOCKS_WITH_SCALES: Final = 10
-#: Blocks of more presses, in the order in which they were made, that are left out in turn.
+#: Larger sets are left out in turn in this many blocks, in the order in which they were made.
 _BLOCKS: Final = 20
-#: Presses nearer to each other than this share of the radius are at one place.
+#: Presses closer than this share of the radius are at the same place.
 _ONE_PLACE: Final = 0.01
 #: Presses that hyperparameters are found with. Of more than :data:`_FEW` each half is located with those of the other
 #: half; of more than _MANY times as many, all but these are located with hyperparameters from these.
 _FOR_SCALES: Final = 200
 _MANY: Final = 4
-#: Levels at which what regions hold is compared with what they are asked to hold.
+#: Levels at which the actual coverage of regions is compared with the nominal one.
 _LEVELS: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, LEVELS[0], 0.75, 0.8, 0.85, 0.9, LEVELS[1], 0.975, 0.99)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
-    """Errors of presses that nothing was learned from when they were located.
+    """Errors of presses located without learning from them.
 
     Parameters
     ----------
-    mean_mm, stderr_mm : distance of the places found from the true ones.
+    mean_mm, stderr_mm : distance of the found from the true places.
     count : presses.
-    presses : (count,) their numbers.
+    presses : (count,) their indices.
     found_mm : (count, 2) places found.
-    levels, held : (k,) what regions are asked to hold, and the shares of the presses that they hold; the sizes of the
-        regions were found with other presses.
+    levels, held : (k,) nominal and actual coverage of regions; the sizes of the regions were found with other
+        presses.
     """
 
     mean_mm: float
@@ -102,7 +102,7 @@ class PressedSheet:
 
     @property
     def visits(self) -> Indices:
-        """For each press (n,) the number of the first one at its place."""
+        """Index of the first press at its place, for each press (n,)."""
         return visits_of(self.places_mm)
 
     def likely(self, presses: Indices) -> PlaceScales:
@@ -147,7 +147,7 @@ class PressedSheet:
         return max(1.0, 1 + (4 * sessions + 2 / 3) * (apart / mixed - 1))
 
     def _parts(self) -> list[tuple[Indices, Indices]]:
-        """Presses that hyperparameters are found with, and those that are located with them."""
+        """Presses for hyperparameters, and presses located with them."""
         count = len(self.places_mm)
         presses = np.arange(count)
         if count > _MANY * _FOR_SCALES:
@@ -172,7 +172,7 @@ class PressedSheet:
 
 
 def visits_of(places_mm: Array) -> Indices:
-    """For each press (n,) at places (n, 2) about their centre the number of the first one at its place."""
+    """Index of the first press at its place, for each press (n,) at places (n, 2) about their centre."""
     cells = np.round(places_mm / (_ONE_PLACE * np.linalg.norm(places_mm, axis=1).max()))
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     visits: Indices = first[cell.ravel()]
@@ -182,7 +182,7 @@ def visits_of(places_mm: Array) -> Indices:
 def coverage_of(out: LeftOut, places_mm: Array, visits: Indices) -> HeldOut:
     """State errors and coverage of presses left out; mixture and regions are learned from the other half of them.
 
-    The standard error takes the errors of presses at one place (of the same number in ``visits``) for one.
+    The standard error counts presses at one place (of the same index in ``visits``) as one.
     """
     count = len(out.presses)
     found, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
@@ -216,5 +216,5 @@ def late_growth(mixture: PlaceMixture, early: LeftOut, late: LeftOut, places_mm:
 
 
 def evenly(count: int, most: int) -> Indices:
-    """Numbers of at most ``most`` of ``count`` presses, evenly spread over the session."""
+    """Indices of at most ``most`` of ``count`` presses, evenly spread over the session."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))

@@ -1,4 +1,4 @@
-"""Learning where a sheet is pressed from presses at known places, and how well: held against presses left out."""
+"""Learning places from presses at known places, with errors from left-out presses."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -39,23 +39,23 @@ FEWEST_PRESSES: Final = 6
 #: presses make more likely is taken: half where all press alike, all of it where forces differ.
 _EXPONENT: Final = 0.7
 _DAMPINGS: Final = (0.5, 1.0)
-#: Logarithm of the likelihood, per press, that damping a frame's whole size must gain.
+#: Least gain in log likelihood per press for damping a frame's whole size.
 _CLEARLY: Final = 0.2
-#: Presses that damping, axes and centre are tried with, and steps of a half turn.
+#: Number of presses used to try damping, axes and centre, and steps of a half turn.
 _FOR_FRAME: Final = 100
 _AXES: Final = 24
 #: Standard error of the centre along an axis, over the radius of what is pressed: of the presses' middle, and of a
 #: centre that was registered.
 _CENTRE: Final = 0.1
 _KNOWN_CENTRE: Final = 0.03
-#: A touch misfits no more than this share of the presses left out, times the room for presses not seen.
+#: Quantile of left-out presses that limits a touch's misfit, times an allowance for unseen presses.
 _MISFIT_LEVEL: Final = 0.98
 _MISFIT_ROOM: Final = 1.2
-#: A touch is at least this share of the 2 % quantile of the sizes learned from.
+#: A touch has at least this share of the 2 % quantile of learned sizes.
 _SIZE_ROOM: Final = 0.5
-#: Places further from the nearest press than this many median distances of neighbours lie outside.
+#: Places further from the nearest press than this many median distances of neighbours are outside.
 _REACH: Final = 4.0
-#: Errors above this share of those of always guessing the middle say that readings tell little.
+#: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
 _POOR: Final = 0.6
 
 Tell = Callable[[str], None]
@@ -63,7 +63,7 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceLearned:
-    """What was learned, how well it does on presses left out, and what to be told about it.
+    """A learned place, its errors on left-out presses, and remarks.
 
     Parameters
     ----------
@@ -96,11 +96,11 @@ def learn_place(
     places_mm : (n, 2) of the presses, in any frame; in the order in which they were made, unless ``time_s`` says it.
     pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
     electrodes : how many there are around the sheet, evenly spaced.
-    centre_mm : (2,) the sheet's centre in the frame of the presses; the middle of the presses where it is not known.
+    centre_mm : (2,) the sheet's centre in the frame of the presses; by default their middle.
     axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`; the likeliest where they are
         not known.
-    time_s : (n,) of the presses; evenly in their order where it is not known. Drift over it is carried further.
-    tell : is told of each step, in words.
+    time_s : (n,) of the presses; by default evenly in their order. Drift over it is extrapolated.
+    tell : receives the progress in words.
 
     Raises
     ------
@@ -179,10 +179,10 @@ def _check(changes: Array, places_mm: Array) -> None:
 def _frame(
     changes: Array, places_mm: Array, turns: PatternTurns, axes: Array | None, centre_mm: Array | None
 ) -> tuple[FeatureScaling, Array, Array]:
-    """Find the damping and the electrodes' axes and centre that make the presses most likely.
+    """Find the most likely damping, and axes and centre of the electrodes.
 
-    First with the scales that a search begins with, then with the likeliest in that frame. A sheet that turns with
-    its electrodes looks the same half a turn on, so that half a turn of axes is tried where none are known.
+    First with the initial scales of a search, then with the likeliest in that frame. A sheet rotated with its
+    electrodes looks the same after half a turn, so half a turn of axes is tried if none are known.
     """
     some = evenly(len(changes), _FOR_FRAME)
     centre = (places_mm.min(axis=0) + places_mm.max(axis=0)) / 2 if centre_mm is None else np.asarray(centre_mm)
@@ -220,13 +220,13 @@ def _beside(axes: Array) -> Array:
 
 
 def _reach(about: Array) -> float:
-    """Distance from the nearest of some different places (n, 2) beyond which none was learned [mm]."""
+    """Distance from the nearest of some different places (n, 2) beyond which nothing was learned [mm]."""
     nearest = np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]
     return float(_REACH * np.median(nearest))
 
 
 def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, drift: Drift | None) -> Iterator[str]:
-    """What a person should know of what was learned."""
+    """Remarks for a person on the learned place."""
     spread_mm = float(np.linalg.norm(sheet.places_mm - sheet.places_mm.mean(axis=0), axis=1).mean())
     if held_out.mean_mm > _POOR * spread_mm:
         yield (

@@ -1,9 +1,9 @@
-"""Gaussian process from features to places: a covariance of its own and one that turns with the sheet.
+"""Gaussian process from features to places: an independent covariance and one that rotates with the sheet.
 
-K(x, x') = v₁ k(|x − x'|₁) I + v₂ Σ_g k(|x − g x'|₂) R_g: the second part is that of all processes whose place turns
-by R_g where the features are those of a sheet turned by g (Reisert & Burkhardt 2007, "Learning equivariant functions
-with matrix valued kernels"). On a uniform sheet every press then teaches about all others of its kind; on a sheet
-without that symmetry the marginal likelihood turns the part off.
+K(x, x') = v₁ k(|x − x'|₁) I + v₂ Σ_g k(|x − g x'|₂) R_g: the second part belongs to processes whose place rotates by
+R_g when the features are those of a sheet rotated by g (Reisert & Burkhardt 2007, "Learning equivariant functions
+with matrix valued kernels"). On a uniform sheet every press then informs about all symmetric ones; on a sheet without
+that symmetry the marginal likelihood switches this part off.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ from cbsr_qa.calibration.place.features import matern, matern_and_slope, squared
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PatternTurns, PlaceProcess, PlaceScales
 
-_ITERATIONS: Final = 25  # L-BFGS; further ones gain less than 0.01 mm on presses left out
-_FURTHEST: Final = 12.0  # of a logarithm from where the search begins
+_ITERATIONS: Final = 25  # L-BFGS steps; further ones gain less than 0.01 mm on left-out presses
+_FURTHEST: Final = 12.0  # of a logarithm from its initial value
 #: Weak log-normal priors: standard deviations of logarithms.
-_SPREAD_OF_SCALES: Final = 1.0  # of single readings about their mean: keeps 192 scales from fitting 100 presses
+_SPREAD_OF_SCALES: Final = 1.0  # of single readings about their mean: prevents 192 scales from fitting 100 presses
 _SPREAD_OF_LENGTH: Final = 1.4
 _SPREAD_OF_TURNING: Final = 2.0
 _SPREAD_OF_VARIANCE: Final = 3.0
@@ -64,7 +64,7 @@ def left_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) -
 
     Returns
     -------
-    NaN for presses of no block.
+    NaN for presses without block.
     """
     predicted = np.full(process.places_mm.shape, np.nan)
     for block in blocks:
@@ -104,7 +104,7 @@ def _inverted(covariance: Array) -> tuple[Array, Array]:
 
 
 def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> PlaceScales:
-    """Hyperparameters of largest marginal likelihood times weak priors.
+    """Hyperparameters of maximum marginal likelihood times weak priors.
 
     Parameters
     ----------
@@ -118,9 +118,9 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
 
 
 def at_edges(scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array) -> list[str]:
-    """Hyperparameters at the edge of the range they are searched in, in words.
+    """Hyperparameters at the edge of their search range, in words.
 
-    One part, one reading or the noise may fade to zero: that is not an edge.
+    One part, one reading or the noise may vanish: that is not an edge.
     """
     begin = start_scales(turns, features, places_mm)
     sizes = {
@@ -134,7 +134,7 @@ def at_edges(scales: PlaceScales, turns: PatternTurns, features: Array, places_m
 
 
 def start_scales(turns: PatternTurns, features: Array, places_mm: Array) -> PlaceScales:
-    """Hyperparameters that a search for the likeliest begins with."""
+    """Initial hyperparameters of a search for the likeliest."""
     likelihood = _Likelihood(turns, features, places_mm)
     return likelihood.scales(likelihood.start())
 
@@ -146,7 +146,7 @@ def frames_likelihoods(
 
     Parameters
     ----------
-    places_mm : (n, 2) about a centre that is known to ``centre_stderr_mm`` along each axis.
+    places_mm : (n, 2) about a centre with the error ``centre_stderr_mm`` along each axis.
     axes : (a, 2, 2) orthogonal.
 
     Returns
@@ -188,14 +188,14 @@ class _Likelihood:
         self._log_variance = float(np.log(np.mean(self._y**2)))
 
     def start(self) -> Array:
-        """Logarithms that a search begins with: one length, that of the median distance."""
+        """Initial logarithms of a search: one length, that of the median distance."""
         begin = np.full(3 + self._readings + self._orbits, self._log_scale)
         begin[:2] = self._log_variance
         begin[2] = self._log_variance + np.log(_NOISE_SHARE)
         return begin
 
     def scales(self, logs: Array) -> PlaceScales:
-        """Scales of their logarithms: three variances, the readings', and the orbits'."""
+        """Scales from their logarithms: three variances, the readings', and the orbits'."""
         own, turning, noise = np.exp(logs[:3]).tolist()
         each = np.exp(logs[3 : 3 + self._readings])
         return PlaceScales(own, turning, noise, each, np.exp(logs[3 + self._readings :])[self._orbit])

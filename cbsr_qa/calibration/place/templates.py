@@ -1,8 +1,8 @@
-"""What each reading is expected to be over the sheet, and where a frame of readings fits best.
+"""Expected readings over the sheet, and the place that fits a frame of readings best.
 
-Every reading is a smooth function of place: first one shared by all readings that become each other when the sheet is
-turned, from all presses so turned, then a Gaussian process of its own for what that leaves. What presses that were
-left out differ by from their templates gives the covariance of the readings (shrunk as by Schäfer & Strimmer 2005).
+Every reading is a smooth function of place: a function shared by all readings that are equal under rotations of the
+sheet, from all rotated presses, plus a separate Gaussian process for the residual. Differences of left-out presses
+from their templates give the covariance of the readings (shrunk as by Schäfer & Strimmer 2005).
 """
 
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from cbsr_qa.calibration.place.features import matern, squared_distances
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PatternTurns, PlaceTemplates
 
-#: Power the likelihood is raised to: the readings' errors have causes in common that the covariance of a few presses
-#: does not show. Chosen on presses left out of both kinds of sheet; 0.1 to 0.3 are within 2 % of one another.
+#: Power of the likelihood: the readings' errors have common causes that the covariance of a few presses does not
+#: show. Chosen on left-out presses of both kinds of sheet; 0.1 to 0.3 are within 2 % of one another.
 TEMPERING: Final = 0.2
 #: Power of the determinant of a template's own uncertainty beside that.
 _DETERMINANT: Final = 0.7
 #: Places along a radius of the grid, and nodes of the shared functions.
 _ALONG_RADIUS: Final = 16
 _NODES_ALONG_RADIUS: Final = 5.5
-#: Lengths over which readings change, in radii of what is pressed, that are tried.
+#: Correlation lengths of readings that are tried, in radii of the pressed area.
 _LENGTHS: Final = (0.35, 0.5, 0.65, 1.0)
 _SHARED_LENGTH: Final = 0.65
 _RATIOS: Final = np.exp(np.linspace(-5, 5, 21))  # of noise to signal, as variances
@@ -33,7 +33,7 @@ _SMOOTH: Final = 0.6
 #: Presses' worth of trust that the shared part has no offset.
 _TRUST: Final = 5
 NO_PRESS: Final[Indices] = np.arange(0)
-#: Presses that lengths and ratios are found with; all are used for the templates.
+#: Presses for lengths and ratios; all presses are used for the templates.
 _FOR_LENGTHS: Final = 400
 
 
@@ -63,7 +63,7 @@ def expected_features(templates: PlaceTemplates) -> Array:
 
 
 def likeness(expected: Array, features: Array) -> Array:
-    """How many times expected features (k, m) features (n, m) are, by least squares: (n, k)."""
+    """Least-squares factor (n, k) of features (n, m) relative to expected features (k, m)."""
     times: Array = features @ expected.T / np.maximum((expected**2).sum(axis=1), np.finfo(float).tiny)
     return times
 
@@ -147,7 +147,7 @@ class Smoothness:
 
 
 def smoothness(rest: Array, places_mm: Array, radius_mm: float) -> Smoothness:
-    """Length and ratio of largest marginal likelihood, each reading's variance found with them.
+    """Length and ratio of maximum marginal likelihood, with each reading's variance.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def _ridge(squares: Array, along: Array, total: Array, count: int, presses: int)
 
 
 def _shrunk_covariance(errors: Array) -> Array:
-    """Covariance (m, m) of errors (n, m), its correlations shrunk towards none (Schäfer & Strimmer 2005)."""
+    """Covariance (m, m) of errors (n, m), its correlations shrunk towards zero (Schäfer & Strimmer 2005)."""
     count, readings = errors.shape
     deviation = np.sqrt((errors**2).mean(axis=0))
     deviation = np.maximum(deviation, 1e-6 * deviation.max(initial=np.finfo(float).tiny))

@@ -283,7 +283,7 @@ class LimitsVersion:
     ----------
     version : its name; every limit that belongs to it carries it.
     date : ISO date it was made on.
-    lot : in words, the golden lot it was proposed from; empty for limits that somebody set.
+    lot : in words, the golden lot it was proposed from; empty for limits set by hand.
     coverage_percent, confidence_percent : share of good sensors each limit holds, and how sure that is; None if not
         stated.
     rule : in words, how a value is judged against limit and guard band; empty if not stated.

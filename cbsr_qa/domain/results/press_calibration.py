@@ -134,7 +134,7 @@ class PressCalibration:
         number.
     covered_68, covered_95 : share of these whose region of that probability holds the label.
     place : model that converts changes to places.
-    modelled : the same by the modelled sheet alone; None in files of before.
+    modelled : the same by the modelled sheet alone; None in earlier files.
     force, depth : what turns located changes into newtons and millimetres; None where presses had none.
     digest, record_digest, file : as of :class:`~cbsr_qa.domain.results.Calibration`.
     """

@@ -22,7 +22,7 @@ class EarlierRun:
     Parameters
     ----------
     outcome, reason : of its latest analysis; None and empty where it has none.
-    overridden : the outcome somebody decided on instead, and who; None where nobody did.
+    overridden : outcome of an override, and its operator; or None.
     of_check : whether it belongs to a check of a station.
     changed : what is not as it was stored; nothing but name, day and recipe is then known. Empty where nothing is.
     chained : whether changed rows of it would be noticed.

@@ -161,7 +161,7 @@ class RunSession:
     ----------
     started_s, ended_s : on the run's time line [s]; no end if interrupted.
     end, detail : how it ended; RUNNING if interrupted.
-    operator, software : who began or resumed it, and with what; empty where nobody noted it.
+    operator, software : of its start or resumption; empty if not recorded.
     noted_at : when by the wall clock, for people; None if not recorded.
     """
 

@@ -16,9 +16,9 @@ class CheckOutcome(StrEnum):
     """Outcome of one line of a check, or of the whole check."""
 
     OK = "ok"
-    WARNING = "warning"  #: nothing that forbids a run, but somebody should know
+    WARNING = "warning"  #: does not forbid a run, but needs attention
     FAILED = "failed"
-    NOT_DONE = "not done"  #: nobody asked for it, or it cannot be done at this station; never a pass
+    NOT_DONE = "not done"  #: not requested, or impossible at this station; never a pass
 
 
 #: From worst to best: a check is as good as its worst line.

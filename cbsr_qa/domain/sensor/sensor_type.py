@@ -117,7 +117,7 @@ class Parameter:
 
     Parameters
     ----------
-    value, stderr : in the unit the material file's key names; ``stderr`` is None where nobody stated one.
+    value, stderr : in the unit the material file's key names; ``stderr`` is None if not stated.
     source : a citation, or "chosen by us" with the reason.
     """
 
@@ -134,7 +134,7 @@ class QuasiStatic:
     ----------
     slope : α, per kPa for stress and per unit strain for strain.
     intercept : β, relative.
-    covariance : of slope and intercept, in the product of their units; None where nobody stated one.
+    covariance : of slope and intercept, in the product of their units; None if not stated.
     """
 
     slope: Annotated[Parameter, Kept("slope", OWN)]
@@ -142,7 +142,7 @@ class QuasiStatic:
     covariance: Annotated[float | None, Kept(units=OWN)] = None  # β has the unit 1
 
     def variance(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Variance (n,) of the change at stresses or strains (n,); an error nobody stated counts as none."""
+        """Variance (n,) of the change at stresses or strains (n,); an unstated error counts as 0."""
         slope, intercept = self.slope.stderr or 0.0, self.intercept.stderr or 0.0
         return np.maximum((slope * x) ** 2 + intercept**2 + 2 * x * (self.covariance or 0.0), 0.0)
 
@@ -190,7 +190,7 @@ class StripRelaxation:
 
     Parameters
     ----------
-    loading, unloading : of a unit step; None where none could be told.
+    loading, unloading : of a unit step; None if not determined.
     cycles : that it was learned from.
     least_strain, largest_strain : of these, as fractions.
     source : where it comes from.

@@ -125,7 +125,7 @@ class SerialLink:
         return data
 
     def _filling(self, allowed_s: float) -> Iterator[None]:
-        """Come back after everything that was received, the first time at once, until the time is over."""
+        """Yield after every reception, the first time at once, until the time is over."""
         until_s = self._time.now() + allowed_s
         yield
         while (left_s := until_s - self._time.now()) > 0:

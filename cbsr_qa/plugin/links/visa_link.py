@@ -175,7 +175,7 @@ class VisaLink:
 
     @contextmanager
     def _mapped(self) -> Iterator[None]:
-        """Turn what pyvisa and the libraries below it leak into one error."""
+        """Convert errors of pyvisa and the libraries below it to one error."""
         try:
             yield
         except VisaIOError as error:

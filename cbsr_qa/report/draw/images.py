@@ -193,7 +193,7 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutli
 
 
 def _draw_track(axes: Axes, track: NDArray[np.float64]) -> None:
-    """Draw a way from a ring to a dot, readable on dark and pale images."""
+    """Draw a path from a ring to a dot, readable on dark and pale images."""
     for width, colour, order in ((2.4, "white", 4.5), (0.9, INK, 5)):
         axes.plot(*track.T, color=colour, linewidth=width, zorder=order)
     for place, face in ((track[0], "white"), (track[-1], INK)):

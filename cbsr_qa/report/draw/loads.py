@@ -187,7 +187,7 @@ def _draw_small(axes: Axes, load: SeenLoad, raster: Raster, shift: tuple[float, 
 
 
 def _write_small(axes: Axes, load: SeenLoad, centre: tuple[float, float], half: float, radius: float) -> None:
-    """Write the title above a small picture of this half height, and what was found below it."""
+    """Write the title above a small picture of this half height, and the findings below it."""
     x, y = centre
     axes.text(x, y + half + 0.03 * radius, load.title, ha="center", va="bottom", fontsize=6.5)
     note = "not detected" if load.error_mm is None else f"error {load.error_mm:.1f} mm"

@@ -62,7 +62,7 @@ def baseline_figure(places: Sequence[BaselineConductance], sensor: SensorType, i
 
 
 def _draw_head(axes: Axes, place: BaselineConductance, head: Path, norm: Normalize, gap_mm: float) -> None:
-    """Colour the head's outline by the value there, with its name in it and the value below."""
+    """Fill the head's outline with the colour of its value; write its name and value."""
     face: str | tuple[float, float, float, float] = "white"
     edge, text, colour = VERMILION, "no value", INK
     if place.value is not None:

@@ -186,7 +186,7 @@ def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
 
 
 def _draw_time(axes: Axes, settled_s: float, end_s: float, *, late: bool) -> None:
-    """Mark a settling time, with its words on the side where there is room."""
+    """Mark a settling time, with its label on the side with room."""
     sign = "≥ " if late else ""
     axes.axvline(settled_s, color=VERMILION, linewidth=0.9, linestyle=DASHED, zorder=2)
     ha, shift = ("right", (-3, -2)) if settled_s > 0.6 * end_s else ("left", (3, -2))

@@ -92,7 +92,7 @@ class DriverBase:
         return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)
 
     def _repeated(self, error: InstrumentError, *, retryable: bool) -> InstrumentError:
-        """Return an error of this instrument, with or without another attempt."""
+        """Return an error of this instrument, retryable or not."""
         reason = error.reason.removeprefix(f"{error.role} at {error.address}: ")
         return self._error(reason, error.remedy, retryable=retryable)
 

@@ -17,7 +17,7 @@ from cbsr_qa.domain import InstrumentError
 from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa.system import Clock, RealClock
 
-#: Whoever wants samples comes every few seconds; an hour holds any pause between two steps [s].
+#: Samples are fetched every few seconds; an hour covers any pause between two steps [s].
 KEPT_S: Final = 3600.0
 
 
@@ -216,7 +216,7 @@ class LineSampler:
     # --- reading ---
 
     def _drain(self) -> None:
-        """Read what has come up to now, in the calling thread."""
+        """Read pending input, in the calling thread."""
         with self._keeping:
             try:
                 self._mend()

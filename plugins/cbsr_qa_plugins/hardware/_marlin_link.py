@@ -106,7 +106,7 @@ class MarlinLink:
     # --- start ---
 
     def _begin(self) -> None:
-        """Wait until the printer has booted, and count lines from here on."""
+        """Wait until the printer has booted, and restart line numbers."""
         self._number = _FIRST_NUMBER
         until_s = self._time.now() + self._boot_s
         while not self._answers_token(_KNOCK_S):

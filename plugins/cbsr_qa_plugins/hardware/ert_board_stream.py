@@ -187,7 +187,7 @@ class ErtBoardStream(DriverBase):
         )
 
     def _waited(self) -> bytes:
-        """Return what has come by now, waiting a moment for what is on its way."""
+        """Return pending input, after a short wait for more."""
         try:
             first = self._link.read(1, timeout_s=_ON_ITS_WAY_S)
         except InstrumentError as error:
@@ -197,7 +197,7 @@ class ErtBoardStream(DriverBase):
         return first + self._link.read_available()
 
     def _drain(self) -> None:
-        """Throw away all that was sent before now, also what the computer has not handed on yet."""
+        """Discard all earlier data, including what the computer still buffers."""
         self._ready.clear()
         self._stream.restart()
         self._read_s = -math.inf

@@ -181,7 +181,7 @@ class Esp32Multiplexer(DriverBase):
                 return
 
     def _check_order(self) -> None:
-        """See by two steps and the counter that it does what the station file says."""
+        """Check by two steps and the counter that it follows the station file."""
         with self._talking():
             self._check_counter(self._asked())
             self._started()

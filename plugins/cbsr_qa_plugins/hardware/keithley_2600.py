@@ -85,7 +85,7 @@ def open_source_meter(context: StationContext, options: KeithleyOptions) -> "Kei
     ConfigError
         If an option is unknown or out of range.
     InstrumentError
-        If nobody answers, another instrument does, or it does not take its settings.
+        If there is no answer, another instrument answers, or it does not accept its settings.
     """
     return Keithley2600(context, options)
 
@@ -297,7 +297,7 @@ class Keithley2600(DriverBase):
             self._unit.write(f"{channel}.source.output = 0")
 
     def _confirmed_off(self) -> None:
-        """Switch off and read back, a second time where the link was out of step."""
+        """Switch off and read back, again if the link was out of step."""
         self._given_A = None
         ready, self._ready = self._ready, False
         if ready:

@@ -202,7 +202,7 @@ class ManualLoadCell(HandRead):
         return self._head.down and self._clock.now() - self._last[0] > self._again_s
 
     def _read(self) -> float:
-        """Ask for the tare if it is not known yet, then for a reading."""
+        """Ask for the tare if unknown, then for a reading."""
         down = self._head is not None and self._head.down
         orders = -1 if self._head is None else self._head.orders
         if self._tare is None and not down:

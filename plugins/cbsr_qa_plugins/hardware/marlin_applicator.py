@@ -84,7 +84,7 @@ def open_applicator(context: StationContext, options: MarlinOptions) -> "MarlinA
     ConfigError
         If an option is unknown, missing or out of range.
     InstrumentError
-        If nobody answers at the address, or another instrument or firmware does.
+        If there is no answer at the address, or another instrument or firmware answers.
     """
     if context.motion is None:
         raise ConfigError(

@@ -191,7 +191,7 @@ class PhidgetSource(DriverBase):
 
 
 def _bridge_input(role: str) -> Any:
-    """Make a bridge input of the library, which loads libusb at this moment."""
+    """Create a bridge input of the library, which loads libusb."""
     try:
         devices = import_module("Phidget22.Devices.VoltageRatioInput")
     except ImportError as error:

@@ -170,7 +170,7 @@ class ScannedFrames(DriverBase):
         )
 
     def _check_round(self) -> None:
-        """See that a whole round has brought the multiplexer back to its first combination."""
+        """Check that a whole round ended at the multiplexer's first combination."""
         at = self._multiplexer.position()
         if at != 0:
             count = len(self._multiplexer.order())
@@ -248,7 +248,7 @@ class ScannedFrames(DriverBase):
         return faults
 
     def _chosen_A(self, ohm: NDArray[np.float64]) -> float:
-        """Return the stated current if it leaves the headroom, or the largest round one that does."""
+        """Return the stated current if it leaves the headroom, else the largest round one that does."""
         known = np.abs(ohm[np.isfinite(ohm)])
         most_A = self._largest_A
         if known.size and known.max() > 0:

@@ -41,7 +41,7 @@ class GreitFiguresOfMerit:
 
 
 def _expected(load: LoadObservation, run: RunObservation) -> float:
-    """Size of the relative change that the material file expects under the head."""
+    """Relative change that the material file predicts under the head."""
     known = run.record.material.against_strain
     return abs(known.slope.value * load.record.load.strain + known.intercept.value)
 

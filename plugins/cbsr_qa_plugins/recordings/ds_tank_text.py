@@ -72,7 +72,7 @@ def _read_frame(path: Path) -> tuple[FrameBlock, list[RowProblem]]:
 
 
 def _rows(path: Path) -> tuple[Rows, list[RowProblem]]:
-    """Return the rows by line, without the copy of the last one that these files end in."""
+    """Return the rows by line, without the repeated last one of these files."""
     lines = islice(text_lines(path), _MOST_LINES)
     if not any(line.text.strip() == _START for line in lines):
         raise RecordingError(f"{path.name} has no {_START} line", remedy="this is not a whole DS tank file")

@@ -105,7 +105,7 @@ def _elements(data: bytes) -> Iterator[tuple[memoryview, bool, str]]:
 
 
 def _unpacked(element: memoryview, most: int) -> memoryview:
-    """The first bytes of a packed variable, behind its tag."""
+    """First bytes of a packed variable, after its tag."""
     try:
         return memoryview(zlib.decompressobj().decompress(element, most + 8))[8:]
     except zlib.error as error:

@@ -124,7 +124,7 @@ def _row_width(lines: list[BoardLine]) -> int:
 
 
 def _judged(lines: list[BoardLine], width: int, scale: CountScale) -> tuple[list[BoardLine], list[RowProblem]]:
-    """Turn bad rows into garbled ones and say what is wrong with each."""
+    """Replace bad rows by garbled ones that describe the fault."""
     judged: list[BoardLine] = []
     # The board prints a comma behind each number; a spreadsheet that saved the file again took the last one away.
     closed = [line.closed for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]

@@ -95,7 +95,7 @@ def _by_location(result: RunResult, judged: Sequence[Measurement]) -> list[Block
 
 
 def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str:
-    """Say where the limits come from that carry a version, and what they promise."""
+    """Describe the origin and the guarantee of versioned limits."""
     members = sum(m.limit is not None and m.limit.version == version.version for m in judged)
     lot = f" from the golden lot {version.lot}" if version.lot else ""
     words = f"{plural(members, 'limit')} of version {version.version}, made {version.date}{lot}."

@@ -119,7 +119,7 @@ def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
 
 
 def _changes(history: ChangeHistory) -> Block:
-    """What was changed in the files of the run since this sensor type last passed this recipe."""
+    """List changes in the run's files since this sensor type last passed this recipe."""
     since = (
         f"since this type of sensor last passed this recipe (run {history.accepted_run})"
         if history.accepted_run

@@ -10,7 +10,7 @@ from cbsr_qa.domain.run import Load
 from cbsr_qa.plugin import Array, PluginOptions
 
 #: Lowest strain any sequence may request [%]: 0.04 mm of a 4 mm sheet, less than one step of 0.05 mm in which the
-#: head feels for the surface. Whoever asks for less has written a fraction instead of per cent.
+#: head feels for the surface. A lower value is a fraction written instead of per cent.
 STRAIN_FLOOR_PERCENT: Final = 1.0
 #: Highest strain any sequence may request [%]; what the station allows is checked by the runner besides.
 STRAIN_CEILING_PERCENT: Final = 60.0

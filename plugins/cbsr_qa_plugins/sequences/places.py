@@ -2,7 +2,7 @@
 
 The paper's grid: every location at every strain, a number of times.
 
-Presses given one by one: those of a publication, or of a list somebody else pressed.
+Presses given one by one, e.g. from a publication or another list.
 """
 
 import hashlib
