@@ -82,7 +82,10 @@ _HOSTILE = {
     "huge lattice": ({"force/lattice/columns": _HUGE, "force/lattice/rows": _HUGE}, "2 to 10000 are allowed"),
     "negative spacing": ({"force/lattice/spacing": -10.0}, "not positive"),
     "spacing NaN": ({"force/lattice/spacing": np.nan}, "force/lattice/spacing is nan; a finite number is expected"),
-    "template NaN": ({"force/templates": np.full((52, 7), np.nan)}, "force/templates holds a value that is not a finite"),
+    "template NaN": (
+        {"force/templates": np.full((52, 7), np.nan)},
+        "force/templates holds a value that is not a finite",
+    ),
     "templates long": ({"force/templates": np.ones((52, 7))}, "not of the length one"),
     "templates flat": ({"force/templates": np.ones(52)}, "force/templates has the shape"),
     "fewer templates": ({"force/templates": np.ones((9, 7)) / np.sqrt(7)}, "does not fit 9 nodes"),
