@@ -133,7 +133,7 @@ def test_drift_over_a_session_widens_regions(sheet, learned):
     assert size["in order"] > 2 * size["shuffled"]
 
 
-@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("timed", [True, pytest.param(False, marks=pytest.mark.rest)])
 def test_a_re_check_tells_where_readings_have_gone(sheet, timed):
     """Gains and offsets that differ by 40 % long after the session, and nine presses then; without times, a jump."""
     random = np.random.default_rng(5)

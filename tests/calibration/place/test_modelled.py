@@ -32,6 +32,7 @@ def test_presses_of_a_sheet_as_modelled_are_in_its_model(kind):
     assert np.linalg.norm(places.place_mm - pressed.labels_mm[9:], axis=1).mean() < 4
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", ["no_pattern", "parallel_lines"])
 def test_presses_of_a_real_skin_are_flagged_as_not_as_modelled(skins, name):
     """The requirement is 95 %; make soak holds it with draws of nine."""

@@ -104,7 +104,7 @@ def test_readings_that_have_nothing_to_do_with_the_places_are_not_trusted():
     assert "explains" in shuffled.registration.why
 
 
-@pytest.mark.parametrize("radius_stated", [True, False])
+@pytest.mark.parametrize("radius_stated", [True, pytest.param(False, marks=pytest.mark.rest)])
 def test_nine_presses_of_a_real_skin_are_registered_as_two_thousand_are(skins, radius_stated):
     plain, sheet = skins("no_pattern"), ModelledSheet(round_sensor())
     whole = register_presses(sheet, plain.pairs, plain.changes, plain.labels_mm, radius_stated=radius_stated)

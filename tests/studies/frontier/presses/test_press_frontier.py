@@ -200,6 +200,7 @@ def asked(folder, *options):
     return ["frontier", *(str(part) for pair in pairs for part in pair), "--differences", *options]
 
 
+@pytest.mark.rest
 def test_presses_of_ones_own_are_learned_from_and_recommended(tmp_path, capsys):
     """From seven presses of a simulated sheet, five others are located within the spread of all."""
     pressed_sheet(12, seed=3, noise=0.02).write(tmp_path)
