@@ -125,7 +125,8 @@ def find_places(
             break
         chosen, explained = moved, explained + gain
     places = _all_refined(change, match, chosen)
-    while len(places) < most and (weak := _weak(change, match, places, noise)):
+    # Beside one load alone, what drift and the sheet's own shape leave would be taken for another.
+    while 1 < len(places) < most and (weak := _weak(change, match, places, noise)):
         places.append(weak)
     explained = _explained(change, match, [place.index for place in places])
     return tuple(sorted(places, key=lambda place: -abs(place.score))), explained / total
