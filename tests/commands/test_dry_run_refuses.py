@@ -70,7 +70,7 @@ def foreign_database(folder):
             pytest.param(*other, marks=pytest.mark.rest)
             for other in (
                 (too_long, "the head is down for 60 s; the station allows 30 s"),
-                (worked_by_hand, "nobody is there to be asked"),
+                (worked_by_hand, "there is no operator to ask"),
                 (no_folder_for_reports, "folder var/reports cannot be written to"),
                 (foreign_database, "belongs to another program"),
             )
