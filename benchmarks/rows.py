@@ -15,7 +15,7 @@ class Row:
     goal : to reach, in words; empty for a figure that is only reported.
     here : what was measured.
     peer : result of other software in the same run, or its published value with the source.
-    met : whether the goal is reached; None if there is none.
+    met : whether the goal is reached; None without one.
     """
 
     what: str

@@ -122,7 +122,7 @@ def _characterised(
 def calibrated(
     conclusion: Conclusion, recipe: Recipe, *, calibration: str, issued_at: str
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration of a run that passed and an empty reason, or None and why there is none.
+    """Return the calibration of a run that passed and an empty reason, or None and the reason.
 
     Parameters
     ----------

@@ -50,7 +50,7 @@ def check_choice(choice: Choice, plugins: Plugins) -> tuple[object, list[Problem
 
     Returns
     -------
-    The plugin (its factory where it was not made, None if there is none), and what is wrong.
+    The plugin (its factory where it was not made, None without one), and what is wrong.
     """
     try:
         factory = plugins.factory(choice.kind, choice.name)

@@ -121,7 +121,7 @@ def plural(count: int, one: str, many: str = "") -> str:
 
 
 def dashed(value: T | None, write: Callable[[T], str]) -> str:
-    """Write a value; a dash where there is none."""
+    """Write a value; a dash for None."""
     return "–" if value is None else write(value)
 
 
@@ -138,7 +138,7 @@ class Uncertain(Protocol):
 
 
 def parameter_text(parameter: Uncertain | None, scale: float = 1.0) -> str:
-    """Write an estimate times ``scale`` with its standard error; a dash where there is none."""
+    """Write an estimate times ``scale`` with its standard error; a dash for None."""
     if parameter is None:
         return "–"
     stderr = None if parameter.stderr is None else scale * parameter.stderr
@@ -203,7 +203,7 @@ def limit_text(limit: Limit) -> str:
 
 
 def margin_text(measurement: Measurement) -> str:
-    """Write the distance from the nearer bound, negative outside; empty if there is none.
+    """Write the distance from the nearer bound, negative outside; empty without one.
 
     Of a lower bound that fails it is written too: it is at best that far outside.
     """

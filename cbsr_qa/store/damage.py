@@ -115,7 +115,7 @@ def _first_line(text: str) -> str:
 def foreign_cell(
     connection: Connection, rows: Iterable[tuple[Table, ColumnElement[bool]]], what: str = "the database is damaged"
 ) -> StoreError | None:
-    """Return the error for the first cell that its column cannot hold; None if there is none.
+    """Return the error for the first cell that its column cannot hold; None without one.
 
     SQLite keeps bytes in a column of text, and text in one of numbers, dates or JSON.
 

@@ -99,7 +99,7 @@ def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> Iterator[b
 
 
 def writer_of(engine: Engine, run: str) -> str:
-    """Return the writer of a run; empty if there is none."""
+    """Return the writer of a run; empty without one."""
     file = sqlite_file(engine.url)
     if file is not None:
         who = holder(_lock_file(file, run))

@@ -79,7 +79,7 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
 
     Returns
     -------
-    The objects, or why there is none.
+    The objects, or why none was found.
     """
     places, explained = find_places(change, match)
     if not places or abs(places[0].score) < _DETECTED or explained < _EXPLAINED:
@@ -103,7 +103,7 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
 
     Returns
     -------
-    One object per stretch in which it is seen, or why there is none.
+    One object per stretch in which it is seen, or why none was found.
     """
     seen: list[tuple[int, Place]] = []
     best = 0.0

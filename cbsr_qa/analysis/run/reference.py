@@ -147,7 +147,7 @@ def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _with(record: RunRecord, kept: FrameBlock, lost_s: NDArray[np.float64]) -> RunRecord:
-    """Return the run with its kept frames, mended, instead of all."""
+    """Return the run with only its kept frames, their spikes replaced."""
     phases, first = list[PhaseRecord](), 0
     for phase in record.phases:
         if phase.frames is None:

@@ -176,7 +176,7 @@ class RunOutcome:
         seed: int = 0,
         resume: str = "",
     ) -> Self:
-        """Return the outcome of a result; ``material`` is the file, and the reason if there is none."""
+        """Return the outcome of a result; ``material`` is the file, and the reason if it is missing."""
         record, verdict, version = result.record, result.verdict, result.limits_version
         return cls(
             run=record.identity.run,

@@ -73,7 +73,7 @@ class CycleReadings:
     rested_s, rested : the same from the end of the release.
     before : the last changes before the press, (k,).
     stress_s, stress_kPa : (m,) times from the end of the press and stress; empty where no force can be used.
-    stress_why : why there is none.
+    stress_why : why it is missing.
     """
 
     load: int
@@ -224,11 +224,11 @@ class Characterisation:
     local_against_strain, local_against_stress : under the head, corrected for the rest of the strip.
     end_of_hold : slopes against strain of the changes as they were read at the end of the holds, without what fits
         add: from before the press, and from the rested strip.
-    modulus_kPa : slope of the steady stress against strain; None if there is none.
+    modulus_kPa : slope of the steady stress against strain; None without one.
     strain_offset : where that line crosses zero stress: by how much the surface was missed.
     settlings : by strain and of all strains.
     loading, unloading, stress : kernels of a unit step; None if not determined.
-    relaxation : those of conductance by the estimator of sheets, with their errors; None if there is none.
+    relaxation : those of conductance by the estimator of sheets, with their errors; None without one.
     lowest_strain : least strain at which the local line is clear of zero; None where it never is.
     residue : share of a release that outlasts the relaxation, and the time constant it fades with [s]; None where
         none was found.

@@ -287,7 +287,7 @@ class LimitsVersion:
     coverage_percent, confidence_percent : share of good sensors each limit holds, and how sure that is; None if not
         stated.
     rule : in words, how a value is judged against limit and guard band; empty if not stated.
-    data_sha256 : of the measurements of the lot; empty if there is none.
+    data_sha256 : of the measurements of the lot; empty without one.
     sealed : whether the limits were checked to be those that were proposed.
     """
 

@@ -142,7 +142,7 @@ class MaskView:
     fraction : p, of the image's maximum.
     blobs : every blob, heaviest first; empty is "no blob".
     sensed : the blob nearest to the indenter (where several loads are held at once, the one assigned to this load);
-        None if there is none. Amplitudes are taken over its elements.
+        None without one. Amplitudes are taken over its elements.
     contour : the same bounded by a contour, where ``settings.outline`` asks for it; None elsewhere.
     fate : ``"apart"``, ``"merged"`` (its region is another load's too) or ``"missed"``.
     regions : number of regions there are, of which every load has at most one.
@@ -219,7 +219,7 @@ class LoadObservation:
         return self.record.release_start_s - self.record.hold_start_s
 
     def relaxation(self, signal: str, *, loading: bool) -> RelaxationObservation | None:
-        """Return the relaxation of a signal after the press or after the release; None if there is none."""
+        """Return the relaxation of a signal after the press or after the release; None without one."""
         return next((r for r in self.relaxations if r.signal == signal and r.loading == loading), None)
 
     def mask(self, fraction: float) -> MaskView | None:

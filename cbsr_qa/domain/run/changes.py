@@ -225,7 +225,7 @@ class ChangeHistory:
 
     Parameters
     ----------
-    accepted_run : the latest earlier run of the sensor type with the recipe that passed; empty if there is none, and
+    accepted_run : the latest earlier run of the sensor type with the recipe that passed; empty without one, and
         ``changes`` are then all there are.
     changes : oldest first; those of the run itself among them.
     """

@@ -39,7 +39,7 @@ class PlacedLoad:
     ----------
     label : short name.
     pressed : outline of the indenter where it pressed.
-    imaged_mm : centre of mass of the sensed region; None if there is none.
+    imaged_mm : centre of mass of the sensed region; None without one.
     estimated_mm, covariance_mm2 : of the estimate, (2,) and (2, 2); None where it was refused.
     """
 

@@ -107,7 +107,7 @@ class SettledLoad:
     relaxations: tuple[RelaxationObservation, ...]
 
     def one(self, signal: str, loading: bool) -> RelaxationObservation | None:
-        """Return the relaxation of a signal in a direction; None if there is none."""
+        """Return the relaxation of a signal in a direction; None without one."""
         return next((r for r in self.relaxations if r.signal == signal and r.loading == loading), None)
 
 

@@ -49,7 +49,7 @@ class RunSummary:
     Parameters
     ----------
     end : RUNNING if it was interrupted or is in progress.
-    outcome, reason : of its latest analysis; None and empty if there is none.
+    outcome, reason : of its latest analysis; None and empty without one.
     """
 
     run: str

@@ -155,7 +155,7 @@ def runs_without_result(engine: Engine) -> tuple[tuple[str, str], ...]:
 
 
 def latest_id(engine: Engine) -> str:
-    """Return the highest stored identifier; empty if there is none."""
+    """Return the highest stored identifier; empty without one."""
     columns = (
         RunRow.run,
         AnalysisRow.analysis,

@@ -157,7 +157,7 @@ def _seconds(setting: Setting) -> float:
 
 
 def _chosen(tried: Sequence[tuple[Setting, Point]], wish: Wish) -> tuple[Recommended | None, str]:
-    """The recommended setting, or why there is none."""
+    """The recommended setting, or why none is recommended."""
     if not tried:
         return None, "only the computer's clock was swept"
     paper = next((point for setting, point in tried if setting == PAPER), None)

@@ -37,8 +37,8 @@ from cbsr_qa.report import (
 )
 from cbsr_qa.report.draw import arrow_scale, location_map_figure, mask_timeline_figure
 
-#: Standard errors from which on a shift, a turn or a scale of all locations is more than scatter. In 5 % of the runs
-#: of nine presses in which there is none one of them is beyond it.
+#: Standard errors above which a shift, a rotation or a scale of all locations is more than scatter. Without any, one
+#: of the three exceeds this in 5 % of runs of nine presses.
 _CLEAR = 3.0
 
 
