@@ -7,25 +7,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from pressed_sheets import adjacent_pairs, pressed_sheet, some, table
+from pressed_sheets import SKIN_TOML, adjacent_pairs, pressed_sheet, some, table
 from typer.testing import CliRunner
 
 from cbsr_qa.analysis import write_recording
 from cbsr_qa.cli import app
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
-
-TYPE = """
-[sensor_type]
-name = "skin"
-radius_mm = 73
-thickness_mm = 3
-[electrodes]
-kind = "pin"
-count = 16
-ring_radius_mm = 70.08
-diameter_mm = 2.19
-"""
 
 
 def run(*arguments):
@@ -48,7 +36,7 @@ def pressed():
 def folder(pressed, tmp_path_factory):
     folder = tmp_path_factory.mktemp("presses")
     pressed.write(folder, labels={"force_N": pressed.force_N})
-    (folder / "T.toml").write_text(TYPE)
+    (folder / "T.toml").write_text(SKIN_TOML)
     done = calibrated(folder, "--differences", "--output", folder / "page.html")
     assert not done.exception, done.output
     (folder / "printed.json").write_text(done.stdout)

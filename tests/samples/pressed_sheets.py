@@ -12,6 +12,18 @@ from cbsr_qa.eit.estimate import load_model
 from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
 
 RADIUS_MM = 73.0
+#: The sensor type of :func:`round_sensor` as a file.
+SKIN_TOML = """
+[sensor_type]
+name = "skin"
+radius_mm = 73
+thickness_mm = 3
+[electrodes]
+kind = "pin"
+count = 16
+ring_radius_mm = 70.08
+diameter_mm = 2.19
+"""
 
 
 def round_sensor(radius_mm=RADIUS_MM, count=16):

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from pressed_sheets import pressed_sheet
+from pressed_sheets import SKIN_TOML, pressed_sheet
 
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import CalibrationError, RefusedError
@@ -16,17 +16,6 @@ from cbsr_qa.studies.frontier.presses.needed import PLACE, needed_presses, recom
 from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, IN_ORDER, numbers_of
 
 NUMBERS = (9, 18, 36, 72, 144, 288)
-TYPE = """
-[sensor_type]
-name = "skin"
-radius_mm = 73
-thickness_mm = 3
-[electrodes]
-kind = "pin"
-count = 16
-ring_radius_mm = 70.08
-diameter_mm = 2.19
-"""
 
 
 def points(error_mm, stderr=0.03, seed=None):
@@ -204,7 +193,7 @@ def asked(folder, *options):
 def test_presses_of_ones_own_are_learned_from_and_recommended(tmp_path, capsys):
     """From seven presses of a simulated sheet, five others are located within the spread of all."""
     pressed_sheet(12, seed=3, noise=0.02).write(tmp_path)
-    (tmp_path / "T.toml").write_text(TYPE)
+    (tmp_path / "T.toml").write_text(SKIN_TOML)
     page = tmp_path / "page.html"
     assert guarded(asked(tmp_path, "--quick", "--place-error", "40mm", "--json", "--output", str(page))) == 0
     document = json.loads(capsys.readouterr().out)
