@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects import despiked
-from cbsr_qa.analysis.recording import nominal_disc
-from cbsr_qa.analysis.recording.ready import ReadyReadings, make_ready
+from cbsr_qa.analysis.recording import ReadyReadings, make_ready, nominal_disc
 from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
 from cbsr_qa.eit.forward import disc_coverage
 from cbsr_qa.eit.inverse import nominal_model
