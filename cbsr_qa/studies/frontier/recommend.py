@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from cbsr_qa.domain import NumericsError, RefusedError
+from cbsr_qa.report import plural
 from cbsr_qa.studies.frontier.point import Accuracy, Point
 from cbsr_qa.studies.frontier.setting import Setting
 
@@ -130,9 +131,9 @@ def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Poin
     if not enough:
         raise _none(usable, wish)
     best = min(enough, key=_seconds)
-    room = "" if wish.budget_s is None else f" that take at most {wish.budget_s / 60:g} min"
-    why = f"the cheapest of {len(within)}{room} whose force error, with its standard error, is at most"
-    return Recommended(*best, f"{why} {wish.force_error_N:g} N")
+    room = "" if wish.budget_s is None else f" within {wish.budget_s / 60:g} min"
+    limit = f"force error, with its standard error, is at most {wish.force_error_N:g} N"
+    return Recommended(*best, f"the fastest of {plural(len(within), 'setting')}{room} whose {limit}")
 
 
 def _most_accurate(usable: Sequence[tuple[Setting, Point]], budget_s: float, paper: Point | None) -> Recommended:
@@ -140,7 +141,7 @@ def _most_accurate(usable: Sequence[tuple[Setting, Point]], budget_s: float, pap
     if not within:
         raise _none(usable, Wish(budget_s=budget_s))
     best = min(within, key=_surely_N)
-    why = f"the most accurate of {len(within)} that take at most {budget_s / 60:g} min"
+    why = f"the most accurate of {plural(len(within), 'setting')} within {budget_s / 60:g} min"
     if paper is not None and _FORCE in paper.accuracy:
         share = best[1].accuracy[_FORCE].value / paper.accuracy[_FORCE].value
         met = "within" if share <= USUAL_ROOM else "not within"

@@ -11,25 +11,26 @@ from cbsr_qa.studies.frontier.study import Frontier
 
 _NONE: Final = "–"
 _READING: Final = (
-    "Every point is a way to do the same thing: to calibrate a sensor, or to compute an image. Further down is more "
-    "accurate, further left is quicker. A filled point is worth its time: nothing that was tried is as accurate for "
-    "less. A hollow one is not: a filled point costs less and is as good, within the errors.",
-    "Station time is what a sensor occupies the rig: rests, travel and finding the surface are in it. Accuracy is "
-    "against known truth, which only a simulation has: sensors whose response varies by 20 % over the sheet, with "
-    "noise, relaxation, and a residue of earlier presses. Force errors are root mean squares over random loads of 5 "
-    "to 30 % strain (0.9 to 5.3 N), held for a minute after a minute's rest, that the calibration has not seen; bars "
-    "are one standard error over the simulated sensors. Ways to calibrate are compared by force and map together.",
-    "Transients averaged: the last frames of a hold count as they are. Predicted: a short hold is brought to where a "
-    "long one ends, with the sensor's own relaxation from three long holds.",
+    "Each point is one way to calibrate a sensor or to compute an image. Lower is more accurate, further left is "
+    "faster. A filled point is worth its time: no other setting tried is as accurate in less time. A hollow point "
+    "is not: a filled one takes less time and is as accurate, within the errors.",
+    "Station time is the time a sensor occupies the rig, including rests, travel and finding the surface. Accuracy "
+    "is measured against the truth, which only a simulation knows: sensors whose response varies by 20 % over the "
+    "sheet, with noise, relaxation, and a residue of earlier presses. Force errors are root mean squares over "
+    "random loads of 5 to 30 % strain (0.9 to 5.3 N), held for a minute after a minute's rest, that the calibration "
+    "has not seen. Bars are one standard error over the simulated sensors. Settings are compared by force and map "
+    "together.",
+    "Transients averaged: the mean of the last frames of a hold is used. Transients predicted: the value at the end "
+    "of a long hold is predicted from a short one, with the sensor's own relaxation, measured in three long holds.",
 )
 _OF_COMPUTER: Final = (
-    "Of the computer, time is that of one core for a new conductance, an image, or a frame. Voltages are compared "
-    "with exact ones (multipoles, Fourier series): their error unloaded and with an inclusion in the sheet, and "
-    "that of the change that a load makes, which is what images are made of.",
-    "Images are of simulated sensors pressed at nine known places. E_CoM is how far the middle of the region that is "
-    "found lies from the head's, A_OL how much of the two areas overlaps (100 % were the head's own outline), SD the "
-    "area by which their shapes differ; missed is the share of loads that leave no region. Smoothing over own is the "
-    "method's regularisation parameter over the one it chooses itself.",
+    "Computer time is that of one core for a new conductance, an image, or a frame. Voltages are compared with "
+    "exact solutions (multipoles, Fourier series): without load, with an inclusion in the sheet, and the change "
+    "caused by a load, from which images are made.",
+    "Images show simulated sensors pressed at nine known places. E_CoM is the distance from the centre of the "
+    "region found to the centre of the head; A_OL is the overlap of the two areas (100 %: the head's own outline); "
+    "SD is the area by which their shapes differ; missed is the share of loads without a region. Relative smoothing "
+    "is the regularisation parameter divided by the one that the method chooses itself.",
 )
 _NAMES: Final[Mapping[str, str]] = {
     "force_error": "force error, place known",
@@ -42,23 +43,24 @@ _NAMES: Final[Mapping[str, str]] = {
     "image_error": "error of the image",
     "E_CoM": "E_CoM",
     "A_OL": "A_OL",
+    "smoothing_over_own": "relative smoothing",
 }
 #: Units at the end of knobs' names.
 _UNITS: Final = ("s", "mm")
 
 # Sentences, in reading order.
 _SETTING: Final = (
-    "{places} places at {strains} % strain, {trials}, held {hold_s:g} s, rested {rest_s:g} s, holds {transients}"
+    "{places} places at {strains} % strain, {trials}, held {hold_s:g} s, rested {rest_s:g} s, transients {transients}"
 )
-_TRANSIENTS: Final = {True: "predicted to where long ones end", False: "taken as they are"}
+_TRANSIENTS: Final = {True: "predicted", False: "averaged"}
 _PLOT: Final = (
-    "Force error on loads the calibration has not seen, against station time. Filled: worth its "
-    "time. Squares: transients predicted. Ring: recommended, the most accurate of those that were allowed; a quicker "
-    "one may be as good within the errors."
+    "Force error on loads the calibration has not seen, against station time. Filled: worth its time. Squares: "
+    "transients predicted. Ring: recommended, the most accurate within the limits; a faster one may be as accurate "
+    "within the errors."
 )
 _PLOT_ALTERNATIVE: Final = "Force errors against station time; the tables below have the numbers."
-_SERIES: Final = "{repetitions}. •: nothing that was tried is as accurate for less time."
-_ALIKE: Final = "Alike in all of this table: {knobs}."
+_SERIES: Final = "{repetitions}. •: no other setting is as accurate in less time."
+_ALIKE: Final = "The same in all rows: {knobs}."
 
 
 def frontier_outcome(frontier: Frontier) -> CommandOutcome[Frontier]:
@@ -182,7 +184,7 @@ def _named(knob: str) -> tuple[str, str]:
     """Name of a knob in words, and its unit; empty without one."""
     name, _, last = knob.rpartition("_")
     words, unit = (name, last) if name and last in _UNITS else (knob, "")
-    return words.replace("_", " "), unit
+    return _NAMES.get(words, words.replace("_", " ")), unit
 
 
 def _knob(value: object) -> str:
@@ -193,7 +195,7 @@ def _knob(value: object) -> str:
 
 def _shown(accuracy: Accuracy) -> str:
     scale, unit = (
-        (100, " %") if accuracy.unit == "1" and accuracy.value >= 1e-3 else (1, f" {accuracy.unit}".rstrip(" 1"))
+        (100, " %") if accuracy.unit == "1" and accuracy.value >= 1e-5 else (1, f" {accuracy.unit}".rstrip(" 1"))
     )
     stderr = "" if accuracy.stderr is None else f" ± {scale * accuracy.stderr:.2g}"
     return f"{scale * accuracy.value:.3g}{stderr}{unit}"

@@ -12,18 +12,17 @@ from cbsr_qa.studies.hard_cases.stability import Stability
 
 _NONE: Final = "–"
 _READING: Final = (
-    "A sensor's force comes from long chains of arithmetic with numbers of sixteen digits. Some inputs cost "
-    "digits: contacts a billion times too poor, a load a hundred million times the sheet's conductance, readings "
-    "that lie on an offset a million times as large. This page lists such cases. Each is computed as any measurement "
-    "would be, and compared with a truth found in another way: a formula, the same equations in fifty digits, or an "
-    "identity that must hold exactly.",
-    "Errors and bounds are relative if no unit is given. A case is within its bound if its error is not larger. "
-    "The condition number says how much the problem itself magnifies a last digit: no method can do better than "
-    "condition × 2.2 × 10⁻¹⁶, and a bound that rests on it allows a hundred times that. Where truth is continuous "
-    "and the answer comes from a mesh, the bound is of the mesh, and says so.",
-    "A case may also end in a refusal: the program says what it found and what to do, and gives no number. That is "
-    "right where a number would be rounding, and wrong anywhere else. A case that is out of its bound, gives no "
-    "number or raises a warning is broken, and the command ends with exit code 1.",
+    "A sensor's force is computed in many steps with sixteen digits. Some inputs cost digits: contacts a billion "
+    "times too poor, a load of a hundred million times the sheet's conductance, readings on an offset a million "
+    "times as large. This page lists such cases. Each is computed like any measurement, and compared with a truth "
+    "found in another way: a formula, the same equations in fifty digits, or an identity that must hold exactly.",
+    "Errors and bounds are relative unless a unit is given. The condition number states how much the problem itself "
+    "magnifies an error in the last digit: no method can do better than condition × 2.2 × 10⁻¹⁶, and a bound "
+    "derived from it allows a hundred times that. If the truth is continuous and the answer comes from a mesh, the "
+    "bound is the mesh's, and says so.",
+    "A case may also be refused: the program says what it found and what to do, and gives no number. That is right "
+    "only where the number would be rounding error. A case beyond its bound, without a number or with a warning is "
+    "broken, and the command ends with exit code 1.",
 )
 _CELLS: Final = {Ending.OK: Outcome.PASS, Ending.REFUSED: Outcome.NOT_JUDGED, Ending.BROKEN: Outcome.FAIL}
 _WORDS: Final = {Ending.OK: "within its bound", Ending.REFUSED: "refused", Ending.BROKEN: "BROKEN"}
@@ -98,7 +97,7 @@ def _area(area: str, cases: Sequence[CaseResult]) -> Iterator[Block]:
     if answered:
         yield _figure(_ERRORS, answered, _draw_errors)
     columns = ("case", "error", "bound", "unit", "condition", "outcome")
-    yield text_table(f"Cases of the area {area}", columns, [_row(case) for case in own], (1, 2, 4))
+    yield text_table(f"{area.capitalize()}: cases", columns, [_row(case) for case in own], (1, 2, 4))
     for case in own:
         if case.outcome is not Ending.OK:
             text = _ENDED.format(name=case.name, outcome=_WORDS[case.outcome], reason=case.reason)

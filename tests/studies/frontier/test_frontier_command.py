@@ -158,7 +158,7 @@ def test_a_recipe_that_was_written_here_is_written_over_and_it_is_said(sweeps, c
     assert "in place of" not in capsys.readouterr().err
     assert guarded([*asked, "--budget", "2h"]) == 0
     assert f"{path}, in place of the one that was there" in capsys.readouterr().err
-    assert "at most 120 min" in path.read_text()
+    assert "within 120 min" in path.read_text()
 
 
 def test_one_table_alone_has_nothing_else_to_be_told_from(sweeps, capsys):
@@ -207,7 +207,7 @@ def test_page_and_picture_are_written(sweeps, capsys, tmp_path):
     assert guarded(["frontier", "--output", str(page), "--png", str(picture)]) == 0
     text = page.read_text()
     assert "What accuracy costs in time" in text
-    assert "E_CoM is how far" in text
+    assert "E_CoM is the distance" in text
     assert "made up" in text
     assert "<svg" in text
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -71,10 +71,10 @@ def test_no_other_setting_meets_the_wish_better(tried, wish):
 
 def test_it_says_what_it_was_chosen_by():
     limit = "whose force error, with its standard error, is at most 0.15 N"
-    assert recommend(ALL, Wish(0.15), paper=None).why == f"the cheapest of 3 {limit}"
-    assert recommend(ALL, Wish(None, 3600.0), paper=None).why == "the most accurate of 2 that take at most 60 min"
+    assert recommend(ALL, Wish(0.15), paper=None).why == f"the fastest of 3 settings {limit}"
+    assert recommend(ALL, Wish(None, 3600.0), paper=None).why == "the most accurate of 2 settings within 60 min"
     said = recommend(ALL, Wish(0.15, 1800.0), paper=None).why
-    assert said == f"the cheapest of 2 that take at most 30 min {limit}"
+    assert said == f"the fastest of 2 settings within 30 min {limit}"
 
 
 @pytest.mark.parametrize(("paper_N", "words"), [(0.09, "1.11 times"), (0.05, "2.00 times")])
