@@ -20,11 +20,15 @@ _CURVE: Final[Array] = 1.0 + 0.3 * np.exp(-_TIME_S / 5) + 0.2 * np.exp(-_TIME_S 
 
 
 def short_ramp(share: float) -> Answer:
-    """Exponential after a ramp, averaged over a frame, both this share of its time constant."""
+    """Exponential after a ramp, averaged over a frame, both this share of its time constant.
+
+    The slope by log τ changes its sign at a share of 4.567, where its terms, of the value's size, cancel.
+    """
     tau_s, time_s = 8.0, 3.0
     values, slopes = exponentials(np.array([time_s]), np.array([tau_s]), ramp_s=share * tau_s, frame_s=share * tau_s)
     exact = mean_exponential(time_s, tau_s, share * tau_s, share * tau_s)
-    return conditioned(largest_relative_error([values[0, 0], slopes[0, 0]], exact), 2.0)
+    cancelling = float(abs(exact[0] / exact[1]))
+    return conditioned(largest_relative_error([values[0, 0], slopes[0, 0]], exact), 2.0 * max(1.0, cancelling))
 
 
 def spike_of(values: Array, expected: int) -> Answer:
