@@ -1,7 +1,6 @@
 """Draw the figure of presses in docs/explanation/what-accuracy-costs.md from the table of docs/explanation/place.md.
 
-``python docs/figures/draw_presses.py`` after the table has changed; ``make soak`` measures the table again, and
-holds the figure against it.
+Run ``python docs/figures/draw_presses.py`` after the table has changed. ``make soak`` measures the table again.
 """
 
 import re
@@ -22,7 +21,7 @@ def points_of(page: str) -> Iterator[tuple[str, list[Point]]]:
     numbers = [int(cell) for cell in _cells(page, "presses")]
     for skin in _SKINS:
         errors = [re.findall(r"[\d.]+", cell) for cell in _cells(page, skin)]
-        held = [re.findall(r"\d+", cell) for cell in _cells(page[page.index(f"| {skin} |") :], "regions hold")]
+        held = [re.findall(r"\d+", cell) for cell in _cells(page[page.index(f"| {skin} |") :], "in their regions")]
         yield skin, [_point(*row) for row in zip(numbers, errors, held, strict=True)]
 
 

@@ -1,6 +1,5 @@
 """Places on two real skins, learned from presses: every figure of docs/explanation/place.md."""
 
-import importlib
 import re
 
 import numpy as np
@@ -57,12 +56,6 @@ def test_nine_presses_later_tell_where_the_readings_have_gone(skins, name, timed
     low, high = np.mean(held, axis=0)
     assert 0.63 <= low <= 0.73
     assert 0.92 <= high <= 0.98
-
-
-def test_the_figure_is_that_of_the_table(monkeypatch):
-    monkeypatch.syspath_prepend(HOW_TO.parent / "figures")
-    figure = importlib.import_module("draw_presses")
-    assert figure.drawn_from(PAGE) == figure.FIGURE.read_text(encoding="utf-8")
 
 
 def _stated(name, count):
