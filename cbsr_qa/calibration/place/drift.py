@@ -182,10 +182,15 @@ def _late(scaled: Array, orders: Sequence[Indices]) -> int:
 
 
 def _jumps(scaled: Array, most: int) -> Array:
-    """Squared jumps of the errors' mean before the last presses, in squared standard errors, by their number."""
-    sums = np.cumsum(scaled[::-1], axis=0)
-    late = np.arange(_FEWEST_LATE, most + 1)
-    last = sums[late - 1] / late[:, None]
-    before = (sums[(1 + _BEFORE) * late - 1] - sums[late - 1]) / (_BEFORE * late[:, None])
-    jumps: Array = ((last - before) ** 2).mean(axis=1) * late * _BEFORE / (1 + _BEFORE)
+    """Squared jumps of the errors' mean before the last presses, in squared standard errors, by their number.
+
+    The smallest of those without one of the last presses: a single odd press is no jump.
+    """
+    rows = scaled[::-1]
+    sums = np.cumsum(rows, axis=0)
+    jumps = np.empty(most + 1 - _FEWEST_LATE)
+    for at, late in enumerate(range(_FEWEST_LATE, most + 1)):
+        last = (sums[late - 1] - rows[:late]) / (late - 1)
+        before = (sums[(1 + _BEFORE) * late - 1] - sums[late - 1]) / (_BEFORE * late)
+        jumps[at] = ((last - before) ** 2).mean(axis=1).min() / (1 / (late - 1) + 1 / (_BEFORE * late))
     return jumps

@@ -28,6 +28,14 @@ def test_a_jump_at_the_end_is_a_re_check(timed):
     assert np.abs(drift.since[-9:]).mean() < 1.0  # brought to where eight others are
 
 
+@pytest.mark.parametrize("odd", [1, 2, 3])
+def test_one_odd_press_is_no_re_check(odd):
+    errors, expected = errors_of(np.zeros((COUNT, READINGS)))
+    errors[-odd] += 8 * np.random.default_rng(4).standard_normal(READINGS)
+    drift = find_drift(errors, expected, None)
+    assert drift is None or drift.late == 0
+
+
 def test_a_walk_is_followed():
     walk = np.cumsum(0.3 * np.random.default_rng(3).standard_normal((COUNT, READINGS)), axis=0)
     drift = find_drift(*errors_of(walk - walk.mean(axis=0)), None)
