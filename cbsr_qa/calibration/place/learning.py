@@ -149,7 +149,7 @@ def learn_place(
         least_size=float(_SIZE_ROOM * np.quantile(size, 1 - _MISFIT_LEVEL)),
         reach_mm=_reach(about[np.unique(sheet.visits)]),
     )
-    held_out = coverage_of(early, sheet.places_mm, sheet.visits)
+    held_out = coverage_of(early, sheet.places_mm)
     like = at_places(model.templates.grid_mm, early.likeness, held_out.found_mm)
     strength = strengths(changes[early.presses], like, scaling)
     found_mm = held_out.found_mm @ axes + centre
