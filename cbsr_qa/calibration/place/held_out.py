@@ -1,14 +1,14 @@
 """Presses of a sheet, each located from others alone: the basis of mixture, regions and stated errors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mixed
 from cbsr_qa.calibration.place.process import given_presses, left_out, likely_scales
-from cbsr_qa.calibration.place.templates import TemplateLearning, expected_features, likeness, match
+from cbsr_qa.calibration.place.templates import TemplateLearning, expected_features, filled, likeness, match
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import PatternTurns, PlaceMixture, PlaceProcess, PlaceScales
 
@@ -113,12 +113,26 @@ class PressedSheet:
         """What learns the templates of the presses."""
         return TemplateLearning(self.turns, self.features, self.places_mm, self.radius_mm)
 
+    def blocks(self) -> list[Indices]:
+        """Presses that are left out together."""
+        visits = self.visits
+        firsts = np.unique(visits)
+        most = _BLOCKS_OF_FEW if len(visits) <= _FEW else _BLOCKS
+        groups = np.array_split(firsts, min(most, len(firsts)))
+        return [np.flatnonzero(np.isin(visits, group)) for group in groups]
+
+    def filled(self, missing: Mask) -> "PressedSheet":
+        """The same with missing features (n, m) as presses of other blocks let expect, as in frames to come."""
+        learning, features = self.template_learning(), self.features.copy()
+        for block in self.blocks():
+            some = block[missing[block].any(axis=1)]
+            if len(some):
+                features[some] = filled(learning.without(block), features[some], missing[some])
+        return replace(self, features=features)
+
     def left_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:
         """Locate presses from presses of other blocks, at other places, and learn the process from all."""
-        count, visits = len(self.places_mm), self.visits
-        firsts = np.unique(visits)
-        groups = np.array_split(firsts, min(_BLOCKS_OF_FEW if count <= _FEW else _BLOCKS, len(firsts)))
-        blocks = [np.flatnonzero(np.isin(visits, group)) for group in groups]
+        count, blocks = len(self.places_mm), self.blocks()
         places = np.full((count, 2), np.nan)
         parts = self.presses_for_scales()
         for learned, located in parts:

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.calibration.place import ceilings_of, spikes_in
+from cbsr_qa.calibration.place import SPIKY, spikes_among
 from cbsr_qa.domain import Array, Indices, Mask
 
 #: Least number of presses for judging electrodes: with fewer, neighbours are too far apart to read alike.
@@ -21,8 +21,6 @@ _NEIGHBOURS: Final = 3
 #: Exponent that reduces the range of readings, as in the features for learning places.
 _EXPONENT: Final = 0.7
 _MOST_NAMED: Final = 5
-#: Share of spikes from which a remark is made: presses beside electrodes have a tenth of that.
-_SPIKY: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +39,7 @@ def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadR
     pairs : (m, 4) source, sink, plus and minus.
     changes : (n, m) by presses at places (n, 2).
     """
-    spikes = spikes_in(changes, ceilings_of(changes))
+    spikes = spikes_among(changes)
     still = np.ptp(changes, axis=0) == 0
     changes = np.where(spikes, 0.0, changes)
     followed = _followed(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
@@ -68,7 +66,7 @@ def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadR
             f" {named}{more}"
         )
     spikes &= ~dead
-    if spikes.mean() > _SPIKY:
+    if spikes.mean() > SPIKY:
         row, reading = np.argwhere(spikes)[0].tolist()
         findings.append(
             f"{spikes.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"

@@ -107,7 +107,8 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
         check_inside(presses, registration)
     used = np.any(readings.changes != 0, axis=1)
     time_s = None if presses.time_s is None else presses.time_s[used]
-    learned = _learned(labelled.sensor_type, order, readings.changes[used], presses.place_mm[used], time_s, tell)
+    place_mm, missing = presses.place_mm[used], dead.dead[used]
+    learned = _learned(labelled.sensor_type, order, readings.changes[used], place_mm, time_s, missing, tell)
     if readings.noise is not None:
         noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of the used readings
         least = max(learned.model.least_size, noise_size(noise))
@@ -165,7 +166,13 @@ def noise_size(noise: Array) -> float:
 
 
 def _learned(
-    sensor_type: SensorType, order: ElectrodeOrder, changes: Array, place_mm: Array, time_s: Array | None, tell: Tell
+    sensor_type: SensorType,
+    order: ElectrodeOrder,
+    changes: Array,
+    place_mm: Array,
+    time_s: Array | None,
+    missing: Mask,
+    tell: Tell,
 ) -> PlaceLearned:
     """Learn the place, starting from the registered pose if that is trusted."""
     registration, layout = order.registered.registration, sensor_type.electrodes
@@ -177,7 +184,15 @@ def _learned(
         axes = np.array([[np.cos(first), np.sin(first)], [-np.sin(first), np.cos(first)]]) @ onto_sheet
         axes[1] *= np.sign(second - first)
     return learn_place(
-        changes, place_mm, order.pairs, layout.count, centre_mm=centre, axes=axes, time_s=time_s, tell=tell
+        changes,
+        place_mm,
+        order.pairs,
+        layout.count,
+        centre_mm=centre,
+        axes=axes,
+        time_s=time_s,
+        missing=missing,
+        tell=tell,
     )
 
 
