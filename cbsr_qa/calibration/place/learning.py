@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from cbsr_qa.calibration.place.drift import Drift, find_drift
 from cbsr_qa.calibration.place.features import (
@@ -226,9 +226,17 @@ def _beside(axes: Array) -> Array:
 
 
 def _reach(about: Array) -> float:
-    """Distance from the nearest of some different places (n, 2) beyond which nothing was learned [mm]."""
-    nearest = np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]
-    return float(_REACH * np.median(nearest))
+    """Distance from the nearest of some different places (n, 2) beyond which nothing was learned [mm].
+
+    Neighbours along a line say nothing about the places beside it: they count as no farther apart than as many places
+    at random in the same area are on average (Clark & Evans 1954), by that of their convex hull (Efron 1965).
+    """
+    nearest_mm = float(np.median(np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]))
+    if np.linalg.matrix_rank(about - about[0]) == 2:
+        hull = ConvexHull(about)
+        area_mm2 = hull.volume / (1 - len(hull.vertices) / (len(about) + 1))
+        nearest_mm = min(nearest_mm, 0.5 * float(np.sqrt(area_mm2 / len(about))))
+    return _REACH * nearest_mm
 
 
 def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, drift: Drift | None) -> Iterator[str]:

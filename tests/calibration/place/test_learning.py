@@ -8,6 +8,7 @@ from pressed_sheets import pressed_sheet
 
 from cbsr_qa.calibration import Flag
 from cbsr_qa.calibration.place import PlaceEstimator, learn_place
+from cbsr_qa.calibration.place.learning import _reach
 from cbsr_qa.calibration.place.mixture import mahalanobis
 from cbsr_qa.domain import CalibrationError
 
@@ -190,6 +191,15 @@ def test_a_place_beyond_the_presses_lies_outside(sheet):
     beyond = np.linalg.norm(sheet.places_mm, axis=1) > 42
     places = PlaceEstimator(replace(model, reach_mm=3.0))(sheet.changes[beyond])
     assert ((places.flags & (Flag.OUTSIDE | Flag.MORE_THAN_ONE)) > 0).mean() > 0.9
+
+
+def test_presses_along_a_line_do_not_reach_far_beside_it():
+    along = np.linspace(-40, 40, 12)
+    line = np.column_stack([along, 0.4 * along])
+    assert _reach(np.vstack([line, [[-10.0, 20.0]]])) < 20  # 31 by neighbours alone
+    assert _reach(line) == pytest.approx(4 * 7.83, abs=0.1)  # on one line there is no other measure
+    random = np.random.default_rng(1).uniform(-40, 40, (400, 2))
+    assert _reach(random) == pytest.approx(4 * 2.0, rel=0.1)
 
 
 def test_warnings_name_what_limits_a_calibration(sheet, learned):
