@@ -9,7 +9,7 @@ from cbsr_qa.calibration.place.mixture import mixed
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.calibration.place.process import located
-from cbsr_qa.calibration.place.templates import at_places, expected_features, likeness, match
+from cbsr_qa.calibration.place.templates import at_places, expected_features, filled, likeness, match
 from cbsr_qa.calibration.runtime import Flag
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import LearnedPlace
@@ -71,9 +71,11 @@ class PlaceEstimator:
         model = self._model
         used = model.scaling.ceiling > 0
         whole: Mask = np.asarray(np.isfinite(changes[:, used]).all(axis=1))
-        sound = whole[:, None] & used & ~spikes_in(changes, model.scaling.ceiling)
-        changes = np.where(sound, changes, 0.0)
+        spikes = whole[:, None] & used & spikes_in(changes, model.scaling.ceiling)
+        changes = np.where(whole[:, None] & used & ~spikes, changes, 0.0)
         features = features_of(changes, model.scaling)
+        spiky = spikes.any(axis=1)
+        features[spiky] = filled(model.templates, features[spiky], spikes[spiky])
         second, covariance, misfit = match(model.templates, features)
         place, covariance = mixed(model.mixture, located(model.process, model.turns, features), second, covariance)
         flags = np.where(whole, 0, int(Flag.UNREADABLE))

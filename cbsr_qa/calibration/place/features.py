@@ -12,13 +12,30 @@ _LEAST_LIKENESS: Final = 0.05
 #: A reading's ceiling, in 90 % quantiles of its size; and what is taken for a spike, in ceilings: one reading of a
 #: thousand on two real skins, and with adjacent pairs of a simulated one whose presses reach the electrodes.
 _CEILING, _SPIKE = 3.0, 3.5
+#: Share of spikes from which presses are spiky: those beside electrodes have a tenth of that. Quantiles of 90 % may
+#: then be spikes themselves. Those of 80 % are not, and are two thirds of them on sheets without spikes.
+SPIKY: Final = 0.01
+_SAFE, _SAFE_CEILING = 0.8, 4.5
 
 
 def ceilings_of(changes: Array) -> Array:
     """Ceilings (m,) of readings from presses (n, m); zero for those that are zero in all."""
-    sizes = np.quantile(np.abs(changes), 0.9, axis=0)
-    ceiling: Array = _CEILING * np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
+    return _ceilings(changes, 0.9, _CEILING)
+
+
+def _ceilings(changes: Array, level: float, times: float) -> Array:
+    sizes = np.quantile(np.abs(changes), level, axis=0)
+    ceiling: Array = times * np.where(sizes > 0, sizes, np.abs(changes).max(axis=0))
     return ceiling
+
+
+def spikes_among(changes: Array) -> Mask:
+    """Which readings (n, m) of presses are spikes, by the other presses."""
+    spikes = spikes_in(changes, ceilings_of(changes))
+    if spikes.mean() > SPIKY:
+        spikes |= spikes_in(changes, _ceilings(changes, _SAFE, _SAFE_CEILING))
+        spikes |= spikes_in(changes, ceilings_of(np.where(spikes, 0.0, changes)))
+    return spikes
 
 
 def spikes_in(changes: Array, ceiling: Array) -> Mask:

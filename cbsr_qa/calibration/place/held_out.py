@@ -1,14 +1,14 @@
 """Presses of a sheet, each located from others alone: the basis of mixture, regions and stated errors."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.place.mixture import LEVELS, learn_mixture, mahalanobis, mixed
 from cbsr_qa.calibration.place.process import given_presses, left_out, likely_scales
-from cbsr_qa.calibration.place.templates import TemplateLearning, expected_features, likeness, match
+from cbsr_qa.calibration.place.templates import TemplateLearning, expected_features, filled, likeness, match
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import PatternTurns, PlaceMixture, PlaceProcess, PlaceScales
 
@@ -78,7 +78,7 @@ class LeftOut:
     def mixture(self, places_mm: Array, levels: Sequence[float] = LEVELS) -> PlaceMixture:
         """The mixture that presses at places (n, 2) call for, with regions of some levels."""
         parts = self.process, self.templates, self.templates_covariance, places_mm[self.presses]
-        return learn_mixture(*parts, levels)
+        return learn_mixture(*parts, visits_of(places_mm)[self.presses], levels)
 
     def apart(self, mixture: PlaceMixture, places_mm: Array) -> tuple[Array, Array]:
         """Errors (k, 2) of the mixed places, and dᵀΣ⁻¹d (k,) of them."""
@@ -113,14 +113,28 @@ class PressedSheet:
         """What learns the templates of the presses."""
         return TemplateLearning(self.turns, self.features, self.places_mm, self.radius_mm)
 
+    def blocks(self) -> list[Indices]:
+        """Presses that are left out together."""
+        visits = self.visits
+        firsts = np.unique(visits)
+        most = _BLOCKS_OF_FEW if len(visits) <= _FEW else _BLOCKS
+        groups = np.array_split(firsts, min(most, len(firsts)))
+        return [np.flatnonzero(np.isin(visits, group)) for group in groups]
+
+    def filled(self, missing: Mask) -> "PressedSheet":
+        """The same with missing features (n, m) as presses of other blocks let expect, as in frames to come."""
+        learning, features = self.template_learning(), self.features.copy()
+        for block in self.blocks():
+            some = block[missing[block].any(axis=1)]
+            if len(some):
+                features[some] = filled(learning.without(block), features[some], missing[some])
+        return replace(self, features=features)
+
     def left_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:
         """Locate presses from presses of other blocks, at other places, and learn the process from all."""
-        count, visits = len(self.places_mm), self.visits
-        firsts = np.unique(visits)
-        groups = np.array_split(firsts, min(_BLOCKS_OF_FEW if count <= _FEW else _BLOCKS, len(firsts)))
-        blocks = [np.flatnonzero(np.isin(visits, group)) for group in groups]
+        count, blocks = len(self.places_mm), self.blocks()
         places = np.full((count, 2), np.nan)
-        parts = self._parts()
+        parts = self.presses_for_scales()
         for learned, located in parts:
             process, inverse = given_presses(self.likely(learned), self.turns, self.features, self.places_mm)
             predicted = left_out(process, inverse, [block for block in blocks if np.isin(block, located).any()])
@@ -146,18 +160,24 @@ class PressedSheet:
         )
         return max(1.0, 1 + (4 * sessions + 2 / 3) * (apart / mixed - 1))
 
-    def _parts(self) -> list[tuple[Indices, Indices]]:
-        """Presses for hyperparameters, and presses located with them."""
-        count = len(self.places_mm)
-        presses = np.arange(count)
+    def presses_for_scales(self) -> list[tuple[Indices, Indices]]:
+        """Presses for hyperparameters, and presses at other places located with them."""
+        count, visits = len(self.places_mm), self.visits
+        firsts = np.unique(visits)
         if count > _MANY * _FOR_SCALES:
-            some = evenly(count, _FOR_SCALES)
-            return [(some, np.setdiff1d(presses, some))]
-        if count > _FEW:
-            halves = presses[::2], presses[1::2]
-            return [(one[evenly(len(one), _FOR_SCALES)], other) for one, other in (halves, halves[::-1])]
-        blocks = np.array_split(presses, _BLOCKS_WITH_SCALES)
-        return [(np.setdiff1d(presses, block), block) for block in blocks if len(block)]
+            groups = [firsts[evenly(len(firsts), min(_FOR_SCALES, len(firsts) // 2))]]
+        elif count > _FEW:
+            groups = [firsts[::2], firsts[1::2]]
+        else:
+            groups = [group for group in np.array_split(firsts, _BLOCKS_WITH_SCALES) if len(group)]
+        inside = [np.isin(visits, group) for group in groups]
+        if count <= _FEW:
+            return [(np.flatnonzero(~each), np.flatnonzero(each)) for each in inside]
+        learned = [np.flatnonzero(each) for each in inside]
+        return [
+            (some[evenly(len(some), _FOR_SCALES)], np.flatnonzero(~each))
+            for some, each in zip(learned, inside, strict=True)
+        ]
 
     def _from_templates(
         self, learning: TemplateLearning, blocks: Sequence[Indices], later: Array | None = None
@@ -179,21 +199,21 @@ def visits_of(places_mm: Array) -> Indices:
     return visits
 
 
-def coverage_of(out: LeftOut, places_mm: Array, visits: Indices) -> HeldOut:
-    """State errors and coverage of presses left out; mixture and regions are learned from the other half of them.
+def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
+    """State errors and coverage of presses left out; mixture and regions are learned from the other half of places.
 
-    The standard error counts presses at one place (of the same index in ``visits``) as one.
+    The standard error counts presses at one place as one.
     """
-    count = len(out.presses)
+    count, visits = len(out.presses), visits_of(places_mm)[out.presses]
+    half_of = np.unique(visits, return_inverse=True)[1] % 2
     found, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
     for half in (0, 1):
-        located = np.arange(half, count, 2)
-        mixture = out.of(np.arange(1 - half, count, 2)).mixture(places_mm, _LEVELS)
+        located = np.flatnonzero(half_of == half)
+        mixture = out.of(half_of != half).mixture(places_mm, _LEVELS)
         apart, ratio = out.of(located).apart(mixture, places_mm)
         found[located] = places_mm[out.presses[located]] - apart
         inside[located] = ratio[:, None] <= mixture.quantiles
     error = np.linalg.norm(places_mm[out.presses] - found, axis=1)
-    visits = visits[out.presses]
     sums = np.bincount(visits, error - error.mean())[np.unique(visits)]
     stderr = float(np.sqrt(np.sum(sums**2) * len(sums) / max(len(sums) - 1, 1)) / count)
     return HeldOut(float(error.mean()), stderr, count, out.presses, found, np.array(_LEVELS), inside.mean(axis=0))

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from cbsr_qa.calibration.place.drift import Drift, find_drift
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
     features_of,
     pattern_turns,
-    spikes_in,
+    spikes_among,
     strengths,
     turn_by,
 )
@@ -25,7 +25,7 @@ from cbsr_qa.calibration.place.process import (
     start_scales,
 )
 from cbsr_qa.calibration.place.templates import NO_PRESS, at_places
-from cbsr_qa.domain import Array, CalibrationError, Indices
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import (
     FeatureScaling,
     LearnedPlace,
@@ -85,6 +85,7 @@ def learn_place(
     centre_mm: Array | None = None,
     axes: Array | None = None,
     time_s: Array | None = None,
+    missing: Mask | None = None,
     tell: Tell = lambda stage: None,
 ) -> PlaceLearned:
     """Learn places from changes of readings by presses.
@@ -100,6 +101,7 @@ def learn_place(
     axes : (2, 2) of the electrodes, as in :class:`~cbsr_qa.domain.results.LearnedPlace`; the likeliest where they are
         not known.
     time_s : (n,) of the presses; by default evenly in their order. Drift over it is extrapolated.
+    missing : (n, m) readings that are zero because they are not known; spikes are found here.
     tell : receives the progress in words.
 
     Raises
@@ -110,14 +112,18 @@ def learn_place(
     """
     _check(changes, places_mm)
     order = np.arange(len(changes)) if time_s is None else np.argsort(time_s, kind="stable")
-    changes = np.where(spikes_in(changes, ceilings_of(changes)), 0.0, changes)
+    missing = spikes_among(changes) if missing is None else spikes_among(changes) | missing
+    changes = np.where(missing, 0.0, changes)
     if time_s is not None:
-        changes, places_mm, time_s = changes[order], places_mm[order], time_s[order]
+        changes, places_mm, time_s, missing = changes[order], places_mm[order], time_s[order], missing[order]
     turns = pattern_turns(pairs, electrodes)
     tell("finding how the electrodes lie")
     scaling, axes, centre = _frame(changes, places_mm, turns, axes, centre_mm)
     about = places_mm - centre
     sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T)
+    missing &= scaling.ceiling > 0
+    if missing.any():
+        sheet = sheet.filled(missing)
     tell("finding how readings drift")
     learning = sheet.template_learning()
     drift = find_drift(*learning.left_out(), time_s)
@@ -149,7 +155,7 @@ def learn_place(
         least_size=float(_SIZE_ROOM * np.quantile(size, 1 - _MISFIT_LEVEL)),
         reach_mm=_reach(about[np.unique(sheet.visits)]),
     )
-    held_out = coverage_of(early, sheet.places_mm, sheet.visits)
+    held_out = coverage_of(early, sheet.places_mm)
     like = at_places(model.templates.grid_mm, early.likeness, held_out.found_mm)
     strength = strengths(changes[early.presses], like, scaling)
     found_mm = held_out.found_mm @ axes + centre
@@ -220,9 +226,17 @@ def _beside(axes: Array) -> Array:
 
 
 def _reach(about: Array) -> float:
-    """Distance from the nearest of some different places (n, 2) beyond which nothing was learned [mm]."""
-    nearest = np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]
-    return float(_REACH * np.median(nearest))
+    """Distance from the nearest of some different places (n, 2) beyond which nothing was learned [mm].
+
+    Neighbours along a line say nothing about the places beside it: they count as no farther apart than as many places
+    at random in the same area are on average (Clark & Evans 1954), by that of their convex hull (Efron 1965).
+    """
+    nearest_mm = float(np.median(np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]))
+    if np.linalg.matrix_rank(about - about[0]) == 2:
+        hull = ConvexHull(about)
+        area_mm2 = hull.volume / (1 - len(hull.vertices) / (len(about) + 1))
+        nearest_mm = min(nearest_mm, 0.5 * float(np.sqrt(area_mm2 / len(about))))
+    return _REACH * nearest_mm
 
 
 def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, drift: Drift | None) -> Iterator[str]:

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.stats import chi2, f as fisher
 
-from cbsr_qa.domain import Array
+from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PlaceMixture
 
 #: Nominal coverage of the regions.
@@ -18,6 +18,8 @@ _PRIOR_SHARE: Final = 0.4
 _PRIOR_PRESSES: Final = 10.0
 #: Larger errors, in units of their median, as of spiky frames, are limited to this in the share.
 _LARGE: Final = 3.0
+#: Of the logarithm of a weight from its initial value: beyond, covariances of rank one have no inverse in floats.
+_FURTHEST: Final = 10.0
 
 
 def mixed(mixture: PlaceMixture, first: Array, second: Array, second_covariance: Array) -> tuple[Array, Array]:
@@ -27,23 +29,28 @@ def mixed(mixture: PlaceMixture, first: Array, second: Array, second_covariance:
 
 
 def learn_mixture(
-    first: Array, second: Array, second_covariance: Array, places_mm: Array, levels: Sequence[float] = LEVELS
+    first: Array,
+    second: Array,
+    second_covariance: Array,
+    places_mm: Array,
+    visits: Indices,
+    levels: Sequence[float] = LEVELS,
 ) -> PlaceMixture:
     """Learn a mixture from both estimates (n, 2) of left-out presses, and their places (n, 2).
 
-    Its quantiles, one per level, come from every press under a mixture of the others, so that presses do not judge
-    themselves.
+    Its quantiles, one per level, come from every press under a mixture of those at other places, so that no place
+    judges itself; ``visits`` (n,) has one number per place.
     """
     parts = first, second, second_covariance, places_mm
-    ratio = np.empty(len(places_mm))
-    for number in range(min(_FOLDS, len(ratio))):
-        held = np.arange(len(ratio)) % _FOLDS == number
+    ratio, numbers = np.empty(len(places_mm)), np.unique(visits, return_inverse=True)[1]
+    for number in range(min(_FOLDS, int(numbers.max()) + 1)):
+        held = numbers % _FOLDS == number
         share, spread = _fitted(*(part[np.logical_not(held)] for part in parts))
         mixture = PlaceMixture(share, spread, np.zeros(len(LEVELS)))
         found, covariance = mixed(mixture, first[held], second[held], second_covariance[held])
         ratio[held] = mahalanobis(places_mm[held] - found, covariance)
     share, spread = _fitted(*parts)
-    return PlaceMixture(share, spread, np.array([quantile(ratio, level) for level in levels]))
+    return PlaceMixture(share, spread, np.array([quantile(ratio, level, visits) for level in levels]))
 
 
 def _fitted(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> tuple[float, Array]:
@@ -57,17 +64,25 @@ def mahalanobis(error: Array, covariance: Array) -> Array:
     return squares
 
 
-def quantile(ratio: Array, level: float) -> float:
-    """Quantile of dᵀΣ⁻¹d that covers the next press with the probability ``level``.
+def quantile(ratio: Array, level: float, visits: Indices | None = None) -> float:
+    """Quantile of dᵀΣ⁻¹d that covers the next press at a new place with the probability ``level``.
 
-    Split conformal (Lei et al. 2018, Eq. 3), between order statistics. With too few left-out presses for that level,
-    from their mean by Fisher's F with 2 and 2n degrees of freedom, as for normal errors with a variance estimated
-    from n presses.
+    Split conformal (Lei et al. 2018, Eq. 3), between order statistics. With too few places for that level, from the
+    mean by Fisher's F with 2 and 2n degrees of freedom, as for normal errors with a variance estimated from n places.
+
+    Parameters
+    ----------
+    ratio : (k,) of left-out presses.
+    visits : (k,) one number per place, by default one press each. Every place counts as one, since its presses err
+        alike (Lee, Barber & Willett 2025, hierarchical conformal prediction).
     """
-    rank = level * (len(ratio) + 1) - 1
-    if rank <= len(ratio) - 1.5:
-        return float(np.interp(max(rank, 0.0), np.arange(len(ratio)), np.sort(ratio)))
-    return max(float(ratio.mean() * fisher.ppf(level, 2, 2 * len(ratio))), float(ratio.max()))
+    which = np.unique(np.arange(len(ratio)) if visits is None else visits, return_inverse=True)[1]
+    presses = np.bincount(which)
+    weight = 1 / (len(presses) * presses[which])
+    if level * (len(presses) + 1) <= len(presses) - 0.5:
+        order = np.argsort(ratio)
+        return float(np.interp(level * (1 + 1 / len(presses)), np.cumsum(weight[order]), ratio[order]))
+    return max(float(weight @ ratio * fisher.ppf(level, 2, 2 * len(presses))), float(ratio.max()))
 
 
 def few_presses_tell(count: int) -> Array:
@@ -105,7 +120,8 @@ def _spread(error: Array, apart: Array, second_covariance: Array) -> Array:
         away = logs - start
         return float(value + 0.1 * away @ away), weights * slope + 0.2 * away
 
-    return np.exp(minimize(surprise, start, jac=True, method="L-BFGS-B", bounds=[(-20, 20)] * 3).x)
+    bounds = Bounds(start - _FURTHEST, start + _FURTHEST)
+    return np.exp(minimize(surprise, start, jac=True, method="L-BFGS-B", bounds=bounds).x)
 
 
 def _inverted(covariance: Array) -> tuple[Array, Array]:

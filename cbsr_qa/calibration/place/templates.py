@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from cbsr_qa.calibration.place.features import matern, squared_distances
-from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import PatternTurns, PlaceTemplates
 
 #: Power of the likelihood: the readings' errors have common causes that the covariance of a few presses does not
@@ -32,6 +32,8 @@ _MARGIN: Final = 1.05
 _SMOOTH: Final = 0.6
 #: Presses' worth of trust that the shared part has no offset.
 _TRUST: Final = 5
+#: Times that missing readings are filled: the second time from places that the first made better.
+_FILLINGS: Final = 2
 NO_PRESS: Final[Indices] = np.arange(0)
 #: Presses for lengths and ratios; all presses are used for the templates.
 _FOR_LENGTHS: Final = 400
@@ -44,16 +46,31 @@ def match(templates: PlaceTemplates, features: Array) -> tuple[Array, Array, Arr
     -------
     Mean places (n, 2), their covariances (n, 2, 2), and the smallest squared misfit per reading (n,).
     """
-    certain = 1 / (1 + templates.uncertainty)
-    squared = squared_distances(features @ templates.whitening, templates.templates) * certain
-    readings = features.shape[1]
-    log = TEMPERING * 0.5 * (_DETERMINANT * readings * np.log(certain) - squared)
-    likely = np.exp(log - log.max(axis=1, keepdims=True))
-    likely /= likely.sum(axis=1, keepdims=True)
+    likely, squared = _posterior(templates, features)
     grid = templates.grid_mm
     mean = likely @ grid
     second = np.einsum("nk,ka,kb->nab", likely, grid, grid)
-    return mean, second - mean[:, :, None] * mean[:, None, :], squared.min(axis=1) / readings
+    return mean, second - mean[:, :, None] * mean[:, None, :], squared.min(axis=1) / features.shape[1]
+
+
+def filled(templates: PlaceTemplates, features: Array, missing: Mask) -> Array:
+    """Features (n, m) whose missing ones are those expected where the others place the frame."""
+    expected = expected_features(templates)
+    for _ in range(_FILLINGS):
+        about = _posterior(templates, features)[0] @ expected
+        known = np.where(missing, 0.0, about)
+        like = (features * known).sum(axis=1) / np.maximum((known**2).sum(axis=1), np.finfo(float).tiny)
+        features = np.where(missing, like[:, None] * about, features)
+    return features
+
+
+def _posterior(templates: PlaceTemplates, features: Array) -> tuple[Array, Array]:
+    """Probabilities (n, k) of the places of the grid, and squared misfits."""
+    certain = 1 / (1 + templates.uncertainty)
+    squared = squared_distances(features @ templates.whitening, templates.templates) * certain
+    log = TEMPERING * 0.5 * (_DETERMINANT * features.shape[1] * np.log(certain) - squared)
+    likely = np.exp(log - log.max(axis=1, keepdims=True))
+    return likely / likely.sum(axis=1, keepdims=True), squared
 
 
 def expected_features(templates: PlaceTemplates) -> Array:

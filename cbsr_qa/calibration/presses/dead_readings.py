@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.calibration.place import ceilings_of, spikes_in
+from cbsr_qa.calibration.place import SPIKY, spikes_among
 from cbsr_qa.domain import Array, Indices, Mask
 
 #: Least number of presses for judging electrodes: with fewer, neighbours are too far apart to read alike.
@@ -21,8 +21,11 @@ _NEIGHBOURS: Final = 3
 #: Exponent that reduces the range of readings, as in the features for learning places.
 _EXPONENT: Final = 0.7
 _MOST_NAMED: Final = 5
-#: Share of spikes from which a remark is made: presses beside electrodes have a tenth of that.
-_SPIKY: Final = 0.01
+#: Share of readings at one end of their range from which they are clipped, if so many times fewer are at the next
+#: value: coarse readings have ends too, that most of them do not reach.
+_CLIPPED, _TIMES_NEXT = 0.01, 10
+#: Readings, relative to their range, that are equal but for rounding.
+_ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +44,7 @@ def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadR
     pairs : (m, 4) source, sink, plus and minus.
     changes : (n, m) by presses at places (n, 2).
     """
-    spikes = spikes_in(changes, ceilings_of(changes))
+    spikes = spikes_among(changes)
     still = np.ptp(changes, axis=0) == 0
     changes = np.where(spikes, 0.0, changes)
     followed = _followed(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
@@ -68,13 +71,32 @@ def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadR
             f" {named}{more}"
         )
     spikes &= ~dead
-    if spikes.mean() > _SPIKY:
+    if spikes.mean() > SPIKY:
         row, reading = np.argwhere(spikes)[0].tolist()
         findings.append(
             f"{spikes.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
             f" column {reading + 1} of the distinct readings"
         )
     return DeadReadings(dead | spikes, tuple(findings))
+
+
+def clipped_share(changes: Array, rest: Array | None) -> float:
+    """Share of readings at an end of their range that the front end cuts off; 0 where it does not seem to.
+
+    Parameters
+    ----------
+    changes, rest : (n, m) by presses, and (m,) of the unloaded sheet where the readings are whole frames. Zero is no
+        such end: front ends that rectify give it.
+    """
+    frames = changes if rest is None else changes + rest
+    frames = frames[:, np.ptp(changes, axis=0) > 0]
+    step = _ROUNDING * max(float(np.abs(frames).max(initial=0.0)), np.finfo(float).tiny)
+    values, counts = np.unique(np.round(frames / step), return_counts=True)
+    if len(values) < 3:
+        return 0.0
+    ends = [(values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2])]
+    cut = [count for value, count, beside in ends if value and count > _TIMES_NEXT * beside]
+    return float(sum(count for count in cut if count > _CLIPPED * frames.size)) / frames.size
 
 
 def _followed(changes: Array, place_mm: Array) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from cbsr_qa.calibration.file import stamped
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceLearned, learn_place, learn_quantity, with_variance
-from cbsr_qa.calibration.presses.dead_readings import find_dead_readings
+from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
 from cbsr_qa.calibration.presses.likeness import answering_side
@@ -27,6 +27,8 @@ from cbsr_qa.domain.sensor import ElectrodeLayout, SensorType
 
 #: Scales this close to one are within the errors of mounting and modelling.
 _SCALE_OFF: Final = 0.1
+#: Presses so close together are not on a sheet of millimetres.
+_SMALL_MM: Final = 1.0
 #: Largest excess of a frame's mean square over that of its noise by chance, in standard deviations.
 _NOISE_ROOM: Final = 3.3
 #: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
@@ -99,6 +101,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     labelled.check()
     tell("finding how the sheet lies")
     dead = find_dead_readings(readings.distinct.pairs, readings.changes, presses.place_mm)
+    clipped = clipped_share(readings.changes, readings.rest)
     readings = replace(readings, changes=np.where(dead.dead, 0.0, readings.changes))
     sheet = ModelledSheet(labelled.sensor_type)
     order = _ordered(replace(labelled, readings=readings), sheet)
@@ -107,7 +110,8 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
         check_inside(presses, registration)
     used = np.any(readings.changes != 0, axis=1)
     time_s = None if presses.time_s is None else presses.time_s[used]
-    learned = _learned(labelled.sensor_type, order, readings.changes[used], presses.place_mm[used], time_s, tell)
+    place_mm, missing = presses.place_mm[used], dead.dead[used]
+    learned = _learned(labelled.sensor_type, order, readings.changes[used], place_mm, time_s, missing, tell)
     if readings.noise is not None:
         noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of the used readings
         least = max(learned.model.least_size, noise_size(noise))
@@ -118,7 +122,8 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
         if (values := getattr(presses, f"{name}_{unit}")) is not None
     }
     hardly = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
-    about_sheet = *dead.findings, *_findings(order, radius_stated=labelled.radius_stated)
+    about_readings = *dead.findings, *_range_findings(clipped, presses.place_mm)
+    about_sheet = *about_readings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
     findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.by_place() else [])
     modelled = _modelled(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
     return PressesLearned(registration, findings, used, learned, modelled, quantities)
@@ -165,7 +170,13 @@ def noise_size(noise: Array) -> float:
 
 
 def _learned(
-    sensor_type: SensorType, order: ElectrodeOrder, changes: Array, place_mm: Array, time_s: Array | None, tell: Tell
+    sensor_type: SensorType,
+    order: ElectrodeOrder,
+    changes: Array,
+    place_mm: Array,
+    time_s: Array | None,
+    missing: Mask,
+    tell: Tell,
 ) -> PlaceLearned:
     """Learn the place, starting from the registered pose if that is trusted."""
     registration, layout = order.registered.registration, sensor_type.electrodes
@@ -177,7 +188,15 @@ def _learned(
         axes = np.array([[np.cos(first), np.sin(first)], [-np.sin(first), np.cos(first)]]) @ onto_sheet
         axes[1] *= np.sign(second - first)
     return learn_place(
-        changes, place_mm, order.pairs, layout.count, centre_mm=centre, axes=axes, time_s=time_s, tell=tell
+        changes,
+        place_mm,
+        order.pairs,
+        layout.count,
+        centre_mm=centre,
+        axes=axes,
+        time_s=time_s,
+        missing=missing,
+        tell=tell,
     )
 
 
@@ -230,7 +249,22 @@ def _ordered(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
         ) from error
 
 
-def _findings(order: ElectrodeOrder, *, radius_stated: bool) -> Sequence[str]:
+def _range_findings(clipped: float, place_mm: Array) -> Iterator[str]:
+    """Remarks on readings that are cut off, and on places in another unit."""
+    if clipped:
+        yield (
+            f"{clipped:.1%} of the readings are clipped: they have the same largest or smallest value; lower the gain"
+            " or press less hard"
+        )
+    extent_mm = float(np.linalg.norm(np.ptp(place_mm, axis=0)))
+    if extent_mm < _SMALL_MM:
+        yield (
+            f"all presses lie within {extent_mm:.3g} mm: their places seem to be in metres; x_mm and y_mm are in"
+            " millimetres"
+        )
+
+
+def _findings(order: ElectrodeOrder, clipped: float, *, radius_stated: bool) -> Sequence[str]:
     """Remarks for a person on readings, electrodes and sheet."""
     registration = order.registered.registration
     if not registration.trusted:
@@ -239,8 +273,10 @@ def _findings(order: ElectrodeOrder, *, radius_stated: bool) -> Sequence[str]:
     if registration.mirrored:
         findings.append(_MIRRORED)
     if radius_stated and abs(registration.scale - 1) > max(3 * registration.scale_stderr, _SCALE_OFF):
+        why = f"the radius of {registration.radius_mm:.4g} mm or the unit of the places may be wrong"
+        if clipped:
+            why = "clipped readings make places seem nearer to the middle"
         findings.append(
-            f"places on the sheet are {registration.scale:.3g} times as far apart among the presses: the radius of"
-            f" {registration.radius_mm:.4g} mm or the unit of the places may be wrong"
+            f"places on the sheet are {registration.scale:.3g} times as far apart among the presses: {why}"
         )
     return findings

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet
 
-from cbsr_qa.calibration.place.features import ceilings_of, matern_and_slope, pattern_turns, spikes_in, turn_by
+from cbsr_qa.calibration.place.features import (
+    ceilings_of,
+    matern_and_slope,
+    pattern_turns,
+    spikes_among,
+    spikes_in,
+    turn_by,
+)
 
 
 @pytest.mark.parametrize(
@@ -67,3 +74,13 @@ def test_a_press_far_stronger_than_those_that_calibrated_is_no_spike():
     for frame in (20 * changes, changes):
         assert spikes_in(frame, ceiling).mean() < 2e-3
     assert spikes_in(one, ceiling)[0].nonzero()[0].tolist() == [7]
+
+
+def test_spikes_are_found_that_are_a_tenth_of_some_readings_of_few_presses():
+    sound, random = pressed_sheet(39, noise=0.05).changes, np.random.default_rng(3)
+    spikes = random.random(sound.shape) < 0.05
+    height = 100 * np.median(np.abs(sound)) * random.choice([-1.0, 1.0], spikes.shape)
+    found = spikes_among(np.where(spikes, height, sound))
+    assert found[spikes].mean() > 0.95  # by quantiles of 90 %: 0.8
+    assert found[~spikes].mean() < 1e-3
+    assert not spikes_among(sound).any()

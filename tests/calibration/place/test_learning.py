@@ -8,6 +8,7 @@ from pressed_sheets import pressed_sheet
 
 from cbsr_qa.calibration import Flag
 from cbsr_qa.calibration.place import PlaceEstimator, learn_place
+from cbsr_qa.calibration.place.learning import _reach
 from cbsr_qa.calibration.place.mixture import mahalanobis
 from cbsr_qa.domain import CalibrationError
 
@@ -169,12 +170,36 @@ def test_frames_that_are_no_such_touch_are_flagged(sheet, learned):
     assert np.isnan(places.place_mm).any(axis=1).tolist() == [False, True, False]
 
 
+def test_spikes_cost_little():
+    """One reading of twenty, in presses and later frames: it is told by the others, and regions hold."""
+    sheet, random = pressed_sheet(240, seed=7, noise=0.05), np.random.default_rng(10)
+    spikes = random.random(sheet.changes.shape) < 0.05
+    height = 100 * np.median(np.abs(sheet.changes)) * random.choice([-1.0, 1.0], spikes.shape)
+    spiky = np.where(spikes, height, sheet.changes)
+    locate = PlaceEstimator(learn_place(spiky[:60], sheet.labels_mm[:60], sheet.pairs, 16).model)
+    places, truth = locate(spiky[60:]), sheet.labels_mm[60:]
+    assert distances(places, truth).mean() < 1.0  # 0.3 mm without spikes; 3 mm where some are taken for readings
+    ratio = mahalanobis(truth - places.place_mm, places.covariance_mm2)
+    assert (ratio <= locate.q68).mean() == pytest.approx(0.68, abs=0.22)  # 60 presses tell quantiles to 6 and 3 %
+    assert (ratio <= locate.q95).mean() > 0.85
+    assert places.in_model.mean() > 0.9
+
+
 def test_a_place_beyond_the_presses_lies_outside(sheet):
     near = np.flatnonzero(np.linalg.norm(sheet.places_mm, axis=1) < 20)
     model = learn_place(sheet.changes[near], sheet.labels_mm[near], sheet.pairs, 16).model
     beyond = np.linalg.norm(sheet.places_mm, axis=1) > 42
     places = PlaceEstimator(replace(model, reach_mm=3.0))(sheet.changes[beyond])
     assert ((places.flags & (Flag.OUTSIDE | Flag.MORE_THAN_ONE)) > 0).mean() > 0.9
+
+
+def test_presses_along_a_line_do_not_reach_far_beside_it():
+    along = np.linspace(-40, 40, 12)
+    line = np.column_stack([along, 0.4 * along])
+    assert _reach(np.vstack([line, [[-10.0, 20.0]]])) < 20  # 31 by neighbours alone
+    assert _reach(line) == pytest.approx(4 * 7.83, abs=0.1)  # on one line there is no other measure
+    random = np.random.default_rng(1).uniform(-40, 40, (400, 2))
+    assert _reach(random) == pytest.approx(4 * 2.0, rel=0.1)
 
 
 def test_warnings_name_what_limits_a_calibration(sheet, learned):

@@ -7,7 +7,7 @@ import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
 from cbsr_qa.calibration.place import PlaceEstimator
-from cbsr_qa.calibration.presses.dead_readings import find_dead_readings
+from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.issue import learn_presses
 
 
@@ -40,7 +40,7 @@ def test_spikes_do_not_make_a_sheet_a_foreign_one():
     height = 100 * np.median(np.abs(pressed.changes)) * random.choice([-1.0, 1.0], spikes.shape)
     spiky = replace(pressed, changes=np.where(spikes, height, pressed.changes))
     found = find_dead_readings(pressed.pairs, spiky.changes, spiky.labels_mm)
-    assert found.dead[spikes].mean() > 0.8
+    assert found.dead[spikes].mean() > 0.98
     assert found.dead[~spikes].mean() < 0.005
     learned = learn_presses(some(spiky, np.arange(40)).labelled())
     assert any("are spikes" in words for words in learned.findings)
@@ -81,3 +81,32 @@ def test_a_dead_electrode_costs_neither_pose_nor_place():
     error = np.linalg.norm(places.place_mm - pressed.labels_mm[40:], axis=1)
     assert error.mean() < 3
     assert error.mean() == pytest.approx(held.mean_mm, abs=4 * held.stderr_mm)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_clipped_readings_are_told_from_others(whole):
+    pressed, rectified = pressed_sheet(60, noise=0.05), pressed_sheet(60, rectified=True)
+    rest = pressed.unloaded if whole else np.zeros(len(pressed.pairs))
+    frames = pressed.changes + rest
+    least, most = np.quantile(frames, [0.0, 0.95])
+    cut = np.clip(frames, least, most) - np.clip(rest, least, most)
+    given = np.clip(rest, least, most) if whole else None
+    assert clipped_share(cut, given) == pytest.approx(0.05, abs=0.005)
+    coarse = np.round(frames / np.median(np.abs(pressed.changes)))
+    for sound in (frames, coarse, np.sign(frames), rectified.changes + rectified.unloaded):
+        assert clipped_share(sound - rest, rest if whole else None) == 0
+
+
+def test_clipped_readings_are_blamed_not_the_radius():
+    pressed = pressed_sheet(40, seed=1, noise=0.05)
+    most = np.quantile(np.abs(pressed.changes), 0.6)
+    found = learn_presses(replace(pressed, changes=np.clip(pressed.changes, -most, most)).labelled()).findings
+    assert "of the readings are clipped" in found[0]
+    assert "clipped readings make places seem nearer" in found[1]
+    assert not any("radius" in words for words in found)
+
+
+def test_places_in_metres_are_named():
+    pressed = pressed_sheet(12, scale=1e-3, shift_mm=(0.046, -0.408))
+    found = learn_presses(replace(pressed.labelled(), radius_stated=False)).findings
+    assert "seem to be in metres" in found[0]
