@@ -11,7 +11,7 @@ from cbsr_qa.analysis.recording import read_pressed_frames
 from cbsr_qa.calibration.file import Issued, read_issued
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
 from cbsr_qa.calibration.presses import PressReadings, matched_readings, read_pairs, read_press_readings
-from cbsr_qa.calibration.runtime import Flag
+from cbsr_qa.calibration.runtime import FaultFinder, Flag
 from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError
 from cbsr_qa.domain.results import PRESS_QUANTITIES, CommandOutcome, PressCalibration, Section
 from cbsr_qa.domain.sensor import DrivePattern
@@ -112,7 +112,8 @@ def apply_to_presses(
     calibration : file, learned from labelled presses.
     readings : table with a column for each row of ``pattern``; without one, a recording of the sensor type.
     differences : whether the readings are changes; else they are frames, compared with ``rest``, with the
-        ``reference`` first frames of the recording, or with the calibration's unloaded frames.
+        ``reference`` first frames of the recording, or with the calibration's unloaded frames. Faults
+        of pairs, electrodes and clipping are named in frames, which then have no place.
 
     Raises
     ------
@@ -132,6 +133,11 @@ def apply_to_presses(
     else:
         read = read_press_readings(readings, read_pairs(pattern, issued.electrodes), rest)
     changes = _changes(issued, read, differences=differences)
+    faults = np.zeros(len(changes), dtype=np.int64)
+    if issued.rest is not None and not differences:
+        noise = np.zeros(len(issued.rest)) if issued.noise is None else issued.noise
+        faults = FaultFinder(issued.pairs, issued.rest, noise)(issued.rest + changes).flags
+        changes[faults > 0] = np.nan
     modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
     estimator = PlaceEstimator(issued.place, modelled)
     places, by_model = estimator(changes), None if modelled is None else modelled(changes)
@@ -140,7 +146,9 @@ def apply_to_presses(
         for name, unit in PRESS_QUANTITIES.items()
         if (learned := getattr(issued, name)) is not None
     }
-    frames = tuple(_frame(places, by_model, quantities, number) for number in range(len(changes)))
+    frames = tuple(
+        _frame(places, by_model, quantities, number, int(faults[number])) for number in range(len(changes))
+    )
     return AppliedPlaces(calibration, readings, float(estimator.q68), float(estimator.q95), frames)
 
 
@@ -168,12 +176,14 @@ def _changes(issued: PressCalibration, read: PressReadings, *, differences: bool
     return matched - issued.rest
 
 
-def _frame(places: Places, by_model: Places | None, quantities: Mapping[str, Quantities], row: int) -> FramePlace:
+def _frame(
+    places: Places, by_model: Places | None, quantities: Mapping[str, Quantities], row: int, faults: int
+) -> FramePlace:
     modelled = None
     if by_model is not None:
         share = 1 / (1 + ALLOWANCE * float(by_model.misfit[row]))
         modelled = ByTheModel(*_place(by_model, row), share, bool(by_model.in_model[row]))
-    flags = int(places.flags[row])
+    flags = int(places.flags[row]) | faults
     told: dict[str, Any] = {}
     if not flags & (Flag.NOT_DETECTED | Flag.UNREADABLE):
         for name, each in quantities.items():

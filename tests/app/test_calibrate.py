@@ -291,6 +291,8 @@ def of_recording(folder, tmp_path_factory):
     sheet = pressed_sheet(40, pairs=pairs)
     rest = np.tile(sheet.unloaded, (3, 1))
     every = {"presses": sheet.changes + sheet.unloaded, "rest": rest}
+    every["dead"] = sheet.changes + sheet.unloaded
+    every["dead"][::2, (pairs[:, :2] == pattern.drive[5]).all(axis=1)] *= 0.2
     every["both"] = np.concatenate([2 * rest, sheet.changes + 2 * sheet.unloaded])
     for name, values in every.items():
         voltages, flags = np.zeros((len(values), *pattern.shape)), np.zeros((len(values), *pattern.shape), np.uint8)
@@ -314,6 +316,11 @@ def test_a_recording_of_the_sensor_type_is_turned_into_places(of_recording):
     frames = json.loads(done.stdout)["frames"]
     found = np.array([(frame["x_mm"], frame["y_mm"]) for frame in frames])
     assert np.linalg.norm(found - sheet.labels_mm, axis=1).mean() < 4
+    assert not any({"dead_pair", "open_electrode", "saturated"} & set(frame["flags"]) for frame in frames)
+    done = run("calibration", "apply", folder / "OUT.h5", folder / "dead.h5", "--json")
+    dead = json.loads(done.stdout)["frames"]
+    assert all("dead_pair" in frame["flags"] and frame["x_mm"] is None for frame in dead[::2])
+    assert [frame["x_mm"] for frame in dead[1::2]] == [frame["x_mm"] for frame in frames[1::2]]
     # Against its own first frames, and with a reading flagged in the third press.
     done = run("calibration", "apply", folder / "OUT.h5", folder / "both.h5", "--reference", "3", "--json")
     again = json.loads(done.stdout)["frames"]

@@ -14,8 +14,10 @@ from cbsr_qa.calibration.runtime.force import Flag
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.readings import DEAD, FEWEST, SILENT, SMALL, SOUND
 
-#: A pair is judged if noise is at most this share of the spread of its unloaded readings.
-_CLEAR: Final = 0.02
+#: A pair is judged if noise is at most this share of the spread of its unloaded readings; and a silent one may spread
+#: by so many times the noise.
+_CLEAR: Final = 0.1
+_NOISY: Final = 2.0
 #: Readings with one extreme value are clipped, if so many are that differ by so many times their noise at rest.
 _CLIPPED: Final = 3
 _APART: Final = 6.0
@@ -52,13 +54,16 @@ class FaultFinder:
     def __init__(self, pairs: Indices, reference: Array, noise: Array) -> None:
         self._reference, self._noise = reference, noise
         found: list[tuple[Mask, Indices, bool]] = []
+        silent: list[float] = []
         for drives, columns in ((True, pairs[:, :2]), (False, pairs[:, 2:])):
             ends = np.sort(columns, axis=1)
             for pair in np.unique(ends, axis=0):
                 members = (ends == pair).all(axis=1)
-                spread = float(reference[members].std())
-                if members.sum() >= FEWEST and float(np.sqrt((noise[members] ** 2).mean())) < _CLEAR * spread:
+                spread, loud = float(reference[members].std()), float(np.sqrt((noise[members] ** 2).mean()))
+                if members.sum() >= FEWEST and loud < _CLEAR * spread:
                     found.append((members, pair, drives))
+                    silent.append(max(SILENT, _NOISY * loud / spread))
+        self._silent = np.array(silent)
         self._members: Mask = np.array([members for members, _, _ in found], dtype=np.bool_).reshape(-1, len(pairs))
         self._electrodes: Indices = np.array([pair for _, pair, _ in found], dtype=np.int64).reshape(-1, 2)
         self._drives: Mask = np.array([drives for *_, drives in found], dtype=np.bool_)
@@ -116,7 +121,7 @@ class FaultFinder:
         """
         kept = (~clipped[None]).astype(np.float64)
         slope, spread = (each[0] for each in self._following(readings[None], kept))
-        silent: Mask = np.asarray((slope < DEAD) & (spread < SILENT))
+        silent: Mask = np.asarray((slope < DEAD) & (spread < self._silent))
         dead = silent.copy()
         while True:
             kept[0] = ~(clipped | self._members[dead].any(axis=0))
