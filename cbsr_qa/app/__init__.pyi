@@ -8,7 +8,8 @@ from .apply import (
 )
 from .apply_places import (
     AppliedPlaces as AppliedPlaces,
-    apply_to_table as apply_to_table,
+    apply_to_presses as apply_to_presses,
+    of_presses as of_presses,
     places_csv as places_csv,
     places_outcome as places_outcome,
 )

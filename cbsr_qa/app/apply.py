@@ -146,6 +146,10 @@ _SAID: Final = {
     Flag.OTHER_HEAD: "a head of another size than was calibrated",
     Flag.NOT_AS_MODELLED: "not as on the modelled sheet",
     Flag.SPIKE: "a reading stood out alone: its reciprocal counts for both",
+    Flag.DEAD_PAIR: "a pair hardly drives or measures: left out",
+    Flag.OPEN_ELECTRODE: "nothing comes through an electrode: left out",
+    Flag.SATURATED: "readings stand at one extreme value: left out",
+    Flag.OFFSET: "one offset on all readings: taken out",
 }
 
 

@@ -1,4 +1,4 @@
-"""A calibration from labelled presses applied to a table of readings: a place for every row."""
+"""A calibration from labelled presses applied to a table of readings or a recording: a place for every row."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -7,12 +7,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.calibration.file import read_issued
+from cbsr_qa.analysis.recording import read_pressed_frames
+from cbsr_qa.calibration.file import Issued, read_issued
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator, Places, Quantities, QuantityEstimator
 from cbsr_qa.calibration.presses import PressReadings, matched_readings, read_pairs, read_press_readings
-from cbsr_qa.calibration.runtime import Flag
+from cbsr_qa.calibration.runtime import FaultFinder, Flag
 from cbsr_qa.domain import ALLOWANCE, Array, CalibrationError
 from cbsr_qa.domain.results import PRESS_QUANTITIES, CommandOutcome, PressCalibration, Section
+from cbsr_qa.domain.sensor import DrivePattern
 from cbsr_qa.report import answer, fixed, number, plural, text_table
 from cbsr_qa.system import csv_text, read_untrusted
 
@@ -85,17 +87,33 @@ class AppliedPlaces:
     frames: tuple[FramePlace, ...]
 
 
-def apply_to_table(
-    calibration: Path, readings: Path, pattern: Path, *, differences: bool, rest: Path | None
+def of_presses(calibration: Path) -> bool:
+    """Return whether a calibration file was learned from labelled presses; CalibrationError if it is damaged."""
+    return isinstance(_issued(calibration), PressCalibration)
+
+
+def _issued(calibration: Path) -> Issued:
+    return read_untrusted(calibration, lambda: read_issued(calibration), refusal=CalibrationError)
+
+
+def apply_to_presses(
+    calibration: Path,
+    readings: Path,
+    pattern: Path | None,
+    *,
+    differences: bool,
+    rest: Path | None,
+    reference: int | None = None,
 ) -> AppliedPlaces:
-    """Turn rows of readings into places.
+    """Turn rows of readings, or frames of a recording, into places.
 
     Parameters
     ----------
     calibration : file, learned from labelled presses.
-    readings : table with a column for each row of ``pattern``.
-    differences : whether the readings are changes; else they are frames, compared with ``rest`` or, without it, the
-        calibration's unloaded frames.
+    readings : table with a column for each row of ``pattern``; without one, a recording of the sensor type.
+    differences : whether the readings are changes; else they are frames, compared with ``rest``, with the
+        ``reference`` first frames of the recording, or with the calibration's unloaded frames. Faults
+        of pairs, electrodes and clipping are named in frames, which then have no place.
 
     Raises
     ------
@@ -104,14 +122,22 @@ def apply_to_table(
     RecordingError
         If a table cannot be used.
     """
-    issued = read_untrusted(calibration, lambda: read_issued(calibration), refusal=CalibrationError)
+    issued = _issued(calibration)
     if not isinstance(issued, PressCalibration):
         raise CalibrationError(
             f"{calibration} was issued by a run; --pattern is for calibrations from labelled presses",
             remedy="apply it to recordings, without --pattern",
         )
-    read = read_press_readings(readings, read_pairs(pattern, issued.electrodes), rest)
+    if pattern is None:
+        read = read_pressed_frames(readings, _pattern(calibration, issued), rest, reference)
+    else:
+        read = read_press_readings(readings, read_pairs(pattern, issued.electrodes), rest)
     changes = _changes(issued, read, differences=differences)
+    faults = np.zeros(len(changes), dtype=np.int64)
+    if issued.rest is not None and not differences:
+        noise = np.zeros(len(issued.rest)) if issued.noise is None else issued.noise
+        faults = FaultFinder(issued.pairs, issued.rest, noise)(issued.rest + changes).flags
+        changes[faults > 0] = np.nan
     modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
     estimator = PlaceEstimator(issued.place, modelled)
     places, by_model = estimator(changes), None if modelled is None else modelled(changes)
@@ -120,28 +146,44 @@ def apply_to_table(
         for name, unit in PRESS_QUANTITIES.items()
         if (learned := getattr(issued, name)) is not None
     }
-    frames = tuple(_frame(places, by_model, quantities, number) for number in range(len(changes)))
+    frames = tuple(
+        _frame(places, by_model, quantities, number, int(faults[number])) for number in range(len(changes))
+    )
     return AppliedPlaces(calibration, readings, float(estimator.q68), float(estimator.q95), frames)
 
 
+def _pattern(calibration: Path, issued: PressCalibration) -> DrivePattern:
+    if not issued.drive:
+        raise CalibrationError(
+            f"{calibration} does not state the order of the pairs in a frame: it was issued before calibrations did",
+            remedy="give the readings as a table, with --pattern, or calibrate again",
+        )
+    return DrivePattern(issued.electrodes, issued.drive, issued.measure)
+
+
 def _changes(issued: PressCalibration, read: PressReadings, *, differences: bool) -> Array:
-    matched: Array = read.changes @ matched_readings(issued.pairs, read.distinct)
+    selection = matched_readings(issued.pairs, read.distinct)
+    missing = np.isnan(read.changes)
+    matched: Array = np.where(missing @ (selection != 0), np.nan, np.where(missing, 0.0, read.changes) @ selection)
     if differences or read.rest is not None:
         return matched
     if issued.rest is None:
         raise CalibrationError(
             "the calibration was made from changes and holds no unloaded frame",
-            remedy="give --differences if the readings are changes, or --rest FILE with frames of the unloaded sheet",
+            remedy="give --differences if the readings are changes, --rest FILE with frames of the unloaded sheet, or"
+            " --reference N if the first N frames of a recording are",
         )
     return matched - issued.rest
 
 
-def _frame(places: Places, by_model: Places | None, quantities: Mapping[str, Quantities], row: int) -> FramePlace:
+def _frame(
+    places: Places, by_model: Places | None, quantities: Mapping[str, Quantities], row: int, faults: int
+) -> FramePlace:
     modelled = None
     if by_model is not None:
         share = 1 / (1 + ALLOWANCE * float(by_model.misfit[row]))
         modelled = ByTheModel(*_place(by_model, row), share, bool(by_model.in_model[row]))
-    flags = int(places.flags[row])
+    flags = int(places.flags[row]) | faults
     told: dict[str, Any] = {}
     if not flags & (Flag.NOT_DETECTED | Flag.UNREADABLE):
         for name, each in quantities.items():

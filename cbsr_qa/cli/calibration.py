@@ -83,12 +83,16 @@ def apply(
         typer.Option(
             help="For a calibration from labelled presses: table source,sink,plus,minus with one row per column of"
             " RECORDINGS, which is one table then. Order and polarity may differ from those that were calibrated."
+            " Without it, RECORDINGS is one recording of the sensor type."
         ),
     ] = None,
     differences: Annotated[
-        bool, typer.Option("--differences", help="With --pattern: the readings are changes by the presses.")
+        bool,
+        typer.Option("--differences", help="Calibration from presses: the readings are changes by the presses."),
     ] = False,
-    rest: Annotated[Path | None, typer.Option(help="With --pattern: table of frames of the unloaded sheet.")] = None,
+    rest: Annotated[
+        Path | None, typer.Option(help="Calibration from presses: frames of the unloaded sheet, as RECORDINGS.")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option(help="CSV file to write; must not exist yet. - writes to the terminal.")
     ] = None,
@@ -96,15 +100,24 @@ def apply(
 ) -> int:
     """Turn the frames of recordings into force with its standard error, place and flags.
 
-    A calibration from labelled presses turns a table of readings (--pattern) into places.
+    A calibration from labelled presses turns a recording, or a table of readings (--pattern), into places.
     Shows a short table for each recording; --output writes one row per frame.
     """
-    if pattern is not None:
-        return _apply_to_table(file, recordings, pattern, output, differences=differences, rest=rest, as_json=as_json)
-    if differences or rest is not None:
-        raise typer.BadParameter("it needs --pattern", param_hint="--differences" if differences else "--rest")
-    from cbsr_qa.app import ApplyRequest, apply_calibration, apply_outcome, as_csv, write_table
+    from cbsr_qa.app import ApplyRequest, apply_calibration, apply_outcome, as_csv, of_presses, write_table
 
+    if pattern is not None or of_presses(file):
+        return _apply_places(
+            file,
+            recordings,
+            pattern,
+            (differences, rest, reference),
+            output,
+            as_json=as_json,
+        )
+    if differences or rest is not None:
+        raise typer.BadParameter(
+            "it is for calibrations from labelled presses", param_hint="--differences" if differences else "--rest"
+        )
     request = ApplyRequest(place, format_, dataset, reference, serial)
     applied = apply_calibration(file, recordings, request, tell=announce)
     for recording in applied.recordings:
@@ -120,23 +133,25 @@ def apply(
     return show_outcome(apply_outcome(applied, output), as_json=as_json)
 
 
-def _apply_to_table(
+def _apply_places(
     file: Path,
-    tables: list[Path],
-    pattern: Path,
+    readings: list[Path],
+    pattern: Path | None,
+    unloaded: tuple[bool, Path | None, int | None],
     output: Path | None,
     *,
-    differences: bool,
-    rest: Path | None,
     as_json: bool,
 ) -> int:
-    from cbsr_qa.app import apply_to_table, places_csv, places_outcome, write_table
+    from cbsr_qa.app import apply_to_presses, places_csv, places_outcome, write_table
 
-    if len(tables) != 1:
-        raise typer.BadParameter("one table of readings is applied at a time", param_hint="RECORDINGS")
-    if differences and rest is not None:
-        raise typer.BadParameter("changes have no unloaded frames", param_hint="--rest")
-    applied = apply_to_table(file, tables[0], pattern, differences=differences, rest=rest)
+    differences, rest, reference = unloaded
+    if len(readings) != 1:
+        raise typer.BadParameter("one table or recording is turned into places at a time", param_hint="RECORDINGS")
+    if sum([differences, rest is not None, reference is not None]) > 1:
+        raise typer.BadParameter("give one of --differences, --rest and --reference", param_hint="--differences")
+    if pattern is not None and reference is not None:
+        raise typer.BadParameter("a table has --rest FILE", param_hint="--reference")
+    applied = apply_to_presses(file, readings[0], pattern, differences=differences, rest=rest, reference=reference)
     if output == _STDOUT and not as_json:
         say(places_csv(applied).rstrip())
         return 0

@@ -11,9 +11,10 @@ from pressed_sheets import SKIN_TOML, adjacent_pairs, pressed_sheet, some, table
 from typer.testing import CliRunner
 
 from cbsr_qa.analysis import write_recording
+from cbsr_qa.calibration.file import read_issued, stamped, write_calibration
 from cbsr_qa.cli import app
 from cbsr_qa.config import load_sensor_type
-from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 
 
 def run(*arguments):
@@ -279,6 +280,74 @@ def test_a_recording_with_a_frame_for_each_press_takes_the_place_of_tables(press
     write_recording(tmp_path / "fewer.h5", recording(fewer))
     done = run("calibrate", tmp_path / "fewer.h5", "--to", tmp_path / "other.h5", *arguments)
     assert "16 × 4 readings" in str(done.exception)
+
+
+@pytest.fixture(scope="module")
+def of_recording(folder, tmp_path_factory):
+    """A folder with a calibration learned from a recording of its sensor type, that recording, and its sheet."""
+    tmp_path = tmp_path_factory.mktemp("recorded")
+    pattern = load_sensor_type(folder / "T.toml").value.pattern
+    pairs = np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
+    sheet = pressed_sheet(40, pairs=pairs)
+    rest = np.tile(sheet.unloaded, (3, 1))
+    every = {"presses": sheet.changes + sheet.unloaded, "rest": rest}
+    every["dead"] = sheet.changes + sheet.unloaded
+    every["dead"][::2, (pairs[:, :2] == pattern.drive[5]).all(axis=1)] *= 0.2
+    every["both"] = np.concatenate([2 * rest, sheet.changes + 2 * sheet.unloaded])
+    for name, values in every.items():
+        voltages, flags = np.zeros((len(values), *pattern.shape)), np.zeros((len(values), *pattern.shape), np.uint8)
+        voltages[:, pattern.usable()] = 1e-3 * values
+        if name == "both":
+            flags[5, 0, 4] = ReadingFlag.SATURATED
+        frames = FrameBlock(np.arange(len(values), dtype=float), voltages, flags, VoltageUnit.VOLT, 1e-3)
+        write_recording(tmp_path / f"{name}.h5", recording(frames))
+    files = {"readings": tmp_path / "presses.h5", "presses": sheet.write(tmp_path)[1], "rest": tmp_path / "rest.h5"}
+    done = run(
+        "calibrate", files["readings"], "--presses", files["presses"], "--sensor-type", folder / "T.toml",
+        "--rest", files["rest"], "--to", tmp_path / "OUT.h5", "--json",
+    )  # fmt: skip
+    assert not done.exception, done.output
+    return tmp_path, sheet
+
+
+def test_a_recording_of_the_sensor_type_is_turned_into_places(of_recording):
+    folder, sheet = of_recording
+    done = run("calibration", "apply", folder / "OUT.h5", folder / "presses.h5", "--json")
+    frames = json.loads(done.stdout)["frames"]
+    found = np.array([(frame["x_mm"], frame["y_mm"]) for frame in frames])
+    assert np.linalg.norm(found - sheet.labels_mm, axis=1).mean() < 4
+    assert not any({"dead_pair", "open_electrode", "saturated"} & set(frame["flags"]) for frame in frames)
+    done = run("calibration", "apply", folder / "OUT.h5", folder / "dead.h5", "--json")
+    dead = json.loads(done.stdout)["frames"]
+    assert all("dead_pair" in frame["flags"] and frame["x_mm"] is None for frame in dead[::2])
+    assert [frame["x_mm"] for frame in dead[1::2]] == [frame["x_mm"] for frame in frames[1::2]]
+    # Against its own first frames, and with a reading flagged in the third press.
+    done = run("calibration", "apply", folder / "OUT.h5", folder / "both.h5", "--reference", "3", "--json")
+    again = json.loads(done.stdout)["frames"]
+    assert len(again) == 43
+    assert "not_detected" in again[0]["flags"]
+    assert "unreadable" in again[5]["flags"]
+    assert again[5]["x_mm"] is None
+    found = np.array([(frame["x_mm"], frame["y_mm"]) for frame in again[6:]])
+    assert np.linalg.norm(found - sheet.labels_mm[3:], axis=1).mean() < 4
+
+
+def test_a_recording_that_cannot_be_turned_into_places_is_refused(of_recording, folder, pressed):
+    recorded, _ = of_recording
+    apply = ("calibration", "apply")
+    # Calibrated from a table of other pairs than those of the sensor type's frames.
+    assert "192 of the 192 readings" in refused(*apply, folder / "OUT.h5", recorded / "presses.h5", "--differences")
+    assert "--reference 44 of both.h5; it holds 43 frames" in refused(
+        *apply, recorded / "OUT.h5", recorded / "both.h5", "--reference", "44"
+    )
+    assert "a reading of the first 6 frames of both.h5 is missing or saturated" in refused(
+        *apply, recorded / "OUT.h5", recorded / "both.h5", "--reference", "6"
+    )
+    old = replace(read_issued(recorded / "OUT.h5"), drive=(), measure=())
+    write_calibration(recorded / "old.h5", stamped(old))
+    assert "does not state the order of the pairs in a frame" in refused(
+        *apply, recorded / "old.h5", recorded / "presses.h5"
+    )
 
 
 def test_a_pair_that_is_missing_when_it_is_applied_is_named(pressed, folder, tmp_path):

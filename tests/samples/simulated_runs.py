@@ -63,10 +63,11 @@ def simulated_run(
     loads=None,
     phases=None,
     material=None,
+    sensor=None,
 ):
     """Run presses on the simulated bench; ``gauge`` scales the material's response, ``noise`` replaces its own.
 
-    ``material`` is the shipped 8 wt% unless another is given.
+    ``material`` is the shipped 8 wt%, ``sensor`` the 100 mm disc unless another is given.
 
     ``loads`` are pressed instead of ``places_mm`` once at ``strain``; or ``phases`` are run instead of either.
     """
@@ -76,7 +77,7 @@ def simulated_run(
     material = replace(material, against_strain=replace(against, slope=slope))
     if noise is not None:
         material = replace(material, relative_noise=Parameter(noise, None, "test"))
-    sensor = load_sensor_type("disc-100mm").value
+    sensor = sensor or load_sensor_type("disc-100mm").value
     plugins, clock = discover(), VirtualClock(datetime(2026, 1, 1, tzinfo=UTC))
     context = StationContext(
         "bench", clock, sensor, material, HEAD, seed, {}, load_scene(scene).value,

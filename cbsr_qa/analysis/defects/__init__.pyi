@@ -13,7 +13,7 @@ from .noise import (
     find_steps as find_steps,
     noise_report as noise_report,
 )
-from .offsets import find_offsets as find_offsets, without_offsets as without_offsets
+from .offsets import find_offsets as find_offsets, offset_words as offset_words, without_offsets as without_offsets
 from .quality import (
     FEWEST_FRAMES as FEWEST_FRAMES,
     largest_by_reading as largest_by_reading,
@@ -21,4 +21,5 @@ from .quality import (
     reciprocity_errors as reciprocity_errors,
     signal_to_noise_dB as signal_to_noise_dB,
 )
+from .rectifying import answering_levels as answering_levels
 from .spikes import despiked as despiked

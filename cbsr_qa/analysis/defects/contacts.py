@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.readings import SILENT
 from cbsr_qa.domain.sensor import DrivePattern
 
 Array = NDArray[np.float64]
@@ -20,8 +21,6 @@ _INSIDE = 0.9
 _SEEN_OUTSIDE = 0.5
 #: … by so many standard errors.
 _SIGMAS = 2.0
-#: Readings of an open pair differ by less than this share of what those of a live one do, whatever their offset.
-_SILENT = 0.05
 _LIVE = 0.75  #: quantile of the pairs that is live: with fewer than a quarter of them nothing is left to image
 
 
@@ -55,7 +54,7 @@ def open_electrodes(frame: Array, used: Mask, pattern: DrivePattern) -> tuple[in
         )
         known = np.isfinite(spread)
         live = float(np.quantile(spread[known], _LIVE)) if known.any() else 0.0
-        silent.append(known & (spread < _SILENT * live))
+        silent.append(known & (spread < SILENT * live))
     pairs = ((pattern.drive, silent[0]), (pattern.measure, silent[1]))
     of_each = [
         [bool(quiet[k]) for of_kind, quiet in pairs for k, pair in enumerate(of_kind) if electrode in pair]

@@ -9,14 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.readings import DEAD, FEWEST, SMALL, SOUND
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_DEAD = 0.4  #: a drive whose readings follow their reciprocals with less than this slope is dead …
-_SMALL = 0.6  #: … if they are also below this share of those of the typical drive, and their reciprocals are not …
-_SOUND = 0.7  #: … if those of most drives follow with at least this slope
 _FOLLOWS = 0.8  #: correlation of the typical drive below which slopes mean nothing
-_FEWEST = 6  #: reciprocal readings of a drive
 _AWAY = 0.5  #: a dead drive's own reading is wrapped if it differs by this share of the typical one
 
 
@@ -63,16 +61,16 @@ def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
     None if the readings are not reciprocal enough to decide, because of noise or carry-over.
     """
     both = used & used.T
-    drives = np.flatnonzero(both.sum(axis=1) >= _FEWEST)
-    if len(drives) < _FEWEST:
+    drives = np.flatnonzero(both.sum(axis=1) >= FEWEST)
+    if len(drives) < FEWEST:
         return ()
     slopes, follow = np.array([_slope(frame[both[:, k], k], frame[k, both[k]]) for k in drives]).T
-    if np.median(slopes) < _SOUND or np.median(follow) < _FOLLOWS:
+    if np.median(slopes) < SOUND or np.median(follow) < _FOLLOWS:
         return ()
     own = np.diag(frame)
     # A measure pair that reads too much has a row as large as others; a lost contact has a small column too.
     rows, columns = (np.array([each[k, both[k]].std() for k in drives]) for each in (frame, frame.T))
-    dead = drives[(slopes < _DEAD) & (rows < _SMALL * np.median(rows)) & (columns > _SMALL * np.median(columns))]
+    dead = drives[(slopes < DEAD) & (rows < SMALL * np.median(rows)) & (columns > SMALL * np.median(columns))]
     usual = float(np.median(np.delete(own, dead)))
     return tuple(DeadDrive(int(k), float(slopes[drives == k][0]), float(own[k]), usual) for k in dead)
 

@@ -59,6 +59,13 @@ def _common(before: Array, after: Array, sigma: Array) -> tuple[float, float]:
     return size, float(np.sqrt(max(spread**2 - noise**2, 0.0)))
 
 
+def offset_words(offsets: tuple[tuple[int, float], ...], time_s: Array, unit: str) -> list[str]:
+    """Name sudden offsets with their times (n,) of the frames; nothing without any."""
+    listed = ", ".join(f"{size:+.3g} {unit} at {time_s[at]:.1f} s" for at, size in offsets)
+    words = f"all readings changed by one offset, not by a load: {listed}; it was taken out"
+    return [words] if offsets else []
+
+
 def without_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> Array:
     """Take offsets out of (n, drives, measures) readings, relative to the first frame."""
     added = np.zeros(len(voltages))

@@ -11,7 +11,11 @@ from .images import (
 )
 from .imaging import nominal_disc as nominal_disc, sheet_for as sheet_for
 from .places import Place as Place
-from .press_files import PressFiles as PressFiles, read_labelled_presses as read_labelled_presses
+from .press_files import (
+    PressFiles as PressFiles,
+    read_labelled_presses as read_labelled_presses,
+    read_pressed_frames as read_pressed_frames,
+)
 from .reading import guarded as guarded, read_recording_file as read_recording_file, recognised as recognised
 from .ready import ReadyReadings as ReadyReadings, make_ready as make_ready
 from .tank import fitted_tank as fitted_tank

@@ -67,6 +67,36 @@ def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[Sou
     return labelled, tuple(source_file(role, path) for role, path in named.items() if path is not None)
 
 
+def read_pressed_frames(path: Path, pattern: DrivePattern, rest: Path | None, reference: int | None) -> PressReadings:
+    """Read frames of a recording as rows of its usable readings; NaN where one is missing or saturated.
+
+    Parameters
+    ----------
+    pattern : of the frames.
+    rest : recording of the unloaded sheet; ``reference`` how many first frames are of it. None without any.
+
+    Raises
+    ------
+    RecordingError
+        If a recording cannot be read, has another pattern, holds fewer frames, or frames at rest are not whole.
+    """
+    frames = _frames(path, pattern, whole=False)
+    if reference is not None and not 1 <= reference <= len(frames):
+        raise RecordingError(f"--reference {reference} of {path.name}; it holds {len(frames)} frames")
+    if rest is None and reference is None:
+        return PressReadings(path, _distinct(pattern), frames)
+    still = frames[:reference] if rest is None else _frames(rest, pattern)
+    if not np.isfinite(still).all():
+        raise RecordingError(f"a reading of the first {reference} frames of {path.name} is missing or saturated")
+    return PressReadings(path, _distinct(pattern), frames - still.mean(axis=0), still.mean(axis=0))
+
+
+def _distinct(pattern: DrivePattern) -> DistinctPairs:
+    return DistinctPairs.of(
+        np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
+    )
+
+
 def _readings(files: PressFiles, sensor_type: SensorType) -> PressReadings:
     if files.pattern is not None:
         pairs = read_pairs(files.pattern, sensor_type.electrodes.count)
@@ -77,9 +107,7 @@ def _readings(files: PressFiles, sensor_type: SensorType) -> PressReadings:
             remedy="give --pattern FILE with source,sink,plus,minus of each column",
         )
     pattern = sensor_type.pattern
-    distinct = DistinctPairs.of(
-        np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(pattern.usable())])
-    )
+    distinct = _distinct(pattern)
     frames = _frames(files.readings, pattern)
     if files.rest is None:
         return PressReadings(files.readings, distinct, frames)
@@ -88,8 +116,13 @@ def _readings(files: PressFiles, sensor_type: SensorType) -> PressReadings:
     return PressReadings(files.readings, distinct, frames - rest.mean(axis=0), rest.mean(axis=0), noise)
 
 
-def _frames(path: Path, pattern: DrivePattern) -> Array:
-    """Usable readings (n, m) of a recording, one frame per press; RecordingError if its pattern differs."""
+def _frames(path: Path, pattern: DrivePattern, *, whole: bool = True) -> Array:
+    """Usable readings (n, m) of a recording, one frame per press; RecordingError if its pattern differs.
+
+    Parameters
+    ----------
+    whole : refuse frames with readings that are missing or saturated, which are NaN otherwise.
+    """
     try:
         recording = read_recording_file(path, discover(), format_=None, dataset=None)
     except RecordingError as error:
@@ -104,11 +137,11 @@ def _frames(path: Path, pattern: DrivePattern) -> Array:
         )
     usable = pattern.usable()
     bad = np.argwhere(((frames.flags & UNUSABLE) != 0) & usable)
-    if len(bad):
+    if len(bad) and whole:
         frame, drive, measure = bad[0].tolist()
         raise RecordingError(
             f"{path.name}: {len(bad)} readings are missing or saturated, first in frame {frame}, drive pair {drive},"
             f" measure pair {measure} (all from 0)",
             remedy="leave out that press in both files",
         )
-    return frames.voltages[:, usable]
+    return np.where((frames.flags & UNUSABLE) != 0, np.nan, frames.voltages)[:, usable]

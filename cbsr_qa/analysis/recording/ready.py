@@ -13,6 +13,7 @@ from cbsr_qa.analysis.defects import (
     find_dead_drives,
     find_faults,
     find_offsets,
+    offset_words,
     open_electrodes,
     without_offsets,
 )
@@ -74,11 +75,7 @@ class ReadyReadings:
 
     def remarks(self) -> list[str]:
         """Describe corrections of readings, and channels that failed during the recording."""
-        remarks = []
-        if self.offsets:
-            unit = self.block.unit.value
-            listed = ", ".join(f"{size:+.3g} {unit} at {self.block.time_s[at]:.1f} s" for at, size in self.offsets)
-            remarks.append(f"all readings changed by one offset, not by a load: {listed}; it was taken out")
+        remarks = offset_words(self.offsets, self.block.time_s, self.block.unit.value)
         if self.open_electrodes:
             named = ", ".join(map(str, self.open_electrodes))
             kind = "electrodes" if len(self.open_electrodes) > 1 else "electrode"

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import Suspect, channel_noise, suspects_of
+from cbsr_qa.analysis.defects import Suspect, answering_levels, channel_noise, suspects_of
 from cbsr_qa.analysis.recording.changes import nearest_step
 from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, held_from_the_beginning, search
 from cbsr_qa.analysis.recording.images import Sighting, frames_around, nearest_frames
@@ -15,7 +15,6 @@ from cbsr_qa.analysis.recording.places import Matcher, Place, fitted, matcher, r
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fitted_tank, reciprocal_noise
 from cbsr_qa.analysis.recording.traces import difference, noise_energy
-from cbsr_qa.calibration.presses import AnsweringSide, compared_sides
 from cbsr_qa.domain import Goodness
 from cbsr_qa.domain.readings import Recording
 from cbsr_qa.domain.sensor import SensorType
@@ -30,7 +29,6 @@ _MOST_CONTACTS = 4  #: maximum number of repeated searches without a suspect's r
 _SAME_CHANGE_S = 1.0  #: changes this close in time are one
 _FIRST_BALL = 0.1  #: initial radius of a ball in a tank, of the tank's
 _BALL_ROUNDS = 3  #: iterations over places and sizes of balls
-_LEAST_SIDE = 0.2  #: a front end may lose a polarity with at least this share of the readings
 _LEAST_LEFT = 0.5  #: searches are repeated only while this share of the readings remains
 
 
@@ -87,7 +85,8 @@ class RecordedScene:
         """
         block, used = ready.block, ready.used
         frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference
-        side = None if recording.magnitudes_only else _answering(frame, used, sensor_type)
+        modelled = sheet_for(sensor_type, used).problem.reference
+        side = None if recording.magnitudes_only else answering_levels(frame[used], modelled)
         if side is not None and side.words:
             used = used.copy()
             used[used] = side.answers
@@ -282,19 +281,6 @@ def _goodness(match: Matcher, white: Array, press: Press) -> Goodness:
     change = difference(white, press.before, press.held)
     variance = noise_energy(white, press.before, press.held) / white.shape[1]
     return Goodness.of(change, fitted(change, match, press.places), match.sigma, variance)
-
-
-def _answering(frame: Array, used: NDArray[np.bool_], sensor_type: SensorType) -> AnsweringSide | None:
-    """Tell by levels which polarity answers; each about its own middle, which takes out an offset."""
-    model = sheet_for(sensor_type, used).problem.reference
-    positive = model > 0
-    if not _LEAST_SIDE <= positive.mean() <= 1 - _LEAST_SIDE:
-        return None
-    levels = frame[used].astype(np.float64)
-    for side in (positive, ~positive):
-        usual = np.median(np.abs(model[side] - np.median(model[side])))
-        levels[side] = (levels[side] - np.median(levels[side])) / usual
-    return compared_sides(np.abs(levels), positive)
 
 
 def _quiet(scores: Array) -> str:

@@ -26,6 +26,7 @@ from cbsr_qa.analysis.run.reference import (
     unloaded_frames,
     usable_data,
     weighed_problem,
+    without_side,
 )
 from cbsr_qa.domain.geometry import Footprint
 from cbsr_qa.domain.plan import AnalysisSettings, Role
@@ -94,6 +95,10 @@ def observe_run(
     for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
     check_weighing(reconstruction, type(reconstruction).__name__, settings)
     problem, silent = weighed_problem(data, unloaded, settings)
+    answering = without_side(data, unloaded, problem.reference)
+    if answering is not data:
+        data = answering
+        problem, silent = weighed_problem(data, unloaded, settings)
     imager = _imager(problem, for_reference, reconstruction)
     noise_images = imager.images(for_noise)
     floor = noise_floor(noise_images)
@@ -111,7 +116,7 @@ def observe_run(
     if over_time:
         loads, timelines = _over_time(setting, data.record, cut, loads)
     observation = RunObservation(
-        record=record,
+        record=data.mended,
         reconstruction=imager.reconstruction,
         scale=imager.scale,
         unloaded=unloaded,

@@ -5,7 +5,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects import despiked, find_dead_drives, find_faults, open_electrodes
+from cbsr_qa.analysis.defects import (
+    answering_levels,
+    channel_noise,
+    despiked,
+    find_dead_drives,
+    find_faults,
+    find_offsets,
+    offset_words,
+    open_electrodes,
+    without_offsets,
+)
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, ScanKind, join_frames
@@ -55,12 +65,14 @@ class UsableData:
 
     Parameters
     ----------
-    record : the run without lost frames, spikes replaced by their neighbours in time.
+    record : the run without lost frames, offsets taken out, spikes replaced by their neighbours in time.
+    mended : the same with all frames.
     readings : (drives, measures) bool, fit for imaging in every remaining frame.
     warnings : a sentence for every kind of reading or frame left out, beyond those of the pattern.
     """
 
     record: RunRecord
+    mended: RunRecord
     readings: NDArray[np.bool_]
     warnings: tuple[str, ...]
 
@@ -72,8 +84,8 @@ def usable_data(record: RunRecord) -> UsableData:
     remaining flags, channels are left out first, worst first, until at most 1 % of the frames are affected; then
     those frames are left out. So a channel that saturates throughout a press is left out, and a watchdog dump in
     one frame costs that frame. The rest is judged as in recordings: stuck readings, electrodes without contact and
-    dead drives are left out, spikes replaced. A reading that never changes while others do is stuck in a noiseless
-    simulation too; if nothing changes at all (a sheet without load) no reading is.
+    dead drives are left out, offsets on all readings taken out, spikes replaced. A reading that never changes while
+    others do is stuck in a noiseless simulation too; if nothing changes at all (a sheet without load) no reading is.
     """
     frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
     pattern = record.sensor_type.pattern.usable()
@@ -85,7 +97,8 @@ def usable_data(record: RunRecord) -> UsableData:
     stuck = _stuck(kept, pattern) & pattern & ~left_out
     silent, said = _without_current(kept, pattern & ~left_out & ~stuck, record.sensor_type.pattern)
     readings = pattern & ~left_out & ~stuck & ~silent
-    voltages, spikes = kept.voltages, np.zeros(kept.voltages.shape, dtype=bool)
+    voltages, offsets = _without_offsets(kept.voltages, readings)
+    spikes = np.zeros(voltages.shape, dtype=bool)
     if record.sensor_type.pattern.drive == record.sensor_type.pattern.measure:
         voltages, spikes = despiked(voltages, readings, counts=False)
     words = [
@@ -94,7 +107,7 @@ def usable_data(record: RunRecord) -> UsableData:
         for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
         if channels.any()
     ]
-    words += said
+    words += [*said, *offset_words(offsets, kept.time_s, kept.unit.value)]
     if spikes.any():
         spiky = int(spikes.any(axis=(1, 2)).sum())
         words.append(
@@ -103,9 +116,14 @@ def usable_data(record: RunRecord) -> UsableData:
         )
     if lost.any():
         words.append(f"{int(lost.sum())} of {len(frames)} frames are excluded: they have missing readings")
-    if spikes.any() or lost.any():
-        record = _with(record, replace(kept, voltages=voltages), frames.time_s[lost])
-    return UsableData(record, readings, tuple(words))
+    mended = record
+    if offsets or spikes.any():
+        every = frames.voltages.copy()
+        every[~lost] = voltages
+        mended = _with(record, every, frames.time_s[:0])
+    if offsets or spikes.any() or lost.any():
+        record = _with(record, voltages, frames.time_s[lost])
+    return UsableData(record, mended, readings, tuple(words))
 
 
 def _stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -136,6 +154,32 @@ def _without_current(
     return silent, words
 
 
+def _without_offsets(
+    voltages: NDArray[np.float64], readings: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], tuple[tuple[int, float], ...]]:
+    if len(voltages) < 2 or not readings.any():
+        return voltages, ()
+    used = voltages[:, readings]
+    offsets = find_offsets(used, channel_noise(used, counts=False))
+    return (without_offsets(voltages, offsets), offsets) if offsets else (voltages, ())
+
+
+def without_side(data: UsableData, unloaded: FrameBlock, modelled: NDArray[np.float64]) -> UsableData:
+    """Leave out readings of a polarity that hardly answers, of a front end that rectifies.
+
+    Parameters
+    ----------
+    unloaded : frames of the unloaded sheet.
+    modelled : (m,) of the usable readings.
+    """
+    side = answering_levels(unloaded.voltages.mean(axis=0)[data.readings], modelled)
+    if side is None or not side.words:
+        return data
+    readings = data.readings.copy()
+    readings[readings] = side.answers
+    return replace(data, readings=readings, warnings=(*data.warnings, f"{side.words}; they were left out"))
+
+
 def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay affected."""
     left_out = np.zeros(flagged.shape[1:], dtype=np.bool_)
@@ -146,8 +190,8 @@ def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return left_out
 
 
-def _with(record: RunRecord, kept: FrameBlock, lost_s: NDArray[np.float64]) -> RunRecord:
-    """Return the run with only its kept frames, their spikes replaced."""
+def _with(record: RunRecord, voltages: NDArray[np.float64], lost_s: NDArray[np.float64]) -> RunRecord:
+    """Return the run with only its kept frames, their readings replaced."""
     phases, first = list[PhaseRecord](), 0
     for phase in record.phases:
         if phase.frames is None:
@@ -155,7 +199,7 @@ def _with(record: RunRecord, kept: FrameBlock, lost_s: NDArray[np.float64]) -> R
             continue
         frames = phase.frames.select(~np.isin(phase.frames.time_s, lost_s))
         last = first + len(frames)
-        phases.append(replace(phase, frames=replace(frames, voltages=kept.voltages[first:last])))
+        phases.append(replace(phase, frames=replace(frames, voltages=voltages[first:last])))
         first = last
     return replace(record, phases=tuple(phases))
 

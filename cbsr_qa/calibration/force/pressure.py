@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-from cbsr_qa.calibration.runtime import Calibration, Flag
+from cbsr_qa.calibration.runtime import LEFT_OUT, NO_FORCE, Calibration
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.sensor import Mesh
@@ -44,12 +44,12 @@ class PressureMap:
         self._line = issued.against_stress
 
     def stress_kPa(self, frames: ArrayLike, *, current_A: float | None = None) -> Array:
-        """Stress (n, elements) in each frame (n, drives, measures) [V]; NaN in frames that cannot be used."""
+        """Stress (n, elements) in each frame (n, drives, measures) [V]; NaN in frames that are not whole."""
         changes, flags = self._calibration.changes(frames, current_A=current_A)
         issued = self._calibration.issued
         images = changes @ issued.reconstruction.matrix.T / issued.scale
         stress = self._stress(issued.response.sign * images)
-        stress[flags & (Flag.UNREADABLE | Flag.OTHER_SENSOR) != 0] = np.nan
+        stress[flags & (NO_FORCE | LEFT_OUT) != 0] = np.nan
         return stress
 
     @property

@@ -159,6 +159,8 @@ def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: P
             modelled=learned.modelled,
             force=learned.quantities.get("force"),
             depth=learned.quantities.get("depth"),
+            drive=sensor_type.pattern.drive,
+            measure=sensor_type.pattern.measure,
         )
     )
 

@@ -1,4 +1,7 @@
+from .faults import FaultFinder as FaultFinder, FrameFaults as FrameFaults
 from .force import (
+    LEFT_OUT as LEFT_OUT,
+    NO_FORCE as NO_FORCE,
     Flag as Flag,
     ForceInverse as ForceInverse,
     least_force_N as least_force_N,

@@ -8,7 +8,7 @@ templates for another head size is in :class:`SizeError`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntFlag
 from functools import cached_property
 from typing import Final, NamedTuple
@@ -40,10 +40,16 @@ class Flag(IntFlag):
     OTHER_HEAD = 256  #: the head's size differs so much from the calibrated one that its field is off by over 3 %
     NOT_AS_MODELLED = 512  #: no touch of the modelled sheet explains the readings
     SPIKE = 1024  #: a reading was a spike, and its reciprocal replaces it
+    DEAD_PAIR = 2048  #: a pair hardly drives, or hardly measures: its readings were left out
+    OPEN_ELECTRODE = 4096  #: nothing comes through an electrode: its readings were left out
+    SATURATED = 8192  #: several readings stood at one extreme value: they were left out
+    OFFSET = 16384  #: one offset was added to all readings: it was taken out
 
 
 #: Frames with one of these flags have no force.
 NO_FORCE: Final = int(Flag.UNREADABLE | Flag.OTHER_SENSOR)
+#: Some readings of frames with one of these flags say nothing of the sheet.
+LEFT_OUT: Final = int(Flag.DEAD_PAIR | Flag.OPEN_ELECTRODE | Flag.SATURATED)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -86,6 +92,15 @@ class Forces:
             raise ValueError(f"a coverage of {coverage} is not between 0 and 1")
         half = float(ndtri((1 + coverage) / 2)) * self.stderr_N
         return self.force_N - half, self.force_N + half
+
+
+def joined(parts: Sequence[tuple[Indices, Forces]]) -> Forces:
+    """Return forces of some frames each, with their numbers, in the order of the frames."""
+    if len(parts) == 1:
+        return parts[0][1]
+    order = np.argsort(np.concatenate([which for which, _ in parts]))
+    columns = ([getattr(forces, column.name) for _, forces in parts] for column in fields(Forces))
+    return Forces(*(np.concatenate(values)[order] for values in columns))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

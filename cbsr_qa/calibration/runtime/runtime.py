@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cbsr_qa.calibration.file import read_calibration
+from cbsr_qa.calibration.runtime.fewer_readings import BY_OFFSET, LEAST_OFFSET
 from cbsr_qa.calibration.runtime.force import (
     LARGEST,
     NO_FORCE,
@@ -17,20 +18,19 @@ from cbsr_qa.calibration.runtime.force import (
     SeveralForces,
     SizeError,
     forces_together,
+    joined,
     least_force_N,
     map_tables,
     nothing_together,
     range_flags,
 )
+from cbsr_qa.calibration.runtime.frames import SensorFrames
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
-from cbsr_qa.calibration.runtime.spikes import SpikeFilter
 from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
-from cbsr_qa.domain import Array, CalibrationError, Indices, real_numbers, unlike_model
-from cbsr_qa.domain.results import ForceModel, calibration as record
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, real_numbers, unlike_model
+from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.run import Indenter
 
-#: A frame is from another sensor if its readings as a whole are further than this from the reference's (relative).
-_FOREIGN: Final = 0.5
 #: Detectability of a load at a given place.
 _CLEAR: Final = 3.0
 #: Least share of a load's signal, as energy, explained by no head, for a frame to show something else.
@@ -46,32 +46,20 @@ _NEAREST: Final = 0.8
 _HEADS: Final = 8
 
 
-class Calibration:
+class Calibration(SensorFrames):
     """One sensor's calibration, ready to be applied.
 
     CalibrationError if it has no force model: it was issued before there were any, or no load of its run gave one.
     """
 
-    def __init__(self, issued: record.Calibration) -> None:
-        if issued.force is None:
-            why = issued.no_force or "it was issued before calibrations held force models"
-            raise CalibrationError(
-                f"calibration {issued.calibration} of sensor {issued.sensor.serial} holds no force model: {why}",
-                remedy="calibrate the sensor again: run a recipe whose calibration phases press three places or more",
-            )
-        self.issued = issued
-        self.model: ForceModel = issued.force
-        self._used = issued.reconstruction.problem.used
-        self._reference: Array = issued.reference[self._used]
-        pattern = issued.reconstruction.problem.sensor_type.pattern
-        self._without_spikes = SpikeFilter(pattern, self._used, self.model.merging)
-        self._merging: Array = np.ascontiguousarray(self.model.merging.T)
-        self._size_error = SizeError(self.model, issued.indenter.radius_mm)
+    def _compare(self, model: ForceModel) -> None:
+        super()._compare(model)
         self._filters: dict[float, TemplateFilter] = {}
-        self.filter: TemplateFilter = self._filter(issued.indenter)
-        tables = map_tables(self.model)
-        self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, tables)
-        self.sign = float(np.sign(issued.against_stress.slope.value))
+        self.filter: TemplateFilter = self._filter(self.issued.indenter)
+        area_mm2, line = self.issued.indenter.area_mm2, self.issued.against_stress
+        self.inverse = ForceInverse(model, line, area_mm2, map_tables(model))
+        self.sign = float(np.sign(line.slope.value))
+        self._size_error = SizeError(model, self.issued.indenter.radius_mm)
         self.least_force_N = self._least_force_N()
 
     def __repr__(self) -> str:
@@ -115,14 +103,33 @@ class Calibration:
         NumericsError
             If frames or places are not real numbers (complex, text).
         """
-        rows, bad = self.rows(frames, current_A=current_A)
+        voltages = self.voltages(frames, current_A)
         head = self.issued.indenter if indenter is None else indenter
-        finder = self._filter(head)
-        matches = finder.search(rows) if place_mm is None else finder.at(rows, self._places(place_mm, len(rows)))
+        places = None if place_mm is None else self._places(place_mm, len(voltages))
+        parts = []
+        for usable, which, flags in self.sound_parts(voltages):
+            changes, bad = usable.changes_of(voltages[which])
+            there = places if places is None or places.ndim == 1 else places[which]
+            parts.append((which, usable._force(changes, bad | flags, there, head)))
+        return joined(parts)
+
+    def _force(self, changes: Array, bad: Indices, places: Array | None, head: Indenter) -> Forces:
+        finder, rows = self._filter(head), changes @ self._merging
+        matches = finder.search(rows) if places is None else finder.at(rows, places)
+        moved = self.moved(changes, matches, head)
+        if moved.any():
+            parts = []
+            for usable, flag, which in ((self, 0, ~moved), (self.level(), int(Flag.OFFSET), moved)):
+                there = places if places is None or places.ndim == 1 else places[which]
+                forces = usable._force(changes[which], bad[which] | flag, there, head)
+                parts.append((np.flatnonzero(which), forces))
+            return joined(parts)
         others = self._others(rows, matches, finder)
-        if place_mm is None:
+        if places is None:
+            if self._fewer:
+                matches = finder.ambiguous(rows, matches)
             matches = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
-        return self._forces(self._of_area(matches, head), bad, others, head, searched=place_mm is None)
+        return self._forces(self._of_area(matches, head), bad, others, head, searched=places is None)
 
     def forces(
         self,
@@ -148,29 +155,38 @@ class Calibration:
         """
         if not (isinstance(at_most, int) and at_most >= 1):
             raise CalibrationError(f"{at_most} heads cannot be searched for", remedy="look for at least 1")
-        rows, bad = self.rows(frames, current_A=current_A)
+        voltages = self.voltages(frames, current_A)
         head = self.issued.indenter if indenter is None else indenter
-        finder = self._filter(head)
+        found: dict[int, SeveralForces] = {}
+        for usable, which, flags in self.sound_parts(voltages):
+            changes, bad = usable.changes_of(voltages[which])
+            found |= dict(zip(which.tolist(), usable._several(changes, bad | flags, at_most, head), strict=True))
+        return tuple(found[frame] for frame in range(len(voltages)))
+
+    def _several(self, changes: Array, bad: Indices, at_most: int, head: Indenter) -> list[SeveralForces]:
+        finder, rows = self._filter(head), changes @ self._merging
         matches = finder.search(rows)
         least = self.model.threshold**2
         several = finder.beside(rows, matches.place_mm, matches.strength)[0] >= _SUSPICIOUS * least
+        moved = self.moved(changes, matches, head)
         counter = HeadCounter(
             finder, threshold=self.model.threshold, misfit=self.model.misfit, diameter_mm=head.diameter_mm
         )
         several_forces = []
         for frame, flag in enumerate(bad.tolist()):
             if flag & NO_FORCE:
-                several_forces.append(nothing_together(np.nan, np.nan, Flag(flag)))
+                one = nothing_together(np.nan, np.nan, Flag(flag))
+            elif moved[frame]:
+                alone = slice(frame, frame + 1)
+                one = self.level()._several(changes[alone], bad[alone] | int(Flag.OFFSET), at_most, head)[0]
             elif matches.gain[frame] < least and not several[frame]:
-                several_forces.append(nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED))
+                one = nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
             else:
                 most = at_most if several[frame] else 1
                 heads, further = counter.heads(rows[frame], matches.place_mm[frame], most)
-                several_forces.append(self._together(heads, further if several[frame] else 0.0, finder, head))
-        return tuple(
-            replace(several, flags=several.flags | Flag(flag))
-            for several, flag in zip(several_forces, bad.tolist(), strict=True)
-        )
+                one = self._together(heads, further if several[frame] else 0.0, finder, head)
+            several_forces.append(replace(one, flags=one.flags | Flag(flag)))
+        return several_forces
 
     def _together(
         self, heads: Heads | None, unexplained: float, finder: TemplateFilter, head: Indenter
@@ -189,40 +205,20 @@ class Calibration:
             other_head=error > LARGEST,
         )
 
-    def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, Indices]:
-        """Changes of frames as rows (n, r) of unit noise, and flags (n,), as in :meth:`changes`."""
-        changes, flags = self.changes(frames, current_A=current_A)
-        rows: Array = changes @ self._merging
-        return rows, flags
-
-    def changes(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, Indices]:
-        """Changes of frames (n, m) in the used readings [V], spikes replaced, and flags (n,).
-
-        Changes of unusable frames are zero. Parameters and errors as for :meth:`force`.
-        """
-        voltages = volts(frames)
-        shape = self.issued.reference.shape
-        if voltages.shape[-2:] != shape or voltages.ndim not in (2, 3):
-            raise CalibrationError(
-                f"frames of shape {voltages.shape} are not of sensor {self.issued.sensor.serial}",
-                remedy=f"its frames are (drives, measures) = {shape}, one or many",
-            )
-        readings = voltages.reshape(-1, *shape)[:, self._used]
-        if current_A is not None:
-            if not (isinstance(current_A, int | float | np.number) and np.isfinite(current_A) and current_A > 0):
-                raise CalibrationError(f"a drive current of {current_A} A is not a positive number")
-            readings = readings * (self.issued.current_A / current_A)
-        changes = readings - self._reference
-        flags = np.zeros(len(changes), dtype=np.int64)
-        whole = np.isfinite(changes).all(axis=1)
-        flags[~whole] |= Flag.UNREADABLE
-        changes[~whole] = 0
-        flags[self._without_spikes(changes)] |= Flag.SPIKE
-        squares = np.einsum("nm,nm->n", changes, changes)
-        foreign = ~(squares <= _FOREIGN**2 * float(self._reference @ self._reference))
-        flags[foreign] |= Flag.OTHER_SENSOR
-        changes[flags & NO_FORCE != 0] = 0
-        return changes, flags
+    def moved(self, changes: Array, matches: Matches | None = None, head: Indenter | None = None) -> Mask:
+        """Which frames (n,) leave of one head what one offset on all readings, and little else, explains."""
+        head = head or self.issued.indenter
+        matches = matches or self._filter(head).search(changes @ self._merging)
+        moved = np.zeros(len(changes), dtype=np.bool_)
+        freedom, left = len(self._merging.T), matches.energy - matches.gain
+        noticed = np.flatnonzero(unlike_model(matches.gain, left, freedom, self.model.misfit))
+        if self._level is not self and len(noticed):
+            level = self.level()
+            again = level._filter(head).search(changes[noticed] @ level._merging)
+            rest = np.maximum(again.energy - again.gain - freedom, 0.0)
+            by_offset = left[noticed] - freedom - rest
+            moved[noticed] = by_offset > np.maximum(BY_OFFSET * (left[noticed] - freedom), LEAST_OFFSET)
+        return moved
 
     def _filter(self, head: Indenter) -> TemplateFilter:
         size = self._size(head)
@@ -322,16 +318,3 @@ class Calibration:
         flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head is possible there
         flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags
-
-
-def volts(frames: ArrayLike) -> Array:
-    """Return frames as float64 with NaN for masked readings.
-
-    Raises
-    ------
-    NumericsError
-        If they are not real numbers: a cast would drop imaginary parts, parse text, and reveal masked values.
-    """
-    if isinstance(frames, np.ma.MaskedArray):
-        frames = np.ma.filled(frames.astype(np.result_type(frames.dtype, np.float64)), np.nan)
-    return real_numbers(frames, "frames")

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cbsr_qa.calibration.runtime.fewer_readings import reading_noise
 from cbsr_qa.domain import Array, Mask
 from cbsr_qa.domain.readings import MOST_SPIKES, SPIKE_SIGMA, left_alone
 from cbsr_qa.domain.sensor import DrivePattern
@@ -16,8 +17,7 @@ class SpikeFilter:
     ----------
     pattern : of the frames.
     used : (drives, measures) bool with m True entries.
-    merging : (rows, m) of the force model, which gives the readings' noise: entries of merged readings of precision
-        pᵢ are pᵢ/√Σp.
+    merging : (rows, m) of the force model, which gives the readings' noise.
     """
 
     def __init__(self, pattern: DrivePattern, used: Mask, merging: Array) -> None:
@@ -26,10 +26,8 @@ class SpikeFilter:
         number = np.cumsum(used.ravel()) - 1
         self._first, self._other = number[pairs[both]].T
         self._sign = sign[both]
-        weight = np.abs(merging)
-        precision = (weight * weight.sum(axis=1, keepdims=True)).sum(axis=0)
-        variance = 1 / np.maximum(precision, np.finfo(np.float64).tiny)
-        self._noise = np.sqrt(variance[self._first] + variance[self._other])
+        noise = reading_noise(merging)
+        self._noise = np.hypot(noise[self._first], noise[self._other])
 
     def __call__(self, changes: Array) -> Mask:
         """Replace spikes in changes (n, m) in place; return whether each frame (n,) had any.

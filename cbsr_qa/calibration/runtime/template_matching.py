@@ -149,6 +149,26 @@ class TemplateFilter:
             gain_strength[part] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
         return gain, gain_strength
 
+    def ambiguous(self, rows: Array, matches: Matches) -> Matches:
+        """Matches whose covariance holds all other searched places too, each as likely as its readings are.
+
+        Where few readings are left, places far from each other may explain a frame alike.
+        """
+        covariance = matches.covariance.copy()
+        cell = (_STRIDE * self.lattice.spacing_mm) ** 2
+        size = np.exp(self._tables[self._node_of[self._coarse], 0])
+        for n, (row, place) in enumerate(zip(rows, matches.place_mm, strict=True)):
+            score = row @ self.bank
+            apart = self.searched_mm - place
+            mine = 2 * np.pi * np.sqrt(max(float(np.linalg.det(covariance[n, 1:, 1:])), 0.0))
+            far = (apart**2).sum(axis=1) > 9 * np.trace(covariance[n, 1:, 1:]) + cell
+            weight = cell * np.exp(np.minimum(score**2 - matches.gain[n], 0.0) / 2) * far
+            off = np.column_stack([score / size - matches.strength[n], apart])
+            total = mine + weight.sum()
+            if weight.any() and np.isfinite(total):
+                covariance[n] += (off.T * weight) @ off / total
+        return replace(matches, covariance=covariance)
+
     def _search(self, rows: Array) -> Matches:
         cell, offset = self._cell_of_best(rows @ self.bank)
         offset, there = self._scored(self._about(cell, rows), offset)

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cbsr_qa.calibration.runtime.fewer_readings import offset_between
 from cbsr_qa.calibration.runtime.force import NO_FORCE, Flag, range_flags
 from cbsr_qa.calibration.runtime.runtime import Calibration
 from cbsr_qa.calibration.runtime.template_matching import Matches, scattered
@@ -64,14 +65,21 @@ class ForceStream:
     ----------
     calibration : of the sensor.
     most : loads and residues tracked at once.
+
+    Attributes
+    ----------
+    flags : of the last frame as a whole; OFFSET in the frame in which all readings moved by one offset.
     """
 
     def __init__(self, calibration: Calibration, *, most: int = 12) -> None:
         if not (isinstance(most, int) and most >= 1):
             raise CalibrationError(f"a stream cannot follow {most} loads", remedy="follow at least 1")
-        self._calibration = calibration
+        self._calibration = self._usable = calibration
         self._filter = calibration.filter
         self._model = calibration.model
+        self._before: tuple[Calibration | None, Array] = (None, np.zeros(0))
+        self._moved = False
+        self.flags = Flag(0)
         self._most = most
         self._tracks: list[Track] = []
         self._count = 0
@@ -89,8 +97,8 @@ class ForceStream:
 
         Returns
         -------
-        All loads and residues, in order of their appearance. Those of the previous frame, flagged, if this one cannot
-        be read or is from another sensor.
+        All loads and residues, in order of their appearance, with the frame's flags. Those of the previous frame if
+        this one cannot be read or is from another sensor.
 
         Raises
         ------
@@ -101,17 +109,35 @@ class ForceStream:
             raise CalibrationError(f"a frame of {time_s!r} s: its time must be a finite number of seconds")
         if not time_s > self._time_s:
             raise CalibrationError(f"a frame of {time_s} s follows one of {self._time_s} s: time must go forward")
-        rows, bad = self._calibration.rows(frame)
-        if len(rows) != 1:
-            raise CalibrationError(f"{len(rows)} frames were given at once; a stream takes one after the other")
+        voltages = self._calibration.voltages(frame, None)
+        if len(voltages) != 1:
+            raise CalibrationError(f"{len(voltages)} frames were given at once; a stream takes one after the other")
         if np.isfinite(self._time_s):
             # A station pauses between loads: the frame time is at most the shortest interval so far.
             self._since_last_s = time_s - self._time_s
             self._frame_s = min(self._frame_s or np.inf, self._since_last_s)
         self._time_s = time_s
-        if not bad[0] & NO_FORCE:
-            self._follow(rows[0])
-        return tuple(self._told(track, Flag(int(bad[0]))) for track in self._tracks)
+        (usable, _, left_out), *_ = self._calibration.sound_parts(voltages)
+        changes, bad = usable.changes_of(voltages)
+        self.flags = Flag(int(left_out[0] | bad[0]))
+        if not self.flags & NO_FORCE:
+            self._follow(self._rows(usable, changes))
+        return tuple(self._told(track, self.flags) for track in self._tracks)
+
+    def _rows(self, usable: Calibration, changes: Array) -> Array:
+        """Rows (r,) of the usable readings of a frame, less an offset on all of them if there was one."""
+        (alike, before), self._before = self._before, (usable, changes)
+        jumped = alike is usable and bool(offset_between(usable.model, changes - before)[0])
+        if jumped or not (self._moved or self._tracks or not usable.moved(changes)[0]):
+            self.flags |= Flag.OFFSET
+            self._moved = True
+        usable = usable.level() if self._moved else usable
+        if usable is not self._usable:
+            self._usable, self._filter, self._model, self._last = usable, usable.filter, usable.model, []
+            for track in self._tracks:
+                track.template = np.nan_to_num(self._filter.template(track.place_mm[None])[0])
+        rows: Array = changes[0] @ usable.model.merging.T
+        return rows
 
     def _follow(self, rows: Array) -> None:
         left = self._place_anew(self._explain(rows), rows)

@@ -7,6 +7,7 @@ from .carry_over import (
     reciprocity_error as reciprocity_error,
     scan_order as scan_order,
 )
+from .dead_pairs import DEAD as DEAD, FEWEST as FEWEST, SILENT as SILENT, SMALL as SMALL, SOUND as SOUND
 from .findings import (
     ChannelReport as ChannelReport,
     EventImaging as EventImaging,

@@ -15,6 +15,7 @@ PRESS_QUANTITIES: Final = {"force": "N", "depth": "mm"}
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Pairs = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +137,7 @@ class PressCalibration:
     place : model that converts changes to places.
     modelled : the same by the modelled sheet alone; None in earlier files.
     force, depth : what turns located changes into newtons and millimetres; None where presses had none.
+    drive, measure : pairs by row and column of a frame of the sensor type; empty in earlier files.
     digest, record_digest, file : as of :class:`~cbsr_qa.domain.results.Calibration`.
     """
 
@@ -163,6 +165,8 @@ class PressCalibration:
     modelled: Annotated[ModelledPlace | None, Kept(omitted=True)] = None
     force: Annotated[LearnedQuantity | None, Kept(units="N", since=2)] = None
     depth: Annotated[LearnedQuantity | None, Kept(units="mm", since=2)] = None
+    drive: Annotated[Pairs, Kept("readings/drive", since=3)] = ()
+    measure: Annotated[Pairs, Kept("readings/measure", since=3)] = ()
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_runs import HEAD, observed_run, recipes_method, simulated_run
 
-from cbsr_qa.config import load_recipe
+from cbsr_qa.config import load_recipe, load_sensor_type
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.domain.sensor import Response
@@ -204,3 +204,41 @@ def test_a_run_without_unloaded_frames_is_refused(run):
 def test_too_few_unloaded_frames_are_refused(run):
     with pytest.raises(NumericsError, match="the reference at least one more"):
         observed_run(run, noise_floor_frames=20)
+
+
+def test_an_offset_on_all_readings_is_named_with_its_time_and_taken_out_of_a_run(run, observation):
+    frames = run.phases[0].frames
+    at = int(np.flatnonzero(frames.time_s > run.phases[0].loads[2].hold_start_s)[5])
+    voltages = frames.voltages.copy()
+    voltages[at:] += 0.05
+    seen = observed_run(_with_phase(run, frames=replace(frames, voltages=voltages)), over_time=False)
+    said = (
+        f"all readings changed by one offset, not by a load: +0.05 V at {frames.time_s[at]:.1f} s; it was taken out"
+    )
+    assert said in seen.warnings
+    assert "offset" not in " ".join(observation.warnings)
+    # Forces are learned from the record's frames.
+    np.testing.assert_allclose(seen.record.phases[0].frames.voltages, frames.voltages, atol=2e-4)
+    for load, before in zip(seen.loads, observation.loads, strict=True):
+        np.testing.assert_allclose(
+            load.image.values, before.image.values, atol=0.05 * np.abs(before.image.values).max()
+        )
+
+
+def test_a_rectifying_front_end_is_named_and_its_dead_polarity_left_out_of_a_run():
+    sensor = load_sensor_type("disc-100mm").value
+    count = sensor.electrodes.count
+    opposite = tuple((k, (k + count // 2) % count) for k in range(count))
+    sensor = replace(sensor, pattern=replace(sensor.pattern, drive=opposite))
+    pressed = simulated_run(_PLACES[:3], sensor=sensor)
+    frames = pressed.phases[0].frames
+    voltages = np.where(frames.voltages < 0, frames.voltages / 30, frames.voltages)
+    seen = observed_run(_with_phase(pressed, frames=replace(frames, voltages=voltages)), over_time=False)
+    (said,) = [words for words in seen.warnings if "rectify" in words]
+    assert "modelled voltage is negative hardly respond" in said
+    assert "left out" in said
+    assert not (seen.usable & (frames.voltages.mean(axis=0) < 0)).any()
+    for load in seen.loads:
+        blob = load.mask(0.85).sensed
+        assert centre_of_mass_error_mm(blob, load.indenter.at(load.record.load.x_mm, load.record.load.y_mm)) < 8.0
+    assert not any("rectify" in words for words in observed_run(pressed, over_time=False).warnings)

@@ -36,6 +36,8 @@ def test_what_is_written_is_read(issued, tmp_path):
     assert back.registration == issued.registration
     assert repr(back) == repr(issued)
     np.testing.assert_array_equal(back.pairs, issued.pairs)
+    assert (back.drive, back.measure) == (issued.drive, issued.measure)
+    assert verify_calibration_file(path).schema_version == 3
     with pytest.raises(CalibrationError, match="not issued by a run"):
         read_calibration(path)
     with pytest.raises(CalibrationError, match="is not what was issued"):
@@ -44,8 +46,8 @@ def test_what_is_written_is_read(issued, tmp_path):
 
 def test_what_knows_no_force_is_a_file_of_the_first_version(issued, tmp_path):
     """So that programs of before open it, and it keeps its digest."""
-    versions = []
-    for name, each in (("force", issued), ("none", stamped(replace(issued, force=None)))):
+    versions, before = [], replace(issued, drive=(), measure=())
+    for name, each in (("force", stamped(before)), ("none", stamped(replace(before, force=None)))):
         write_calibration(tmp_path / f"{name}.h5", each)
         versions.append(verify_calibration_file(tmp_path / f"{name}.h5").schema_version)
     assert versions == [2, 1]

@@ -1,0 +1,27 @@
+"""Rectifying front ends: readings of one polarity hardly answer."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.presses import AnsweringSide, compared_sides
+
+Array = NDArray[np.float64]
+
+_LEAST_SIDE = 0.2  #: a front end may lose a polarity with at least this share of the readings
+
+
+def answering_levels(levels: Array, modelled: Array) -> AnsweringSide | None:
+    """Tell by levels (m,) which modelled polarity answers; each about its own middle, which takes out an offset.
+
+    Returns
+    -------
+    None if one polarity has too few of the readings to tell.
+    """
+    positive = modelled > 0
+    if not _LEAST_SIDE <= positive.mean() <= 1 - _LEAST_SIDE:
+        return None
+    about = levels.astype(np.float64)
+    for side in (positive, ~positive):
+        usual = np.median(np.abs(modelled[side] - np.median(modelled[side])))
+        about[side] = (about[side] - np.median(about[side])) / usual
+    return compared_sides(np.abs(about), positive)

@@ -1,0 +1,153 @@
+"""Faults of a front end in single frames: each is named, its readings are left out, and places stay within bounds."""
+
+import numpy as np
+import pytest
+from force_calibration import NOISE_V, SCALE, force_calibration, frames
+from stored_runs import SENSOR_TYPE
+
+from cbsr_qa.calibration import Calibration, Flag, ForceStream
+from cbsr_qa.eit.estimate import load_model
+
+COUNT = 60
+NAMES = Flag.DEAD_PAIR | Flag.OPEN_ELECTRODE | Flag.SATURATED | Flag.OFFSET
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return Calibration(force_calibration())
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    random = np.random.default_rng(5)
+    far, angle = 34 * np.sqrt(random.uniform(size=COUNT)), random.uniform(0, 2 * np.pi, COUNT)
+    places = np.column_stack([far * np.cos(angle), far * np.sin(angle)])
+    force_N = random.uniform(1.2, 5.4, COUNT)
+    return places, force_N, frames(places, force_N)
+
+
+def located(calibration, pressed, faulty, flag, *, within_mm, least=COUNT):
+    """Check that every frame has this flag and no other, and that places and forces are as far off as they state."""
+    places, force_N, _ = pressed
+    found = calibration.force(faulty)
+    assert (found.flags == flag).sum() >= least
+    seen = found.flags == flag
+    off_mm = np.hypot(*(found.place_mm - places).T)[seen]
+    assert off_mm.mean() < within_mm
+    assert (off_mm**2 / found.place_stderr_mm[seen] ** 2).mean() / 2 < 1.6
+    assert np.std((found.force_N - force_N)[seen] / found.stderr_N[seen]) < 1.4
+    several = calibration.forces(faulty[:3])
+    assert [each.flags & NAMES for each in several] == [flag] * 3
+
+
+def opened(clean, electrodes, *, measured=True):
+    faulty, random = clean.copy(), np.random.default_rng(1)
+    for frame, some in enumerate(electrodes):
+        for pair in {(each - side) % 16 for each in some for side in (0, 1)}:
+            faulty[frame, pair] = NOISE_V * random.standard_normal(16)
+            if measured:
+                faulty[frame, :, pair] = NOISE_V * random.standard_normal(16)
+    return faulty
+
+
+def test_clean_frames_have_none_of_the_faults(calibration, pressed):
+    places, _, clean = pressed
+    unloaded = frames(np.zeros((300, 2)), np.zeros(300), seed=4)
+    heavy = frames(places, np.full(COUNT, 8.0))
+    both = clean + heavy[::-1] - SCALE * load_model(SENSOR_TYPE).unloaded()
+    for seen in (clean, unloaded, heavy, both):
+        assert not (calibration.force(seen).flags & NAMES).any()
+        assert not any(each.flags & NAMES for each in calibration.forces(seen[:20]))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.3])
+def test_a_dead_drive_is_named_and_its_column_replaces_its_row(calibration, pressed, share):
+    faulty, dead = pressed[2].copy(), np.arange(COUNT) % 16
+    faulty[np.arange(COUNT), dead] *= share
+    faulty[np.arange(COUNT), dead, dead] *= -1  # its own reading is wrapped
+    located(calibration, pressed, faulty, Flag.DEAD_PAIR, within_mm=0.5)
+
+
+def test_a_pair_that_hardly_measures_is_named_too(calibration, pressed):
+    faulty = pressed[2].copy()
+    faulty[:, :, 9] *= 0.2
+    located(calibration, pressed, faulty, Flag.DEAD_PAIR, within_mm=0.5)
+
+
+def test_two_dead_drives_take_no_sound_pair_with_them(calibration, pressed):
+    faulty = pressed[2].copy()
+    faulty[:, [3, 7]] *= 0.2
+    located(calibration, pressed, faulty, Flag.DEAD_PAIR, within_mm=0.5)
+
+
+@pytest.mark.parametrize(("count", "within_mm"), [(1, 0.6), (2, 0.8), (3, 1.2), (4, 2.0)])
+def test_open_electrodes_are_named_and_errors_grow_with_their_number(calibration, pressed, count, within_mm):
+    random = np.random.default_rng(2)
+    electrodes = [random.choice(16, count, replace=False) for _ in range(4)] * (COUNT // 4)
+    faulty = opened(pressed[2], electrodes)
+    # Few readings may not tell a weak load from none.
+    located(calibration, pressed, faulty, Flag.OPEN_ELECTRODE, within_mm=within_mm, least=0.9 * COUNT)
+
+
+def test_an_open_electrode_is_named_where_the_voltmeter_still_reads_its_contact(calibration, pressed):
+    faulty = opened(pressed[2], [[each % 16] for each in range(COUNT)], measured=False)
+    located(calibration, pressed, faulty, Flag.OPEN_ELECTRODE, within_mm=0.6)
+
+
+def test_a_sheet_with_too_few_electrodes_gives_no_number(calibration, pressed):
+    found = calibration.force(opened(pressed[2][:5], [[0, 2, 4, 6, 8, 10, 12]] * 5))
+    assert (found.flags & (Flag.UNREADABLE | Flag.OTHER_SENSOR) != 0).all()
+    assert np.isnan(found.force_N).all()
+
+
+def test_clipped_readings_are_named_and_left_out(calibration, pressed):
+    located(calibration, pressed, np.clip(pressed[2], -0.25, np.inf), Flag.SATURATED, within_mm=0.8)
+
+
+@pytest.mark.parametrize("size", [5, 100, 3000])
+def test_one_offset_on_all_readings_is_named_and_taken_out(calibration, pressed, size):
+    sign = np.where(np.arange(COUNT) % 2, 1.0, -1.0)[:, None, None]
+    located(calibration, pressed, pressed[2] + sign * size * NOISE_V, Flag.OFFSET, within_mm=0.5)
+    unloaded = frames(np.zeros((30, 2)), np.zeros(30)) + size * NOISE_V
+    assert (calibration.force(unloaded).flags == Flag.OFFSET | Flag.NOT_DETECTED).all()
+
+
+def test_faults_of_one_batch_are_told_apart_and_keep_their_order(calibration, pressed):
+    places, _, clean = pressed
+    mixed = clean[:6].copy()
+    mixed[1, 4] *= 0.2
+    mixed[2] += 50 * NOISE_V
+    mixed[3:4] = opened(mixed[3:4], [[7]])
+    mixed[4, 4] *= 0.2
+    mixed[4] += 50 * NOISE_V
+    found = calibration.force(mixed, place_mm=places[:6])
+    assert found.flags.tolist() == [
+        0,
+        Flag.DEAD_PAIR,
+        Flag.OFFSET,
+        Flag.OPEN_ELECTRODE,
+        Flag.DEAD_PAIR | Flag.OFFSET,
+        0,
+    ]
+    np.testing.assert_allclose(found.place_mm, places[:6])
+    assert np.abs(found.force_N - pressed[1][:6]).max() < 4 * found.stderr_N.max()
+
+
+def test_a_stream_goes_on_through_faults(calibration):
+    """A load is followed while an offset sets in at 10 s and a drive dies at 20 s."""
+    stream, place, told = ForceStream(calibration), (12.0, -8.0), {}
+    seen = frames([place] * 30, np.full(30, 3.0))
+    seen[:3] = frames([place] * 3, np.zeros(3))
+    seen[10:] += 40 * NOISE_V
+    seen[20:, 5] *= 0.2
+    for time_s, frame in enumerate(seen):
+        loads = stream.update(float(time_s), frame)
+        told[time_s] = stream.flags
+        assert len(loads) == (time_s >= 3)
+        if loads:
+            assert np.hypot(*np.subtract(loads[0].place_mm, place)) < 1.0
+            assert abs(loads[0].force_N - 3.0) < 0.5
+    assert {time_s: flag for time_s, flag in told.items() if flag} == {
+        10: Flag.OFFSET,
+        **dict.fromkeys(range(20, 30), Flag.DEAD_PAIR),
+    }
