@@ -23,6 +23,7 @@ from cbsr_qa.calibration.runtime.force import (
     range_flags,
 )
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
+from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
 from cbsr_qa.calibration.runtime.spikes import SpikeFilter
 from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
 from cbsr_qa.domain import Array, CalibrationError, Indices, real_numbers, unlike_model
@@ -69,6 +70,8 @@ class Calibration:
         self._size_error = SizeError(self.model, issued.indenter.radius_mm)
         self._filters: dict[float, TemplateFilter] = {}
         self.filter: TemplateFilter = self._filter(issued.indenter)
+        learned = issued.place
+        self._pressed = None if learned is None else PressedPlace(learned.learned, self.model.merging)
         tables = map_tables(self.model)
         self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, tables)
         self.sign = float(np.sign(issued.against_stress.slope.value))
@@ -94,6 +97,9 @@ class Calibration:
         current_A: float | None = None,
     ) -> Forces:
         """Force of one head in each frame.
+
+        Its place is by the model of the sheet or, if the calibration has one, by the place learned from the run's
+        presses, for frames like these.
 
         Parameters
         ----------
@@ -121,7 +127,9 @@ class Calibration:
         matches = finder.search(rows) if place_mm is None else finder.at(rows, self._places(place_mm, len(rows)))
         others = self._others(rows, matches, finder)
         if place_mm is None:
-            matches = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
+            modelled = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
+            learned = None if finder is not self.filter else self._pressed  # it was learned with the calibrating head
+            matches = modelled if learned is None else learned(rows, matches, modelled, finder)
         return self._forces(self._of_area(matches, head), bad, others, head, searched=place_mm is None)
 
     def forces(
