@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,12 +23,14 @@ from cbsr_qa.calibration.runtime.force import (
     range_flags,
 )
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
-from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
 from cbsr_qa.calibration.runtime.spikes import SpikeFilter
 from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
 from cbsr_qa.domain import Array, CalibrationError, Indices, real_numbers, unlike_model
-from cbsr_qa.domain.results import ForceModel, calibration as record
+from cbsr_qa.domain.results import ForceModel, LearnedPlace, calibration as record
 from cbsr_qa.domain.run import Indenter
+
+if TYPE_CHECKING:
+    from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
 
 #: A frame is from another sensor if its readings as a whole are further than this from the reference's (relative).
 _FOREIGN: Final = 0.5
@@ -70,8 +72,7 @@ class Calibration:
         self._size_error = SizeError(self.model, issued.indenter.radius_mm)
         self._filters: dict[float, TemplateFilter] = {}
         self.filter: TemplateFilter = self._filter(issued.indenter)
-        learned = issued.place
-        self._pressed = None if learned is None else PressedPlace(learned.learned, self.model.merging)
+        self._pressed = None if issued.place is None else _pressed(issued.place.learned, self.model)
         tables = map_tables(self.model)
         self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, tables)
         self.sign = float(np.sign(issued.against_stress.slope.value))
@@ -330,6 +331,13 @@ class Calibration:
         flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head is possible there
         flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags
+
+
+def _pressed(learned: LearnedPlace, model: ForceModel) -> "PressedPlace":
+    # Here because it imports for a second, and few calibrations have a learned place.
+    from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
+
+    return PressedPlace(learned, model.merging)
 
 
 def volts(frames: ArrayLike) -> Array:
