@@ -11,7 +11,7 @@ from itertools import islice
 from numbers import Integral, Real
 from typing import Any, Final
 
-from cbsr_qa.analysis.run import observe_run, run_force
+from cbsr_qa.analysis.run import observe_run, run_force, run_place
 from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.calibration import issue_calibration
@@ -99,6 +99,9 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
     with stages.stage("metrics"):
         measured, failed = measure_run(observation, metrics)
         judged = judge(measured, recipe.limits)
+    if recipe.analysis.learn_place:
+        with stages.stage("learning the place"):
+            run_place(observation)
     return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed))
 
 
@@ -148,6 +151,7 @@ def calibrated(
             learned_from=force.used,
             confirmed=force.confirmed(),
             no_force=force.why,
+            place=run_place(conclusion.observation).used,
         )
     except (CalibrationError, NumericsError) as error:
         return None, error.reason

@@ -17,6 +17,7 @@ from cbsr_qa.domain.results import (
     LoadObservation,
     LoadRelaxation,
     Outcome,
+    PlaceOfRun,
     RunObservation,
     SettlingSummary,
     Validity,
@@ -38,6 +39,7 @@ def issue_calibration(
     learned_from: Sequence[LoadObservation] = (),
     confirmed: Sequence[LoadObservation] = (),
     no_force: str = "",
+    place: PlaceOfRun | None = None,
 ) -> Calibration:
     """Issue a calibration.
 
@@ -53,6 +55,7 @@ def issue_calibration(
         learned with it. None for the reason ``no_force``.
     learned_from : used and refused loads, in the order of ``learned.refused``.
     confirmed : other loads whose force it predicted within its stated error: they widen the range.
+    place : learned from the run's presses; None to locate by the model of the sheet.
 
     Raises
     ------
@@ -92,6 +95,7 @@ def issue_calibration(
             relaxations=relaxations,
             noise_figure=noise_figure,
             force=None if learned is None else as_filed(learned.model),
+            place=None if learned is None else place,
             no_force=why,
         )
     )

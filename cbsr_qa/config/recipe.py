@@ -83,6 +83,7 @@ class AnalysisTable(Table):
     outline: Literal["contour", "elements"] = "contour"
     noise_weighting: Literal["equal", "measured"] = "equal"
     transients: Literal["averaged", "predicted"] = "averaged"
+    learn_place: bool = False
 
     def problems(self) -> Iterator[Problem]:
         if self.main_mask_percent not in self.masks_percent:
@@ -201,6 +202,8 @@ class RecipeFile(FileModel[Recipe]):
             if name not in names:
                 what = f"names {name!r}; allowed: {', '.join(names)}"
                 yield Problem(("recipe", "calibrate_phases"), what)
+        if self.analysis.learn_place and not self.recipe.calibrate_phases:
+            yield Problem(("analysis", "learn_place"), "is true, but calibrate_phases names no phase to learn from")
         yield from self._way_problems()
         yield from self.analysis.problems()
         for index, limit in enumerate(self.limits):

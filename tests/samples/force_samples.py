@@ -106,6 +106,7 @@ def in_use(model: ForceModel, against_stress: QuasiStatic) -> Calibration:
         force=model,
         calibration="c",
         sensor=SimpleNamespace(serial="S-1"),
+        place=None,
         reference=here.model.unloaded(),
         current_A=1.0,
         indenter=HEAD,

@@ -28,6 +28,7 @@ from .force_quality import (
 )
 from .loads import load_window as load_window
 from .observe import observe_run as observe_run
+from .place import PlaceErrors as PlaceErrors, run_place as run_place
 from .reference import check_weighing as check_weighing, unloaded_frames as unloaded_frames
 from .sizes import (
     FLAT as FLAT,

@@ -101,7 +101,7 @@ def run_force(run: RunObservation) -> RunForce:
 
 def _learned_and_tested(run: RunObservation) -> RunForce:
     try:
-        return _RunForce(run).result()
+        return run.derived(_RunForce).result()
     except CbsrError as error:
         return RunForce(None, (), (), error.reason)
 
@@ -127,6 +127,15 @@ def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, 
     """
     loads = _RunForce(replace(run, settings=replace(run.settings, transients="averaged")))
     return tuple(loads.tests(learned, np.ones(len(loads.loads), dtype=np.bool_), HELD_OUT))
+
+
+def force_loads(run: RunObservation) -> tuple[tuple[LoadObservation, ...], CalibrationLoads]:
+    """Loads pressed alone with their force recorded, and what force is learned from, at their places on the sheet.
+
+    CbsrError if the run has no such load, or its noise cannot be estimated.
+    """
+    of_run = run.derived(_RunForce)
+    return of_run.loads, of_run.data
 
 
 def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[TimedValues]:

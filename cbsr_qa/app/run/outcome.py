@@ -7,6 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, InstanceOf
 
+from cbsr_qa.analysis.run import PlaceErrors, run_place
 from cbsr_qa.app.analyse import ChosenParameter
 from cbsr_qa.domain import filled
 from cbsr_qa.domain.results import (
@@ -47,6 +48,25 @@ class UsedReconstruction:
             len(problem.reference),
             len(problem.mesh.elements),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceCheck:
+    """Whether the calibration uses the place learned from the run's presses, and the errors on which that rests."""
+
+    used: bool
+    words: str
+    left_out: PlaceErrors | None
+    others: PlaceErrors | None
+
+    @classmethod
+    def of(cls, result: RunResult) -> Self | None:
+        """Return what a run's presses taught about place; None if its recipe does not ask for that."""
+        run = result.observation
+        if run is None or not run.settings.learn_place:
+            return None
+        place, issued = run_place(run), result.calibration
+        return cls(issued is not None and issued.place is not None, place.words, place.left_out, place.others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +170,7 @@ class RunOutcome:
     material: Path | None
     material_why: str
     reconstruction: UsedReconstruction | None
+    place: PlaceCheck | None
     measurements: tuple[MeasuredValue, ...]
     limits_version: str | None
     overrides: tuple[VerdictOverride, ...]
@@ -192,6 +213,7 @@ class RunOutcome:
             material=material[0],
             material_why=material[1],
             reconstruction=UsedReconstruction.of(result),
+            place=PlaceCheck.of(result),
             measurements=tuple(map(MeasuredValue.of, result.measurements)),
             limits_version=None if version is None else version.version,
             overrides=result.overrides,
@@ -229,6 +251,8 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
         facts.append(("Calibration", f"none: {tested.calibration_why or 'not written'}"))
     else:
         printed.append(("Calibration", str(tested.calibration)))
+    if tested.place is not None:
+        facts.append(("Place", tested.place.words.removeprefix("Place ")))
     if tested.material is not None:
         printed.append(("Material", str(tested.material)))
     elif tested.material_why:

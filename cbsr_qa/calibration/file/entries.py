@@ -107,7 +107,7 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
             raise CalibrationError(f"readings/{name} of {values.shape} does not fit {readings} readings")
     if not (calibration.registration.scale > 0 and calibration.registration.radius_mm > 0):
         raise CalibrationError("registration/scale or registration/radius is not positive")
-    for problem in _place_problems(calibration.place, readings):
+    for problem in _place_problems(calibration.place, readings, "readings/pairs"):
         raise CalibrationError(problem)
     modelled = calibration.modelled
     if modelled is not None and (not len(modelled.node) or modelled.templates.shape[1] != readings):
@@ -121,8 +121,8 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
     return calibration
 
 
-def _place_problems(place: LearnedPlace, readings: int) -> Iterator[str]:
-    """Say what makes places impossible to compute."""
+def _place_problems(place: LearnedPlace, readings: int, stated: str) -> Iterator[str]:
+    """Say what makes places impossible to compute from so many readings, of the entry ``stated``."""
     permuted = place.turns.permuted
     of_readings = {
         "scaling/ceiling": place.scaling.ceiling.shape[0],
@@ -132,7 +132,7 @@ def _place_problems(place: LearnedPlace, readings: int) -> Iterator[str]:
         "templates/whitening": place.templates.whitening.shape[0],
     }
     yield from (
-        f"place/{name} is of {count} readings, readings/pairs of {readings}"
+        f"place/{name} is of {count} readings, {stated} of {readings}"
         for name, count in of_readings.items()
         if count != readings
     )
@@ -176,6 +176,10 @@ def _calibration(entries: Mapping[str, Entry]) -> Calibration:
     if calibration.force is not None:
         for problem in _force_problems(calibration.force):
             raise CalibrationError(problem)
+        if calibration.place is not None:
+            rows = calibration.force.merging.shape[0]
+            for problem in _place_problems(calibration.place.learned, rows, "force/merging"):
+                raise CalibrationError(problem)
         _check_usable(calibration)
     return calibration
 

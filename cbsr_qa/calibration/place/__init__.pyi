@@ -1,6 +1,6 @@
 from .estimator import PlaceEstimator as PlaceEstimator
-from .features import SPIKY as SPIKY, spikes_among as spikes_among
-from .held_out import visits_of as visits_of
+from .features import SPIKY as SPIKY, ring_axes as ring_axes, spikes_among as spikes_among
+from .held_out import mean_by_place as mean_by_place, visits_of as visits_of
 from .learning import FEWEST_PRESSES as FEWEST_PRESSES, PlaceLearned as PlaceLearned, learn_place as learn_place
 from .mixture import mahalanobis as mahalanobis
 from .modelled import (

@@ -6,6 +6,7 @@ import numpy as np
 
 from cbsr_qa.domain import Array, Indices, Mask
 from cbsr_qa.domain.results import FeatureScaling, PatternTurns
+from cbsr_qa.domain.sensor import ElectrodeLayout
 
 #: Features that spikes turn against their template are replaced by this share of it.
 _LEAST_LIKENESS: Final = 0.05
@@ -114,6 +115,14 @@ def turn_by(angle: float, *, mirrored: bool) -> Array:
     """Matrix (2, 2) of a turn by an angle [rad], of the mirrored plane where ``mirrored``."""
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return turn * [1, -1] if mirrored else turn
+
+
+def ring_axes(layout: ElectrodeLayout) -> Array:
+    """Axes (2, 2) of a ring in those of its sheet, as of :class:`~cbsr_qa.domain.results.LearnedPlace`."""
+    first, second = layout.angles_rad()[:2]
+    axes = np.array([[np.cos(first), np.sin(first)], [-np.sin(first), np.cos(first)]])
+    axes[1] *= np.sign(second - first)
+    return axes
 
 
 def squared_distances(a: Array, b: Array) -> Array:

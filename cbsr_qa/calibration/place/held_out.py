@@ -214,9 +214,15 @@ def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
         found[located] = places_mm[out.presses[located]] - apart
         inside[located] = ratio[:, None] <= mixture.quantiles
     error = np.linalg.norm(places_mm[out.presses] - found, axis=1)
-    sums = np.bincount(visits, error - error.mean())[np.unique(visits)]
-    stderr = float(np.sqrt(np.sum(sums**2) * len(sums) / max(len(sums) - 1, 1)) / count)
-    return HeldOut(float(error.mean()), stderr, count, out.presses, found, np.array(_LEVELS), inside.mean(axis=0))
+    mean, stderr = mean_by_place(error, visits[out.presses])
+    return HeldOut(mean, stderr, count, out.presses, found, np.array(_LEVELS), inside.mean(axis=0))
+
+
+def mean_by_place(values: Array, visits: Indices) -> tuple[float, float]:
+    """Mean of values (n,) and its standard error, for which those of one index in ``visits`` (n,) count as one."""
+    sums = np.bincount(visits, values - values.mean())[np.unique(visits)]
+    stderr = np.sqrt(np.sum(sums**2) * len(sums) / max(len(sums) - 1, 1)) / len(values)
+    return float(values.mean()), float(stderr)
 
 
 def late_growth(mixture: PlaceMixture, early: LeftOut, late: LeftOut, places_mm: Array) -> float:

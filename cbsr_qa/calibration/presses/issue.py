@@ -7,7 +7,14 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.file import stamped
-from cbsr_qa.calibration.place import ModelledEstimator, PlaceLearned, learn_place, learn_quantity, with_variance
+from cbsr_qa.calibration.place import (
+    ModelledEstimator,
+    PlaceLearned,
+    learn_place,
+    learn_quantity,
+    ring_axes,
+    with_variance,
+)
 from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
@@ -186,9 +193,7 @@ def _learned(
     axes = None
     if centre is not None and isinstance(layout, ElectrodeLayout):
         onto_sheet = registration.scale * registration.on_sheet_mm(centre + np.eye(2)).T
-        first, second = layout.angles_rad()[:2]
-        axes = np.array([[np.cos(first), np.sin(first)], [-np.sin(first), np.cos(first)]]) @ onto_sheet
-        axes[1] *= np.sign(second - first)
+        axes = ring_axes(layout) @ onto_sheet
     return learn_place(
         changes,
         place_mm,

@@ -8,6 +8,7 @@ from .force import (
     map_tables as map_tables,
 )
 from .interpolation import interpolated as interpolated
+from .pressed_place import PressedPlace as PressedPlace, row_readings as row_readings
 from .runtime import Calibration as Calibration
 from .template_matching import (
     Matches as Matches,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,8 +28,11 @@ from cbsr_qa.calibration.runtime.frames import SensorFrames
 from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
 from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask, real_numbers, unlike_model
-from cbsr_qa.domain.results import ForceModel
+from cbsr_qa.domain.results import ForceModel, LearnedPlace
 from cbsr_qa.domain.run import Indenter
+
+if TYPE_CHECKING:
+    from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
 
 #: Detectability of a load at a given place.
 _CLEAR: Final = 3.0
@@ -60,6 +63,9 @@ class Calibration(SensorFrames):
         self.inverse = ForceInverse(model, line, area_mm2, map_tables(model))
         self.sign = float(np.sign(line.slope.value))
         self._size_error = SizeError(model, self.issued.indenter.radius_mm)
+        # It was learned from all readings.
+        learned = self.issued.place if model is self.issued.force else None
+        self._pressed = None if learned is None else _pressed(learned.learned, model)
         self.least_force_N = self._least_force_N()
 
     def __repr__(self) -> str:
@@ -82,6 +88,9 @@ class Calibration(SensorFrames):
         current_A: float | None = None,
     ) -> Forces:
         """Force of one head in each frame.
+
+        Its place is by the model of the sheet or, if the calibration has one, by the place learned from the run's
+        presses, for frames like these.
 
         Parameters
         ----------
@@ -126,9 +135,10 @@ class Calibration(SensorFrames):
             return joined(parts)
         others = self._others(rows, matches, finder)
         if places is None:
-            if self._fewer:
-                matches = finder.ambiguous(rows, matches)
-            matches = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
+            found = finder.ambiguous(rows, matches) if self._fewer else matches
+            modelled = scattered(found, finder.size_slope(found.place_mm), self.model.place_scatter_mm)
+            learned = None if finder is not self.filter else self._pressed  # it was learned with the calibrating head
+            matches = modelled if learned is None else learned(rows, matches, modelled, finder)
         return self._forces(self._of_area(matches, head), bad, others, head, searched=places is None)
 
     def forces(
@@ -318,3 +328,10 @@ class Calibration(SensorFrames):
         flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head is possible there
         flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags
+
+
+def _pressed(learned: LearnedPlace, model: ForceModel) -> "PressedPlace":
+    # Here because it imports for a second, and few calibrations have a learned place.
+    from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
+
+    return PressedPlace(learned, model.merging)

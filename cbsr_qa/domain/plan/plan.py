@@ -202,6 +202,7 @@ class AnalysisSettings:
     calibrate_phases : names of the phases whose loads calibrate; those of others test the calibration.
     transients : of short holds, for the force model: ``"averaged"`` (their last frames as measured) or
         ``"predicted"`` (extrapolated to the end of the run's longest holds).
+    learn_place : whether place is learned from the loads that calibrate, and used if that pays.
     """
 
     masks: tuple[float, ...]
@@ -222,6 +223,7 @@ class AnalysisSettings:
     noise_weighting: str = "equal"
     calibrate_phases: tuple[str, ...] = ()
     transients: str = "averaged"
+    learn_place: bool = False
 
 
 @dataclass(frozen=True, slots=True)

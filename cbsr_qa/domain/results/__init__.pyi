@@ -50,6 +50,7 @@ from .learned_place import (
     ModelledPlace as ModelledPlace,
     PatternTurns as PatternTurns,
     PlaceMixture as PlaceMixture,
+    PlaceOfRun as PlaceOfRun,
     PlaceProcess as PlaceProcess,
     PlaceScales as PlaceScales,
     PlaceTemplates as PlaceTemplates,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
 from cbsr_qa.domain.results.image import LinearReconstruction
+from cbsr_qa.domain.results.learned_place import PlaceOfRun
 from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, SettlingTime
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity, SensorType
@@ -240,6 +241,7 @@ class Calibration:
     noise_figure : measured on this sensor with its own matrix, or None. That of the matrix on the nominal model is in
         ``reconstruction.choice``.
     force : model that converts readings to newtons; None if the run's loads do not determine it.
+    place : learned from the run's presses, where that is clearly better than the model of the sheet; else None.
     no_force : why there is no force model; empty if there is one.
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibration.file` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
@@ -274,6 +276,7 @@ class Calibration:
     ] = None
     noise_figure: Annotated[float | None, Kept("image/measured_noise_figure")] = None
     force: Annotated[ForceModel | None, Kept(since=2)] = None
+    place: Annotated[PlaceOfRun | None, Kept(since=4)] = None
     no_force: Annotated[str, FROM_ABOVE] = ""  # a text of the group ``force``, which encoding and decoding see to
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""

@@ -183,3 +183,22 @@ class LearnedPlace:
     misfit: _Positive
     least_size: Annotated[float, Kept(units="reading", least=0, most=_LARGEST)]
     reach_mm: _Positive
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceOfRun:
+    """What the presses of a run taught about place, kept because it was clearly better than the model of the sheet.
+
+    Parameters
+    ----------
+    learned : of the rows of :attr:`~cbsr_qa.domain.results.ForceModel.merging`, as readings [V], on the sheet.
+    presses : number it was learned from.
+    error_mm, modelled_error_mm : mean distance of found from pressed places of presses left out, and of the same
+        presses by the force model's templates; ``gain_stderr_mm`` of their difference.
+    """
+
+    learned: Annotated[LearnedPlace, Kept("")]
+    presses: Annotated[int, Kept(units="1")]
+    error_mm: _Positive
+    modelled_error_mm: _Positive
+    gain_stderr_mm: _Positive

@@ -93,6 +93,7 @@ class Setting:
             **recipe["analysis"],
             "transients": "predicted" if self.predicted else "averaged",
             "steady_frames": self.steady_frames,
+            "learn_place": self.places > len(NINE_LOCATIONS_MM),  # nine presses teach less than any model
         }
         return recipe
 

@@ -18,6 +18,7 @@ from cbsr_qa.analysis.run import (
     map_quality,
     places_mm,
     run_force,
+    run_place,
     tests_of,
 )
 from cbsr_qa.calibration.force import LearnedForce, prediction_words
@@ -67,6 +68,8 @@ class Force(ObservedSection):
         yield Paragraph(_learned_words(run, force, learned))
         if force.sheet_pose.moved:
             yield Paragraph(_sheet_pose_words(force.sheet_pose), "note")
+        if run.settings.learn_place:
+            yield Paragraph(f"{run_place(run).words}.", "note")
         yield from _predicted(run, learned)
         yield from (Paragraph(words) for words in _tested_words(tests))
         yield from (_map(run, force, learned), Paragraph(_map_words(run, force, learned)))
