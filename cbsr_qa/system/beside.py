@@ -1,6 +1,7 @@
 """Independent pieces of work, shared with a forked helper where the computer has a second processor."""
 
 import gc
+import mmap
 import multiprocessing
 import os
 import pickle
@@ -9,7 +10,7 @@ import struct
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Final, TypeVar
+from typing import Final, Generic, TypeVar
 
 from cbsr_qa.system.untrusted import CONTAINED
 
@@ -32,11 +33,15 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     tasks : that change nothing which others see; whatever a helper changes is lost.
     """
     found: dict[int, Result] = {}
-    alone = multiprocessing.parent_process() is None  # workers of a study have filled the processors
-    if CONTAINED and alone and 1 < len(tasks) <= _MOST and len(os.sched_getaffinity(0)) > 1:
+    if 1 < len(tasks) <= _MOST and _has_room():
         with suppress(OSError):  # no process or pipe is left: all are called here
             found = _shared(tasks)
     return [found[number] if number in found else task() for number, task in enumerate(tasks)]
+
+
+def _has_room() -> bool:
+    alone = multiprocessing.parent_process() is None  # workers of a study have filled the processors
+    return CONTAINED and alone and len(os.sched_getaffinity(0)) > 1
 
 
 def _shared(tasks: Sequence[Callable[[], Result]]) -> dict[int, Result]:
@@ -67,6 +72,19 @@ def _next(waiting: int) -> int | None:
 
 
 def _helper(tasks: Sequence[Callable[[], object]], waiting: int, outgoing: int) -> int:
+    def work() -> None:
+        done = {}
+        while (number := _next(waiting)) is not None:
+            with suppress(Exception):
+                done[number] = pickle.dumps(tasks[number]())
+        with os.fdopen(outgoing, "wb") as pipe:
+            pickle.dump(done, pipe)
+
+    return _forked(work)
+
+
+def _forked(work: Callable[[], None]) -> int:
+    """Do something in a helper, which then ends; return its process number."""
     with warnings.catch_warnings():
         # Newer Pythons warn of threads that hold locks. Ours only wait.
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -78,11 +96,58 @@ def _helper(tasks: Sequence[Callable[[], object]], waiting: int, outgoing: int) 
         signal.set_wakeup_fd(-1)  # the parent reports signals
         for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             signal.signal(each, signal.SIG_DFL)
-        done = {}
-        while (number := _next(waiting)) is not None:
-            with suppress(Exception):
-                done[number] = pickle.dumps(tasks[number]())
-        with os.fdopen(outgoing, "wb") as pipe:
-            pickle.dump(done, pipe)
+        work()
     finally:
         os._exit(0)
+
+
+class Ahead(Generic[Result]):
+    """A function that a forked helper calls while this process goes on.
+
+    What the helper does not return is called here when it is asked for, as by :func:`side_by_side`. Begin before
+    devices, databases and locks are open: the helper holds what is open until it has done.
+
+    Parameters
+    ----------
+    task : that changes nothing which others see; whatever it changes is lost.
+    """
+
+    def __init__(self, task: Callable[[], Result]) -> None:
+        self._task = task
+        self._result: list[Result] = []
+        self._helper: int | None = None
+        if _has_room():
+            with suppress(OSError):  # no process, pipe or memory is left: called here
+                self._begin()
+
+    def _begin(self) -> None:
+        kept = os.memfd_create("cbsr-qa")  # holds a result of any size, so that the helper need not wait for a reader
+        ended, working = os.pipe()
+
+        def work() -> None:
+            with os.fdopen(kept, "wb") as file:
+                pickle.dump(self._task(), file)
+
+        self._helper = _forked(work)
+        os.close(working)  # closed everywhere once the helper has ended
+        self._files = os.fdopen(ended, "rb"), os.fdopen(kept, "rb")
+
+    def result(self) -> Result:
+        """Wait for the result; the same object every time. Raises what the function raises."""
+        if not self._result:
+            self._result.append(self._returned() if self._helper else self._task())
+        return self._result[0]
+
+    def _returned(self) -> Result:
+        ended, kept = self._files
+        with ended, kept:
+            ended.read()
+            with suppress(ChildProcessError):  # asked in a helper of the process that began it
+                os.waitpid(self._helper or 0, 0)
+            try:
+                # Not read: where a file is read is shared with the helper's other readers.
+                with mmap.mmap(kept.fileno(), 0, access=mmap.ACCESS_READ) as pickled:
+                    result: Result = pickle.loads(pickled)
+            except (EOFError, ValueError, pickle.UnpicklingError):  # ValueError: nothing was written
+                result = self._task()
+        return result

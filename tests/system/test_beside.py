@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from cbsr_qa.system import side_by_side
+from cbsr_qa.system import Ahead, side_by_side
 
 #: Tasks of a test: enough that a helper takes some of them.
 COUNT = 40
@@ -66,3 +66,42 @@ def test_no_helper_is_left_behind(processors):
     for helper in workers - {os.getpid()}:
         with pytest.raises(ProcessLookupError):
             os.kill(helper, 0)
+
+
+def test_what_was_begun_ahead_is_made_once_by_a_helper_where_there_is_a_processor(processors):
+    ahead = Ahead(lambda: (list(range(100_000)), os.getpid()))
+    numbers, process = ahead.result()
+    assert numbers == list(range(100_000))
+    assert (process == os.getpid()) == (processors == 1)
+    assert ahead.result() is ahead.result()
+
+
+def test_a_helper_takes_what_was_begun_ahead_of_it_and_so_does_its_parent(processors):
+    first = Ahead(lambda: ("made", os.getpid()))
+    second = Ahead(lambda: (first.result(), os.getpid()))
+    (found, of_helper), _ = second.result()
+    assert (found, of_helper) == first.result()
+    assert (of_helper == os.getpid()) == (processors == 1)
+
+
+def _killed_elsewhere(here):
+    if os.getpid() != here:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "made here"
+
+
+@pytest.mark.parametrize(
+    "task",
+    [_killed_elsewhere, lambda here: lambda: "made here"],
+    ids=["a killed helper", "what cannot be pickled"],
+)
+def test_what_a_helper_does_not_return_is_made_here(processors, task):
+    here = os.getpid()
+    result = Ahead(lambda: task(here)).result()
+    assert (result if isinstance(result, str) else result()) == "made here"
+
+
+def test_an_error_ahead_is_raised_when_the_result_is_asked_for(processors):
+    ahead = Ahead(lambda: _raises(ValueError("bad")))
+    with pytest.raises(ValueError, match="bad"):
+        ahead.result()

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import ceil, log, sqrt
 from typing import Final
 
@@ -15,6 +15,7 @@ from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.estimate import MergedReadings, load_model
 from cbsr_qa.eit.loads import LoadReadings, RoundLoadModel, RoundLoads
+from cbsr_qa.system import Ahead
 
 #: Contrast of the templates: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the centre of
 #: the 100 mm disc, and by 1.4 % at 40 mm.
@@ -88,9 +89,24 @@ def _joined(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
     return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
 
+_begun: "dict[tuple[RoundLoadModel, Indenter], Ahead[tuple[_Pressed, ...]]]" = {}
+
+
+def begin_templates(sensor_type: SensorType, head: Indenter) -> None:
+    """Begin to compute what templates need of the sensor and the head, in a helper while the sensor is measured."""
+    model = load_model(sensor_type)
+    _begun.clear()
+    _begun[model, head] = Ahead(partial(_computed, model, head))
+
+
 @lru_cache(maxsize=1)
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     """Readings of a head at all places of the lattice, independent of measurements. About 50 MB."""
+    begun = _begun.pop((model, head), None)
+    return _computed(model, head) if begun is None else begun.result()
+
+
+def _computed(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     everywhere = _lattice(model).places_mm()
     inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
     return tuple(_pressed(model, everywhere[inside], head))
