@@ -8,6 +8,7 @@ import pickle
 import signal
 import struct
 import warnings
+import weakref
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Final, Generic, TypeVar
@@ -115,7 +116,7 @@ class Ahead(Generic[Result]):
     def __init__(self, task: Callable[[], Result]) -> None:
         self._task = task
         self._result: list[Result] = []
-        self._helper: int | None = None
+        self._ended: weakref.finalize[..., Ahead[Result]] | None = None
         if _has_room():
             with suppress(OSError):  # no process, pipe or memory is left: called here
                 self._begin()
@@ -128,26 +129,34 @@ class Ahead(Generic[Result]):
             with os.fdopen(kept, "wb") as file:
                 pickle.dump(self._task(), file)
 
-        self._helper = _forked(work)
+        helper = _forked(work)
         os.close(working)  # closed everywhere once the helper has ended
-        self._files = os.fdopen(ended, "rb"), os.fdopen(kept, "rb")
+        self._kept, self._working = kept, ended
+        self._ended = weakref.finalize(self, _end, os.getpid(), helper, kept, ended)  # nobody may ask for the result
 
     def result(self) -> Result:
         """Wait for the result; the same object every time. Raises what the function raises."""
         if not self._result:
-            self._result.append(self._returned() if self._helper else self._task())
+            self._result.append(self._task() if self._ended is None else self._returned(self._ended))
         return self._result[0]
 
-    def _returned(self) -> Result:
-        ended, kept = self._files
-        with ended, kept:
-            ended.read()
-            with suppress(ChildProcessError):  # asked in a helper of the process that began it
-                os.waitpid(self._helper or 0, 0)
-            try:
-                # Not read: where a file is read is shared with the helper's other readers.
-                with mmap.mmap(kept.fileno(), 0, access=mmap.ACCESS_READ) as pickled:
-                    result: Result = pickle.loads(pickled)
-            except (EOFError, ValueError, pickle.UnpicklingError):  # ValueError: nothing was written
-                result = self._task()
+    def _returned(self, end: Callable[[], object]) -> Result:
+        try:
+            os.read(self._working, 1)
+            # Not read: where a file is read is shared with the helper's other readers.
+            with mmap.mmap(self._kept, 0, access=mmap.ACCESS_READ) as pickled:
+                result: Result = pickle.loads(pickled)
+        except (EOFError, OSError, ValueError, pickle.UnpicklingError):  # ValueError: nothing was written
+            result = self._task()
+        finally:
+            end()
         return result
+
+
+def _end(owner: int, helper: int, *files: int) -> None:
+    """End a helper, if this process began it, and close what it wrote to."""
+    if owner == os.getpid():
+        os.kill(helper, signal.SIGKILL)  # it has ended, or nobody asks any more
+        os.waitpid(helper, 0)
+    for each in files:
+        os.close(each)

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import time
+from pathlib import Path
 
 import pytest
 
@@ -105,3 +107,15 @@ def test_an_error_ahead_is_raised_when_the_result_is_asked_for(processors):
     ahead = Ahead(lambda: _raises(ValueError("bad")))
     with pytest.raises(ValueError, match="bad"):
         ahead.result()
+
+
+def test_what_nobody_asks_for_leaves_no_helper_and_no_file(processors):
+    before = set(Path("/proc/self/fd").iterdir())
+    ahead = Ahead(lambda: time.sleep(60))
+    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    assert len(children) == processors - 1
+    del ahead
+    assert set(Path("/proc/self/fd").iterdir()) == before
+    for helper in children:
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(helper), 0)

@@ -1,8 +1,8 @@
 """Effect of one head on the readings at every possible place: the bank of templates for frames."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from math import ceil, log, sqrt
 from typing import Final
 
@@ -89,21 +89,25 @@ def _joined(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
     return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
 
-_begun: "dict[tuple[RoundLoadModel, Indenter], Ahead[tuple[_Pressed, ...]]]" = {}
+#: Of the last sensor and head: what gives their readings at all places of the lattice. About 50 MB.
+_kept: "dict[tuple[RoundLoadModel, Indenter], Callable[[], tuple[_Pressed, ...]]]" = {}
 
 
 def begin_templates(sensor_type: SensorType, head: Indenter) -> None:
     """Begin to compute what templates need of the sensor and the head, in a helper while the sensor is measured."""
     model = load_model(sensor_type)
-    _begun.clear()
-    _begun[model, head] = Ahead(partial(_computed, model, head))
+    if (model, head) not in _kept:
+        _kept.clear()
+        _kept[model, head] = Ahead(partial(_computed, model, head)).result
 
 
-@lru_cache(maxsize=1)
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
-    """Readings of a head at all places of the lattice, independent of measurements. About 50 MB."""
-    begun = _begun.pop((model, head), None)
-    return _computed(model, head) if begun is None else begun.result()
+    """Readings of a head at all places of the lattice, independent of measurements."""
+    if (model, head) not in _kept:
+        computed = _computed(model, head)
+        _kept.clear()
+        _kept[model, head] = lambda: computed
+    return _kept[model, head]()
 
 
 def _computed(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
