@@ -12,9 +12,6 @@ import pytest
 import sqlalchemy as sa
 from drawn import drawn
 from made_once import share
-from tables_made_once import tables_made_once
-
-from cbsr_qa.store import schema
 
 # As the command line does, before numpy is loaded: several workers with several threads each are far slower.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -49,14 +46,6 @@ def _shared_by_workers(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Workers of one run of the tests make some things once for all of them."""
     folder = tmp_path_factory.getbasetemp()
     share((folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "made once")
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _tables_are_made_once() -> Iterator[None]:
-    """Every worker migrates one empty SQLite database; others get the same tables at once."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(schema, "_alembic", tables_made_once(schema._alembic))
-        yield
 
 
 class PostgresServer:

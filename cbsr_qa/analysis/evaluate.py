@@ -11,7 +11,7 @@ from itertools import islice
 from numbers import Integral, Real
 from typing import Any, Final
 
-from cbsr_qa.analysis.run import observe_run, run_force, run_place
+from cbsr_qa.analysis.run import begin_force, observe_run, run_force, run_place
 from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.calibration import issue_calibration
@@ -97,6 +97,8 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
         remedy = error.remedy if isinstance(error, CbsrError) else ""
         return _not_measured(f"the frames cannot be imaged: {failure(error)}", remedy)
     with stages.stage("metrics"):
+        if recipe.calibrate_phases:
+            begin_force(observation)
         measured, failed = measure_run(observation, metrics)
         judged = judge(measured, recipe.limits)
     if recipe.analysis.learn_place:

@@ -99,8 +99,9 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 #: Factor by which garbage collection is rarer than by default: loading libraries and reading a fleet create millions
-#: of objects and hardly a cycle, and searching took a third of the time of ``compare``.
-_COLLECTED = (200_000, 20, 20)
+#: of objects and hardly a cycle, and searching took a third of the time of ``compare``. Nothing is searched while the
+#: libraries of a run are loaded.
+_COLLECTED = (500_000, 20, 20)
 
 
 def entry() -> None:

@@ -4,6 +4,7 @@ A moment depends only on its time, its index and the presses so far, so that mom
 repeatedly.
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -108,11 +109,12 @@ class SimulatedWorld:
         """Load cell reading at a time; the index addresses the sample's random numbers."""
         touching = [press for press in self._moving.at(self.presses, time_s) if press.strain_at(time_s) > _TOUCHING]
         moment = self._moment(time_s, index, touching)
-        self.chain.apply("stress", moment)
-        moment.force_N = 1e-3 * sum(
-            max(stress, 0.0) * self._connected.pressed_mm2((press.x_mm, press.y_mm))
-            for press, stress in zip(touching, moment.stress_kPa, strict=True)
-        )
+        if touching:  # most samples are of a head in the air
+            self.chain.apply("stress", moment)
+            moment.force_N = 1e-3 * sum(
+                max(stress, 0.0) * self._connected.pressed_mm2((press.x_mm, press.y_mm))
+                for press, stress in zip(touching, moment.stress_kPa, strict=True)
+            )
         self.chain.apply("force", moment)
         return moment.force_N
 
@@ -150,13 +152,15 @@ class SimulatedWorld:
 
 
 class _Moving:
-    """Index of current presses: most samples of a run see one press or none."""
+    """Index of current presses: most samples of a run see one press or none, the one before saw."""
 
     def __init__(self) -> None:
         self._count = 0
         self._last: SimulatedPress | None = None
         self._from_s: Array = np.zeros(0)
         self._to_s: Array = np.zeros(0)
+        self._found: list[SimulatedPress] = []
+        self._since_s, self._until_s = math.inf, -math.inf
 
     def at(self, presses: list[SimulatedPress], time_s: float) -> list[SimulatedPress]:
         """Return the presses that may act at a time."""
@@ -168,7 +172,18 @@ class _Moving:
             self._to_s = np.array([p.end_s if up else np.inf for p, up in zip(presses, lifted, strict=True)])
             self._to_s[-1:] = np.inf
             self._count, self._last = len(presses), last
-        return [presses[k] for k in np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s)).tolist()]
+            self._since_s, self._until_s = math.inf, -math.inf
+        if not self._since_s < time_s < self._until_s:
+            self._find(presses, time_s)
+        return self._found
+
+    def _find(self, presses: list[SimulatedPress], time_s: float) -> None:
+        """Find the presses at a time, and the times between which they are the same."""
+        ends = np.concatenate([self._from_s, self._to_s])
+        self._since_s = float(ends[ends <= time_s].max(initial=-np.inf))
+        self._until_s = float(ends[ends >= time_s].min(initial=np.inf))
+        at = np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s))
+        self._found = [presses[k] for k in at.tolist()]
 
 
 def _mean_reading_ohm(sheet: SimulatedSheet, sensor_type: SensorType) -> float:

@@ -7,7 +7,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Final
 
-from sqlalchemy import Connection, Engine, inspect, text
+from sqlalchemy import Column, Connection, Engine, MetaData, PrimaryKeyConstraint, String, Table, inspect, text
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.store.damage import address, shown
@@ -81,7 +81,9 @@ def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] |
         use_write_ahead_log(engine)
         with writing(engine) as connection:
             before = _upgradable(engine, _found(connection))  # again: another program may have been faster
-            if before.revision != target:
+            if before.revision is None and target == HEAD:
+                _create(connection)
+            elif before.revision != target:
                 _alembic(connection, "upgrade", target)
     return before
 
@@ -181,6 +183,23 @@ def _folder_for_now(engine: Engine, folder: Path) -> Iterator[None]:
         for above in made:
             with suppress(OSError):  # it was not created, or holds files of others
                 above.rmdir()
+
+
+def _create(connection: Connection) -> None:
+    """Create the tables of an empty database at once: all migrations one by one, and Alembic itself, take 0.3 s.
+
+    A test compares them with those that the migrations make.
+    """
+    from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, RunRow
+
+    assert AnalysisRow.metadata is ChartReferenceRow.metadata is RunRow.metadata  # all three files are registered
+    RunRow.metadata.create_all(connection)
+    key = PrimaryKeyConstraint(name=f"{VERSION_TABLE}_pkc")
+    version = Table(
+        VERSION_TABLE, MetaData(), Column("version_num", String(32), nullable=False, primary_key=True), key
+    )
+    version.create(connection, checkfirst=True)
+    connection.execute(version.insert(), {"version_num": HEAD})
 
 
 def _alembic(connection: Connection, direction: str, target: str) -> None:

@@ -1,4 +1,4 @@
-from .beside import side_by_side as side_by_side
+from .beside import Ahead as Ahead, side_by_side as side_by_side
 from .clock import (
     TICK_S as TICK_S,
     Clock as Clock,

@@ -1,15 +1,17 @@
 """Independent pieces of work, shared with a forked helper where the computer has a second processor."""
 
 import gc
+import mmap
 import multiprocessing
 import os
 import pickle
 import signal
 import struct
 import warnings
+import weakref
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Final, TypeVar
+from typing import Final, Generic, TypeVar
 
 from cbsr_qa.system.untrusted import CONTAINED
 
@@ -32,11 +34,15 @@ def side_by_side(tasks: Sequence[Callable[[], Result]]) -> list[Result]:
     tasks : that change nothing which others see; whatever a helper changes is lost.
     """
     found: dict[int, Result] = {}
-    alone = multiprocessing.parent_process() is None  # workers of a study have filled the processors
-    if CONTAINED and alone and 1 < len(tasks) <= _MOST and len(os.sched_getaffinity(0)) > 1:
+    if 1 < len(tasks) <= _MOST and _has_room():
         with suppress(OSError):  # no process or pipe is left: all are called here
             found = _shared(tasks)
     return [found[number] if number in found else task() for number, task in enumerate(tasks)]
+
+
+def _has_room() -> bool:
+    alone = multiprocessing.parent_process() is None  # workers of a study have filled the processors
+    return CONTAINED and alone and len(os.sched_getaffinity(0)) > 1
 
 
 def _shared(tasks: Sequence[Callable[[], Result]]) -> dict[int, Result]:
@@ -67,6 +73,19 @@ def _next(waiting: int) -> int | None:
 
 
 def _helper(tasks: Sequence[Callable[[], object]], waiting: int, outgoing: int) -> int:
+    def work() -> None:
+        done = {}
+        while (number := _next(waiting)) is not None:
+            with suppress(Exception):
+                done[number] = pickle.dumps(tasks[number]())
+        with os.fdopen(outgoing, "wb") as pipe:
+            pickle.dump(done, pipe)
+
+    return _forked(work)
+
+
+def _forked(work: Callable[[], None]) -> int:
+    """Do something in a helper, which then ends; return its process number."""
     with warnings.catch_warnings():
         # Newer Pythons warn of threads that hold locks. Ours only wait.
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -78,11 +97,66 @@ def _helper(tasks: Sequence[Callable[[], object]], waiting: int, outgoing: int) 
         signal.set_wakeup_fd(-1)  # the parent reports signals
         for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
             signal.signal(each, signal.SIG_DFL)
-        done = {}
-        while (number := _next(waiting)) is not None:
-            with suppress(Exception):
-                done[number] = pickle.dumps(tasks[number]())
-        with os.fdopen(outgoing, "wb") as pipe:
-            pickle.dump(done, pipe)
+        work()
     finally:
         os._exit(0)
+
+
+class Ahead(Generic[Result]):
+    """A function that a forked helper calls while this process goes on.
+
+    What the helper does not return is called here when it is asked for, as by :func:`side_by_side`. Begin before
+    devices, databases and locks are open: the helper holds what is open until it has done.
+
+    Parameters
+    ----------
+    task : that changes nothing which others see; whatever it changes is lost.
+    """
+
+    def __init__(self, task: Callable[[], Result]) -> None:
+        self._task = task
+        self._result: list[Result] = []
+        self._ended: weakref.finalize[..., Ahead[Result]] | None = None
+        if _has_room():
+            with suppress(OSError):  # no process, pipe or memory is left: called here
+                self._begin()
+
+    def _begin(self) -> None:
+        kept = os.memfd_create("cbsr-qa")  # holds a result of any size, so that the helper need not wait for a reader
+        ended, working = os.pipe()
+
+        def work() -> None:
+            with os.fdopen(kept, "wb") as file:
+                pickle.dump(self._task(), file)
+
+        helper = _forked(work)
+        os.close(working)  # closed everywhere once the helper has ended
+        self._kept, self._working = kept, ended
+        self._ended = weakref.finalize(self, _end, os.getpid(), helper, kept, ended)  # nobody may ask for the result
+
+    def result(self) -> Result:
+        """Wait for the result; the same object every time. Raises what the function raises."""
+        if not self._result:
+            self._result.append(self._task() if self._ended is None else self._returned(self._ended))
+        return self._result[0]
+
+    def _returned(self, end: Callable[[], object]) -> Result:
+        try:
+            os.read(self._working, 1)
+            # Not read: where a file is read is shared with the helper's other readers.
+            with mmap.mmap(self._kept, 0, access=mmap.ACCESS_READ) as pickled:
+                result: Result = pickle.loads(pickled)
+        except (EOFError, OSError, ValueError, pickle.UnpicklingError):  # ValueError: nothing was written
+            result = self._task()
+        finally:
+            end()
+        return result
+
+
+def _end(owner: int, helper: int, *files: int) -> None:
+    """End a helper, if this process began it, and close what it wrote to."""
+    if owner == os.getpid():
+        os.kill(helper, signal.SIGKILL)  # it has ended, or nobody asks any more
+        os.waitpid(helper, 0)
+    for each in files:
+        os.close(each)

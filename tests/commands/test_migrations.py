@@ -31,11 +31,11 @@ LINKS = records.LinkRow.__tablename__
 
 
 @pytest.fixture(autouse=True)
-def repeated(monkeypatch):
-    """Here every database is migrated; returns what other tests make their tables with."""
-    repeated = schema._alembic
-    monkeypatch.setattr(schema, "_alembic", repeated.__wrapped__)
-    return repeated
+def at_once(monkeypatch):
+    """Here every database is migrated; returns what makes the tables of a new one."""
+    at_once = schema._create
+    monkeypatch.setattr(schema, "_create", lambda connection: schema._alembic(connection, "upgrade", schema.HEAD))
+    return at_once
 
 
 @pytest.fixture
@@ -260,18 +260,45 @@ def test_calibrations_of_before_keep_their_rows_and_files_are_lost_on_the_way_ba
         raw.cursor().execute("UPDATE calibrations SET scale = NULL")
 
 
-def test_other_tests_have_the_tables_that_the_migrations_make(tmp_path, monkeypatch, repeated):
-    made = []
-    for name, make in (("migrated", repeated.__wrapped__), ("first", repeated), ("repeated", repeated)):
-        monkeypatch.setattr(schema, "_alembic", make)
-        engine = open_engine(parsed_url(f"sqlite:///{tmp_path / name}.db"))
-        schema.upgrade(engine)
-        assert schema.found_version(engine).age is schema.Age.CURRENT
-        with reading(engine) as connection:
-            tables = connection.execute(sa.text("SELECT type, name, tbl_name, sql FROM sqlite_master"))
-            made.append(sorted(tables.all(), key=str))
-        engine.dispose()
-    assert made[0] == made[1] == made[2]
+def described(engine):
+    """Everything a database says of its tables, in an order of its own; migrations append columns."""
+    with reading(engine) as connection:
+        found = sa.inspect(connection)
+        return {
+            name: {
+                "columns": sorted(repr(sorted(one.items())) for one in found.get_columns(name)),
+                "key": found.get_pk_constraint(name),
+                "references": sorted(map(repr, found.get_foreign_keys(name))),
+                "indexes": sorted(map(repr, found.get_indexes(name))),
+                "unique": sorted(map(repr, found.get_unique_constraints(name))),
+                "checks": sorted(map(repr, found.get_check_constraints(name))),
+            }
+            for name in found.get_table_names()
+        }
+
+
+def test_a_new_database_has_the_tables_that_the_migrations_make(engine, monkeypatch, at_once):
+    schema.upgrade(engine)
+    migrated = described(engine)
+    assert schema.VERSION_TABLE in migrated
+    with writing(engine) as connection:
+        for table in [*reversed(Base.metadata.sorted_tables), sa.table(schema.VERSION_TABLE)]:
+            connection.execute(sa.text(f"DROP TABLE {table.name}"))
+    monkeypatch.setattr(schema, "_create", at_once)
+    schema.upgrade(engine)
+    assert schema.found_version(engine) == schema.SchemaVersion(schema.Age.CURRENT, schema.HEAD)
+    assert described(engine) == migrated
+
+
+def test_a_new_database_can_be_taken_back_to_every_schema(engine, monkeypatch, at_once):
+    monkeypatch.setattr(schema, "_create", at_once)
+    schema.upgrade(engine)
+    for revision in reversed(schema.REVISIONS[:-1]):
+        schema.downgrade(engine, revision)
+    schema.downgrade(engine, "base")
+    assert table_names(engine) == set()
+    schema.upgrade(engine)  # Alembic leaves an empty table of versions
+    assert schema.found_version(engine).age is schema.Age.CURRENT
 
 
 def test_the_migrations_make_what_the_program_uses(engine):

@@ -8,16 +8,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import matplotlib.figure  # noqa: F401 - loaded here so that no fork has to
-from tables_made_once import tables_made_once
 
 from cbsr_qa.app.run import run_sensor  # noqa: F401
 from cbsr_qa.cli import ended
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.eit.inverse import imaging_problem
-from cbsr_qa.store import open_store, schema
+from cbsr_qa.store import open_store
 
 imaging_problem(load_sensor_type("disc-100mm").value)
-schema._alembic = tables_made_once(schema._alembic)
 with TemporaryDirectory() as _folder, open_store(f"sqlite:///{_folder}/runs.db"):
     pass
 

@@ -2,10 +2,12 @@
 
 import os
 import signal
+import time
+from pathlib import Path
 
 import pytest
 
-from cbsr_qa.system import side_by_side
+from cbsr_qa.system import Ahead, side_by_side
 
 #: Tasks of a test: enough that a helper takes some of them.
 COUNT = 40
@@ -66,3 +68,54 @@ def test_no_helper_is_left_behind(processors):
     for helper in workers - {os.getpid()}:
         with pytest.raises(ProcessLookupError):
             os.kill(helper, 0)
+
+
+def test_what_was_begun_ahead_is_made_once_by_a_helper_where_there_is_a_processor(processors):
+    ahead = Ahead(lambda: (list(range(100_000)), os.getpid()))
+    numbers, process = ahead.result()
+    assert numbers == list(range(100_000))
+    assert (process == os.getpid()) == (processors == 1)
+    assert ahead.result() is ahead.result()
+
+
+def test_a_helper_takes_what_was_begun_ahead_of_it_and_so_does_its_parent(processors):
+    first = Ahead(lambda: ("made", os.getpid()))
+    second = Ahead(lambda: (first.result(), os.getpid()))
+    (found, of_helper), _ = second.result()
+    assert (found, of_helper) == first.result()
+    assert (of_helper == os.getpid()) == (processors == 1)
+
+
+def _killed_elsewhere(here):
+    if os.getpid() != here:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "made here"
+
+
+@pytest.mark.parametrize(
+    "task",
+    [_killed_elsewhere, lambda here: lambda: "made here"],
+    ids=["a killed helper", "what cannot be pickled"],
+)
+def test_what_a_helper_does_not_return_is_made_here(processors, task):
+    here = os.getpid()
+    result = Ahead(lambda: task(here)).result()
+    assert (result if isinstance(result, str) else result()) == "made here"
+
+
+def test_an_error_ahead_is_raised_when_the_result_is_asked_for(processors):
+    ahead = Ahead(lambda: _raises(ValueError("bad")))
+    with pytest.raises(ValueError, match="bad"):
+        ahead.result()
+
+
+def test_what_nobody_asks_for_leaves_no_helper_and_no_file(processors):
+    before = set(Path("/proc/self/fd").iterdir())
+    ahead = Ahead(lambda: time.sleep(60))
+    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    assert len(children) == processors - 1
+    del ahead
+    assert set(Path("/proc/self/fd").iterdir()) == before
+    for helper in children:
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(helper), 0)

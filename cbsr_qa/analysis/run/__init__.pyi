@@ -10,6 +10,7 @@ from .force import (
     TRIAL_LEFT_OUT as TRIAL_LEFT_OUT,
     ForceTest as ForceTest,
     RunForce as RunForce,
+    begin_force as begin_force,
     force_tests as force_tests,
     hold_traces as hold_traces,
     learned_from as learned_from,

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 from typing import Final
 
@@ -25,6 +26,7 @@ from cbsr_qa.calibration.sheet import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.domain import CbsrError, NumericsError
 from cbsr_qa.domain.results import ForceModel, LoadObservation, RunObservation
 from cbsr_qa.eit.estimate import load_model, merged_readings
+from cbsr_qa.system import Ahead
 
 Array = NDArray[np.float64]
 
@@ -86,6 +88,11 @@ class RunForce:
         return tuple(t.load for t in held_out if abs(t.known_N - t.measured_N) <= _BORNE_OUT * t.known_stderr_N)
 
 
+def begin_force(run: RunObservation) -> None:
+    """Begin what :func:`run_force` returns, in a helper while other metrics are computed."""
+    run.derived(_ahead)
+
+
 def run_force(run: RunObservation) -> RunForce:
     """Return a run's force model, learned from the phases that calibrate and tested on all other loads.
 
@@ -96,7 +103,11 @@ def run_force(run: RunObservation) -> RunForce:
     -------
     RunForce, with the reason if there is no model.
     """
-    return run.derived(_learned_and_tested)
+    return run.derived(_ahead).result()
+
+
+def _ahead(run: RunObservation) -> Ahead[RunForce]:
+    return Ahead(partial(_learned_and_tested, run))
 
 
 def _learned_and_tested(run: RunObservation) -> RunForce:

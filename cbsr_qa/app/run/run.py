@@ -11,6 +11,7 @@ from typing import Self
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
 from cbsr_qa.app.run.session import Session, check_configuration
+from cbsr_qa.calibration.force import begin_templates
 from cbsr_qa.config import (
     Configuration,
     calibrations_folder,
@@ -130,6 +131,8 @@ def run_sensor(
     taken: list[int] = []
     while True:
         configuration = request.configuration(_seed(request, taken))
+        if configuration.recipe.calibrate_phases:
+            begin_templates(configuration.sensor_type, configuration.station.indenter)
         with Session(configuration, plugins, Stages(tell), ask, why=request.why) as session:
             session.walk().refuse()
             outcome = _stored_run(request, configuration, plugins, session, begun)

@@ -8,6 +8,7 @@ from .templates import (
     CONTRAST as CONTRAST,
     RESIDUE_SHARE as RESIDUE_SHARE,
     TemplateBank as TemplateBank,
+    begin_templates as begin_templates,
     prepared_force as prepared_force,
     template_bank as template_bank,
     unlearned_model as unlearned_model,

@@ -1,8 +1,8 @@
 """Effect of one head on the readings at every possible place: the bank of templates for frames."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 from math import ceil, log, sqrt
 from typing import Final
 
@@ -15,6 +15,7 @@ from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.estimate import MergedReadings, load_model
 from cbsr_qa.eit.loads import LoadReadings, RoundLoadModel, RoundLoads
+from cbsr_qa.system import Ahead
 
 #: Contrast of the templates: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the centre of
 #: the 100 mm disc, and by 1.4 % at 40 mm.
@@ -88,9 +89,28 @@ def _joined(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
     return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
 
-@lru_cache(maxsize=1)
+#: Of the last sensor and head: what gives their readings at all places of the lattice. About 50 MB.
+_kept: "dict[tuple[RoundLoadModel, Indenter], Callable[[], tuple[_Pressed, ...]]]" = {}
+
+
+def begin_templates(sensor_type: SensorType, head: Indenter) -> None:
+    """Begin to compute what templates need of the sensor and the head, in a helper while the sensor is measured."""
+    model = load_model(sensor_type)
+    if (model, head) not in _kept:
+        _kept.clear()
+        _kept[model, head] = Ahead(partial(_computed, model, head)).result
+
+
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
-    """Readings of a head at all places of the lattice, independent of measurements. About 50 MB."""
+    """Readings of a head at all places of the lattice, independent of measurements."""
+    if (model, head) not in _kept:
+        computed = _computed(model, head)
+        _kept.clear()
+        _kept[model, head] = lambda: computed
+    return _kept[model, head]()
+
+
+def _computed(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     everywhere = _lattice(model).places_mm()
     inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
     return tuple(_pressed(model, everywhere[inside], head))

@@ -67,6 +67,7 @@ _SETTINGS: Final[dict[str, Any]] = {
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.titlepad": 5,
+    "axes.titley": 1.0,  # not looked for: no figure has ticks at its top
     "axes.labelsize": 7.5,
     "axes.labelcolor": INK,
     "axes.edgecolor": QUIET,
@@ -262,6 +263,9 @@ def svg_of(build: Callable[[], Canvas]) -> str:
     """Build a figure under the shared settings and return its ``<svg>`` element."""
     with drawing():
         figure = build()
+        for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+            if not axis.label.get_text():  # no room is looked for beside the numbers
+                axis.set_label_coords(0.5, 0.5)
         buffer = io.StringIO()
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(buffer, format="svg", metadata=nothing)

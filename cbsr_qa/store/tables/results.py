@@ -26,7 +26,8 @@ class AnalysisRow(Base):
     outcome: Mapped[str] = mapped_column(Word(16))
     reason: Mapped[str]
     calibration_why: Mapped[str]  #: why there is no calibration; empty if there is one
-    noise_weighting: Mapped[str] = mapped_column(Word(16))  #: as in the recipe; empty where nothing was imaged
+    #: as in the recipe; empty where nothing was imaged
+    noise_weighting: Mapped[str] = mapped_column(Word(16), server_default="equal")
     weight_ratio: Mapped[float | None]  #: largest over smallest weight of a reading
     compute_s: Mapped[list[Any]]  #: [[stage, seconds], …]
 
