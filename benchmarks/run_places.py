@@ -37,7 +37,7 @@ SENSORS = (
         Sensors(
             f"readings keep {100 * share:.0f} % of the last", effects=({"name": "reading-memory", "share": share},)
         )
-        for share in (0.1, 0.3, 0.5)
+        for share in (0.3, 0.5)
     ),
 )
 
