@@ -193,7 +193,7 @@ def test_the_file_is_shown_checked_and_converted(folder, tmp_path):
         assert not run("calibration", "export", source, "--output", tmp_path / output).exception
     assert (tmp_path / "again.h5").read_bytes() == file.read_bytes()
     assert "labelled presses" in refused("calibration", "export", file, "--firmware", "--output", tmp_path / "f.json")
-    assert "labelled presses" in refused("calibration", "apply", file, folder / "readings.csv")
+    assert "needs --pattern" in refused("calibration", "apply", file, folder / "readings.csv")
 
 
 def test_a_changed_file_is_refused(folder, tmp_path):

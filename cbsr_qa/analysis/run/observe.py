@@ -116,7 +116,7 @@ def observe_run(
     if over_time:
         loads, timelines = _over_time(setting, data.record, cut, loads)
     observation = RunObservation(
-        record=data.mended,
+        record=data.corrected,
         reconstruction=imager.reconstruction,
         scale=imager.scale,
         unloaded=unloaded,

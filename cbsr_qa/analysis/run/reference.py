@@ -66,13 +66,13 @@ class UsableData:
     Parameters
     ----------
     record : the run without lost frames, offsets taken out, spikes replaced by their neighbours in time.
-    mended : the same with all frames.
+    corrected : the same with all frames.
     readings : (drives, measures) bool, fit for imaging in every remaining frame.
     warnings : a sentence for every kind of reading or frame left out, beyond those of the pattern.
     """
 
     record: RunRecord
-    mended: RunRecord
+    corrected: RunRecord
     readings: NDArray[np.bool_]
     warnings: tuple[str, ...]
 
@@ -116,14 +116,14 @@ def usable_data(record: RunRecord) -> UsableData:
         )
     if lost.any():
         words.append(f"{int(lost.sum())} of {len(frames)} frames are excluded: they have missing readings")
-    mended = record
+    corrected = record
     if offsets or spikes.any():
         every = frames.voltages.copy()
         every[~lost] = voltages
-        mended = _with(record, every, frames.time_s[:0])
+        corrected = _with(record, every, frames.time_s[:0])
     if offsets or spikes.any() or lost.any():
         record = _with(record, voltages, frames.time_s[lost])
-    return UsableData(record, mended, readings, tuple(words))
+    return UsableData(record, corrected, readings, tuple(words))
 
 
 def _stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -69,10 +69,10 @@ def correct_carry_over(voltages: Array, share: float, order: NDArray[np.int64]) 
     order : see :func:`scan_order`. The very first reading has no predecessor and stays.
     """
     stream = voltages.reshape(len(voltages), -1)[:, order].ravel()
-    mended = stream.copy()
-    mended[1:] = (stream[1:] - share * stream[:-1]) / (1 - share)
+    without = stream.copy()
+    without[1:] = (stream[1:] - share * stream[:-1]) / (1 - share)
     out = np.empty((len(voltages), len(order)))
-    out[:, order] = mended.reshape(len(voltages), -1)
+    out[:, order] = without.reshape(len(voltages), -1)
     return out.reshape(voltages.shape)
 
 
@@ -122,5 +122,5 @@ def estimate_carry_over(block: FrameBlock, used: Mask) -> CarryOver | None:
     residual = own - share * last
     stderr = float(np.sqrt(residual @ residual / max(both.sum() / 2 - 1, 1) / power))
     corrected = correct_carry_over(frame[None], share, order)[0] if share < 1 else frame
-    mended = reciprocity_error(corrected, used, offset_of(corrected, used, counts=block.unit is VoltageUnit.COUNT))
-    return CarryOver(share, stderr, error, error if mended is None else mended)
+    remaining = reciprocity_error(corrected, used, offset_of(corrected, used, counts=block.unit is VoltageUnit.COUNT))
+    return CarryOver(share, stderr, error, error if remaining is None else remaining)

@@ -161,12 +161,12 @@ def test_residues_of_earlier_loads_are_taken_out_as_far_as_they_are_known():
     loads = pressed(random, lambda p: np.ones(len(p)), places, force)
     other = setting().rows(places, np.full(30, 0.03))
     soiled = replace(loads, rows=loads.rows + 0.3 * other, before=other, frames_before=np.full(30, 4, dtype=np.int64))
-    clean, mended = learned(loads), learned(soiled)
-    assert mended.model.residue_strength == pytest.approx(2 * 0.03 / 2.03, rel=0.02)
-    assert np.exp(mended.model.log_response[mended.model.fits]).mean() == pytest.approx(
+    clean, corrected = learned(loads), learned(soiled)
+    assert corrected.model.residue_strength == pytest.approx(2 * 0.03 / 2.03, rel=0.02)
+    assert np.exp(corrected.model.log_response[corrected.model.fits]).mean() == pytest.approx(
         np.exp(clean.model.log_response[clean.model.fits]).mean(), rel=0.02
     )
-    assert (mended.ratio_stderr > clean.ratio_stderr).all()
+    assert (corrected.ratio_stderr > clean.ratio_stderr).all()
 
 
 def _somewhere_pressed(seed, count=40):
