@@ -74,12 +74,15 @@ def _shared_kernel(
     covariance[np.ix_(free, free)] = np.einsum("g,gij->ij", likely, inverse) + (likely[:, None] * around).T @ around
     scatter, freedom = _as_variance(likely)
     half = len(weights)
+    # Time constants that began close together may have changed places.
+    rising = np.argsort(mean[half:], kind="stable")
+    both = np.concatenate([rising, half + rising])
     return RelaxationKernel(
         loading=traces[0].released is None,
-        weights=mean[:half],
-        time_constants_s=np.exp(mean[half:]),
-        covariance=covariance,
-        scatter=scatter * np.abs(mean[:half]),
+        weights=mean[rising],
+        time_constants_s=np.exp(mean[half + rising]),
+        covariance=covariance[np.ix_(both, both)],
+        scatter=scatter * np.abs(mean[rising]),
         scatter_freedom=freedom,
         loads=len(traces),
         start_s=start_s,

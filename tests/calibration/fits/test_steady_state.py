@@ -11,6 +11,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.integrate import quad
 from scipy.stats import t as student
 
+from cbsr_qa.calibration.fits import relaxation_kernel
 from cbsr_qa.calibration.fits.relaxation import exponentials, seen_share
 from cbsr_qa.calibration.fits.steady_state import (
     HoldsSoFar,
@@ -47,6 +48,20 @@ def _run(loads, noise, scatter, seed, *, ramp_s=0.0, time_s=TIME_S):
     weights = WEIGHTS * (1 + scatter * random.standard_normal((loads, 2)))
     clean = sizes[:, None] * (1 + weights @ parts.T)
     return [(time_s, values) for values in clean + noise * random.standard_normal(clean.shape)]
+
+
+def test_time_constants_that_changed_places_are_rising(monkeypatch):
+    loads = _run(12, 1e-3, 0.02, 5)
+    expected = learn_kernel(loads)
+    beginning = relaxation_kernel._beginning
+    monkeypatch.setattr(
+        relaxation_kernel,
+        "_beginning",
+        lambda *given: tuple(values.reshape(-1, 2)[:, ::-1].ravel() for values in beginning(*given)),
+    )
+    found = learn_kernel(loads)
+    for name in ("weights", "time_constants_s", "covariance", "scatter"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9), name
 
 
 @given(ramp_s=st.floats(1e-6, 30.0), time_s=st.floats(0.0, 100.0))
