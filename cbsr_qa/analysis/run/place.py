@@ -103,7 +103,7 @@ class RunPlace:
         if others is not None:
             words += f"; {others.learned_mm:.2g} and {others.modelled_mm:.2g} mm on {others.presses} other loads"
         if self.pays:
-            return f"{words}: used"
+            return f"{words}: clearly nearer, so a calibration uses it"
         better = of.gain_mm < -_CLEAR * of.gain_stderr_mm
         return f"{words}: not used, the model is {'better' if better else 'as good'}"
 

@@ -74,7 +74,7 @@ def test_a_sheet_not_as_modelled_is_located_better_by_what_its_presses_taught(tm
     assert place.pays
     assert place.left_out.gain_mm > 2 * place.left_out.gain_stderr_mm
     assert place.words.startswith("Place learned from 39 presses: ")
-    assert place.words.endswith(": used")
+    assert place.words.endswith("so a calibration uses it")
     made = issued(run)
     write_calibration(tmp_path / "sensor.h5", made)
     read = read_calibration(tmp_path / "sensor.h5")
