@@ -103,7 +103,7 @@ def _forked(work: Callable[[], None]) -> int:
 
 
 class Ahead(Generic[Result]):
-    """A function that a forked helper calls while this process goes on.
+    """A function that a forked helper calls while this process continues.
 
     What the helper does not return is called here when it is asked for, as by :func:`side_by_side`. Begin before
     devices, databases and locks are open: the helper holds what is open until it has done.
