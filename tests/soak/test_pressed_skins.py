@@ -40,7 +40,11 @@ def test_last_presses_of_a_session_from_the_first(skins):
 @pytest.mark.parametrize("timed", [True, False])
 @pytest.mark.parametrize("name", GOALS)
 def test_nine_presses_later_tell_where_the_readings_have_gone(skins, name, timed):
-    """Mean over random draws of the nine. Presses stand in their order; the gap of time may be told."""
+    """Mean over random draws of the nine: the page states what is found, and regions are not too small.
+
+    At most 73 % are required in the smaller ones, which is not reached without times (79 % on the patterned skin).
+    Presses stand in their order; the gap of time may be told.
+    """
     skin, located = skins(name), np.arange(2100, 2500)
     held = []
     for seed in range(RE_CHECKS):
@@ -53,12 +57,17 @@ def test_nine_presses_later_tell_where_the_readings_have_gone(skins, name, timed
         places = locate(skin.changes[located])
         ratio = mahalanobis(skin.labels_mm[located] - places.place_mm, places.covariance_mm2)
         held.append([(ratio <= locate.q68).mean(), (ratio <= locate.q95).mean()])
-    low, high = np.mean(held, axis=0)
-    stderr_low, stderr_high = np.std(held, axis=0, ddof=1) / np.sqrt(RE_CHECKS)
-    # A re-check that nothing recognises leaves the wide regions of a session without one.
-    recognised = timed or name == "no_pattern"
-    assert 0.63 - stderr_low <= low <= (0.73 + stderr_low if recognised else 0.85)
-    assert 0.92 - stderr_high <= high <= 0.98 + stderr_high
+    held = 100 * np.array(held)
+    low, high = held.mean(axis=0)
+    stderr = held.std(axis=0, ddof=1) / np.sqrt(RE_CHECKS)
+    assert low >= 63
+    assert 92 <= high <= 98
+    row = re.search(
+        rf"^\| re-check with{'' if timed else 'out'} times \|.*\n\| in their regions \|(.*)\|$", PAGE, re.M
+    ).group(1)
+    cell = row.split("|")[list(GOALS).index(name)]
+    stated = [float(number) for number in re.fullmatch(r" ([\d.]+) ± [\d.]+, ([\d.]+) ± [\d.]+ % ", cell).groups()]
+    assert np.all(np.abs(np.subtract(stated, [low, high])) <= 0.5 + 3 * stderr)
 
 
 def _stated(name, count):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.readings import SILENT
+from cbsr_qa.domain.readings import SILENT_SPREAD
 from cbsr_qa.domain.sensor import DrivePattern
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ def open_electrodes(frame: Array, used: Mask, pattern: DrivePattern) -> tuple[in
         )
         known = np.isfinite(spread)
         live = float(np.quantile(spread[known], _LIVE)) if known.any() else 0.0
-        silent.append(known & (spread < SILENT * live))
+        silent.append(known & (spread < SILENT_SPREAD * live))
     pairs = ((pattern.drive, silent[0]), (pattern.measure, silent[1]))
     of_each = [
         [bool(quiet[k]) for of_kind, quiet in pairs for k, pair in enumerate(of_kind) if electrode in pair]

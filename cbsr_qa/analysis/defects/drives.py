@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.readings import DEAD, FEWEST, SMALL, SOUND
+from cbsr_qa.domain.readings import DEAD_SLOPE, DEAD_SPREAD, FEWEST_OF_PAIR, SOUND_SLOPE
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -61,16 +61,18 @@ def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
     None if the readings are not reciprocal enough to decide, because of noise or carry-over.
     """
     both = used & used.T
-    drives = np.flatnonzero(both.sum(axis=1) >= FEWEST)
-    if len(drives) < FEWEST:
+    drives = np.flatnonzero(both.sum(axis=1) >= FEWEST_OF_PAIR)
+    if len(drives) < FEWEST_OF_PAIR:
         return ()
     slopes, follow = np.array([_slope(frame[both[:, k], k], frame[k, both[k]]) for k in drives]).T
-    if np.median(slopes) < SOUND or np.median(follow) < _FOLLOWS:
+    if np.median(slopes) < SOUND_SLOPE or np.median(follow) < _FOLLOWS:
         return ()
     own = np.diag(frame)
     # A measure pair that reads too much has a row as large as others; a lost contact has a small column too.
     rows, columns = (np.array([each[k, both[k]].std() for k in drives]) for each in (frame, frame.T))
-    dead = drives[(slopes < DEAD) & (rows < SMALL * np.median(rows)) & (columns > SMALL * np.median(columns))]
+    dead = drives[
+        (slopes < DEAD_SLOPE) & (rows < DEAD_SPREAD * np.median(rows)) & (columns > DEAD_SPREAD * np.median(columns))
+    ]
     usual = float(np.median(np.delete(own, dead)))
     return tuple(DeadDrive(int(k), float(slopes[drives == k][0]), float(own[k]), usual) for k in dead)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cbsr_qa.calibration.runtime.force import Flag
 from cbsr_qa.domain import Array, Indices, Mask
-from cbsr_qa.domain.readings import DEAD, FEWEST, SILENT, SMALL, SOUND
+from cbsr_qa.domain.readings import DEAD_SLOPE, DEAD_SPREAD, FEWEST_OF_PAIR, SILENT_SPREAD, SOUND_SLOPE
 
 #: A pair is judged if noise is at most this share of the spread of its unloaded readings; and a silent one may spread
 #: by so many times the noise.
@@ -60,9 +60,9 @@ class FaultFinder:
             for pair in np.unique(ends, axis=0):
                 members = (ends == pair).all(axis=1)
                 spread, loud = float(reference[members].std()), float(np.sqrt((noise[members] ** 2).mean()))
-                if members.sum() >= FEWEST and loud < _CLEAR * spread:
+                if members.sum() >= FEWEST_OF_PAIR and loud < _CLEAR * spread:
                     found.append((members, pair, drives))
-                    silent.append(max(SILENT, _NOISY * loud / spread))
+                    silent.append(max(SILENT_SPREAD, _NOISY * loud / spread))
         self._silent = np.array(silent)
         self._members: Mask = np.array([members for members, _, _ in found], dtype=np.bool_).reshape(-1, len(pairs))
         self._electrodes: Indices = np.array([pair for _, pair, _ in found], dtype=np.int64).reshape(-1, 2)
@@ -77,7 +77,7 @@ class FaultFinder:
         flags: Indices = np.where(clipped.any(axis=1), int(Flag.SATURATED), 0).astype(np.int64)
         if len(self._members):
             slope, spread = self._following(readings, (~clipped).astype(np.float64))
-            for frame in np.flatnonzero(((slope < DEAD) & (spread < SMALL)).any(axis=1)).tolist():
+            for frame in np.flatnonzero(((slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)).any(axis=1)).tolist():
                 dead, flag = self._dead(readings[frame], clipped[frame])
                 left_out[frame] |= dead
                 flags[frame] |= flag
@@ -111,7 +111,7 @@ class FaultFinder:
         power = np.maximum(expected**2 @ self._member / each - mean_expected**2, np.finfo(np.float64).tiny)
         slope = ((about * expected) @ self._member / each - mean * mean_expected) / power
         spread = np.sqrt(np.maximum(about**2 @ self._member / each - mean**2, 0.0) / power)
-        enough = count >= FEWEST
+        enough = count >= FEWEST_OF_PAIR
         return np.where(enough, slope, 1.0), np.where(enough, spread, 1.0)
 
     def _dead(self, readings: Array, clipped: Mask) -> tuple[Mask, int]:
@@ -121,16 +121,16 @@ class FaultFinder:
         """
         kept = (~clipped[None]).astype(np.float64)
         slope, spread = (each[0] for each in self._following(readings[None], kept))
-        silent: Mask = np.asarray((slope < DEAD) & (spread < self._silent))
+        silent: Mask = np.asarray((slope < DEAD_SLOPE) & (spread < self._silent))
         dead = silent.copy()
         while True:
             kept[0] = ~(clipped | self._members[dead].any(axis=0))
             slope, spread = (each[0] for each in self._following(readings[None], kept))
-            further = ~dead & (slope < DEAD) & (spread < SMALL)
+            further = ~dead & (slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)
             if not further.any():
                 break
             dead[np.where(further, slope, np.inf).argmin()] = True
-        if dead.mean() > _MOST or np.median(slope[~dead]) < SOUND:
+        if dead.mean() > _MOST or np.median(slope[~dead]) < SOUND_SLOPE:
             return np.zeros(len(readings), dtype=np.bool_), 0
         return kept[0] == 0, self._flags(dead, silent)
 

@@ -7,7 +7,13 @@ from .carry_over import (
     reciprocity_error as reciprocity_error,
     scan_order as scan_order,
 )
-from .dead_pairs import DEAD as DEAD, FEWEST as FEWEST, SILENT as SILENT, SMALL as SMALL, SOUND as SOUND
+from .dead_pairs import (
+    DEAD_SLOPE as DEAD_SLOPE,
+    DEAD_SPREAD as DEAD_SPREAD,
+    FEWEST_OF_PAIR as FEWEST_OF_PAIR,
+    SILENT_SPREAD as SILENT_SPREAD,
+    SOUND_SLOPE as SOUND_SLOPE,
+)
 from .findings import (
     ChannelReport as ChannelReport,
     EventImaging as EventImaging,

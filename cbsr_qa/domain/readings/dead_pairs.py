@@ -6,8 +6,13 @@ load changes readings by a part; a pair that hardly drives or measures scales al
 
 from typing import Final
 
-DEAD: Final = 0.4  #: a pair whose readings follow the expected ones with less than this slope is dead …
-SMALL: Final = 0.6  #: … if they also spread by less than this share of what is usual …
-SOUND: Final = 0.7  #: … and those of most pairs follow with at least this slope
-FEWEST: Final = 6  #: readings of a pair
-SILENT: Final = 0.05  #: nothing comes through a pair whose readings spread by less than this share of what is usual
+#: A pair is dead if its readings follow the expected ones with less than this slope …
+DEAD_SLOPE: Final = 0.4
+#: … and spread by less than this share of what is usual, …
+DEAD_SPREAD: Final = 0.6
+#: … while those of most pairs follow with at least this slope.
+SOUND_SLOPE: Final = 0.7
+#: Readings that a pair is judged by, at least.
+FEWEST_OF_PAIR: Final = 6
+#: Nothing comes through a pair whose readings spread by less than this share of what is usual.
+SILENT_SPREAD: Final = 0.05
