@@ -229,14 +229,15 @@ def _reach(about: Array) -> float:
     """Distance from the nearest of some different places (n, 2) beyond which nothing was learned [mm].
 
     Neighbours along a line say nothing about the places beside it: they count as no farther apart than as many places
-    at random in the same area are on average (Clark & Evans 1954), by that of their convex hull (Efron 1965).
+    at random in the same area are on average (Clark & Evans 1954), by that of their convex hull (Efron 1965). Places
+    between neighbours are within reach in any case.
     """
-    nearest_mm = float(np.median(np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1]))
+    nearest_mm, area_mm2 = float(np.median(np.asarray(cKDTree(about).query(about, k=2)[0])[:, 1])), 0.0
     if np.linalg.matrix_rank(about - about[0]) == 2:
         hull = ConvexHull(about)
         area_mm2 = hull.volume / (1 - len(hull.vertices) / (len(about) + 1))
-        nearest_mm = min(nearest_mm, 0.5 * float(np.sqrt(area_mm2 / len(about))))
-    return _REACH * nearest_mm
+    spread_mm = 0.5 * float(np.sqrt(area_mm2 / len(about)))
+    return max(_REACH * min(nearest_mm, spread_mm), nearest_mm)
 
 
 def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, drift: Drift | None) -> Iterator[str]:

@@ -51,7 +51,6 @@ class SensorFrames:
 
     def _use(self, model: ForceModel, used: Mask) -> None:
         """Use a model of some readings, (drives, measures) bool."""
-        self.model: ForceModel = model
         self._used = used
         self._reference: Array = self.issued.reference[used]
         self._without_spikes = SpikeFilter(
@@ -61,7 +60,7 @@ class SensorFrames:
 
     def _compare(self, model: ForceModel) -> None:
         """Compare frames with the templates of a model."""
-        self.model = model
+        self.model: ForceModel = model
         self._merging: Array = np.ascontiguousarray(model.merging.T)
 
     def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, Indices]:
