@@ -20,6 +20,10 @@ from .changes import (
     VerdictOverride as VerdictOverride,
     differences as differences,
 )
+from .event_documents import (
+    EventDocument as EventDocument,
+    event_document as event_document,
+)
 from .loads import (
     NINE_LOCATIONS_MM as NINE_LOCATIONS_MM,
     EasedStrain as EasedStrain,
