@@ -152,6 +152,41 @@ def test_a_run_killed_in_a_pause_leaves_no_lock_and_is_resumed_after_its_last_lo
     assert not control_socket(STATION).exists()
 
 
+PROMPT = """
+[[phases]]
+name = "look"
+sequence = "operator-prompt"
+text = "Is the sheet clean?"
+picture = "sheet.png"
+
+[[phases]]
+name = "noise figure\""""
+
+
+def test_a_recipe_asks_with_a_picture_and_the_first_of_two_answers_counts(folder):
+    recipe = folder / "recipe.toml"
+    recipe.write_text(recipe.read_text().replace('\n[[phases]]\nname = "noise figure"', PROMPT, 1))
+    refused = cbsr_qa(folder, *BEGIN, "--serial", "S-1", "--prompts", "channel", check=False)
+    assert refused.returncode == 2
+    assert "'sheet.png' is not an image file next to the recipe" in refused.stderr
+    (folder / "sheet.png").touch()
+    with running(folder, *BEGIN, "--serial", "S-1", "--prompts", "channel") as (_, channel):
+        prompt = until(lambda: channel.ask("state")["state"]["prompt"])
+        path = str(folder / "sheet.png")
+        assert prompt == {"prompt": 0, "text": "Is the sheet clean?", "picture": path, "here": True}
+        with RunChannel.connect(STATION) as other:
+            assert other.hello["state"]["prompt"] == prompt
+            other.ask("answer", by="Grace", prompt=0, text="yes, wiped")
+            with pytest.raises(RefusedError, match="answered by Grace"):
+                channel.ask("answer", by="Ada", prompt=0, text="no")
+        until(lambda: pressing(channel))
+        channel.ask("emergency", by="Ada")
+    record = came_of(folder, latest_run(folder, "S-1")).record
+    (asked,) = record.prompts
+    assert (asked.answer, asked.by, asked.picture) == ("yes, wiped", "Grace", "sheet.png")
+    assert "at once by an emergency stop by Ada" in record.end_detail
+
+
 def test_a_signal_goes_only_to_the_process_that_holds_the_lock(folder):
     with station_held(STATION, who="Ada", doing="nothing") as holder:
         assert station_holder(STATION) == holder
