@@ -246,8 +246,14 @@ def test_a_paced_clock_waits_and_time_passes_on_it_while_somebody_is_waited_for(
 
 def test_what_cannot_be_done_is_refused_with_the_reason():
     desk = ControlDesk()
-    for ask, said in ((desk.resume, "not paused"), (desk.pause, "does not move"), (desk.stop, "nothing to stop")):
+    for ask, said in (
+        (desk.resume, "not paused"),
+        (desk.pause, "does not move"),
+        (desk.stop, "nothing to stop"),
+        (desk.emergency, "nothing to stop"),
+    ):
         with pytest.raises(RefusedError, match=said):
             ask("Ada")
+    assert desk.state()["stopping"] is None
     with pytest.raises(RefusedError, match="prompt 0 is not open"):
         desk.answer(0, "yes", "Ada")

@@ -100,9 +100,10 @@ class ControlDesk:
         """Make the bench safe at once."""
         with self._lock:
             brakes = self._brakes
-            self._stopped_by = self._stopped_by or by
         if brakes is None or not brakes.emergency(by):
             raise RefusedError("the run does not move now: there is nothing to stop")
+        with self._lock:
+            self._stopped_by = self._stopped_by or by
         self._wake()
 
     def answer(self, prompt: int, text: str, by: str) -> None:
