@@ -6,12 +6,12 @@ import typer
 
 from cbsr_qa.cli.command import command, document
 from cbsr_qa.cli.options import AsJson, Database, given_options, option_names
-from cbsr_qa.cli.output import announce, note, operator_at_terminal, show
+from cbsr_qa.cli.output import announce, note, operator_at_terminal, read_pin, show
 from cbsr_qa.cli.supervised import begun
 
 #: Options a new run requires, and those allowed with --resume.
 _NEEDED = ("station", "recipe", "serial")
-_WITH_RESUME = ("resume", "operator", "database", "as_json")
+_WITH_RESUME = ("resume", "station", "operator", "override", "override_by", "override_why", "database", "as_json")
 
 
 document("dry run", prints="cbsr_qa.app.run:PlannedRun")
@@ -40,16 +40,25 @@ def run(
     resume: Annotated[
         str | None, typer.Option(metavar="RUN", help="Resume an interrupted run with its original settings.")
     ] = None,
+    override: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHECK", help="Check of the gate that may not refuse this run; may be repeated."),
+    ] = None,
+    override_by: Annotated[str, typer.Option(metavar="NAME", help="Who overrides.")] = "",
+    override_why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for the override.")] = "",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what the run would do; nothing moves.")] = False,
     as_json: AsJson = False,
 ) -> int:
     """Test one sensor: store the run, give a verdict, write a report and, if it passed, its calibration file.
 
-    Requires --station, --recipe and --serial, or else --resume, which allows only --operator, --database and --json.
+    Requires --station, --recipe and --serial, or else --resume, which allows only --operator, --database, --json,
+    --station and the overrides: a resumed run keeps its settings, and the station file is read for the gate alone.
     """
     _check_given(context, resuming=resume is not None)
+    from cbsr_qa.app.gate import Override
     from cbsr_qa.app.run import RunRequest, plan_outcome, plan_run, resume_run, run_outcome, run_sensor
 
+    overridden = Override(tuple(override or ()), override_by, override_why)
     if resume is not None:
         begun(resume, database)
         outcome = resume_run(
@@ -58,6 +67,9 @@ def run(
             operator=operator,
             tell=announce,
             ask=operator_at_terminal(),
+            station=station or None,
+            override=overridden,
+            pin=read_pin,
         )
         return show(run_outcome(outcome), as_json=as_json)
 
@@ -72,6 +84,7 @@ def run(
         seed=seed,
         database=database,
         why=why,
+        override=overridden,
     )
     if dry_run:
         planned = plan_run(request, attended=operator_at_terminal() is not None)
@@ -84,6 +97,7 @@ def run(
         tell=announce,
         ask=operator_at_terminal(),
         begun=lambda run: begun(run, database),
+        pin=read_pin,
     )
     return show(run_outcome(outcome), as_json=as_json)
 
@@ -96,7 +110,7 @@ def _check_given(context: typer.Context, *, resuming: bool) -> None:
         if extra:
             context.fail(
                 f"a run is resumed with the options it began with: {option_names(extra)} cannot be given with"
-                " --resume (--operator, --database and --json can)"
+                " --resume (--operator, --database, --json, --station and --override can)"
             )
         return
     missing = [name for name in _NEEDED if name not in given]

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field
 
 from cbsr_qa.config.choices import Choice, chosen
 from cbsr_qa.config.documents import reference_path
+from cbsr_qa.config.gate import GateTable
 from cbsr_qa.config.tables import FileModel, OpenTable, Word, as_domain
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing, SafetyLimits, Station
@@ -46,7 +47,7 @@ class StationTable(Table):
     clock: Literal["virtual", "real"]
     sensor_type: Name
     material: Name
-    overdue: Literal["warn", "refuse"] = "warn"
+    overdue: Literal["warn", "refuse"] | None = None
 
 
 class IndenterTable(Table):
@@ -162,6 +163,7 @@ class StationFile(FileModel[Station]):
     instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
     emulation: EmulationTable | None = None
     reference_ring: ReferenceRingTable | None = None
+    gate: GateTable = Field(default_factory=GateTable)
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
@@ -178,6 +180,10 @@ class StationFile(FileModel[Station]):
         yield from self._unemulated()
         if self.reference_ring is not None:
             yield from self.reference_ring.problems()
+        yield from self.gate.problems()
+        if self.station.overdue is not None and self.gate.calibration_due is not None:
+            what = "is given beside station.overdue, its earlier spelling; give one of them"
+            yield Problem(("gate", "calibration_due"), what)
         filled: dict[str, str] = {}
         for name, table in self.instruments.items():
             for role in table.provides:
@@ -216,6 +222,7 @@ class StationFile(FileModel[Station]):
             ),
             emulated_scene=None if self.emulation is None else self.emulation.scene,
             reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),
+            gate=self.gate.to_domain(self.station.overdue),
         )
 
 

@@ -16,7 +16,21 @@ from cbsr_qa.store.locks import changing_schema
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
-REVISIONS: Final = ("0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009", "0010", "0011", "0012")
+REVISIONS: Final = (
+    "0001",
+    "0002",
+    "0003",
+    "0004",
+    "0005",
+    "0006",
+    "0007",
+    "0008",
+    "0009",
+    "0010",
+    "0011",
+    "0012",
+    "0014",
+)
 HEAD: Final = REVISIONS[-1]
 VERSION_TABLE: Final = "alembic_version"
 
@@ -190,9 +204,10 @@ def _create(connection: Connection) -> None:
 
     A test compares them with those that the migrations make.
     """
-    from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, RunRow
+    from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow
 
-    assert AnalysisRow.metadata is ChartReferenceRow.metadata is RunRow.metadata  # all three files are registered
+    # All files are registered.
+    assert AnalysisRow.metadata is ChartReferenceRow.metadata is ReleaseRow.metadata is RunRow.metadata
     RunRow.metadata.create_all(connection)
     key = PrimaryKeyConstraint(name=f"{VERSION_TABLE}_pkc")
     version = Table(

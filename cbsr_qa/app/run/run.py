@@ -3,11 +3,12 @@
 import hashlib
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 from typing import Self
 
+from cbsr_qa.app.gate import GateRequest, GateShown, Override, ask_before, gate_outcome, gate_refusal
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
 from cbsr_qa.app.run.session import Session, check_configuration
@@ -24,8 +25,9 @@ from cbsr_qa.config import (
     validate_serial,
     writable_folder,
 )
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity, SensorHistory
+from cbsr_qa.domain import RefusedError, filled
+from cbsr_qa.domain.results import CommandOutcome
+from cbsr_qa.domain.run import GateAnswer, InstrumentIdentity, RunIdentity, SensorHistory
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.station import configure, on_stderr
@@ -38,7 +40,13 @@ _SEED_BITS = 31
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """A run to make; see the options of ``cbsr-qa run``."""
+    """A run to make; see the options of ``cbsr-qa run``.
+
+    Parameters
+    ----------
+    override : of the gate's refusals.
+    golden : whether it measures the golden sensor of a station check.
+    """
 
     station: str
     recipe: str
@@ -50,13 +58,16 @@ class RunRequest:
     seed: int | None = None
     database: str | None = None
     why: str = ""
+    override: Override = field(default_factory=Override)
+    golden: bool = False
 
     def checked(self) -> Self:
-        """Return itself. ConfigError if serial, batch, operator or reason is not allowed."""
+        """Return itself. ConfigError if serial, batch, operator, reason or override is not allowed."""
         validate_serial(self.serial)
         validate_batch(self.batch)
         validate_operator(self.operator)
         validate_reason(self.why)
+        self.override.checked()
         return self
 
     def configuration(self, seed: int, plugins: Plugins | None = None) -> Configuration:
@@ -91,9 +102,24 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     """
     plugins = _checked(request.checked())
     configuration = request.configuration(_seed(request))
+    answers = _gate(request, configuration, plugins, preview=True)
     ask = _nobody_in_a_dry_run if attended else None
     with Session(configuration, plugins, Stages(), ask) as session:
-        return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures)
+        return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures, answers)
+
+
+def preview_gate(request: RunRequest) -> CommandOutcome[GateShown]:
+    """Ask the gate about a run without making it; no instrument is opened, no PIN asked for, nothing written.
+
+    Raises
+    ------
+    RefusedError
+        As :func:`run_sensor`, but what the gate refuses is listed in the result.
+    """
+    plugins = _checked(request.checked())
+    configuration = request.configuration(0)
+    answers = _gate(request, configuration, plugins, preview=True)
+    return gate_outcome(request.serial, configuration.station.name, configuration.recipe.name, answers)
 
 
 def _nobody_in_a_dry_run(text: str) -> str:
@@ -106,6 +132,7 @@ def run_sensor(
     tell: Callable[[str], None] = lambda stage: None,
     ask: Callable[[str], str] | None = None,
     begun: Callable[[str], None] = lambda run: None,
+    pin: Callable[[str], str] | None = None,
 ) -> RunOutcome:
     """Test one sensor.
 
@@ -115,6 +142,7 @@ def run_sensor(
     ask : shows a text to the operator and returns the answer; None without an operator: prompts and instruments
         worked by hand are then refused.
     begun : called with the run's identifier before anything is stored.
+    pin : shows a text and returns the PIN of the operator; called only if the station file has one.
 
     Returns
     -------
@@ -123,17 +151,21 @@ def run_sensor(
     Raises
     ------
     RefusedError
-        Before anything moves and with nothing written: a file, a name, a plugin or a limit is wrong.
+        Before anything moves and with nothing written: a file, a name, a plugin or a limit is wrong, or the gate
+        of the station refuses the run.
     InstrumentError
         If an instrument does not answer at the start.
     """
     plugins = _checked(request.checked())
+    answers = _gate(request, request.configuration(0), plugins, pin=pin)
+    if (refused := gate_refusal(answers)) is not None:
+        raise refused
     taken: list[int] = []
     while True:
         configuration = request.configuration(_seed(request, taken))
         if configuration.recipe.calibrate_phases:
             begin_templates(configuration.sensor_type, configuration.station.indenter)
-        with Session(configuration, plugins, Stages(tell), ask, why=request.why) as session:
+        with Session(configuration, plugins, Stages(tell), ask, why=request.why, gate=answers) as session:
             session.walk().refuse()
             outcome = _stored_run(request, configuration, plugins, session, begun)
         if outcome is not None:
@@ -180,6 +212,26 @@ def _checked(request: RunRequest) -> Plugins:
         check_folder(folder)
     check_usable(url)
     return plugins
+
+
+def _gate(
+    request: RunRequest,
+    configuration: Configuration,
+    plugins: Plugins,
+    *,
+    pin: Callable[[str], str] | None = None,
+    preview: bool = False,
+) -> tuple[GateAnswer, ...]:
+    asked = filled(
+        GateRequest,
+        request,
+        database=database_url(request.database),
+        folders=_folders(),
+        pin=pin,
+        preview=preview,
+        resumed=False,
+    )
+    return ask_before(asked, configuration, plugins)
 
 
 def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:

@@ -9,6 +9,12 @@ from .changes import (
     VerdictOverride as VerdictOverride,
     differences as differences,
 )
+from .gate import (
+    GateAnswer as GateAnswer,
+    GateOutcome as GateOutcome,
+    Release as Release,
+    gate_warnings as gate_warnings,
+)
 from .loads import (
     NINE_LOCATIONS_MM as NINE_LOCATIONS_MM,
     EasedStrain as EasedStrain,

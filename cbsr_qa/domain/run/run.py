@@ -11,6 +11,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan import Role, Step
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.loads import Indenter, LoadRecord
 from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
 
@@ -188,6 +189,7 @@ class RunRecord:
     sessions : in order; one where the run was not interrupted.
     set_aside : frames that are stored and do not count: a load that was cut off was pressed again.
     chain : state of the digests it is under, checked when it was loaded.
+    gate : answers of the checks before the run, and of those asked again when it was resumed.
     chain_head : digest of the last link that was checked then; empty where the run has no chain.
     """
 
@@ -203,6 +205,7 @@ class RunRecord:
     sessions: tuple[RunSession, ...] = field(default=())
     set_aside: int = 0
     chain: ChainState = field(default_factory=ChainState)
+    gate: tuple[GateAnswer, ...] = ()
     chain_head: str = field(default="", compare=False)
 
     def phase(self, name: str) -> PhaseRecord:
