@@ -91,7 +91,7 @@ def merge(
         material.value,
         seed,
         canonical_json(content),
-        _serial_pattern(content["sensor_type"]),
+        _serial_pattern(sensor_type.document.data),
     )
 
 

@@ -1,6 +1,6 @@
 """Releases of configuration files: appended; the latest of a kind and digest holds."""
 
-from typing import Literal, cast
+from typing import Literal
 
 from sqlalchemy import Engine, insert, select
 
@@ -33,5 +33,5 @@ def latest_release(engine: Engine, kind: str, sha256: str) -> Release | None:
     if found is None:
         return None
     # An unknown word is no release.
-    action = cast(Literal["released", "withdrawn"], "released" if found.outcome == "released" else "withdrawn")
+    action: Literal["released", "withdrawn"] = "released" if found.outcome == "released" else "withdrawn"
     return of_row(Release, found, release=found.release_id, action=action, by=found.operator, at=found.noted_at)

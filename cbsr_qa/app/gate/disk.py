@@ -25,6 +25,7 @@ _TWICE: Final = 2
 
 
 def enough_disk(asked: Asked) -> Finding:
+    """Compare the free space where the run writes with what it needs."""
     stated = asked.settings.disk_GB
     needed = needed_bytes(asked) if stated is None else stated * _GB
     file = sqlite_file(parsed_url(asked.request.database))

@@ -6,6 +6,7 @@ from cbsr_qa.store import Repository
 
 
 def files_released(asked: Asked) -> Finding:
+    """Look for files whose content nobody released, or whose release was withdrawn."""
     files = configured_files(asked.configuration)
     missing = [one for one in files if not _released(asked.store, one)]
     if not missing:

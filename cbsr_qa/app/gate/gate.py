@@ -7,7 +7,7 @@ from cbsr_qa.app.gate.disk import enough_disk
 from cbsr_qa.app.gate.files import files_released
 from cbsr_qa.app.gate.instrument_dates import instruments_in_date
 from cbsr_qa.app.gate.people import operator_known
-from cbsr_qa.app.gate.request import Asked, Finding, GateRequest, Override as Override
+from cbsr_qa.app.gate.request import Asked, Finding, GateRequest
 from cbsr_qa.app.gate.sensor import retest_allowed, serial_fits
 from cbsr_qa.app.gate.station_state import charts_in_control, golden_measured
 from cbsr_qa.app.gate.vetoes import no_veto

@@ -8,6 +8,7 @@ from cbsr_qa.domain.run import InstrumentIdentity
 
 
 def instruments_in_date(asked: Asked) -> Finding:
+    """Look for instruments whose date in the station file has passed."""
     today = asked.now.date()
     dated = [spec for spec in asked.configuration.station.instruments if spec.calibration_due]
     late = [

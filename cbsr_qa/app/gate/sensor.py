@@ -9,6 +9,7 @@ _PASSED = (Outcome.PASS, Outcome.MARGINAL)
 
 
 def serial_fits(asked: Asked) -> Finding:
+    """Match the whole serial number with the pattern of the sensor type."""
     pattern, sensor = asked.configuration.serial_pattern, asked.sensor
     if not pattern:
         return Finding(None, f"sensor type {sensor.sensor_type} states no serial_pattern")

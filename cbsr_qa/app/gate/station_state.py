@@ -14,6 +14,7 @@ _SUBJECT: Final = "golden sensor"
 
 
 def golden_measured(asked: Asked) -> Finding:
+    """Judge the latest check of the station that measured a golden sensor, by its outcome and age."""
     station = asked.configuration.station.name
     remedy = f"measure the golden sensor: cbsr-qa station check {station} --golden SERIAL"
     check = None if asked.store is None else asked.store.latest_golden_check(station)

@@ -8,6 +8,7 @@ _LONGEST = 300
 
 
 def no_veto(asked: Asked) -> Finding:
+    """Ask every plugin with the hook; one that does not answer has not agreed."""
     answers = asked.plugins.ask(
         "cbsr_before_run",
         asked.settings.before_run_s,

@@ -29,7 +29,7 @@ class GatePolicy(StrEnum):
 
 
 #: Policies of a station file without a ``[gate]`` table.
-GATE_DEFAULTS: Final[Mapping[GateCheck, GatePolicy]] = {check: GatePolicy.OFF for check in GateCheck} | {
+GATE_DEFAULTS: Final[Mapping[GateCheck, GatePolicy]] = dict.fromkeys(GateCheck, GatePolicy.OFF) | {
     GateCheck.SERIAL_PATTERN: GatePolicy.REFUSE,  # only of a sensor type that states one
     GateCheck.CALIBRATION_DUE: GatePolicy.WARN,
     GateCheck.BEFORE_RUN: GatePolicy.REFUSE,  # only with a plugin that implements it
@@ -38,7 +38,7 @@ GATE_DEFAULTS: Final[Mapping[GateCheck, GatePolicy]] = {check: GatePolicy.OFF fo
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """Somebody who may run a station; ``pin`` is a salted hash (see :mod:`cbsr_qa.system.pins`), empty without one."""
+    """Somebody who may run a station; ``pin`` is a salted hash (:mod:`cbsr_qa.system.pins`), or empty."""
 
     name: str
     pin: str = field(default="", repr=False)
