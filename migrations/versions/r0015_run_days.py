@@ -10,7 +10,9 @@ depends_on = None
 
 def upgrade() -> None:
     op.create_index(op.f("ix_runs_started_at"), "runs", ["started_at"])
+    op.create_index(op.f("ix_runs_station_started_at"), "runs", ["station", "started_at"])
 
 
 def downgrade() -> None:
+    op.drop_index(op.f("ix_runs_station_started_at"), table_name="runs")
     op.drop_index(op.f("ix_runs_started_at"), table_name="runs")
