@@ -113,7 +113,7 @@ def apply_to_presses(
     readings : table with a column for each row of ``pattern``; without one, a recording of the sensor type.
     differences : whether the readings are changes; else they are frames, compared with ``rest``, with the
         ``reference`` first frames of the recording, or with the calibration's unloaded frames. Faults
-        of pairs, electrodes and clipping are named in frames, which then have no place.
+        of pairs, electrodes and clipping are named in frames, and their readings left out.
 
     Raises
     ------
@@ -136,10 +136,10 @@ def apply_to_presses(
     faults = np.zeros(len(changes), dtype=np.int64)
     if issued.rest is not None and not differences:
         noise = np.zeros(len(issued.rest)) if issued.noise is None else issued.noise
-        faults = FaultFinder(issued.pairs, issued.rest, noise)(issued.rest + changes).flags
-        changes[faults > 0] = np.nan
+        found = FaultFinder(issued.pairs, issued.rest, noise)(issued.rest + changes)
+        changes[found.left_out], faults = np.nan, found.flags
     modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
-    estimator = PlaceEstimator(issued.place, modelled)
+    estimator = PlaceEstimator(issued.place, modelled, issued.pairs)
     places, by_model = estimator(changes), None if modelled is None else modelled(changes)
     quantities = {
         f"{name}_{{}}{unit}": QuantityEstimator(learned)(places)

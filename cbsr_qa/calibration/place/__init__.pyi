@@ -1,5 +1,11 @@
 from .estimator import PlaceEstimator as PlaceEstimator
-from .features import SPIKY as SPIKY, ring_axes as ring_axes, spikes_among as spikes_among
+from .faulty import MOST_FAULTY as MOST_FAULTY, FaultyGroups as FaultyGroups
+from .features import (
+    SPIKY as SPIKY,
+    ring_axes as ring_axes,
+    safe_ceilings as safe_ceilings,
+    spikes_among as spikes_among,
+)
 from .held_out import mean_by_place as mean_by_place, visits_of as visits_of
 from .learning import FEWEST_PRESSES as FEWEST_PRESSES, PlaceLearned as PlaceLearned, learn_place as learn_place
 from .mixture import mahalanobis as mahalanobis

@@ -4,7 +4,9 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
 from cbsr_qa.calibration.place.features import features_of, spikes_in, squared_distances, strengths
+from cbsr_qa.calibration.place.held_out import evenly
 from cbsr_qa.calibration.place.mixture import mixed
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.place.places import Places
@@ -15,6 +17,11 @@ from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import LearnedPlace
 
 _AT_ONCE: Final = 256  # frames at a time, to limit memory
+#: Presses that tell what lost readings cost, and how many sets of lost readings are kept.
+_PRESSES: Final = 100
+_KEPT: Final = 32
+#: Of dᵀΣ⁻¹d that holds 68 % of a normal distribution over two axes.
+_NORMAL_68: Final = float(-2 * np.log(1 - 0.68))
 
 
 class PlaceEstimator:
@@ -24,19 +31,27 @@ class PlaceEstimator:
     ----------
     model : as learned.
     modelled : used where it explains a touch beyond the presses.
+    pairs : (m, 4) source, sink, plus and minus of the readings, for finding those of faulty pairs and electrodes.
 
     Attributes
     ----------
     q68, q95 : of dᵀΣ⁻¹d; see :class:`Places`.
     """
 
-    def __init__(self, model: LearnedPlace, modelled: ModelledEstimator | None = None) -> None:
+    def __init__(
+        self, model: LearnedPlace, modelled: ModelledEstimator | None = None, pairs: Indices | None = None
+    ) -> None:
+        self._groups = None if pairs is None else FaultyGroups(pairs)
         self._model, self._modelled = model, modelled
+        self._kept: dict[bytes, Array] = {}
         self._expected = expected_features(model.templates)
         self.q68, self.q95 = model.mixture.quantiles.tolist()
 
     def __call__(self, changes: Array) -> Places:
         """Locate the touches of changes (n, m) of the learned readings, in their unit.
+
+        Readings that are not finite, spikes and readings of faulty groups are replaced by what the others let expect,
+        and flagged; frames with more than half of their readings lost are UNREADABLE.
 
         CalibrationError if the number of readings differs.
         """
@@ -70,15 +85,20 @@ class PlaceEstimator:
     def _located(self, changes: Array) -> tuple[Array, Array, Array, Array, Indices]:
         model = self._model
         used = model.scaling.ceiling > 0
-        whole: Mask = np.asarray(np.isfinite(changes[:, used]).all(axis=1))
-        spikes = whole[:, None] & used & spikes_in(changes, model.scaling.ceiling)
-        changes = np.where(whole[:, None] & used & ~spikes, changes, 0.0)
+        lost, remarks = self._lost(changes)
+        whole: Mask = np.asarray(lost[:, used].mean(axis=1) <= MOST_FAULTY)
+        lost &= whole[:, None]
+        changes = np.where(whole[:, None] & used & ~lost, changes, 0.0)
         features = features_of(changes, model.scaling)
-        spiky = spikes.any(axis=1)
-        features[spiky] = filled(model.templates, features[spiky], spikes[spiky])
-        second, covariance, misfit = match(model.templates, features)
-        place, covariance = mixed(model.mixture, located(model.process, model.turns, features), second, covariance)
-        flags = np.where(whole, 0, int(Flag.UNREADABLE))
+        some = lost.any(axis=1)
+        more = some & ((remarks & ~int(Flag.SPIKE)) != 0)
+        few, less = some & ~more, np.ones(len(features))  # spikes are too few to change the size of a frame
+        features[few] = filled(model.templates, features[few], lost[few])
+        features[more], less[more] = self._without(features[more], lost[more])
+        place, covariance, misfit = self._mixed(features)
+        for frame in np.flatnonzero(more).tolist():
+            covariance[frame] += self._unsure(lost[frame])
+        flags = remarks | np.where(whole, 0, int(Flag.UNREADABLE))
         flags |= np.where(np.sqrt((changes**2).mean(axis=1)) < model.least_size, int(Flag.NOT_DETECTED), 0)
         flags |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
         like = at_places(model.templates.grid_mm, likeness(self._expected, features), place)
@@ -86,4 +106,49 @@ class PlaceEstimator:
         flags |= np.where(self._outside(place), int(Flag.OUTSIDE), 0)
         place = np.where(whole[:, None], place, np.nan)
         turned = model.axes.T @ covariance @ model.axes
-        return place, turned, misfit / model.misfit, strengths(changes, like, model.scaling), flags
+        return place, turned, misfit / model.misfit, strengths(changes, like / less, model.scaling), flags
+
+    def _unsure(self, lost: Mask) -> Array:
+        """Covariance (2, 2) by which places are less certain without some readings (m,).
+
+        From where presses that were learned from are found without these readings, and with them.
+        """
+        key = lost.tobytes()
+        if key not in self._kept:
+            while len(self._kept) >= _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            process = self._model.process
+            whole = process.features[evenly(len(process.features), _PRESSES)]
+            fewer = self._without(whole, np.tile(lost, (len(whole), 1)))[0]
+            apart = self._mixed(fewer)[0] - self._mixed(whole)[0]
+            self._kept[key] = apart.T @ apart / len(apart) * (_NORMAL_68 / self.q68)
+        return self._kept[key]
+
+    def _without(self, features: Array, lost: Mask) -> tuple[Array, Array]:
+        """Features (n, m) whose lost ones are replaced, and the factors (n,) that bring them to their new size."""
+        templates, damping = self._model.templates, self._model.scaling.damping
+        known = np.where(lost, 0.0, features)
+        new = filled(templates, known, lost)
+        sizes = np.linalg.norm(known, axis=1) / np.maximum(np.linalg.norm(new, axis=1), np.finfo(float).tiny)
+        factor = sizes**damping
+        return new * factor[:, None], factor
+
+    def _mixed(self, features: Array) -> tuple[Array, Array, Array]:
+        """Places (n, 2) about the centre, their covariances and misfits."""
+        model = self._model
+        second, covariance, misfit = match(model.templates, features)
+        first = located(model.process, model.turns, features)
+        return (*mixed(model.mixture, first, second, covariance), misfit)
+
+    def _lost(self, changes: Array) -> tuple[Mask, Indices]:
+        """Readings (n, m) of frames that say nothing, and flags (n,)."""
+        ceiling = self._model.scaling.ceiling
+        lost: Mask = (ceiling > 0) & ~np.isfinite(changes)
+        flags: Indices = np.where(lost.any(axis=1), int(Flag.MISSING), 0).astype(np.int64)
+        changes = np.where(np.isfinite(changes), changes, 0.0)
+        spikes: Mask = (ceiling > 0) & spikes_in(changes, ceiling)
+        flags |= np.where(spikes.any(axis=1), int(Flag.SPIKE), 0)
+        if self._groups is not None:
+            faulty, faults = self._groups(changes, ceiling, lost, spikes)
+            lost, flags = lost | faulty, flags | faults
+        return lost | spikes, flags

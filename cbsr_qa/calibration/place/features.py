@@ -19,6 +19,11 @@ SPIKY: Final = 0.01
 _SAFE, _SAFE_CEILING = 0.8, 4.5
 
 
+def safe_ceilings(changes: Array) -> Array:
+    """The same as :func:`ceilings_of` where up to a fifth of the presses are faulty."""
+    return _ceilings(changes, _SAFE, _SAFE_CEILING)
+
+
 def ceilings_of(changes: Array) -> Array:
     """Ceilings (m,) of readings from presses (n, m); zero for those that are zero in all."""
     return _ceilings(changes, 0.9, _CEILING)
@@ -34,7 +39,7 @@ def spikes_among(changes: Array) -> Mask:
     """Which readings (n, m) of presses are spikes, by the other presses."""
     spikes = spikes_in(changes, ceilings_of(changes))
     if spikes.mean() > SPIKY:
-        spikes |= spikes_in(changes, _ceilings(changes, _SAFE, _SAFE_CEILING))
+        spikes |= spikes_in(changes, safe_ceilings(changes))
         spikes |= spikes_in(changes, ceilings_of(np.where(spikes, 0.0, changes)))
     return spikes
 

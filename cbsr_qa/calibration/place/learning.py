@@ -57,6 +57,8 @@ _SIZE_ROOM: Final = 0.5
 _REACH: Final = 4.0
 #: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
 _POOR: Final = 0.6
+#: A press that lost more of its readings lost more than spikes: its size is that of all readings, as in frames.
+_MORE_THAN_SPIKES: Final = 0.05
 
 Tell = Callable[[str], None]
 
@@ -122,8 +124,13 @@ def learn_place(
     about = places_mm - centre
     sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T)
     missing &= scaling.ceiling > 0
+    less = np.ones(len(changes))
     if missing.any():
+        before = np.linalg.norm(sheet.features, axis=1)
         sheet = sheet.filled(missing)
+        fault = missing.mean(axis=1) > _MORE_THAN_SPIKES
+        less[fault] = (before[fault] / np.linalg.norm(sheet.features[fault], axis=1)) ** scaling.damping
+        sheet = replace(sheet, features=sheet.features * less[:, None])
     tell("finding how readings drift")
     learning = sheet.template_learning()
     drift = find_drift(*learning.left_out(), time_s)
@@ -157,7 +164,7 @@ def learn_place(
     )
     held_out = coverage_of(early, sheet.places_mm)
     like = at_places(model.templates.grid_mm, early.likeness, held_out.found_mm)
-    strength = strengths(changes[early.presses], like, scaling)
+    strength = strengths(changes[early.presses], like / less[early.presses], scaling)
     found_mm = held_out.found_mm @ axes + centre
     held_out = replace(held_out, presses=order[held_out.presses], found_mm=found_mm)
     return PlaceLearned(model, held_out, strength, tuple(_warnings(held_out, sheet, process.scales, drift=drift)))

@@ -1,4 +1,4 @@
-"""Uninformative readings: spikes, constant ones, and those of a dead electrode."""
+"""Uninformative readings: spikes, constant ones, and those of faulty pairs and electrodes."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cbsr_qa.calibration.place import SPIKY, spikes_among
+from cbsr_qa.calibration.place import MOST_FAULTY, SPIKY, FaultyGroups, safe_ceilings, spikes_among
+from cbsr_qa.calibration.runtime import FaultFinder, Flag
 from cbsr_qa.domain import Array, Indices, Mask
 
 #: Least number of presses for judging electrodes: with fewer, neighbours are too far apart to read alike.
@@ -30,23 +31,34 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReadings:
-    """Uninformative readings (n, m), and remarks on them for a person."""
+    """What presses do not tell.
+
+    Parameters
+    ----------
+    dead : (n, m) uninformative readings.
+    findings : remarks on them for a person.
+    left_out : (n,) why a press is left out; empty for others.
+    """
 
     dead: Mask
     findings: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
-def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadReadings:
-    """Find spikes, readings that never change, and electrodes whose readings do not follow the place of the press.
+def find_dead_readings(
+    pairs: Indices, changes: Array, place_mm: Array, rest: Array | None = None, noise: Array | None = None
+) -> DeadReadings:
+    """Find spikes, faults of single presses, readings that never change, and electrodes that do not follow the place.
 
     Parameters
     ----------
     pairs : (m, 4) source, sink, plus and minus.
     changes : (n, m) by presses at places (n, 2).
+    rest, noise : (m,) of the unloaded sheet where the readings are whole frames.
     """
-    spikes = spikes_among(changes)
+    faulty, flags, spikes = _faulty(pairs, changes, rest, noise)
     still = np.ptp(changes, axis=0) == 0
-    changes = np.where(spikes, 0.0, changes)
+    changes = np.where(spikes | faulty, 0.0, changes)
     followed = _followed(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
     followed[still] = 0.0
     dead, findings = np.zeros(len(pairs), dtype=np.bool_), []
@@ -77,7 +89,40 @@ def find_dead_readings(pairs: Indices, changes: Array, place_mm: Array) -> DeadR
             f"{spikes.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
             f" column {reading + 1} of the distinct readings"
         )
-    return DeadReadings(dead | spikes, tuple(findings))
+    lost = (faulty & ~dead.all(axis=0)).mean(axis=1) > MOST_FAULTY
+    left_out = tuple(_fault_words(flag) if row else "" for row, flag in zip(lost, flags.tolist(), strict=True))
+    some = np.flatnonzero((flags != 0) & ~lost)
+    if some.size:
+        findings.append(
+            f"presses with readings of faulty pairs or electrodes, which are left out: {some.size}; the first is row"
+            f" {some[0] + 1}: {_fault_words(int(flags[some[0]]))}"
+        )
+    return DeadReadings(dead | spikes | faulty | lost[:, None], tuple(findings), left_out)
+
+
+def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | None) -> tuple[Mask, Indices, Mask]:
+    """Readings (n, m) that faults spoil in single presses, flags (n,), and spikes (n, m)."""
+    faulty, flags = np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64)
+    if rest is not None:
+        found = FaultFinder(pairs, rest, np.zeros(len(rest)) if noise is None else noise)(rest + changes)
+        faulty, flags = found.left_out, found.flags
+    changes = np.where(faulty, 0.0, changes)
+    spikes = spikes_among(changes)
+    ceiling, lost = safe_ceilings(np.where(spikes, 0.0, changes)), faulty | spikes
+    further, flags_of = FaultyGroups(pairs)(
+        changes, ceiling, lost, np.zeros_like(lost)
+    )  # spikes have their own words
+    return faulty | further, flags | flags_of, spikes
+
+
+def _fault_words(flags: int) -> str:
+    words = {
+        Flag.DEAD_PAIR: "a pair hardly drives or measures",
+        Flag.OPEN_ELECTRODE: "nothing comes through an electrode",
+        Flag.SATURATED: "readings stand at one extreme value",
+        Flag.OFFSET: "one offset is added to all readings",
+    }
+    return "; ".join(why for flag, why in words.items() if flag & flags)
 
 
 def clipped_share(changes: Array, rest: Array | None) -> float:

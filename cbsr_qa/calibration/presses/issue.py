@@ -76,8 +76,8 @@ class PressesLearned:
     Parameters
     ----------
     findings : on readings, electrodes and sheet, in words.
-    used : (n,) whether each press was used; no reading changes in the others. Left-out presses are numbered among
-        those used.
+    used : (n,) whether each press was used. Left-out presses are numbered among those used.
+    why_not : (n,) why a press was not used; empty for those that were.
     modelled : the place by the modelled sheet alone.
     quantities : force and depth by their names, where the presses have them.
     """
@@ -85,6 +85,7 @@ class PressesLearned:
     registration: SheetRegistration
     findings: tuple[str, ...]
     used: Mask
+    why_not: tuple[str, ...]
     place: PlaceLearned
     modelled: ModelledPlace
     quantities: Mapping[str, LearnedQuantity]
@@ -107,7 +108,9 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     readings, presses = labelled.readings, labelled.presses
     labelled.check()
     tell("finding how the sheet lies")
-    dead = find_dead_readings(readings.distinct.pairs, readings.changes, presses.place_mm)
+    dead = find_dead_readings(
+        readings.distinct.pairs, readings.changes, presses.place_mm, readings.rest, readings.noise
+    )
     clipped = clipped_share(readings.changes, readings.rest)
     readings = replace(readings, changes=np.where(dead.dead, 0.0, readings.changes))
     sheet = ModelledSheet(labelled.sensor_type)
@@ -133,7 +136,9 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     about_sheet = *about_readings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
     findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.by_place() else [])
     modelled = _modelled(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
-    return PressesLearned(registration, findings, used, learned, modelled, quantities)
+    left_out = zip(used.tolist(), dead.left_out, strict=True)
+    why_not = tuple("" if row else why or "no reading changes" for row, why in left_out)
+    return PressesLearned(registration, findings, used, why_not, learned, modelled, quantities)
 
 
 def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
@@ -156,7 +161,7 @@ def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: P
             registration=learned.registration,
             findings=learned.findings,
             used=int(learned.used.sum()),
-            left_out=tuple(LeftOutPress(int(row) + 1, "no reading changes") for row in np.flatnonzero(~learned.used)),
+            left_out=tuple(LeftOutPress(row + 1, why) for row, why in enumerate(learned.why_not) if why),
             held_out_mm=held_out.mean_mm,
             held_out_stderr_mm=held_out.stderr_mm,
             held_out=held_out.count,

@@ -39,11 +39,12 @@ class Flag(IntFlag):
     OTHER_SENSOR = 128  #: the readings as a whole are not of the calibrated sensor; there is no force
     OTHER_HEAD = 256  #: the head's size differs so much from the calibrated one that its field is off by over 3 %
     NOT_AS_MODELLED = 512  #: no touch of the modelled sheet explains the readings
-    SPIKE = 1024  #: a reading was a spike, and its reciprocal replaces it
+    SPIKE = 1024  #: a reading was a spike, and its reciprocal, or what the other readings let expect, replaces it
     DEAD_PAIR = 2048  #: a pair hardly drives, or hardly measures: its readings were left out
     OPEN_ELECTRODE = 4096  #: nothing comes through an electrode: its readings were left out
     SATURATED = 8192  #: several readings stood at one extreme value: they were left out
     OFFSET = 16384  #: one offset was added to all readings: it was taken out
+    MISSING = 32768  #: some readings are not finite numbers: they were left out
 
 
 #: Frames with one of these flags have no force.

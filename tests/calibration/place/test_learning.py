@@ -165,9 +165,12 @@ def test_frames_that_are_no_such_touch_are_flagged(sheet, learned):
     assert (~locate(foreign).in_model).mean() > 0.95
     missing = frames[:3].copy()
     missing[1, 7] = np.nan
+    missing[2, 7:110] = np.nan
     places = locate(missing)
-    assert (places.flags & Flag.UNREADABLE).astype(bool).tolist() == [False, True, False]
-    assert np.isnan(places.place_mm).any(axis=1).tolist() == [False, True, False]
+    assert (places.flags & Flag.MISSING).astype(bool).tolist() == [False, True, True]
+    assert (places.flags & Flag.UNREADABLE).astype(bool).tolist() == [False, False, True]
+    assert np.isnan(places.place_mm).any(axis=1).tolist() == [False, False, True]
+    assert distances(places, locate(frames[:3]).place_mm)[1] < 1
 
 
 def test_spikes_cost_little():

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
-from cbsr_qa.calibration.place import PlaceEstimator
+from cbsr_qa.calibration.place import PlaceEstimator, mahalanobis
 from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.issue import learn_presses
+from cbsr_qa.calibration.runtime import Flag
 
 
 def without_contact(pressed, electrode, *, common, noise=20.0):
@@ -110,3 +111,36 @@ def test_places_in_metres_are_named():
     pressed = pressed_sheet(12, scale=1e-3, shift_mm=(0.046, -0.408))
     found = learn_presses(replace(pressed.labelled(), radius_stated=False)).findings
     assert "seem to be in metres" in found[0]
+
+
+def spoilt_presses(pressed, rows, random):
+    """Open an electrode, another in each of these presses: its readings are none."""
+    changes = pressed.changes.copy()
+    for row in rows:
+        of = (pressed.pairs == random.integers(16)).any(axis=1)
+        changes[row, of] = -pressed.unloaded[of]
+    return replace(pressed, changes=changes)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(whole):
+    pressed, random = pressed_sheet(160, seed=50, noise=0.05), np.random.default_rng(3)
+    spoilt = spoilt_presses(pressed, [7, 21, 33], random)
+    spoilt.changes[12] += 30 * np.median(np.abs(pressed.changes))  # an offset: nothing is left of that press
+    labelled = some(spoilt, np.arange(60)).labelled()
+    if whole:
+        labelled = replace(labelled, readings=replace(labelled.readings, rest=pressed.unloaded))
+    learned = learn_presses(labelled)
+    assert [row for row, why in enumerate(learned.why_not) if why] == [12]
+    assert "offset" in learned.why_not[12]
+    assert any("faulty pairs or electrodes" in words and "row 8" in words for words in learned.findings)
+    locate = PlaceEstimator(learned.place.model, pairs=pressed.pairs)
+    truth, sound = pressed.labels_mm[60:], locate(pressed.changes[60:])
+    assert np.linalg.norm(sound.place_mm - truth, axis=1).mean() < 0.4  # 0.2 mm without these presses
+    faulty = locate(spoilt_presses(pressed, range(60, 160), random).changes[60:])
+    assert (faulty.flags & (Flag.OPEN_ELECTRODE | Flag.DEAD_PAIR) > 0).all()
+    error = truth - faulty.place_mm
+    assert np.linalg.norm(error, axis=1).mean() < 1.5
+    ratio = mahalanobis(error[faulty.in_model], faulty.covariance_mm2[faulty.in_model])
+    assert (ratio <= locate.q95).mean() > 0.9
+    assert not locate(spoilt.changes[12:13]).in_model.any()

@@ -1,0 +1,85 @@
+"""Readings that a fault spoils in single presses and frames. Numpy alone.
+
+Changes by a press are a small part of a reading. A pair that stops driving or measuring, or an electrode that loses
+contact, changes its readings by many times as much; an offset moves most readings to one side.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.runtime import Flag
+from cbsr_qa.domain import Array, Indices, Mask
+from cbsr_qa.domain.readings import FEWEST_OF_PAIR
+
+#: Level of a group's changes that is compared: a front end that rectifies leaves half of a pair's readings alone.
+_LEVEL: Final = 0.75
+#: A group is faulty if that level is above so many ceilings, and above _BESIDE times as many times that of the other
+#: readings. Groups of 2500 presses of two real skins stay below 3.2; an open electrode of a simulated sheet is at 60.
+_FAULTY: Final = 6.0
+_BESIDE: Final = 3.0
+#: A group is named as faulty if so large a share of its readings are spikes.
+_SPIKY_GROUP: Final = 1 / 3
+#: A press or frame with a larger share of faulty readings is not used.
+MOST_FAULTY: Final = 0.5
+
+
+class FaultyGroups:
+    """Finds readings of faulty pairs and electrodes.
+
+    Parameters
+    ----------
+    pairs : (m, 4) source, sink, plus and minus of each reading.
+    """
+
+    def __init__(self, pairs: Indices) -> None:
+        groups = [((pairs == electrode).any(axis=1), Flag.OPEN_ELECTRODE) for electrode in np.unique(pairs)]
+        for ends in (np.sort(pairs[:, :2], axis=1), np.sort(pairs[:, 2:], axis=1)):
+            groups += [((ends == pair).all(axis=1), Flag.DEAD_PAIR) for pair in np.unique(ends, axis=0)]
+        groups = [(group, flag) for group, flag in groups if FEWEST_OF_PAIR <= group.sum() < len(pairs)]
+        self._groups: list[tuple[Mask, int]] = [(group, int(flag)) for group, flag in groups]
+
+    def __call__(self, changes: Array, ceiling: Array, missing: Mask, spikes: Mask) -> tuple[Mask, Indices]:
+        """Find faulty readings (n, m) of changes, and flags (n,) of :class:`Flag`.
+
+        Parameters
+        ----------
+        ceiling : (m,) above which changes by presses hardly are; zero for readings that are not used.
+        missing, spikes : (n, m) readings that are not known, and those that were found to be spikes.
+        """
+        missing = missing | spikes
+        offset = _offset(np.where(missing, 0.0, changes), ceiling)
+        sizes = np.where(missing | (ceiling <= 0), 0.0, np.abs(changes) / np.where(ceiling > 0, ceiling, 1.0))
+        faulty: Mask = offset[:, None] & ~missing & (ceiling > 0)
+        flags: Indices = np.where(offset, int(Flag.OFFSET), 0).astype(np.int64)
+        for group, flag in self._groups:
+            flags |= np.where(spikes[:, group].mean(axis=1) >= _SPIKY_GROUP, flag, 0)
+        for frame in np.flatnonzero((sizes.max(axis=1, initial=0.0) > _FAULTY) & ~offset).tolist():
+            kept = ~missing[frame] & (ceiling > 0)
+            while worst := self._worst(sizes[frame], kept):
+                kept &= ~worst[0]
+                faulty[frame] |= worst[0] & ~missing[frame]
+                flags[frame] |= worst[1]
+        return faulty, flags
+
+    def _worst(self, sizes: Array, kept: Mask) -> tuple[Mask, int] | None:
+        """The group that is farthest off in one frame, if any is: the first of groups that are alike."""
+        most, found = _FAULTY, None
+        for group, flag in self._groups:
+            inside, beside = kept & group, kept & ~group
+            if inside.sum() < FEWEST_OF_PAIR or not beside.any():
+                continue
+            off = float(np.quantile(sizes[inside], _LEVEL))
+            off /= max(_BESIDE * float(np.quantile(sizes[beside], _LEVEL)), 1.0)
+            if off > most:
+                most, found = off, (group, flag)
+        return found
+
+
+def _offset(changes: Array, ceiling: Array) -> Mask:
+    """Which frames (n,) have changes beyond the ceilings (m,) in half of the used readings, all to one side."""
+    if not (ceiling > 0).any():
+        return np.zeros(len(changes), dtype=np.bool_)
+    relative = changes[:, ceiling > 0] / ceiling[ceiling > 0]
+    off: Mask = np.asarray(np.abs(np.median(relative, axis=1)) > 1)
+    return off
