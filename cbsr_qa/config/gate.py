@@ -58,7 +58,7 @@ class GateTable(Table):
         """A check that is on has what it needs; no operator is listed twice."""
         if self.golden not in (None, "off") and self.golden_hours is None and self.golden_runs is None:
             yield Problem(("gate", "golden"), "needs golden_hours or golden_runs, or both")
-        if self.operator not in (None, "off") and not self.operators:
+        if self.operator not in (None, "off") and OPERATORS not in self.model_fields_set:
             yield Problem(("gate", "operator"), "needs a list: one [[gate.operators]] table with a name for each")
         names = [one.name for one in self.operators]
         for number, one in enumerate(self.operators):
@@ -79,8 +79,8 @@ class GateTable(Table):
 
 
 def without_operators(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the content of a station file without its list of operators."""
+    """Return the content of a station file with an empty list of operators, if it has a list."""
     gate = data.get("gate")
     if not isinstance(gate, Mapping) or OPERATORS not in gate:
         return data
-    return {**data, "gate": {key: value for key, value in gate.items() if key != OPERATORS}}
+    return {**data, "gate": {**gate, OPERATORS: []}}

@@ -81,7 +81,7 @@ class Loaded(Generic[T]):
 def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Station]:
     """Load a station. References of its instruments to files next to it become full paths.
 
-    The document leaves out the list of operators, see :mod:`cbsr_qa.config.gate`.
+    The document has nobody on the list of operators, see :mod:`cbsr_qa.config.gate`.
 
     Parameters
     ----------

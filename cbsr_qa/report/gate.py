@@ -34,7 +34,7 @@ def gate_words(answers: Sequence[GateAnswer]) -> str:
 
 
 def gate_blocks(answers: Sequence[GateAnswer]) -> tuple[Block, ...]:
-    """Show the answers before the run and at each resumption; nothing for a run of before there was a gate."""
+    """Show the answers before the run and at each resumption; nothing for a run without answers."""
     if not answers:
         return ()
     blocks: list[Block] = [

@@ -10,7 +10,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    # Runs of before have no answers: nothing was asked but for calibration dates.
+    # Earlier runs have no answers: nothing was asked but for calibration dates.
     op.create_table(
         "gate_answers",
         sa.Column("run", sa.String(length=36), nullable=False),

@@ -1,0 +1,107 @@
+"""The gate from the command line: refused before anything is stored, overridden by name, stored and shown again."""
+
+import json
+
+import pytest
+from command import cbsr_qa, document, short_recipe
+from killing import BEGIN, killed, latest_run, write_files
+
+from cbsr_qa.config import DocumentKind, open_document
+from cbsr_qa.domain.plan import GateCheck
+from cbsr_qa.store import open_store
+from cbsr_qa.system import hashed_pin
+
+GATE = """[gate]
+disk = "refuse"
+disk_GB = 1e6
+released = "warn"
+operator = "refuse"
+
+[[gate.operators]]
+name = "Ada"
+
+[[gate.operators]]
+name = "Grace"
+pin = "{pin}"
+
+[indenter]"""
+
+
+@pytest.fixture(scope="module")
+def tested(tmp_path_factory):
+    """A folder with a run whose full disk was overridden, the options it was made with, and its document."""
+    folder = tmp_path_factory.mktemp("gate")
+    text = open_document(DocumentKind.STATION, "simulated").text
+    (folder / "mine.toml").write_text(text.replace("[indenter]", GATE.format(pin=hashed_pin("4711")), 1))
+    recipe = short_recipe(folder, metrics=["centre-of-mass-error"])
+    options = ["--station", "mine.toml", "--recipe", recipe, "--serial", "S-1"]
+    before = sorted(folder.rglob("*"))
+    refused = cbsr_qa(folder, "run", *options, "--operator", "Ada", check=False)
+    assert refused.returncode == 2
+    assert "disk: " in refused.stderr
+    assert "--override disk --override-by NAME" in refused.stderr
+    assert sorted(folder.rglob("*")) == before
+    override = ["--override", "disk", "--override-by", "Grace", "--override-why", "a second disk is mounted"]
+    done = cbsr_qa(folder, "run", *options, "--operator", "Ada", *override, "--json", check=False)
+    return folder, options, document(done)
+
+
+def test_an_override_is_stored_and_shown_in_report_and_document(tested):
+    folder, _, run = tested
+    answers = {one["check"]: one for one in run["gate"]}
+    disk = answers["disk"]
+    assert (disk["outcome"], disk["by"], disk["why"]) == ("overridden", "Grace", "a second disk is mounted")
+    assert (answers["operator"]["outcome"], answers["released"]["outcome"]) == ("passed", "warned")
+    assert any("gate, disk: " in one and "overridden by Grace" in one for one in run["warnings"])
+    again = document(cbsr_qa(folder, "report", run["run"], "--json", "--to", "again"))
+    assert again["gate"] == run["gate"]
+    for page in (folder / run["report"], folder / again["report"]):
+        html = page.read_text()
+        assert "Checks before the run." in html
+        assert "a second disk is mounted" in html
+    with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}", create=False) as store:
+        assert [one.session for one in store.load_run(run["run"]).gate] == [0] * len(run["gate"])
+        assert "scrypt" not in store.configuration(run["run"])
+
+
+def test_the_gate_and_a_dry_run_give_the_same_answers(tested):
+    folder, options, _ = tested
+    shown = cbsr_qa(folder, "gate", *options, "--operator", "Grace", "--json", check=False)
+    dry = cbsr_qa(folder, "run", *options, "--operator", "Grace", "--dry-run", "--json", check=False)
+    assert (shown.returncode, dry.returncode) == (2, 2)
+    assert document(shown)["answers"] == document(dry)["gate"]
+    assert document(shown)["refused"] == document(dry)["refused"]
+    listed = cbsr_qa(folder, "gate", *options, "--operator", "Eve", check=False)
+    assert "Eve is not on the list of operators" in " ".join(listed.stdout.split())
+    assert cbsr_qa(folder, "gate", "--station", "simulated", *options[2:]).returncode == 0
+
+
+def test_a_release_is_stored_by_name(tested):
+    folder, options, _ = tested
+    released = document(cbsr_qa(folder, "release", options[3], "--by", "Grace", "--why", "qualified", "--json"))
+    assert (released["kind"], released["action"], released["before"]) == ("recipe", "released", None)
+    shown = document(cbsr_qa(folder, "gate", *options, "--json", check=False))
+    words = next(one["words"] for one in shown["answers"] if one["check"] == "released")
+    assert "recipe" not in words
+    assert json.dumps(released["sha256"])[1:13] not in words
+
+
+def test_a_resumed_run_is_asked_again_what_matters_by_the_present_station_file(tmp_path):
+    write_files(tmp_path)
+    text = open_document(DocumentKind.STATION, "simulated").text
+    gate = '[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "{}"\n\n[indenter]'
+    for name in ("Ada", "Grace"):
+        (tmp_path / f"{name}.toml").write_text(text.replace("[indenter]", gate.format(name), 1))
+    options = [*BEGIN, "--station", "Ada.toml", "--serial", "S-1", "--operator", "Ada"]
+    assert killed(tmp_path, options, documents=40, after_s=0.0)
+    again = ["run", "--resume", latest_run(tmp_path, "S-1"), "--json", "--operator"]
+    unlisted = cbsr_qa(tmp_path, *again, "Ada", check=False)
+    assert unlisted.returncode == 2
+    assert "--station" in document(unlisted)["refused"]["remedy"]
+    another = cbsr_qa(tmp_path, *again, "Ada", "--station", "bench-emulated", check=False)
+    assert "is of 'bench-emulated'" in document(another)["refused"]["reason"]
+    assert "Ada is not on the list" in cbsr_qa(tmp_path, *again, "Ada", "--station", "Grace.toml", check=False).stderr
+    done = document(cbsr_qa(tmp_path, *again, "Grace", "--station", "Grace.toml", check=False))
+    assert {one["check"] for one in done["gate"] if one["session"] == 1} == {"calibration_due", "disk", "operator"}
+    assert len([one for one in done["gate"] if one["session"] == 0]) == len(GateCheck)
+    assert "Asked again before resumption 1 of the run." in (tmp_path / done["report"]).read_text()
