@@ -1,22 +1,24 @@
-"""``cbsr-qa schema``: the JSON Schema of the document that a command prints with ``--json``."""
+"""``cbsr-qa schema``: the JSON Schema of what a command prints with ``--json``, and of a run's events."""
 
 from typing import Annotated, Any
 
 import typer
 
-from cbsr_qa.cli.command import command, documents
+from cbsr_qa.cli.command import command, document, documents
 from cbsr_qa.cli.output import emit_json, say
 from cbsr_qa.domain import RefusedError
+
+document("events", prints="cbsr_qa.domain.run:EventDocument")
 
 
 @command("schema")
 def schema(
     words: Annotated[
         list[str] | None,
-        typer.Argument(metavar="COMMAND", help="e.g. gauge or db status; without it, list all."),
+        typer.Argument(metavar="COMMAND", help="e.g. gauge, db status or events; without it, list all."),
     ] = None,
 ) -> None:
-    """Print the JSON Schema (draft 2020-12) of what a command prints with --json."""
+    """Print the JSON Schema (draft 2020-12) of what a command prints with --json, or of the events of a run."""
     if not words:
         for name in documents():
             say(name)
