@@ -48,7 +48,7 @@ class Actions:
             raise RefusedError(text("station.no_sensor_asked"))
         wanted = StartForm.of(watch.served, form)
         html = self._pages.gate(station, wanted)
-        return _said(parts=[["gate", html]])
+        return _said(parts=[["gate", html], ["verdict", ""]])
 
     async def start(self, station: str, form: dict[str, str]) -> Response:
         """Start a run."""

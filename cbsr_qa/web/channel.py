@@ -4,10 +4,11 @@ import asyncio
 import json
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from itertools import count
 from typing import Any, Final
 
-from cbsr_qa.web.pending import control_socket
+from cbsr_qa.station.control import LONGEST_LINE, control_socket
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.state import Control, control_of
 from cbsr_qa.web.texts import text
@@ -16,8 +17,6 @@ from cbsr_qa.web.texts import text
 _AGAIN_S: Final = 0.2
 #: How long an answer may take [s].
 _ANSWER_S: Final = 5.0
-#: Longest line of a run [B].
-_LONGEST: Final = 1 << 20
 
 
 class ChannelClient:
@@ -34,6 +33,7 @@ class ChannelClient:
         self._replies: dict[int, asyncio.Future[Mapping[str, Any]]] = {}
         self._numbers = count(1)
         self._hello: Mapping[str, Any] = {}
+        self._pressed = 0
         self.control: Control | None = None
         self.prompt_picture = ""
 
@@ -42,7 +42,7 @@ class ChannelClient:
         while True:
             with suppress(OSError, ValueError):  # no run, one that ends, or a line that is too long
                 reader, self._writer = await asyncio.open_unix_connection(
-                    control_socket(self._station), limit=_LONGEST
+                    control_socket(self._station), limit=LONGEST_LINE
                 )
                 await self._read(reader)
             self._close()
@@ -78,19 +78,21 @@ class ChannelClient:
     def _take(self, document: Mapping[str, Any]) -> None:
         match document.get("type"):
             case "hello":
-                self._hello = document
+                self._hello, self._pressed = document, 0
                 self._state(document["state"])
             case "state":
-                self._state(document.get("state", document))
+                self._state(document)
+            case "load_finished" if self.control is not None:
+                self._pressed = self.control.number
+                self.control = replace(self.control, place="", x_mm=None, y_mm=None)
+                self._changed()
             case "reply":
                 reply = self._replies.get(document["id"])
                 if reply is not None and not reply.done():
                     reply.set_result(document)
-                if "state" in document:
-                    self._state(document["state"])
 
     def _state(self, state: Mapping[str, Any]) -> None:
-        self.control = control_of(self._hello, state)
+        self.control = control_of(self._hello, state, self._pressed)
         prompt = state.get("prompt") or {}
         self.prompt_picture = str(prompt.get("picture") or "")
         self._changed()

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any, Final, Self
 from urllib.parse import quote
 
@@ -91,9 +92,10 @@ def minutes_left(snapshot: Snapshot) -> str:
     """Return the time left in words, that changes once a minute."""
     if snapshot.mode is Mode.CONCLUDING:
         return text("mode.concluding")
-    left_s = None if snapshot.control is None else snapshot.control.remaining_s
-    if left_s is None:
+    ends_at = None if snapshot.control is None else snapshot.control.ends_at
+    if ends_at is None:
         return text("page.no_estimate")
+    left_s = ends_at - monotonic()
     return text("page.less_than_a_minute") if left_s < 60 else f"{round(left_s / 60)} {text('page.minutes')}"
 
 

@@ -56,4 +56,4 @@ def resume_arguments(run: str, operator: str, database: str | None) -> list[str]
 
 def common_arguments(database: str | None) -> list[str]:
     """Return the arguments of every run that a page starts."""
-    return [*([] if database is None else [f"--database={database}"])]
+    return ["--prompts=channel", *([] if database is None else [f"--database={database}"])]

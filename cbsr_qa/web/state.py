@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from time import monotonic
 from typing import Any
 
 from cbsr_qa.domain.results import EndReason, Outcome
@@ -52,6 +53,8 @@ class Control:
     step : in words.
     place : label of the load under the head; empty for none. ``x_mm``, ``y_mm``: where the head is.
     number, of : which press of how many.
+    ends_at : when the run is expected to end, by ``time.monotonic`` [s]; None if unknown, or if its clock stands.
+    paused_by, pause_wanted_by : who; None for nobody.
     """
 
     run: str
@@ -65,9 +68,9 @@ class Control:
     y_mm: float | None
     number: int
     of: int
-    remaining_s: float | None
+    ends_at: float | None
     paused_by: str | None
-    pause_wanted: bool
+    pause_wanted_by: str | None
     prompt: Prompt | None
     warnings: tuple[str, ...]
 
@@ -143,10 +146,21 @@ def _ended(control: Control, look: RunLook | None) -> bool:
     return look is not None and look.run == control.run and look.end is not EndReason.RUNNING
 
 
-def control_of(hello: Mapping[str, Any], state: Mapping[str, Any]) -> Control:
-    """Read the documents of a run's channel. KeyError, TypeError, ValueError if they are malformed."""
-    load, prompt, paused = state.get("load"), state.get("prompt"), state.get("paused")
-    remaining = state.get("remaining_s")
+def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], pressed: int) -> Control:
+    """Read the documents of a run's channel.
+
+    Parameters
+    ----------
+    pressed : number of the press that has ended last, 0 before the first: its head is up.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If they are malformed.
+    """
+    load, prompt, paused, wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
+    number = 0 if load is None else int(load["number"])
+    down = load is not None and number > pressed
     return Control(
         run=str(hello["run"]),
         serial=str(hello["serial"]),
@@ -154,14 +168,20 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any]) -> Control:
         operator=str(hello.get("operator", "")),
         phase=str(state.get("phase") or ""),
         step=str(state.get("step") or ""),
-        place="" if load is None else str(load["label"]),
-        x_mm=None if load is None else float(load["x_mm"]),
-        y_mm=None if load is None else float(load["y_mm"]),
-        number=0 if load is None else int(load["number"]),
+        place=str(load["label"]) if down else "",
+        x_mm=float(load["x_mm"]) if down else None,
+        y_mm=float(load["y_mm"]) if down else None,
+        number=number,
         of=0 if load is None else int(load["of"]),
-        remaining_s=None if remaining is None else float(remaining),
+        ends_at=_ends_at(state),
         paused_by=None if paused is None else str(paused.get("by") or ""),
-        pause_wanted=bool(state.get("pause_wanted")),
+        pause_wanted_by=str(wanted) if wanted else None,
         prompt=None if prompt is None else Prompt(int(prompt["prompt"]), str(prompt["text"]), bool(prompt["picture"])),
         warnings=tuple(map(str, state.get("warnings") or ())),
     )
+
+
+def _ends_at(state: Mapping[str, Any]) -> float | None:
+    """Return when a run is expected to end: a clock that is not waited for counts as one that is."""
+    remaining_s = state.get("remaining_s")
+    return None if remaining_s is None else monotonic() + float(remaining_s) / float(state.get("clock_speed") or 1.0)

@@ -9,7 +9,7 @@ from typing import Final
 from cbsr_qa.domain import CbsrError
 from cbsr_qa.domain.run import CheckOutcome
 from cbsr_qa.plugin import Plugins, discover
-from cbsr_qa.web.pending import station_holder
+from cbsr_qa.station.control import station_holder
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.runs import ChangeNotice, RunLook
 from cbsr_qa.web.channel import ChannelClient
