@@ -11,6 +11,7 @@ from typing import Self
 from cbsr_qa.analysis import calibrated, evaluate_run
 from cbsr_qa.app.changes import unexplained
 from cbsr_qa.app.command_hints import report_command, resume_command
+from cbsr_qa.app.run.control import Control
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import write_outputs
 from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
@@ -90,11 +91,13 @@ class Done:
     loads : (phase, index) of finished presses.
     phases : finished ones.
     until_s : start of this session on the run's time line [s].
+    prompts : how many were shown.
     """
 
     loads: frozenset[LoadKey] = frozenset()
     phases: frozenset[int] = frozenset()
     until_s: float = 0.0
+    prompts: int = 0
 
 
 def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
@@ -115,6 +118,7 @@ class Session:
     ask : shows a text to the operator and returns the answer; None without an operator.
     done : by earlier sessions of the same run.
     why : operator's reason for files that differ from those of earlier runs.
+    control : takes requests and prompts of others; None: nobody is served.
 
     Raises
     ------
@@ -130,6 +134,7 @@ class Session:
         ask: Ask | None,
         done: Done | None = None,
         why: str = "",
+        control: Control | None = None,
     ) -> None:
         self._configuration = configuration
         self._plugins = plugins
@@ -141,10 +146,19 @@ class Session:
         self.warnings: list[str] = []
         self._plan = plan_of(configuration, plugins)
         self._clock = station_clock(configuration)
-        self._ask = None if ask is None else OperatorPrompt(self._asked)
+        self._control = control
+        self._ask = self._prompt(control)
         self._bench = open_station(
             configuration, plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
         )
+
+    def _prompt(self, control: Control | None) -> OperatorPrompt[str] | None:
+        """Return who asks the operator; None if nobody answers."""
+        desk = None if control is None else control.desk
+        if self._asks is None and not (desk is not None and desk.answers):
+            return None
+        who = "" if control is None else control.operator
+        return OperatorPrompt(self._asked, desk, operator=who, first=self._done.prompts)
 
     def __enter__(self) -> Self:
         return self
@@ -206,12 +220,19 @@ class Session:
                 identity,
                 self._bench,
                 self._clock,
-                [journal, progress, self._hooks(identity)],
+                [journal, *self._watching(), progress, self._hooks(identity)],
                 done=self._done.loads,
                 ended=self._done.phases,
                 ask=self._ask,
+                desk=None if self._control is None else self._control.desk,
                 warn=self.warnings.append,
             )
+
+    def _watching(self) -> tuple[Callable[[RunEvent], None], ...]:
+        if self._control is None:
+            return ()
+        self._control.planned(self._plan, self._done.loads)
+        return self._control.subscribers
 
     def _hooks(self, identity: RunIdentity) -> Callable[[RunEvent], None]:
         """Notify plugins of events; a failing plugin becomes a warning of the run."""

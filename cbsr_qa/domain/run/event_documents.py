@@ -229,8 +229,8 @@ class LoadFinishedDocument:
     """A press was held to its end and released, and its rest has ended (``time_s``).
 
     The head starts down, is down, starts up, is up: ``press_start_s`` … ``release_end_s``. It left the sheet at
-    ``clear_s``. ``index`` counts the presses of the phase from 0, ``trial`` repetitions of one load; ``strain`` is a fraction;
-    ``eased`` are strains that the press was brought to after the first.
+    ``clear_s``. ``index`` counts the presses of the phase from 0, ``trial`` repetitions of one load; ``strain`` is a
+    fraction; ``eased`` are strains that the press was brought to after the first.
     """
 
     type: Literal["load_finished"]
