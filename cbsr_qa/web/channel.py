@@ -4,7 +4,6 @@ import asyncio
 import json
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from itertools import count
 from typing import Any, Final
 
@@ -17,6 +16,8 @@ from cbsr_qa.web.texts import text
 _AGAIN_S: Final = 0.2
 #: How long an answer may take [s].
 _ANSWER_S: Final = 5.0
+#: A page that joins a run takes the head to be down above this force, until it hears of a step [N].
+_TOUCHES_N: Final = 0.2
 
 
 class ChannelClient:
@@ -33,7 +34,7 @@ class ChannelClient:
         self._replies: dict[int, asyncio.Future[Mapping[str, Any]]] = {}
         self._numbers = count(1)
         self._hello: Mapping[str, Any] = {}
-        self._pressed = 0
+        self._down = False
         self.control: Control | None = None
         self.prompt_picture = ""
 
@@ -78,21 +79,22 @@ class ChannelClient:
     def _take(self, document: Mapping[str, Any]) -> None:
         match document.get("type"):
             case "hello":
-                self._hello, self._pressed = document, 0
+                force_N = document["state"].get("force_N")
+                self._hello, self._down = document, force_N is not None and abs(force_N) > _TOUCHES_N
                 self._state(document["state"])
             case "state":
                 self._state(document)
-            case "load_finished" if self.control is not None:
-                self._pressed = self.control.number
-                self.control = replace(self.control, place="", x_mm=None, y_mm=None)
-                self._changed()
+            case "step_started":
+                self._down = document["step"]["kind"] == "press" or (
+                    self._down and document["step"]["kind"] != "release"
+                )
             case "reply":
                 reply = self._replies.get(document["id"])
                 if reply is not None and not reply.done():
                     reply.set_result(document)
 
     def _state(self, state: Mapping[str, Any]) -> None:
-        self.control = control_of(self._hello, state, self._pressed)
+        self.control = control_of(self._hello, state, down=self._down)
         prompt = state.get("prompt") or {}
         self.prompt_picture = str(prompt.get("picture") or "")
         self._changed()

@@ -26,6 +26,8 @@ from cbsr_qa.web.drawings import SheetDrawing, png
 TRACE_S: Final = 240.0
 #: Pixels of a live image along its longer side.
 _PIXELS: Final = 160
+#: Later than any time of a run [s].
+_NEVER_S: Final = 1e12
 #: Last frames of a hold that a place is judged by [s].
 _STEADY_S: Final = 8.0
 
@@ -194,7 +196,7 @@ class LiveRun:
         if phase is None or phase.unloaded_from_s is None or self._no_image:
             return
         pressed = min(
-            (load.press_start_s for index, load in tail.loads if index == phase.index), default=float("inf")
+            (load.press_start_s for index, load in tail.loads if index == phase.index), default=_NEVER_S
         )
         settings = self.configuration.recipe.analysis
         unloaded = self._store.frames_between(self.run, phase.index, phase.unloaded_from_s, pressed)

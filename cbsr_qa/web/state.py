@@ -146,12 +146,12 @@ def _ended(control: Control, look: RunLook | None) -> bool:
     return look is not None and look.run == control.run and look.end is not EndReason.RUNNING
 
 
-def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], pressed: int) -> Control:
+def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool) -> Control:
     """Read the documents of a run's channel.
 
     Parameters
     ----------
-    pressed : number of the press that has ended last, 0 before the first: its head is up.
+    down : whether the head is on its way down, or pressed.
 
     Raises
     ------
@@ -159,8 +159,6 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], pressed: int)
         If they are malformed.
     """
     load, prompt, paused, wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
-    number = 0 if load is None else int(load["number"])
-    down = load is not None and number > pressed
     return Control(
         run=str(hello["run"]),
         serial=str(hello["serial"]),
@@ -168,10 +166,10 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], pressed: int)
         operator=str(hello.get("operator", "")),
         phase=str(state.get("phase") or ""),
         step=str(state.get("step") or ""),
-        place=str(load["label"]) if down else "",
-        x_mm=float(load["x_mm"]) if down else None,
-        y_mm=float(load["y_mm"]) if down else None,
-        number=number,
+        place=str(load["label"]) if load and down else "",
+        x_mm=float(load["x_mm"]) if load and down else None,
+        y_mm=float(load["y_mm"]) if load and down else None,
+        number=0 if load is None else int(load["number"]),
         of=0 if load is None else int(load["of"]),
         ends_at=_ends_at(state),
         paused_by=None if paused is None else str(paused.get("by") or ""),

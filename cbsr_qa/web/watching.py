@@ -48,6 +48,7 @@ class StationWatch:
         self.snapshot: Snapshot | None = None
         self._due, self._next_s = True, 0.0
         self._health, self._healthy, self._health_s = "", True, 0.0
+        self._unread = ""
 
     @property
     def busy(self) -> bool:
@@ -97,8 +98,11 @@ class StationWatch:
                 self.live = LiveRun(store, plugins, self.look.run)
             self.live.update()
         except CbsrError as error:
-            LOG.warning("%s: %s", self.served.name, error.reason)
+            if error.reason != self._unread:
+                LOG.warning("%s: %s", self.served.name, error.reason)
+            self._unread = error.reason
             return error.reason
+        self._unread = ""
         return ""
 
     def _silence(self, mode: Mode) -> str:

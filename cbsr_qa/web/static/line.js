@@ -31,7 +31,10 @@ async function show(address) {
 function take({ parts = [], picture = "", words = "", go = "" }) {
   parts.forEach(put);
   if (picture) show(picture);
-  if (words) say.textContent = words;
+  if (words) {
+    say.textContent = words;
+    setTimeout(() => { if (say.textContent === words) say.textContent = ""; }, 10000);
+  }
   if (go) location.assign(go);
 }
 
