@@ -5,7 +5,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from time import monotonic
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -18,6 +18,9 @@ from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.state import Mode, Snapshot
 from cbsr_qa.web.stations import OfferedRecipe
 from cbsr_qa.web.texts import text
+
+if TYPE_CHECKING:
+    from cbsr_qa.domain.results import ListedRun
 
 #: Sign of each kind of badge.
 SIGNS: Final = {
@@ -75,9 +78,18 @@ def verdict_kind(snapshot: Snapshot) -> str:
     look = snapshot.look
     if look is None:
         return "none"
+    if snapshot.mode is Mode.INTERRUPTED:
+        return "interrupted"
     if look.end in (EndReason.ABORTED, EndReason.BROKEN):
         return str(look.end)
     return "none" if look.outcome is None else str(look.outcome).replace(" ", "_")
+
+
+def listed_kind(run: "ListedRun") -> str:
+    """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
+    if not run.finished:
+        return "interrupted" if run.end is EndReason.RUNNING else str(run.end)
+    return "none" if run.verdict is None else str(run.verdict).replace(" ", "_")
 
 
 def reason_words(snapshot: Snapshot) -> str:
@@ -179,6 +191,7 @@ def _environment() -> Environment:
         "trace_minutes": f"{TRACE_S / 60:g}",
         "scale_colours": scale_colours(),
         "verdict_kind": verdict_kind,
+        "listed_kind": listed_kind,
         "reason_words": reason_words,
         "minutes_left": minutes_left,
         "step_words": step_words,
