@@ -45,6 +45,7 @@ from .power_analysis import (
 from .process_capability import (
     Capability as Capability,
     Index as Index,
+    Yield as Yield,
     capability as capability,
     capability_of_extremes as capability_of_extremes,
     passed_share as passed_share,

@@ -1,14 +1,10 @@
 """Runs of a fleet with the values of their latest analyses, in a fixed number of queries."""
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from datetime import UTC, datetime, time
-from functools import partial
-from typing import Any, Final, TypeAlias, TypeVar
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Engine, Row, Select, select
-from sqlalchemy.exc import OperationalError
+from sqlalchemy import Connection, Engine, Row, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import (
@@ -30,19 +26,15 @@ from cbsr_qa.store.chain import (
     Figures,
     Known,
     check_figures,
-    check_run,
     facts,
     figures_query,
-    unreadable,
     words,
 )
 from cbsr_qa.store.damage import stored
-from cbsr_qa.store.engine import reading
 from cbsr_qa.store.results import analysis_outcome
+from cbsr_qa.store.selected import Conditions, latest_of, read_selected
 from cbsr_qa.store.tables import AnalysisRow, LoadRow, MeasurementRow, RunRow, RunStateRow, StationCheckRow
 from cbsr_qa.store.types import made_at
-
-Conditions: TypeAlias = list[ColumnElement[bool]]
 
 _BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
 #: State of a value by its outcome and its bound.
@@ -55,16 +47,10 @@ _STATES: Final = {
 }
 _EVERY: Final = RunSelection()
 
-_T = TypeVar("_T")
-#: Raised by a cell whose value has another type than its column.
-_UNREADABLE: Final = (AttributeError, KeyError, TypeError, ValueError, OperationalError)
-#: Columns that select runs by name, as :func:`_names` gives them.
-_BY_NAME: Final = (RunRow.recipe, RunRow.batch, RunRow.station, RunRow.operator)
-
 
 def run_lines(engine: Engine, selection: RunSelection = _EVERY) -> tuple[RunLine, ...]:
     """Return the selected runs in the order they were made in. StoreError as for :func:`fleet_table`."""
-    return _read(engine, selection, lambda connection, chosen: tuple(_runs(connection, chosen)[0]))
+    return read_selected(engine, selection, lambda connection, chosen: tuple(_runs(connection, chosen)[0]))
 
 
 def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
@@ -82,86 +68,7 @@ def fleet_table(engine: Engine, selection: RunSelection = _EVERY) -> FleetTable:
         kinds, (run, kind, value, state) = _values(connection, chosen, places, known)
         return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
 
-    return _read(engine, selection, table)
-
-
-def _read(engine: Engine, selection: RunSelection, read: Callable[[Connection, Conditions], _T]) -> _T:
-    """Read the selected runs; if that fails, name the first run that cannot be read."""
-    with reading(engine) as connection:
-        chosen = _conditions(selection)
-        if chosen and selection.latest is None:  # the latest are selected through each run's end: by indices alone
-            _naming_runs(connection, [], partial(_check_left_out, selection))
-        return _naming_runs(connection, chosen, read)
-
-
-def _naming_runs(connection: Connection, chosen: Conditions, read: Callable[[Connection, Conditions], _T]) -> _T:
-    try:
-        return read(connection, chosen)
-    except _UNREADABLE as error:
-        run = _first_unreadable(connection, chosen, read)
-        if run is None:  # the database failed, not a run
-            raise
-        raise unreadable(connection, run, error) from error
-
-
-def _check_left_out(selection: RunSelection, connection: Connection, chosen: Conditions) -> None:
-    """Raise for a run that only a damaged cell excludes from a selection: a name, or when it began.
-
-    A name is checked only if no other run shares it, as damage leaves it: checking every run takes 0.3 ms each.
-    """
-    columns = RunRow.run, RunRow.serial, RunRow.started_at, *_BY_NAME
-    runs = connection.execute(select(*columns).where(*chosen)).all()
-    for column, wanted in zip(_BY_NAME, _names(selection), strict=True):
-        counts = Counter(getattr(run, column.key) for run in runs) if wanted else Counter[str]()
-        unique = {name for name, count in counts.items() if count == 1}.difference(wanted)
-        for run in runs:
-            if getattr(run, column.key) in unique:
-                check_run(connection, run.run, ("runs",))
-
-
-def _names(selection: RunSelection) -> Iterator[Sequence[str]]:
-    """Return the selected names by column of :data:`_BY_NAME`; empty for any."""
-    yield () if selection.recipe is None else (selection.recipe,)
-    yield () if selection.batch is None else (selection.batch,)
-    yield selection.stations
-    yield selection.operators
-
-
-def _first_unreadable(
-    connection: Connection, chosen: Conditions, read: Callable[[Connection, Conditions], object]
-) -> str | None:
-    """Find the first run that cannot be read, by bisection."""
-    runs = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
-
-    def fails(some: Sequence[str]) -> bool:
-        try:
-            read(connection, [*chosen, RunRow.run.between(some[0], some[-1])])
-        except _UNREADABLE:
-            return True
-        return False
-
-    while len(runs) > 1:
-        half = runs[: len(runs) // 2]
-        runs = half if fails(half) else runs[len(half) :]
-    return runs[0] if runs and fails(runs) else None
-
-
-def _conditions(selection: RunSelection) -> Conditions:
-    chosen: Conditions = [RunRow.serial.in_(selection.serials)] if selection.serials else []
-    chosen += [column.in_(names) for column, names in zip(_BY_NAME, _names(selection), strict=True) if names]
-    if selection.since is not None:
-        chosen.append(RunRow.started_at >= datetime.combine(selection.since, time(), UTC))
-    if selection.until is not None:
-        chosen.append(RunRow.started_at <= datetime.combine(selection.until, time.max, UTC))
-    chosen += [RunRow.run > selection.after] if selection.after else []
-    chosen += [RunRow.run <= selection.up_to] if selection.up_to else []
-    if not selection.checks:
-        of_checks = select(StationCheckRow.golden_run).where(StationCheckRow.golden_run.is_not(None))
-        chosen.append(RunRow.run.not_in(of_checks))
-    if selection.latest is not None:
-        latest = select(RunRow.run).where(*chosen).order_by(RunRow.run.desc()).limit(selection.latest)
-        chosen.append(RunRow.run.in_(latest))
-    return chosen
+    return read_selected(engine, selection, table)
 
 
 def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], dict[str, int], list[Known | None]]:
@@ -170,10 +77,10 @@ def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], di
     States and analyses are joined to their runs here: a database without statistics of its tables may scan every
     analysis for every run.
     """
-    ends = _latest_of(connection, select(RunStateRow.run, RunStateRow.end).order_by(RunStateRow.number), chosen)
+    ends = latest_of(connection, select(RunStateRow.run, RunStateRow.end).order_by(RunStateRow.number), chosen)
     a = AnalysisRow
     analysed = select(a.run, a.analysis, a.outcome, a.reason, a.software).order_by(a.analysis)
-    analyses = _latest_of(connection, analysed, chosen)
+    analyses = latest_of(connection, analysed, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
     query = select(*RUN_COLUMNS, RunRow.chain).where(*chosen).order_by(RunRow.run)
     runs: list[RunLine] = []
@@ -189,15 +96,6 @@ def _runs(connection: Connection, chosen: Conditions) -> tuple[list[RunLine], di
         known.append(linked if row.chain is not None else None)
         runs.append(_run(row, ends.get(row.run), analysis, shared, of_check=row.run in of_checks))
     return runs, places, known
-
-
-def _latest_of(
-    connection: Connection, query: Select[*tuple[Any, ...]], chosen: Conditions
-) -> dict[str, Row[*tuple[Any, ...]]]:
-    """Keep the last row of each run, of rows in order."""
-    if chosen:
-        query = query.where(query.selected_columns.run.in_(select(RunRow.run).where(*chosen)))
-    return {row.run: row for row in connection.execute(query.execution_options(yield_per=AT_ONCE))}
 
 
 def _run(

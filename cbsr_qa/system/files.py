@@ -205,15 +205,17 @@ def written_whole(path: Path) -> Iterator[BinaryIO]:
             temporary.unlink()
 
 
-def csv_text(rows: Iterable[Iterable[str | float | None]]) -> str:
+def csv_text(rows: Iterable[Iterable[str | float | None]], *, line_end: str = "\n") -> str:
     """Write rows as CSV: text in UTF-8, numbers to their last digit, nothing for None.
+
+    RFC 4180 wants lines that end with CR and LF; those of our tables of numbers end with LF.
 
     An apostrophe goes before text that begins with ``= + - @``, a tab or a carriage return: spreadsheets would work
     it out as a formula (OWASP, CSV injection). Numbers stay as they are. Halves of characters, which names of files
     may hold, are escaped.
     """
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(map(_cell, row) for row in rows)
+    csv.writer(text, lineterminator=line_end).writerows(map(_cell, row) for row in rows)
     return text.getvalue()
 
 

@@ -5,12 +5,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import Any, Final, Self
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.results import EndReason, ListedRun
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.live_run import TRACE_S, Place
@@ -18,9 +18,6 @@ from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.state import Mode, Snapshot
 from cbsr_qa.web.stations import OfferedRecipe
 from cbsr_qa.web.texts import text
-
-if TYPE_CHECKING:
-    from cbsr_qa.domain.results import ListedRun
 
 #: Sign of each kind of badge.
 SIGNS: Final = {
@@ -85,7 +82,7 @@ def verdict_kind(snapshot: Snapshot) -> str:
     return "none" if look.outcome is None else str(look.outcome).replace(" ", "_")
 
 
-def listed_kind(run: "ListedRun") -> str:
+def listed_kind(run: ListedRun) -> str:
     """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
     if not run.finished:
         return "interrupted" if run.end is EndReason.RUNNING else str(run.end)

@@ -120,7 +120,7 @@ class ServedLine:
         self.folder.mkdir(parents=True, exist_ok=True)
         (self.folder / "token").write_text(TOKEN)
         for name in ("bench-1", "bench-2", "dying"):
-            station = _STATION.replace('"line-1"', f'"{name}"').replace("clock_speed = 60.0", "clock_speed = 15.0")
+            station = _STATION.replace('"line-1"', f'"{name}"').replace("clock_speed = 60.0", "clock_speed = 10.0")
             if name == "dying":
                 station = station.replace('"simulated-bench"', '"dying-bench"')
             (self.folder / f"{name}.toml").write_text(station)

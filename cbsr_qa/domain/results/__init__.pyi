@@ -56,6 +56,7 @@ from .learned_place import (
     PlaceTemplates as PlaceTemplates,
 )
 from .learned_quantity import LearnedQuantity as LearnedQuantity, QuantityScales as QuantityScales
+from .listed import Decision as Decision, ListedRun as ListedRun
 from .measurement import (
     SEVERITY as SEVERITY,
     Bound as Bound,

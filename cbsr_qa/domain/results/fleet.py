@@ -51,6 +51,7 @@ class RunSelection:
     serials, stations, operators : names; none for any.
     recipe, batch : a name; None for any.
     since, until : first and last day a run began on, UTC.
+    from_moment, before_moment : when a run began, the first included and the second not; None for no bound.
     checks : False leaves out runs of golden sensors that checked a station.
     after, up_to : runs whose identifiers sort after the one and not after the other; empty for no bound.
     latest : only so many of the latest; None for all.
@@ -72,6 +73,8 @@ class RunSelection:
     after: str = ""
     up_to: str = ""
     latest: int | None = None
+    from_moment: datetime | None = None
+    before_moment: datetime | None = None
 
     def __post_init__(self) -> None:
         if self.since and self.until and self.since > self.until:

@@ -52,7 +52,12 @@ class RunRow(Base):
     """One recipe on one sensor at one station, with everything that traces it."""
 
     __tablename__ = "runs"
-    __table_args__ = (Index(None, "serial", "run"), Index(None, "station", "run"), Index(None, "batch"))
+    __table_args__ = (
+        Index(None, "serial", "run"),
+        Index(None, "station", "run"),
+        Index(None, "batch"),
+        Index(None, "started_at"),
+    )
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)
     serial: Mapped[str] = mapped_column(Word(64), ForeignKey("sensors.serial"))

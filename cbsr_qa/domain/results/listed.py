@@ -1,0 +1,68 @@
+"""Runs as a shift lists them: one line a run with its verdict, overrides included, and the limits it failed."""
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from cbsr_qa.domain.results.fleet import MetricKey
+from cbsr_qa.domain.results.measurement import EndReason, Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """An operator's decision against a verdict."""
+
+    outcome: Outcome
+    operator: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class ListedRun:
+    """One run in a list.
+
+    Parameters
+    ----------
+    run : its identifier; sorted as text, runs are in the order they were made in.
+    started_at : by the station's clock.
+    end : RUNNING if it was cut off or is in progress.
+    station_s : station time until its last session began or ended [s].
+    outcome, reason : of its latest analysis; None and empty where it has none.
+    decision : the latest override of that analysis; None where there is none.
+    failed : metrics outside their limits in that analysis, each once, in the order they were measured.
+    earlier : finished runs of the sensor and recipe made before this one, checks of stations not counted.
+    of_check : whether it is a golden sensor's, made to check its station.
+    simulated : whether anything was simulated.
+    """
+
+    run: str
+    serial: str
+    batch: str
+    sensor_type: str
+    station: str
+    recipe: str
+    operator: str
+    started_at: datetime
+    end: EndReason
+    station_s: float
+    outcome: Outcome | None
+    reason: str
+    decision: Decision | None
+    failed: tuple[MetricKey, ...]
+    earlier: int
+    of_check: bool
+    simulated: bool
+
+    @property
+    def finished(self) -> bool:
+        return self.end is EndReason.FINISHED
+
+    @property
+    def verdict(self) -> Outcome | None:
+        """What counts: the override if there is one, else the outcome; None for a run that did not finish."""
+        if not self.finished:
+            return None
+        return self.outcome if self.decision is None else self.decision.outcome
+
+    @property
+    def passed(self) -> bool:
+        return self.verdict in (Outcome.PASS, Outcome.MARGINAL)

@@ -1,0 +1,20 @@
+from .lists import (
+    ListRequest as ListRequest,
+    RunList as RunList,
+    SensorList as SensorList,
+    list_runs as list_runs,
+    list_sensors as list_sensors,
+    sensor_runs as sensor_runs,
+)
+from .report import (
+    counts_words as counts_words,
+    runs_csv as runs_csv,
+    runs_outcome as runs_outcome,
+    sensors_csv as sensors_csv,
+    sensors_outcome as sensors_outcome,
+    yield_words as yield_words,
+)
+from .summary import (
+    local_day as local_day,
+    shift_summary as shift_summary,
+)

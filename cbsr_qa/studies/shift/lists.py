@@ -1,0 +1,232 @@
+"""Runs and sensors of a selection, and those of them that failed."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Self
+
+from cbsr_qa.domain import RefusedError, filled
+from cbsr_qa.domain.results import EndReason, ListedRun, Outcome, RunSelection
+from cbsr_qa.plugin import echo
+from cbsr_qa.report import plural
+from cbsr_qa.store import Repository
+from cbsr_qa.studies.selection import check_names, nearest
+from cbsr_qa.studies.shift.summary import ShiftSummary, failed_limits, summarised
+
+
+@dataclass(frozen=True, slots=True)
+class ListRequest:
+    """Which runs or sensors to list.
+
+    Parameters
+    ----------
+    selection : of the runs.
+    failed : only runs that failed; sensors that failed in their last decided run.
+    limit : only failures of the limit of this name, as recipes write it or in words; empty for any.
+    latest : only so many of the latest that remain; None for all.
+
+    Raises
+    ------
+    RefusedError
+        If ``latest`` is not at least 1.
+    """
+
+    selection: RunSelection
+    failed: bool = False
+    limit: str = ""
+    latest: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.latest is not None and self.latest < 1:
+            raise RefusedError(f"--latest is {self.latest}", remedy="give at least 1")
+
+
+@dataclass(frozen=True, slots=True)
+class RunEntry:
+    """One run.
+
+    Parameters
+    ----------
+    verdict : what counts, an override included; None if the run did not finish or has no result.
+    outcome, reason : of its analysis.
+    overridden_by, overridden_why : operator and reason of the override; None without one.
+    failed_limits : for which it counts as failed, as recipes write them.
+    number : of this try of the recipe on the sensor, from 1; runs that did not finish do not count.
+    of_check : whether it is a golden sensor's, made to check its station.
+    """
+
+    run: str
+    serial: str
+    batch: str
+    sensor_type: str
+    station: str
+    recipe: str
+    operator: str
+    started_at: datetime
+    end: EndReason
+    station_s: float
+    verdict: Outcome | None
+    outcome: Outcome | None
+    reason: str
+    overridden_by: str | None
+    overridden_why: str | None
+    failed_limits: tuple[str, ...]
+    number: int
+    of_check: bool
+    simulated: bool
+
+    @classmethod
+    def of(cls, run: ListedRun) -> Self:
+        return filled(
+            cls,
+            run,
+            verdict=run.verdict,
+            overridden_by=None if run.decision is None else run.decision.operator,
+            overridden_why=None if run.decision is None else run.decision.why,
+            failed_limits=tuple(key.label for key in failed_limits(run)),
+            number=run.earlier + 1,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RunList:
+    """Runs of a selection, in the order they were made in, and their summary."""
+
+    summary: ShiftSummary
+    runs: tuple[RunEntry, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SensorEntry:
+    """One sensor and recipe.
+
+    Parameters
+    ----------
+    runs, tries : all runs of the selection, and those that finished.
+    first, last : when the first and the last run began.
+    station, operator, end, run : of the last run.
+    verdict, reason, failed_limits : of the last decided run; None and empty where nothing was decided.
+    first_pass : whether the first finished run passed; None if it is not among these runs, or decided nothing.
+    """
+
+    serial: str
+    batch: str
+    sensor_type: str
+    recipe: str
+    runs: int
+    tries: int
+    first: datetime
+    last: datetime
+    station: str
+    operator: str
+    end: EndReason
+    verdict: Outcome | None
+    reason: str
+    failed_limits: tuple[str, ...]
+    first_pass: bool | None
+    run: str
+
+
+@dataclass(frozen=True, slots=True)
+class SensorList:
+    """Sensors of a selection, the last tested at the end; a sensor is listed once for each recipe."""
+
+    summary: ShiftSummary
+    sensors: tuple[SensorEntry, ...]
+    notes: tuple[str, ...] = ()
+
+
+def list_runs(store: Repository, request: ListRequest) -> RunList:
+    """List runs.
+
+    Raises
+    ------
+    RefusedError
+        If a name of the selection is of no stored run; the remedy names the nearest one.
+    StoreError
+        If the database cannot be read; of a damaged run the message names it.
+    """
+    runs = kept = _listed(store, request)
+    if request.failed or request.limit:
+        kept = [run for run in runs if _failed(run, request.limit)][-(request.latest or 0) :]
+    return RunList(summarised(kept), tuple(map(RunEntry.of, kept)), _notes(request, runs, kept))
+
+
+def list_sensors(store: Repository, request: ListRequest) -> SensorList:
+    """List sensors, each with the verdict of its last decided run among the selected ones. Raises as list_runs."""
+    runs = _listed(store, replace(request, latest=None))
+    of: dict[tuple[str, str], list[ListedRun]] = {}
+    for run in runs:
+        of.setdefault((run.serial, run.recipe), []).append(run)
+    groups = sorted(of.values(), key=lambda own: own[-1].run)
+    if request.failed or request.limit:
+        groups = [own for own in groups if any(_failed(run, request.limit) for run in _decided(own)[-1:])]
+    groups = groups[-(request.latest or 0) :]
+    kept = sorted((run for own in groups for run in own), key=lambda run: run.run)
+    return SensorList(summarised(kept), tuple(map(_state, groups)), _notes(request, runs, groups))
+
+
+def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:
+    """Return all runs of one sensor in the order they were made in, checks of a station included; none if unknown."""
+    return store.listed_runs(RunSelection(serials=(serial,)))
+
+
+def _listed(store: Repository, request: ListRequest) -> list[ListedRun]:
+    filtered = request.failed or bool(request.limit)
+    selection = request.selection if filtered else replace(request.selection, latest=request.latest)
+    runs = list(store.listed_runs(selection))
+    if not runs and not all(store.listed_runs(replace(of_name, latest=1)) for of_name in _of_each_name(selection)):
+        check_names(store, selection)
+    return runs
+
+
+def _of_each_name(selection: RunSelection) -> Iterator[RunSelection]:
+    """Select the runs of each name of a selection by itself: reading all runs to know the names takes seconds."""
+    yield from (RunSelection(serials=(name,)) for name in selection.serials)
+    yield from (RunSelection(stations=(name,)) for name in selection.stations)
+    yield from (RunSelection(operators=(name,)) for name in selection.operators)
+    yield from (RunSelection(recipe=name) for name in (selection.recipe,) if name is not None)
+    yield from (RunSelection(batch=name) for name in (selection.batch,) if name is not None)
+
+
+def _notes(request: ListRequest, runs: Sequence[ListedRun], kept: Sequence[object]) -> tuple[str, ...]:
+    """Say which limits were failed, if the wanted one was not: it may be misspelt."""
+    if kept or not request.limit:
+        return ()
+    failed = {key.name for run in runs for key in failed_limits(run)}
+    which = nearest(request.limit, failed, "failed were") if failed else "no limit was failed"
+    return (f"limit {echo(request.limit, 64)} was failed by none of these {plural(len(runs), 'run')}; {which}",)
+
+
+def _failed(run: ListedRun, limit: str) -> bool:
+    keys = failed_limits(run)
+    return run.verdict is Outcome.FAIL and (not limit or any(limit in (k.name, k.label, k.title) for k in keys))
+
+
+def _decided(runs: Sequence[ListedRun]) -> list[ListedRun]:
+    """Return the runs that passed or failed."""
+    return [run for run in runs if run.passed or run.verdict is Outcome.FAIL]
+
+
+def _state(runs: Sequence[ListedRun]) -> SensorEntry:
+    last, decided = runs[-1], _decided(runs)
+    first = [run.passed for run in decided if not run.earlier]
+    return SensorEntry(
+        serial=last.serial,
+        batch=last.batch,
+        sensor_type=last.sensor_type,
+        recipe=last.recipe,
+        runs=len(runs),
+        tries=sum(run.finished for run in runs),
+        first=runs[0].started_at,
+        last=last.started_at,
+        station=last.station,
+        operator=last.operator,
+        end=last.end,
+        verdict=decided[-1].verdict if decided else None,
+        reason=decided[-1].reason if decided else "",
+        failed_limits=tuple(key.label for run in decided[-1:] for key in failed_limits(run)),
+        first_pass=first[0] if first else None,
+        run=last.run,
+    )

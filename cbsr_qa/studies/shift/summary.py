@@ -1,0 +1,154 @@
+"""Yield, first-pass yield and reasons of failure of the runs of a selection, such as those of a shift."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import date, datetime, time, timedelta
+from typing import Annotated, Final
+
+from pydantic import Field
+
+from cbsr_qa.domain.results import ListedRun, MetricKey, Outcome, RunSelection
+from cbsr_qa.stats import Yield, passed_share
+from cbsr_qa.store import Repository
+
+#: Reason of a failure that no limit gave: an operator decided it.
+BY_OPERATOR: Final = "decided by an operator"
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Runs counted by how they ended. An overridden verdict counts as it was overridden.
+
+    Parameters
+    ----------
+    name : of the station or recipe; empty for all.
+    runs : passed + failed + not_measured + not_judged + no_result + not_finished.
+    decided : passed + failed.
+    passed : of these ``marginal`` only just.
+    no_result : finished, without an analysis.
+    not_finished : aborted, broken, cut off or in progress; a verdict of them does not count.
+    sensors : serial numbers.
+    test_yield : share of sensors that passed in their last decided run; a sensor counts once for each recipe. With
+        Wilson's interval (95 %); None if nothing was decided.
+    first_pass_yield : share of sensors that passed in the first finished run of the recipe on them. Left out are
+        sensors whose first finished run is not among these runs, or decided nothing.
+    """
+
+    name: str
+    runs: int
+    decided: int
+    passed: int
+    marginal: int
+    failed: int
+    not_measured: int
+    not_judged: int
+    no_result: int
+    not_finished: int
+    overridden: int
+    sensors: int
+    test_yield: Annotated[Yield | None, Field(serialization_alias="yield")]
+    first_pass_yield: Yield | None
+
+
+@dataclass(frozen=True, slots=True)
+class FailureReason:
+    """A limit that was failed.
+
+    Parameters
+    ----------
+    limit : name of the metric with phase and qualifier, as recipes write it; empty where an operator decided.
+    words : as people say it.
+    sensors, runs : that failed it, in a run that counts as failed; one run may fail several limits.
+    """
+
+    limit: str
+    words: str
+    sensors: int
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class ShiftSummary:
+    """The runs of a selection, all and by station and recipe; reasons of failure, most sensors first."""
+
+    total: Tally
+    stations: tuple[Tally, ...]
+    recipes: tuple[Tally, ...]
+    reasons: tuple[FailureReason, ...]
+
+
+def local_day(day: date | None = None) -> tuple[datetime, datetime]:
+    """Return the beginning and the end of a local day of this computer; by default today's."""
+    begins = datetime.combine(day or datetime.now().astimezone().date(), time())
+    return begins.astimezone(), (begins + timedelta(days=1)).astimezone()
+
+
+def shift_summary(store: Repository, selection: RunSelection) -> ShiftSummary:
+    """Summarise stored runs; ``RunSelection(checks=False)`` leaves out runs that checked a station.
+
+    Raises
+    ------
+    StoreError
+        If the database cannot be read; of a damaged run the message names it.
+    """
+    return summarised(store.listed_runs(selection))
+
+
+def summarised(runs: Sequence[ListedRun]) -> ShiftSummary:
+    """Summarise runs that are in the order they were made in; those that checked a station are left out."""
+    runs = [run for run in runs if not run.of_check]
+    return ShiftSummary(
+        _tally("", runs), _by(runs, lambda run: run.station), _by(runs, lambda run: run.recipe), _reasons(runs)
+    )
+
+
+def failed_limits(run: ListedRun) -> tuple[MetricKey, ...]:
+    """Return the limits for which a run counts as failed; none if it does not, or an operator alone decided so."""
+    return run.failed if run.verdict is Outcome.FAIL else ()
+
+
+def _by(runs: Sequence[ListedRun], name: Callable[[ListedRun], str]) -> tuple[Tally, ...]:
+    groups: dict[str, list[ListedRun]] = {}
+    for run in runs:
+        groups.setdefault(name(run), []).append(run)
+    return tuple(_tally(of, groups[of]) for of in sorted(groups))
+
+
+def _tally(name: str, runs: Sequence[ListedRun]) -> Tally:
+    counts = Counter(run.verdict for run in runs if run.finished)
+    passed = counts[Outcome.PASS] + counts[Outcome.MARGINAL]
+    decided = [run for run in runs if run.passed or run.verdict is Outcome.FAIL]
+    last = {(run.serial, run.recipe): run for run in decided}
+    first = [run for run in decided if not run.earlier]  # no finished run of the sensor before it
+    return Tally(
+        name=name,
+        runs=len(runs),
+        decided=len(decided),
+        passed=passed,
+        marginal=counts[Outcome.MARGINAL],
+        failed=counts[Outcome.FAIL],
+        not_measured=counts[Outcome.NOT_MEASURED],
+        not_judged=counts[Outcome.NOT_JUDGED],
+        no_result=counts[None],
+        not_finished=len(runs) - counts.total(),
+        overridden=sum(run.finished and run.decision is not None for run in runs),
+        sensors=len({run.serial for run in runs}),
+        test_yield=_share(list(last.values())),
+        first_pass_yield=_share(first),
+    )
+
+
+def _share(runs: Sequence[ListedRun]) -> Yield | None:
+    return passed_share(sum(run.passed for run in runs), len(runs)) if runs else None
+
+
+def _reasons(runs: Sequence[ListedRun]) -> tuple[FailureReason, ...]:
+    found: dict[tuple[str, str], list[str]] = {}
+    for run in runs:
+        if run.verdict is not Outcome.FAIL:
+            continue
+        for limit in [(key.label, key.title) for key in failed_limits(run)] or [("", BY_OPERATOR)]:
+            found.setdefault(limit, []).append(run.serial)
+    reasons = [FailureReason(*limit, len(set(serials)), len(serials)) for limit, serials in found.items()]
+    return tuple(sorted(reasons, key=lambda reason: (-reason.sensors, -reason.runs, reason.limit)))
