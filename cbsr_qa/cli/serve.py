@@ -1,5 +1,6 @@
 """``cbsr-qa serve``: the page of a line."""
 
+import webbrowser
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -26,7 +27,9 @@ def serve(
     name: Annotated[
         list[str] | None, typer.Option(help="Name by which other computers reach this one; may be repeated.")
     ] = None,
-    certificate: Annotated[Path | None, typer.Option(help="TLS certificate (PEM), needed with another --host.")] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="TLS certificate (PEM), needed with another --host.")
+    ] = None,
     key: Annotated[Path | None, typer.Option(help="Key of the certificate (PEM).")] = None,
     token_file: Annotated[
         Path | None, typer.Option(help="File with the token; by default one is made and kept in var/control.")
@@ -34,6 +37,7 @@ def serve(
     anyone_may_look: Annotated[
         bool, typer.Option("--anyone-may-look", help="Show the pages without the token; control needs it.")
     ] = False,
+    open_browser: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     database: Database = None,
 ) -> None:
     """Serve a page for whoever stands at the stations: start, watch and stop runs in a browser.
@@ -57,4 +61,10 @@ def serve(
         anyone_may_look=anyone_may_look,
         database=database,
     )
-    serve(request, lambda address: note(f"open {address}"))
+
+    def tell(address: str) -> None:
+        note(f"open {address}")
+        if open_browser:
+            webbrowser.open(address)
+
+    serve(request, tell)

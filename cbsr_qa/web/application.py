@@ -22,7 +22,7 @@ from cbsr_qa.web.guard import LOG, Access, Guard, Right
 from cbsr_qa.web.line import MOST_VIEWERS, Line, Viewer
 from cbsr_qa.web.pages import Pages, Part, picture_address
 from cbsr_qa.web.shift import sensor_page, shift_page
-from cbsr_qa.web.streams import EventStream, events
+from cbsr_qa.web.streams import EventStream
 from cbsr_qa.web.texts import text
 
 _KINDS: Final = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml", "png": "image/png"}
@@ -74,7 +74,7 @@ def make_application(line: Line, access: Access) -> Guard:
         CbsrError: site.refusal,
         Exception: site.broken,
     }
-    return Guard(Starlette(routes=routes, lifespan=open_line, exception_handlers=failed), access)  # type: ignore[arg-type]
+    return Guard(Starlette(routes=routes, lifespan=open_line, exception_handlers=failed), access)
 
 
 class Site:
@@ -128,7 +128,7 @@ class Site:
         if len(self._line.viewers) >= MOST_VIEWERS:
             LOG.warning("%s", text("refused.streams"))
             return PlainTextResponse(text("refused.streams"), HTTPStatus.SERVICE_UNAVAILABLE)
-        return EventStream(events(self._line, viewer, parts, picture))
+        return EventStream(self._line, viewer, parts, picture)
 
     async def image(self, request: Request) -> Response:
         live = self._line.stations[self._known(request)].live

@@ -30,7 +30,7 @@ def _look(store: Repository, run: str) -> RunLook:
 
 def report_response(database: str | None, run: str) -> Response:
     """Return the report of a run, as it was written."""
-    with open_store(database_url(database), create=False) as store:
+    with open_store(database_url(database)) as store:
         look = _look(store, run)
     try:
         page = (reports_folder() / report_name(look.serial, look.run)).read_bytes()
@@ -41,7 +41,7 @@ def report_response(database: str | None, run: str) -> Response:
 
 def calibration_response(database: str | None, run: str) -> Response:
     """Return the calibration file of a run, from the database."""
-    with open_store(database_url(database), create=False) as store:
+    with open_store(database_url(database)) as store:
         look = _look(store, run)
         own = [one.calibration for one in store.calibrations(look.serial) if one.run == run]
         stored = store.calibration_file(own[0]) if own else None

@@ -29,6 +29,8 @@ LOG: Final = logging.getLogger("cbsr_qa.web")
 MOST_BODY: Final = 16_384
 #: Longest path and query [B].
 MOST_TARGET: Final = 1_024
+#: Longest headers together [B].
+MOST_HEADERS: Final = 16_384
 #: How long a body may take [s].
 BODY_S: Final = 10.0
 
@@ -97,7 +99,7 @@ class Access:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal(Exception):
+class RefusedRequestError(Exception):
     """A request that is not answered."""
 
     status: int
@@ -111,13 +113,14 @@ class Guard:
         self._inner, self._access = inner, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
         if scope["type"] != "http":
             await self._inner(scope, receive, send)
             return
         try:
             scope["cbsr_right"] = self._checked(scope)
             body = await _body(receive) if scope["method"] not in ("GET", "HEAD") else b""
-        except Refusal as refusal:
+        except RefusedRequestError as refusal:
             LOG.warning("refused %s %s: %s", scope["method"], quote(scope["path"])[:120], refusal.words)
             await _answer(refusal, send)
             return
@@ -126,11 +129,13 @@ class Guard:
     def _checked(self, scope: Scope) -> Right:
         headers = _headers(scope)
         if headers.get(b"host", b"").decode("latin-1").lower() not in self._access.hosts:
-            raise Refusal(421, text("refused.host"))
+            raise RefusedRequestError(421, text("refused.host"))
         if len(scope.get("raw_path") or b"") + len(scope["query_string"]) > MOST_TARGET:
-            raise Refusal(414, text("refused.target"))
+            raise RefusedRequestError(414, text("refused.target"))
+        if sum(len(name) + len(value) for name, value in scope["headers"]) > MOST_HEADERS:
+            raise RefusedRequestError(431, text("refused.headers"))
         if scope["method"] not in ("GET", "HEAD", "POST"):
-            raise Refusal(405, text("refused.method"))
+            raise RefusedRequestError(405, text("refused.method"))
         right, by_cookie = self._right(headers)
         if scope["method"] == "POST":
             self._check_change(scope, headers, right, by_cookie)
@@ -142,7 +147,7 @@ class Guard:
         if kind.lower() == "bearer":
             if self._access.is_token(token.strip()):
                 return Right.CONTROL, False
-            raise Refusal(401, text("refused.token"))
+            raise RefusedRequestError(401, text("refused.token"))
         try:
             cookies = SimpleCookie(headers.get(b"cookie", b"").decode("latin-1"))
         except CookieError:
@@ -157,14 +162,14 @@ class Guard:
             host = headers[b"host"].decode("latin-1").lower()
             origin = headers.get(b"origin", b"").decode("latin-1").lower()
             if origin != f"{self._access.scheme}://{host}":
-                raise Refusal(403, text("refused.origin"))
+                raise RefusedRequestError(403, text("refused.origin"))
         if right < Right.CONTROL and scope["path"] != "/sign-in":
-            raise Refusal(401, text("refused.control"))
+            raise RefusedRequestError(401, text("refused.control"))
         if not headers.get(b"content-type", b"").startswith(b"application/x-www-form-urlencoded"):
-            raise Refusal(415, text("refused.form"))
+            raise RefusedRequestError(415, text("refused.form"))
         length = headers.get(b"content-length", b"0")
         if not length.isdigit() or int(length) > MOST_BODY:
-            raise Refusal(413, text("refused.body"))
+            raise RefusedRequestError(413, text("refused.body"))
 
 
 def _headers(scope: Scope) -> dict[bytes, bytes]:
@@ -176,18 +181,18 @@ def _headers(scope: Scope) -> dict[bytes, bytes]:
 
 
 async def _body(receive: Receive) -> bytes:
-    body = b""
+    body = bytearray()
     try:
         async with asyncio.timeout(BODY_S):
             while True:
                 message = await receive()
                 body += message.get("body", b"")
                 if len(body) > MOST_BODY:
-                    raise Refusal(413, text("refused.body"))
+                    raise RefusedRequestError(413, text("refused.body"))
                 if message["type"] == "http.disconnect" or not message.get("more_body", False):
-                    return body
+                    return bytes(body)
     except TimeoutError:
-        raise Refusal(408, text("refused.slow")) from None
+        raise RefusedRequestError(408, text("refused.slow")) from None
 
 
 def _replayed(body: bytes, receive: Receive) -> Receive:
@@ -211,7 +216,7 @@ def _with_headers(send: Send) -> Send:
     return sent
 
 
-async def _answer(refusal: Refusal, send: Send) -> None:
+async def _answer(refusal: RefusedRequestError, send: Send) -> None:
     body = f"{refusal.words}\n".encode()
     headers = [
         (b"content-type", b"text/plain; charset=utf-8"),

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from time import monotonic
 from typing import Final
 
@@ -163,7 +164,9 @@ class LiveRun:
             Place(
                 step.step.load,
                 self._seen.get((grid.index, step.load)),
-                current == grid.index and (grid.index, step.load) not in self._seen and step.step.load.label == pressed,
+                current == grid.index
+                and (grid.index, step.load) not in self._seen
+                and step.step.load.label == pressed,
             )
             for step in presses
             if isinstance(step.step, Press) and step.load is not None
@@ -195,9 +198,7 @@ class LiveRun:
         phase = next((phase for phase in tail.phases if phase.unloaded_from_s is not None), None)
         if phase is None or phase.unloaded_from_s is None or self._no_image:
             return
-        pressed = min(
-            (load.press_start_s for index, load in tail.loads if index == phase.index), default=_NEVER_S
-        )
+        pressed = min((load.press_start_s for index, load in tail.loads if index == phase.index), default=_NEVER_S)
         settings = self.configuration.recipe.analysis
         unloaded = self._store.frames_between(self.run, phase.index, phase.unloaded_from_s, pressed)
         if unloaded is None or len(unloaded) <= settings.noise_floor_frames:
@@ -257,7 +258,7 @@ def thinned(trace: Sequence[tuple[float, float]], most: int = 240) -> tuple[tupl
         return tuple(points)
     kept: list[tuple[float, float]] = []
     edges = np.linspace(0, len(points), most // 2 + 1).astype(int)
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
+    for start, end in pairwise(edges):
         stretch = points[start:end]
         kept += sorted({min(stretch, key=lambda point: point[1]), max(stretch, key=lambda point: point[1])})
     return tuple(kept)

@@ -232,7 +232,9 @@ class Pages:
         trouble = self._line.trouble or _trouble(own["s"])
         keys = json.dumps({part.place: part.key for part in self.station_parts(name)})
         stream = f"{_base(name)}/events"
-        return self.page("station", control=control, here=name, stream=stream, keys=keys, **own | {"trouble": trouble})
+        return self.page(
+            "station", control=control, here=name, stream=stream, keys=keys, **own | {"trouble": trouble}
+        )
 
     def gate(self, station: str, wanted: StartForm) -> str:
         """Render what is said of a sensor before its run."""

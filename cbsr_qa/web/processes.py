@@ -70,7 +70,7 @@ def start_run(station: str, arguments: Sequence[str], what: str) -> Started:
     program = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "run", *arguments]
     unit = f"cbsr-qa-run-{log.stem}".replace(".", "_")
     with log.open("xb") as output:
-        process = subprocess.Popen(  # noqa: S603 - arguments are checked values, and no shell reads them
+        process = subprocess.Popen(  # arguments are checked values, and no shell reads them
             [*_own_unit(unit), *program],
             stdin=subprocess.DEVNULL,
             stdout=output,
@@ -94,7 +94,7 @@ def _scope() -> tuple[str, ...]:
         return ()
     manager = () if os.geteuid() == 0 else ("--user",)
     scope = (program, *manager, "--scope", "--quiet", "--collect")
-    tried = subprocess.run([*scope, "true"], capture_output=True, check=False, timeout=10)  # noqa: S603
+    tried = subprocess.run([*scope, "true"], capture_output=True, check=False, timeout=10)
     if tried.returncode:
         LOG.warning("runs get no unit of their own (systemd-run: %s); KillMode=process keeps them", tried.stderr)
         return ()

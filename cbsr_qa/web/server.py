@@ -116,7 +116,7 @@ class _Unhurried(H11Protocol):
         self.loop.call_later(_HEAD_S, self._leave_idle)
 
     def _leave_idle(self) -> None:
-        if self.cycle is None and not self.transport.is_closing():
+        if getattr(self, "cycle", None) is None and not self.transport.is_closing():
             self.transport.close()
 
 

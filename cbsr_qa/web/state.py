@@ -132,14 +132,11 @@ def mode_of(control: Control | None, look: RunLook | None, *, held: bool, starti
             return Mode.ASKING
         return Mode.RUNNING if control.paused_by is None else Mode.PAUSED
     if held or starting:
-        if look is not None and look.end is EndReason.FINISHED and look.outcome is None:
-            return Mode.CONCLUDING
-        if control is not None:
+        unjudged = look is not None and look.end is EndReason.FINISHED and look.outcome is None
+        if unjudged or control is not None:
             return Mode.CONCLUDING
         return Mode.STARTING if starting else Mode.HELD
-    if look is None:
-        return Mode.READY
-    return Mode.INTERRUPTED if look.outcome is None else Mode.DONE
+    return Mode.READY if look is None else Mode.INTERRUPTED if look.outcome is None else Mode.DONE
 
 
 def _ended(control: Control, look: RunLook | None) -> bool:
@@ -174,7 +171,9 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
         ends_at=_ends_at(state),
         paused_by=None if paused is None else str(paused.get("by") or ""),
         pause_wanted_by=str(wanted) if wanted else None,
-        prompt=None if prompt is None else Prompt(int(prompt["prompt"]), str(prompt["text"]), bool(prompt["picture"])),
+        prompt=None
+        if prompt is None
+        else Prompt(int(prompt["prompt"]), str(prompt["text"]), bool(prompt["picture"])),
         warnings=tuple(map(str, state.get("warnings") or ())),
     )
 

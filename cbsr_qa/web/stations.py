@@ -96,5 +96,3 @@ def _check_unique(noun: str, named: Sequence[tuple[str, str]]) -> None:
                 f"{seen[name]} and {source} are both {noun} {name!r}", remedy=f"give each {noun} a name of its own"
             )
         seen[name] = source
-
-

@@ -18,9 +18,7 @@ _HERE_S: Final = 5.0
 _SLOW_S: Final = 30.0
 
 
-async def events(
-    line: Line, viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]
-) -> AsyncIterator[bytes]:
+async def events(viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]) -> AsyncIterator[bytes]:
     """Yield the events of a page until it is closed.
 
     Parameters
@@ -30,25 +28,21 @@ async def events(
     """
     sent: dict[str, str] = {}
     shown = ""
-    line.viewers.add(viewer)
-    try:
-        yield b"retry: 500\n\n"
-        while True:
-            viewer.news.clear()
-            fresh = _fresh(parts(), sent)
-            address = picture()
-            if fresh or address != shown:
-                document: dict[str, Any] = {"parts": [[part.place, part.html, part.key] for part in fresh]}
-                if address != shown:
-                    document["picture"] = shown = address
-                yield f"data: {json.dumps(document)}\n\n".encode()
-            try:
-                async with asyncio.timeout(_HERE_S):
-                    await viewer.news.wait()
-            except TimeoutError:
-                yield b"event: here\ndata: \n\n"
-    finally:
-        line.viewers.discard(viewer)
+    yield b"retry: 500\n\n"
+    while True:
+        viewer.news.clear()
+        fresh = _fresh(parts(), sent)
+        address = picture()
+        if fresh or address != shown:
+            document: dict[str, Any] = {"parts": [[part.place, part.html, part.key] for part in fresh]}
+            if address != shown:
+                document["picture"] = shown = address
+            yield f"data: {json.dumps(document)}\n\n".encode()
+        try:
+            async with asyncio.timeout(_HERE_S):
+                await viewer.news.wait()
+        except TimeoutError:
+            yield b"event: here\ndata: \n\n"
 
 
 def _fresh(parts: list[Part], sent: dict[str, str]) -> list[Part]:
@@ -60,14 +54,24 @@ def _fresh(parts: list[Part], sent: dict[str, str]) -> list[Part]:
 
 
 class EventStream(StreamingResponse):
-    """A stream that leaves a client which does not read it."""
+    """The stream of a page. It counts from the start, and leaves a client that does not read it."""
 
     media_type = "text/event-stream"
+
+    def __init__(
+        self, line: Line, viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]
+    ) -> None:
+        super().__init__(events(viewer, parts, picture))
+        self._line, self._viewer = line, viewer
+        line.viewers.add(viewer)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def in_time(message: Any) -> None:
             async with asyncio.timeout(_SLOW_S):
                 await send(message)
 
-        with suppress(TimeoutError):  # starlette unwraps a group of one error
-            await super().__call__(scope, receive, in_time)
+        try:
+            with suppress(TimeoutError):  # starlette unwraps a group of one error
+                await super().__call__(scope, receive, in_time)
+        finally:
+            self._line.viewers.discard(self._viewer)

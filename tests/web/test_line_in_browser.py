@@ -48,7 +48,7 @@ def test_a_sensor_is_tested_by_keyboard_from_scan_to_verdict(line, pages):
     _accessible(viewer)
     expect(page.locator(".verdict")).to_contain_text("Passed")
     expect(page.locator(".verdict")).to_contain_text("KEY-1")
-    expect(page.locator(".verdict .reason")).to_contain_text("area overlap")
+    expect(page.locator(".verdict .reason")).to_contain_text("limits are met")
     expect(viewer.locator(".verdict h2")).to_contain_text("Passed")
     page.shot("verdict-passed")
     _accessible(page)

@@ -94,7 +94,5 @@ class LivePreview:
         if seen is None or region is None:
             return PlacePreview(None, None, "not seen")
         ratio = region.area_mm2 / self.indenter.area_mm2
-        band = overlap_grade(
-            seen.overlap_percent, ratio, bands=chosen.overlap_bands, size_ratio=chosen.size_ratio
-        )
+        band = overlap_grade(seen.overlap_percent, ratio, bands=chosen.overlap_bands, size_ratio=chosen.size_ratio)
         return PlacePreview(seen.error_mm, seen.overlap_percent, band)

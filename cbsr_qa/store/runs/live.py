@@ -178,7 +178,8 @@ class ChangeNotice:
         """Whether something was written since the last call; True the first time. StoreError if it is unreachable."""
         with translated(self._engine.url):
             now = self._version()
-        changed, self._seen = now != self._seen, now
+        changed: bool = now != self._seen
+        self._seen = now
         return changed
 
     def close(self) -> None:
@@ -211,7 +212,7 @@ def _last(rows: list[Any], before: tuple[int, int]) -> tuple[int, int]:
 
 def _phases(connection: Connection, run: str) -> tuple[LivePhase, ...]:
     query = select(UnloadedMarkRow.phase, UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == run)
-    marks = {phase: time_s for phase, time_s in connection.execute(query.order_by(UnloadedMarkRow.mark))}
+    marks = {row.phase: row.time_s for row in connection.execute(query.order_by(UnloadedMarkRow.mark))}
     phases = select(*PhaseRow.__table__.columns).where(PhaseRow.run == run).order_by(PhaseRow.phase)
     return tuple(
         of_row(
