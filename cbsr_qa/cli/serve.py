@@ -40,9 +40,9 @@ def serve(
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     database: Database = None,
 ) -> None:
-    """Serve a page for whoever stands at the stations: start, watch and stop runs in a browser.
+    """Serve a page for the operators of stations: start, watch and stop runs in a browser.
 
-    Each run is a process of its own, which goes on when this command ends.
+    Each run is a separate process, which goes on when this command ends.
     """
     missing = [library for library in _NEEDED if find_spec(library) is None]
     if missing:

@@ -1,4 +1,4 @@
-"""The page of a line: who stands at the stations sees and starts runs in a browser; see docs/decisions/0041."""
+"""The page of a line: operators see and start runs in a browser; see docs/decisions/0041."""
 
 from cbsr_qa import door
 

@@ -96,7 +96,7 @@ def _scope() -> tuple[str, ...]:
     scope = (program, *manager, "--scope", "--quiet", "--collect")
     tried = subprocess.run([*scope, "true"], capture_output=True, check=False, timeout=10)
     if tried.returncode:
-        LOG.warning("runs get no unit of their own (systemd-run: %s); KillMode=process keeps them", tried.stderr)
+        LOG.warning("systemd-run makes no units for runs (%s); KillMode=process keeps runs alive", tried.stderr)
         return ()
     return scope
 

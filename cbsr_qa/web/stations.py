@@ -93,6 +93,6 @@ def _check_unique(noun: str, named: Sequence[tuple[str, str]]) -> None:
     for name, source in named:
         if name in seen:
             raise ConfigError(
-                f"{seen[name]} and {source} are both {noun} {name!r}", remedy=f"give each {noun} a name of its own"
+                f"{seen[name]} and {source} are both {noun} {name!r}", remedy=f"give each {noun} its own name"
             )
         seen[name] = source
