@@ -48,6 +48,11 @@ class Line:
         """Why the store cannot be read; empty if it can."""
         return self._watcher.trouble
 
+    def in_progress(self) -> frozenset[str]:
+        """Return the runs that are going on."""
+        shown = (one.snapshot for one in self.stations.values())
+        return frozenset(one.look.run for one in shown if one is not None and one.look is not None and one.mode.live)
+
     async def open(self) -> None:
         """Begin to watch."""
         self._loop = asyncio.get_running_loop()

@@ -82,8 +82,10 @@ def verdict_kind(snapshot: Snapshot) -> str:
     return "none" if look.outcome is None else str(look.outcome).replace(" ", "_")
 
 
-def listed_kind(run: ListedRun) -> str:
+def listed_kind(run: ListedRun, in_progress: frozenset[str]) -> str:
     """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
+    if run.run in in_progress:
+        return "running"
     if not run.finished:
         return "interrupted" if run.end is EndReason.RUNNING else str(run.end)
     return "none" if run.verdict is None else str(run.verdict).replace(" ", "_")
@@ -214,7 +216,11 @@ class Pages:
 
     def page(self, template: str, *, control: bool, here: str = "", stream: str = "", **names: Any) -> str:
         """Render a whole page."""
-        common = {"stations": list(self._line.stations), "trouble": self._line.trouble}
+        common = {
+            "stations": list(self._line.stations),
+            "trouble": self._line.trouble,
+            "in_progress": self._line.in_progress(),
+        }
         return self._environment.get_template(f"{template}.html.j2").render(
             common | {"control": control, "here": here, "stream": stream, "keys": "{}"} | names
         )

@@ -21,9 +21,9 @@ from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.texts import text
 
 #: Between looks whether anything was written [s].
-_LOOK_S: Final = 0.05
+_LOOK_S: Final = 0.03
 #: Between images of one station at least [s].
-_IMAGE_S: Final = 0.2
+_IMAGE_S: Final = 0.1
 #: Between snapshots of a station of which nothing is heard [s].
 _QUIET_S: Final = 1.0
 #: Between looks at what changes by the hour [s].

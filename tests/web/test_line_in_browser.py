@@ -32,6 +32,7 @@ def _accessible(page):
     assert not [one for one in serious if one], serious
 
 
+@pytest.mark.rest
 def test_a_sensor_is_tested_by_keyboard_from_scan_to_verdict(line, pages):
     page = pages("/stations/bench-1")
     page.shot("ready")
@@ -67,6 +68,7 @@ def test_a_sensor_is_tested_by_keyboard_from_scan_to_verdict(line, pages):
     _accessible(page)
 
 
+@pytest.mark.rest
 def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     page, other = pages("/stations/bench-2"), pages("/stations/bench-2")
     _scan(page, "ASK-1", "asking")
