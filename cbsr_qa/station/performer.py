@@ -176,11 +176,12 @@ class Performer:
         """
         self.finish_load()
         start_s = self._clock.now()
-        by = desk.begin_pause(start_s)
+        by = desk.pause_wanted()
         if by is None:
             return False
         self._at = before
         self._documents.emit(RunPaused(before.phase, start_s, by))
+        desk.begin_pause(by, start_s)
         with self.spent.on(Activity.PAUSE, self._clock):
             while (continued := desk.continued()) is None:
                 self._wait_at_most(self._watch.next_look_s(), desk)

@@ -3,7 +3,8 @@
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Generic, TypeVar
+from pathlib import Path
+from typing import Generic, TypeVar, cast
 
 from cbsr_qa.domain.run import PromptAnswered, PromptShown
 from cbsr_qa.station.control import ControlDesk, Question
@@ -55,7 +56,7 @@ class OperatorPrompt(Generic[A]):
     def __call__(self, text: str, picture: str = "") -> A:
         question = Question(self._next, text, picture)
         self._next += 1
-        self._tell(lambda phase, now_s: PromptShown(phase, question.prompt, text, picture, now_s))
+        self._tell(lambda phase, now_s: PromptShown(phase, question.prompt, text, Path(picture).name, now_s))
         self._waiting = True
         try:
             answer, by = self._answered(question)
@@ -64,10 +65,10 @@ class OperatorPrompt(Generic[A]):
         self._tell(lambda phase, now_s: PromptAnswered(phase, question.prompt, str(answer), by, now_s))
         return answer
 
-    def _answered(self, question: Question) -> tuple[Any, str]:
+    def _answered(self, question: Question) -> tuple[A, str]:
         if self._desk is not None and self._desk.answers:
             answer = self._desk.ask(question)
-            return answer.text, answer.by
+            return cast(A, answer.text), answer.by  # people's answers are text wherever they give them
         assert self._ask is not None  # never called without an operator
         if self._desk is not None:
             self._desk.show(question)

@@ -25,9 +25,11 @@ from cbsr_qa.domain.run import (
     RunEnded,
     RunEvent,
     RunIdentity,
+    RunRecord,
     RunStarted,
 )
 from cbsr_qa.plugin import Plugins, left_running
+from cbsr_qa.report import duration
 from cbsr_qa.station import (
     DryRun,
     LoadKey,
@@ -311,6 +313,7 @@ def _concluded(
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     conclusion = evaluate_run(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
+    paused = _paused(record)
     charts = charts_after(store, record.identity, conclusion.measurements)
     calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
     result = filled(
@@ -323,6 +326,7 @@ def _concluded(
         warnings=(
             *conclusion.warnings,
             *warnings,
+            *paused,
             *map(str, plugins.failures),
             *left_running(threads),
             *(charts.warnings() if charts else ()),
@@ -339,3 +343,14 @@ def _concluded(
     store.save_result(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
     return write_outputs(result, recipe, plugins, stages, configuration.seed, resume=resume)
+
+
+def _paused(record: RunRecord) -> Iterator[str]:
+    """Yield a note if pauses made rests before presses longer than the recipe says."""
+    lasted_s = [pause.duration_s for pause in record.pauses if pause.duration_s is not None]
+    if lasted_s:
+        times = "once" if len(lasted_s) == 1 else f"{len(lasted_s)} times"
+        yield (
+            f"the run was paused {times}, for {duration(sum(lasted_s))} in all: the sheet rested longer than the"
+            " recipe states before the press that followed"
+        )

@@ -72,7 +72,7 @@ class ControlDesk:
                 raise RefusedError(f"{self._wanted_by} has asked for a pause already; the load under way ends first")
             if self._brakes is None:
                 raise RefusedError("the run does not move now, so it cannot be paused")
-            self._wanted_by = by
+            self._wanted_by, self._continued_by = by, None
         self._wake()
 
     def resume(self, by: str) -> None:
@@ -80,9 +80,7 @@ class ControlDesk:
         with self._lock:
             if self._paused is None and self._wanted_by is None:
                 raise RefusedError("the run is not paused")
-            self._wanted_by = None
-            if self._paused is not None:
-                self._continued_by = by
+            self._wanted_by, self._continued_by = None, by
         self._wake()
 
     def stop(self, by: str) -> None:
@@ -102,9 +100,10 @@ class ControlDesk:
         """Make the bench safe at once."""
         with self._lock:
             brakes = self._brakes
-            self._stopped_by = self._stopped_by or by
         if brakes is None or not brakes.emergency(by):
             raise RefusedError("the run does not move now: there is nothing to stop")
+        with self._lock:
+            self._stopped_by = self._stopped_by or by
         self._wake()
 
     def answer(self, prompt: int, text: str, by: str) -> None:
@@ -147,17 +146,15 @@ class ControlDesk:
             self._brakes = self._paused = self._wanted_by = None
         self._wake()
 
-    def pause_wanted(self) -> bool:
-        return self._wanted_by is not None
+    def pause_wanted(self) -> str | None:
+        """Return who wants a pause; None if nobody does, or the request was withdrawn."""
+        return self._wanted_by
 
-    def begin_pause(self, now_s: float) -> str | None:
-        """Begin the requested pause and return who asked for it; None if the request was withdrawn."""
+    def begin_pause(self, by: str, now_s: float) -> None:
+        """State that the run is paused, and that this is stored."""
         with self._lock:
-            by, self._wanted_by, self._continued_by = self._wanted_by, None, None
-            if by is not None:
-                self._paused = by, now_s
+            self._wanted_by, self._paused = None, (by, now_s)
         self._wake()
-        return by
 
     def continued(self) -> str | None:
         """Return who has ended the pause; None while it lasts."""
