@@ -143,6 +143,9 @@ def _discard_the_rest(stream: TextIO) -> None:
         os.close(nowhere)
 
 
+#: Of a line with a PIN [characters]; a longer one is no PIN.
+_LONGEST_PIN_LINE: Final = 1000
+
 #: Answers that end the run instead of being passed on.
 STOP: Final = ("stop", "abort")
 
@@ -168,6 +171,23 @@ def ask_operator(text: str) -> str:
     if line.strip().lower() in STOP:
         raise AbortedError(f"the operator, who answered {line.strip()!r}")
     return line.strip()
+
+
+def read_pin(text: str) -> str:
+    """Return what is typed at the terminal without showing it, or the first line of stdin if that is no terminal.
+
+    Empty where the input has ended.
+    """
+    if sys.stdin is None:
+        return ""
+    if not sys.stdin.isatty():
+        return sys.stdin.readline(_LONGEST_PIN_LINE).rstrip("\r\n")
+    from getpass import getpass
+
+    try:
+        return getpass(f"{text}: ", stream=sys.stderr)
+    except EOFError:
+        return ""
 
 
 class Counting:

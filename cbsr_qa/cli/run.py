@@ -7,12 +7,15 @@ import typer
 
 from cbsr_qa.cli.command import command, document
 from cbsr_qa.cli.options import AsJson, Database, given_options, one_of, option_names
-from cbsr_qa.cli.output import announce, note, operator_at_terminal, show
+from cbsr_qa.cli.output import announce, note, operator_at_terminal, read_pin, show
 from cbsr_qa.cli.supervised import begun
 
 #: Options a new run requires, and those allowed with --resume.
 _NEEDED = ("station", "recipe", "serial")
-_WITH_RESUME = ("resume", "operator", "database", "as_json", "prompts")
+_WITH_RESUME = (
+    *("resume", "station", "operator", "override", "override_by", "override_why"),
+    *("database", "as_json", "prompts"),
+)
 
 
 class Prompts(StrEnum):
@@ -48,6 +51,12 @@ def run(
     resume: Annotated[
         str | None, typer.Option(metavar="RUN", help="Resume an interrupted run with its original settings.")
     ] = None,
+    override: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHECK", help="Check of the gate that may not refuse this run; may be repeated."),
+    ] = None,
+    override_by: Annotated[str, typer.Option(metavar="NAME", help="Who overrides.")] = "",
+    override_why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for the override.")] = "",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what the run would do; nothing moves.")] = False,
     prompts: Annotated[
         str, typer.Option(hidden=True, help="Where prompts are answered: terminal, or channel (control channel).")
@@ -56,12 +65,15 @@ def run(
 ) -> int:
     """Test one sensor: store the run, give a verdict, write a report and, if it passed, its calibration file.
 
-    Requires --station, --recipe and --serial, or else --resume, which allows only --operator, --database and --json.
+    Requires --station, --recipe and --serial, or else --resume, which allows only --operator, --database, --json,
+    --station and the overrides: a resumed run keeps its settings, and the station file is read for the gate alone.
     """
     _check_given(context, resuming=resume is not None)
     answers = one_of(Prompts, prompts, "--prompts") is Prompts.CHANNEL
+    from cbsr_qa.app.gate import Override
     from cbsr_qa.app.run import RunRequest, plan_outcome, plan_run, resume_run, run_outcome, run_sensor
 
+    overridden = Override(tuple(override or ()), override_by, override_why)
     if resume is not None:
         begun(resume, database)
         outcome = resume_run(
@@ -71,6 +83,9 @@ def run(
             tell=announce,
             ask=operator_at_terminal(),
             answers=answers,
+            station=station or None,
+            override=overridden,
+            pin=read_pin,
         )
         return show(run_outcome(outcome), as_json=as_json)
 
@@ -85,6 +100,7 @@ def run(
         seed=seed,
         database=database,
         why=why,
+        override=overridden,
     )
     if dry_run:
         planned = plan_run(request, attended=answers or operator_at_terminal() is not None)
@@ -98,6 +114,7 @@ def run(
         ask=operator_at_terminal(),
         begun=lambda run: begun(run, database),
         answers=answers,
+        pin=read_pin,
     )
     return show(run_outcome(outcome), as_json=as_json)
 
@@ -110,7 +127,7 @@ def _check_given(context: typer.Context, *, resuming: bool) -> None:
         if extra:
             context.fail(
                 f"a run is resumed with the options it began with: {option_names(extra)} cannot be given with"
-                " --resume (--operator, --database and --json can)"
+                " --resume (--operator, --database, --json, --station and --override can)"
             )
         return
     missing = [name for name in _NEEDED if name not in given]

@@ -7,7 +7,7 @@ import typer
 
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
-from cbsr_qa.cli.output import announce, operator_at_terminal, show
+from cbsr_qa.cli.output import announce, operator_at_terminal, read_pin, show
 
 group("station", "Check stations, and pause or stop the runs at them.")
 
@@ -64,7 +64,7 @@ def check(
         seed=seed,
         database=database,
     )
-    checked = check_station(request, ask=operator_at_terminal(), tell=announce)
+    checked = check_station(request, ask=operator_at_terminal(), tell=announce, pin=read_pin)
     raise typer.Exit(show(checked, as_json=as_json))
 
 

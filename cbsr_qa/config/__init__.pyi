@@ -19,7 +19,10 @@ from .loader import (
 from .material import material_text as material_text
 from .merging import (
     Configuration as Configuration,
+    FileContent as FileContent,
     canonical_json as canonical_json,
+    configured_files as configured_files,
+    content_digest as content_digest,
     merge as merge,
     restore as restore,
 )
@@ -35,6 +38,7 @@ from .paths import (
 )
 from .scene_checks import check_plan as check_plan, edge_remarks as edge_remarks
 from .serials import (
+    fits_pattern as fits_pattern,
     validate_batch as validate_batch,
     validate_operator as validate_operator,
     validate_reason as validate_reason,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
+from cbsr_qa.config.gate import without_operators
 from cbsr_qa.config.limits import with_limits
 from cbsr_qa.config.material import MaterialFile
 from cbsr_qa.config.recipe import RecipeFile, with_picture
@@ -80,6 +81,8 @@ class Loaded(Generic[T]):
 def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Station]:
     """Load a station. References of its instruments to files next to it become full paths.
 
+    The document leaves out the list of operators, see :mod:`cbsr_qa.config.gate`.
+
     Parameters
     ----------
     plugins : to check plugin options as well; the same for every loader here.
@@ -91,7 +94,8 @@ def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Stati
     """
     loaded = _load(DocumentKind.STATION, StationFile, source, None, plugins)
     instruments = tuple(resolved_options(i, loaded.folder) for i in loaded.value.instruments)
-    return Loaded(replace(loaded.value, instruments=instruments), loaded.document)
+    document = replace(loaded.document, data=without_operators(loaded.document.data))
+    return Loaded(replace(loaded.value, instruments=instruments), document)
 
 
 def load_recipe(source: Source, plugins: Plugins | None = None) -> Loaded[Recipe]:

@@ -5,13 +5,16 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time
-from typing import Any
+from typing import Any, Self
 
+from cbsr_qa.config.documents import DocumentKind
 from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_scene, load_sensor_type, load_station
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import Recipe, Scene, Station
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.plugin import Plugins
+
+_OF_A_RUN = (DocumentKind.STATION, DocumentKind.RECIPE, DocumentKind.SENSOR_TYPE, DocumentKind.MATERIAL)
 
 #: Version of the document's layout.
 LAYOUT = 1
@@ -27,6 +30,7 @@ class Configuration:
     seed : of the run.
     canonical : all files' content as canonical JSON (keys sorted, no blanks); paths of files are not in it,
         so the same content gives the same digest wherever it lies.
+    serial_pattern : regular expression that serial numbers of the sensor type match; empty for any.
     """
 
     station: Station
@@ -35,6 +39,7 @@ class Configuration:
     material: Material
     seed: int
     canonical: str
+    serial_pattern: str = ""
 
     @property
     def digest(self) -> str:
@@ -86,6 +91,7 @@ def merge(
         material.value,
         seed,
         canonical_json(content),
+        _serial_pattern(sensor_type.document.data),
     )
 
 
@@ -120,7 +126,35 @@ def restore(canonical: str) -> Configuration:
         load_material(content["material"]).value,
         int(content["seed"]),
         canonical,
+        _serial_pattern(content["sensor_type"]),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class FileContent:
+    """One file of a configuration: its kind, the name it states, and the SHA-256 of its content."""
+
+    kind: str
+    name: str
+    sha256: str
+
+    @classmethod
+    def of(cls, kind: DocumentKind, data: Mapping[str, Any]) -> Self:
+        return cls(kind.noun, str(data[kind.table]["name"]), content_digest(data))
+
+
+def content_digest(data: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a file's content, which comments and the order of keys do not change."""
+    return hashlib.sha256(canonical_json(data).encode()).hexdigest()
+
+
+def configured_files(configuration: Configuration) -> tuple[FileContent, ...]:
+    """Return the files that a run is configured by: station, recipe, sensor type, material, and scenes once each."""
+    content = json.loads(configuration.canonical)
+    named = {kind: content[kind.table] for kind in _OF_A_RUN}
+    scenes = [*content["scenes"].values(), *([content["emulated_scene"]] if "emulated_scene" in content else [])]
+    found = [FileContent.of(kind, data) for kind, data in named.items()]
+    return tuple(dict.fromkeys([*found, *(FileContent.of(DocumentKind.SCENE, data) for data in scenes)]))
 
 
 def canonical_json(content: Any) -> str:
@@ -134,6 +168,10 @@ def canonical_json(content: Any) -> str:
     return json.dumps(
         content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False, default=_plain
     )
+
+
+def _serial_pattern(sensor_type: Mapping[str, Any]) -> str:
+    return str(sensor_type["sensor_type"].get("serial_pattern", ""))
 
 
 def _plain(value: object) -> object:

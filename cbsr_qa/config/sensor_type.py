@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, PlainValidator
+from pydantic import AfterValidator, Field, PlainValidator
 
+from cbsr_qa.config.serials import check_serial_pattern
 from cbsr_qa.config.tables import FileModel
 from cbsr_qa.domain import CbsrError, RefusedError
 from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline, polygon_problems, rounding_problems
@@ -66,6 +67,7 @@ class SensorTypeTable(Table):
     mesh: Annotated[Any, PlainValidator(_mesh)] = None
     thickness_mm: Positive
     response: Literal["increase", "decrease", "auto"] = "auto"
+    serial_pattern: Annotated[str, AfterValidator(check_serial_pattern)] | None = None
 
 
 class ElectrodesTable(Table):

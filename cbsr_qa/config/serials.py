@@ -2,6 +2,7 @@
 
 import re
 import unicodedata
+from typing import Any
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.plugin import echo
@@ -10,6 +11,9 @@ LONGEST = 64
 
 #: Of a reason, which is a sentence or two.
 LONGEST_REASON = 500
+
+#: Of a pattern of serial numbers [characters].
+LONGEST_PATTERN = 200
 
 _IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -71,6 +75,33 @@ def validate_reason(text: str) -> str:
             remedy=f"allowed: one line of up to {LONGEST_REASON} characters",
         )
     return text.strip()
+
+
+def check_serial_pattern(pattern: str) -> str:
+    """Return a valid pattern of serial numbers. ValueError if it is too long, or RE2 does not know it."""
+    if len(pattern) > LONGEST_PATTERN:
+        raise ValueError(f"it must have at most {LONGEST_PATTERN} characters")
+    if not pattern:
+        raise ValueError("it must not be empty; leave the key out to allow every serial number")
+    _compiled(pattern)
+    return pattern
+
+
+def fits_pattern(pattern: str, serial: str) -> bool:
+    """Whether the whole of a serial number matches a pattern; the time grows with its length, for any pattern."""
+    return _compiled(pattern).fullmatch(serial) is not None
+
+
+def _compiled(pattern: str) -> Any:
+    import re2  # Python's own ``re`` takes years for some patterns and a serial number of 64 characters
+
+    options = re2.Options()
+    options.log_errors = False
+    try:
+        return re2.compile(pattern, options)
+    except re2.error as error:
+        why = error.args[0].decode("utf-8", "replace") if isinstance(error.args[0], bytes) else str(error)
+        raise ValueError(f"it must be a regular expression of RE2: {why}") from None
 
 
 def _identifier(noun: str, text: str) -> str:

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field
 
 from cbsr_qa.config.choices import Choice, chosen
 from cbsr_qa.config.documents import reference_path
+from cbsr_qa.config.gate import GateTable
 from cbsr_qa.config.tables import FileModel, OpenTable, Word, as_domain
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing, SafetyLimits, Station
@@ -47,7 +48,7 @@ class StationTable(Table):
     clock_speed: Annotated[float, Field(ge=1, le=1e5)] | None = None
     sensor_type: Name
     material: Name
-    overdue: Literal["warn", "refuse"] = "warn"
+    overdue: Literal["warn", "refuse"] | None = None
 
     def problems(self) -> Iterator[Problem]:
         if self.clock_speed is not None and self.clock != "virtual":
@@ -167,6 +168,7 @@ class StationFile(FileModel[Station]):
     instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
     emulation: EmulationTable | None = None
     reference_ring: ReferenceRingTable | None = None
+    gate: GateTable = Field(default_factory=GateTable)
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
@@ -184,6 +186,10 @@ class StationFile(FileModel[Station]):
         yield from self._unemulated()
         if self.reference_ring is not None:
             yield from self.reference_ring.problems()
+        yield from self.gate.problems()
+        if self.station.overdue is not None and self.gate.calibration_due is not None:
+            what = "is given beside station.overdue, its earlier spelling; give one of them"
+            yield Problem(("gate", "calibration_due"), what)
         filled: dict[str, str] = {}
         for name, table in self.instruments.items():
             for role in table.provides:
@@ -222,6 +228,7 @@ class StationFile(FileModel[Station]):
             ),
             emulated_scene=None if self.emulation is None else self.emulation.scene,
             reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),
+            gate=self.gate.to_domain(self.station.overdue),
         )
 
 

@@ -5,7 +5,7 @@ from .discovery import (
     left_running as left_running,
 )
 from .failures import Interruption as Interruption, contained as contained, failure as failure, said as said
-from .hooks import Kind as Kind, Register as Register, hookimpl as hookimpl
+from .hooks import Kind as Kind, Register as Register, Veto as Veto, hookimpl as hookimpl
 from .instruments import (
     Addressed as Addressed,
     Alive as Alive,

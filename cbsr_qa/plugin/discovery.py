@@ -2,6 +2,7 @@
 
 import importlib
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -13,7 +14,7 @@ import pluggy
 from cbsr_qa.domain import AbortedError, ConfigError, PluginError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.plugin import hooks as hookspecs
-from cbsr_qa.plugin.failures import contained, failure
+from cbsr_qa.plugin.failures import contained, failure, said
 from cbsr_qa.plugin.hooks import PROJECT, Kind
 from cbsr_qa.plugin.options import options_of
 
@@ -113,6 +114,38 @@ class Plugins:
                 if may_abort and isinstance(error, AbortedError):
                     raise
                 warn(f"plugin {implementation.plugin_name} failed in {hook}: {failure(error)}")
+
+    def ask(self, hook: str, limit_s: float, **arguments: object) -> list[tuple[str, object, str]]:
+        """Ask every implementation of a hook at once, each in a thread of its own.
+
+        Parameters
+        ----------
+        limit_s : how long to wait for all of them [s]; a thread that has not answered is left behind.
+
+        Returns
+        -------
+        Name of the plugin, its answer, and why there is none (empty where there is one).
+        """
+        implementations = getattr(self.manager.hook, hook).get_hookimpls()
+        answers: list[tuple[object, str] | None] = [None] * len(implementations)
+
+        def call(number: int) -> None:
+            one = implementations[number]
+            try:
+                answers[number] = one.function(**{name: arguments[name] for name in one.argnames}), ""
+            except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+                answers[number] = None, said(error)
+
+        threads = [threading.Thread(target=call, args=(n,), daemon=True) for n in range(len(implementations))]
+        for thread in threads:
+            thread.start()
+        ends_s = time.monotonic() + limit_s
+        for thread in threads:
+            thread.join(max(ends_s - time.monotonic(), 0.0))
+        late = None, f"no answer within {limit_s:g} s"
+        return [
+            (one.plugin_name, *(answer or late)) for one, answer in zip(implementations, tuple(answers), strict=True)
+        ]
 
     def add(self, plugin: object, distribution: str, version: str, entry_point: str) -> None:
         """Take in one plugin; whatever it does wrong is kept as a failure."""

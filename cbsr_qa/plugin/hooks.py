@@ -5,6 +5,7 @@ The built-ins (``cbsr_qa_plugins.registry``) enter by the same door.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
@@ -12,6 +13,7 @@ import pluggy
 
 from cbsr_qa.domain.results import Calibration
 from cbsr_qa.domain.run import RunIdentity
+from cbsr_qa.domain.sensor import SensorIdentity
 
 PROJECT: Final = "cbsr_qa"
 
@@ -43,6 +45,33 @@ def cbsr_register(register: Register) -> None:
     behind one is imported when that name is used. Registering a name twice within a kind is refused, and the
     later plugin is listed as failed. The return value is ignored. An exception here lists the plugin as
     failed with its reason and takes nothing else down.
+    """
+
+
+@dataclass(frozen=True, slots=True)
+class Veto:
+    """A plugin's objection to a run.
+
+    Parameters
+    ----------
+    name : of the system that objects, e.g. ``"routing"``.
+    reason : as a clause, e.g. ``"order 4711 is on hold"``.
+    remedy : what to do about it; may be empty.
+    """
+
+    name: str
+    reason: str
+    remedy: str = ""
+
+
+@hookspec
+def cbsr_before_run(sensor: SensorIdentity, station: str, recipe: str, operator: str) -> Veto | None:
+    """A run is about to begin: files and names are checked, no instrument is open, nothing is stored.
+
+    None lets it begin; a :class:`Veto` is handled by the policy ``before_run`` of the station file
+    (docs/reference/gate.md), and so is an exception, another return value, or no answer within ``before_run_s``. All
+    implementations are called, each in a thread of its own. It is called for ``cbsr-qa gate`` and for a dry run too,
+    so it must only look. It is not called when a run is resumed.
     """
 
 

@@ -4,6 +4,7 @@ from .document import (
     json_document as json_document,
     json_schema as json_schema,
 )
+from .gate import gate_blocks as gate_blocks, gate_table as gate_table, gate_words as gate_words
 from .page import answer as answer, recording_page as recording_page, run_page as run_page
 from .render import (
     check_replaceable as check_replaceable,

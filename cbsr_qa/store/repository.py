@@ -12,7 +12,7 @@ from sqlalchemy import Engine
 from cbsr_qa.domain.results import Outcome, RunResult
 from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, VerdictOverride
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store import changes as changed, fleet as fleets, locks, stations
+from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, stations
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url
 from cbsr_qa.store.listed import listed_runs
@@ -138,7 +138,12 @@ class Repository:
     all_chart_references = _of_engine(stations.all_references)
     save_station_check = _of_engine(stations.save_check)
     latest_station_check = _of_engine(stations.latest_check)
+    latest_golden_check = _of_engine(stations.latest_golden_check)
+    runs_since = _of_engine(stations.runs_since)
     station_check_ring = _of_engine(stations.ring_of)
+
+    save_release = _of_engine(releases.save_release)
+    latest_release = _of_engine(releases.latest_release)
 
     def sensor_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
         """Return the runs of a sensor that began before a run (empty: all), as seen from a run of this recipe."""

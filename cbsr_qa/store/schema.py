@@ -16,7 +16,7 @@ from cbsr_qa.store.locks import changing_schema
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
-REVISIONS: Final = (*(f"{number:04}" for number in range(1, 14)), "0015")
+REVISIONS: Final = tuple(f"{number:04}" for number in range(1, 16))
 HEAD: Final = REVISIONS[-1]
 VERSION_TABLE: Final = "alembic_version"
 
@@ -190,9 +190,10 @@ def _create(connection: Connection) -> None:
 
     A test compares them with those that the migrations make.
     """
-    from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, RunRow
+    from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow
 
-    assert AnalysisRow.metadata is ChartReferenceRow.metadata is RunRow.metadata  # all three files are registered
+    # All files are registered.
+    assert AnalysisRow.metadata is ChartReferenceRow.metadata is ReleaseRow.metadata is RunRow.metadata
     RunRow.metadata.create_all(connection)
     key = PrimaryKeyConstraint(name=f"{VERSION_TABLE}_pkc")
     version = Table(

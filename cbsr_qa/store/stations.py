@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, insert, select
+from sqlalchemy import Connection, Engine, Row, func, insert, select
 
 from cbsr_qa.domain import StoreError, fitted
 from cbsr_qa.domain.run import (
@@ -27,6 +27,7 @@ from cbsr_qa.store.tables import (
     ChartReferenceRow,
     FrameBlockRow,
     InstrumentRow,
+    RunRow,
     StationCheckFramesRow,
     StationCheckLineRow,
     StationCheckRow,
@@ -132,6 +133,22 @@ def latest_check(engine: Engine, station: str, before: datetime | None = None) -
     with reading(engine) as connection:
         row = connection.execute(newest).one_or_none()
         return None if row is None else _check(connection, row)
+
+
+def latest_golden_check(engine: Engine, station: str) -> StationCheck | None:
+    """Return the latest check of a station that measured a golden sensor, or None."""
+    row = StationCheckRow
+    query = select(*row.__table__.columns).where(row.station == station, row.golden_run.is_not(None))
+    with reading(engine) as connection:
+        found = connection.execute(query.order_by(row.check_id.desc()).limit(1)).one_or_none()
+        return None if found is None else _check(connection, found)
+
+
+def runs_since(engine: Engine, station: str, run: str, most: int) -> int:
+    """Count the runs of a station that began after a run, up to ``most``."""
+    later = select(RunRow.run).where(RunRow.station == station, RunRow.run > run).limit(most).subquery()
+    with reading(engine) as connection:
+        return connection.scalar(select(func.count()).select_from(later)) or 0
 
 
 def ring_of(engine: Engine, check: str) -> RingReadings | None:

@@ -17,5 +17,11 @@ from .files import (
     writing as writing,
     written_whole as written_whole,
 )
+from .pins import (
+    hashed_pin as hashed_pin,
+    pin_allowed as pin_allowed,
+    pin_hash_readable as pin_hash_readable,
+    pin_matches as pin_matches,
+)
 from .redelivery import Redelivery as Redelivery
 from .untrusted import CONTAINED as CONTAINED, largest_content as largest_content, read_untrusted as read_untrusted

@@ -125,9 +125,9 @@ def short_run(run, serial="S-1"):
     ]
 
 
-def journalled(repository, events):
-    """Journal documents and return the journal."""
-    journal = repository.journal(configuration=CONFIGURATION, **SETTING)
+def journalled(repository, events, **options):
+    """Journal documents and return the journal; ``options`` of the journal."""
+    journal = repository.journal(configuration=CONFIGURATION, **SETTING, **options)
     for event in events:
         journal(event)
     return journal

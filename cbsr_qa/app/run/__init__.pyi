@@ -7,7 +7,6 @@ from .preflight import (
     check_cycles as check_cycles,
     check_recipe as check_recipe,
     check_unloaded as check_unloaded,
-    past_due as past_due,
 )
 from .render import (
     Rendered as Rendered,
@@ -20,6 +19,7 @@ from .run import (
     RunRequest as RunRequest,
     default_seed as default_seed,
     plan_run as plan_run,
+    preview_gate as preview_gate,
     run_sensor as run_sensor,
 )
 from .session import Session as Session, stoppable as stoppable

@@ -18,8 +18,8 @@ from cbsr_qa.domain.results import (
     Outcome,
     RunResult,
 )
-from cbsr_qa.domain.run import ChainState, ConfigurationChange, EarlierRun, SensorHistory, VerdictOverride
-from cbsr_qa.report import run_page
+from cbsr_qa.domain.run import ChainState, ConfigurationChange, EarlierRun, GateAnswer, SensorHistory, VerdictOverride
+from cbsr_qa.report import gate_words, run_page
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +154,7 @@ class RunOutcome:
     report, calibration, material : files; None if none was issued, or it could not be written (a warning says so).
     material_why : why there is no material file; empty if the recipe characterises none.
     warnings : of the result and of writing the files.
+    gate : answers of the checks before the run, and of those asked again when it was resumed.
     station_s : time the sensor occupied the station.
     """
 
@@ -174,6 +175,7 @@ class RunOutcome:
     measurements: tuple[MeasuredValue, ...]
     limits_version: str | None
     overrides: tuple[VerdictOverride, ...]
+    gate: tuple[GateAnswer, ...]
     chain: ChainState
     changes: tuple[ConfigurationChange, ...]
     sensor_history: PastRuns | None
@@ -217,6 +219,7 @@ class RunOutcome:
             measurements=tuple(map(MeasuredValue.of, result.measurements)),
             limits_version=None if version is None else version.version,
             overrides=result.overrides,
+            gate=record.gate,
             chain=record.chain,
             changes=result.history.of(record.identity.run),
             sensor_history=None if result.sensor_history is None else PastRuns.of(result.sensor_history),
@@ -245,6 +248,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
         ("Run", identity.words),
         ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s of computing"),
         ("Rows", tested.chain.words),
+        *([("Gate", gate_words(tested.gate))] if tested.gate else []),
     ]
     printed = [("Report", str(tested.report or "none"))]
     if tested.calibration is None:

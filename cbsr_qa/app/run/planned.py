@@ -6,11 +6,12 @@ from typing import Annotated, Self
 
 from pydantic import Field, InstanceOf
 
+from cbsr_qa.app.gate import gate_refusal
 from cbsr_qa.app.run.outcome import PastRuns
 from cbsr_qa.domain import RefusedError, filled
 from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Section
-from cbsr_qa.domain.run import SensorHistory
-from cbsr_qa.report import Refusal, duration, plural, text_table
+from cbsr_qa.domain.run import GateAnswer, GateOutcome, SensorHistory, gate_warnings
+from cbsr_qa.report import Refusal, duration, gate_table, plural, text_table
 from cbsr_qa.station import DryRun
 
 
@@ -35,6 +36,7 @@ class PlannedRun:
     peak_strain, peak_force_N : highest requested, and highest force expected.
     violations : every limit of the station that would be broken.
     warnings : plugins that could not be loaded, changes since the sensor's last run.
+    gate : answers of the checks before a run.
     refused : why the run would be refused; None if it would start.
     """
 
@@ -49,14 +51,19 @@ class PlannedRun:
     violations: tuple[str, ...]
     sensor_history: PastRuns
     warnings: tuple[str, ...]
+    gate: tuple[GateAnswer, ...]
     refused: Refusal | None
     dry: Annotated[InstanceOf[DryRun], Field(exclude=True)]
     history: Annotated[InstanceOf[SensorHistory], Field(exclude=True)]
 
     @classmethod
-    def of(cls, dry: DryRun, history: SensorHistory, failed_plugins: Iterable[object]) -> Self:
+    def of(
+        cls, dry: DryRun, history: SensorHistory, failed_plugins: Iterable[object], gate: tuple[GateAnswer, ...] = ()
+    ) -> Self:
         refused = None
         try:
+            if (error := gate_refusal(gate)) is not None:
+                raise error
             dry.refuse()
         except RefusedError as error:
             refused = filled(Refusal, error)
@@ -72,7 +79,8 @@ class PlannedRun:
             travel_mm=round(dry.travel_mm, 1),
             peak_force_N=round(dry.peak_force_N, 3),
             sensor_history=PastRuns.of(history),
-            warnings=(*map(str, failed_plugins), *history.differences),
+            warnings=(*map(str, failed_plugins), *history.differences, *gate_warnings(gate)),
+            gate=gate,
             refused=refused,
             dry=dry,
             history=history,
@@ -84,8 +92,10 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     time = duration(planned.dry.duration_s)
     banner = Banner("pass", "✓", "The station allows this run", f"{time} of station time; nothing has moved")
     if planned.refused is not None:
-        broken = plural(len(planned.violations), "limit")
-        banner = Banner("fail", "✗", "This run would be refused", f"it breaks {broken} of the station")
+        whys = [f"it breaks {plural(len(planned.violations), 'limit')} of the station"] if planned.violations else []
+        if any(one.outcome is GateOutcome.REFUSED for one in planned.gate):
+            whys.insert(0, "the gate refuses it")
+        banner = Banner("fail", "✗", "This run would be refused", "; ".join(whys))
     spent = ", ".join(f"{kind} {duration(seconds)}" for kind, seconds in planned.dry.spent)
     most = f"{100 * planned.peak_strain:g} % strain and {planned.dry.peak_force_N:.3g} N"
     facts = [
@@ -100,4 +110,10 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     rows = [(p.name, p.sequence, duration(p.duration_s), str(p.loads), str(p.frames)) for p in planned.phases]
     phases = text_table("Expected.", ("phase", "sequence", "time", "loads", "frames"), rows, (3, 4))
     page = Page("Dry run", planned.history.sensor.serial, banner, tuple(facts), warnings=planned.warnings)
-    return CommandOutcome(planned, page, (Section("Phases", (phases,)),), 0 if planned.refused is None else 2)
+    asked = [one for one in planned.gate if one.outcome is not GateOutcome.OFF]
+    gate = (
+        [Section("Gate", (gate_table("Asked before the run; those that are off are left out.", asked),))]
+        if asked
+        else []
+    )
+    return CommandOutcome(planned, page, (Section("Phases", (phases,)), *gate), 0 if planned.refused is None else 2)

@@ -1,15 +1,13 @@
-"""Checks of recipe, plan and station before anything moves."""
+"""Checks of recipe and plan before anything moves."""
 
 from collections.abc import Iterable, Mapping
-from datetime import date
 from difflib import get_close_matches
 from typing import Final
 
 from cbsr_qa.analysis.run import check_weighing
-from cbsr_qa.domain import CbsrError, ConfigError, RefusedError
-from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role, Station
+from cbsr_qa.domain import CbsrError, ConfigError
+from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role
 from cbsr_qa.domain.results import STRIP_MEASURES, Limit, linear
-from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.inverse import FEWEST_FRAMES, imaging_problem
 from cbsr_qa.eit.loads import check_strip
@@ -84,41 +82,6 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
             f"recipe {recipe.name!r} has [characterisation] and {pressed}; a strip is pressed at one place",
             remedy='give it one phase with sequence = "characterisation"',
         )
-
-
-def refuse_overdue(station: Station, today: date) -> None:
-    """Refuse a run if the station's policy forbids overdue instruments and there are any.
-
-    Raises
-    ------
-    RefusedError
-        Naming every such role and date.
-    """
-    if station.overdue != "refuse":
-        return
-    late = [instrument for instrument in station.instruments if past_due(instrument.calibration_due, today)]
-    if late:
-        named = ", ".join(
-            f"{instrument.role} ({instrument.driver}) was due on {instrument.calibration_due}" for instrument in late
-        )
-        raise RefusedError(
-            f'station {station.name!r} has overdue = "refuse", and the calibration of {named}',
-            remedy="have it calibrated and give the new calibration_due in the station file",
-        )
-
-
-def past_due(calibration_due: str | None, today: date) -> bool:
-    """Whether an instrument is past its calibration date; the day itself is not."""
-    return calibration_due is not None and date.fromisoformat(calibration_due) < today
-
-
-def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str, ...]:
-    """Return a warning for each instrument past its calibration date."""
-    return tuple(
-        f"the calibration of {instrument.role} ({instrument.model}) was due on {instrument.calibration_due}"
-        for instrument in instruments
-        if past_due(instrument.calibration_due, today)
-    )
 
 
 def _check_limits(limits: Iterable[Limit], metrics: Mapping[str, object]) -> None:

@@ -28,7 +28,7 @@ from cbsr_qa.domain.results import (
     RunObservation,
     RunResult,
 )
-from cbsr_qa.domain.run import ChainState, RunRecord, VerdictOverride
+from cbsr_qa.domain.run import ChainState, GateAnswer, RunRecord, VerdictOverride
 from cbsr_qa.plugin import Kind, Plugins, create_plugin, discover
 from cbsr_qa.report import render_run, report_name, run_page, write_report
 from cbsr_qa.store import Repository, open_store
@@ -48,6 +48,7 @@ class Rendered:
     report: Path
     chain: ChainState
     overrides: tuple[VerdictOverride, ...]
+    gate: tuple[GateAnswer, ...]
     warnings: tuple[str, ...]
     result: Annotated[InstanceOf[RunResult], Field(exclude=True)]
 
@@ -100,6 +101,7 @@ def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins
         path,
         result.record.chain,
         result.overrides,
+        result.record.gate,
         tuple(dict.fromkeys((*result.warnings, *missing))),
         result,
     )

@@ -5,19 +5,22 @@ from dataclasses import replace
 from typing import Final
 
 from cbsr_qa.app.command_hints import report_command
+from cbsr_qa.app.gate import ASKED_AGAIN, GateRequest, Override, ask_gate, gate_refusal
 from cbsr_qa.app.run.control import controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_recipe
 from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded
 from cbsr_qa.config import (
+    Configuration,
     calibrations_folder,
     database_url,
+    load_station,
     reports_folder,
     restore,
     validate_operator,
     writable_folder,
 )
-from cbsr_qa.domain import CbsrError, StoreError
+from cbsr_qa.domain import CbsrError, ConfigError, StoreError
 from cbsr_qa.domain.plan import Press
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
@@ -37,6 +40,9 @@ def resume_run(
     tell: Callable[[str], None] = lambda stage: None,
     ask: Ask | None = None,
     answers: bool = False,
+    station: str | None = None,
+    override: Override | None = None,
+    pin: Callable[[str], str] | None = None,
 ) -> RunOutcome:
     """Resume a run at its next unfinished load, after homing and finding surfaces again.
 
@@ -45,17 +51,21 @@ def resume_run(
 
     Parameters
     ----------
-    tell, ask, answers : see :func:`cbsr_qa.app.run.run_sensor`.
+    tell, ask, answers, pin : see :func:`cbsr_qa.app.run.run_sensor`.
+    station : file of the run's station as it is now, for the gate alone: who may work at it, its policies, and the
+        calibration dates of its instruments. None for what is stored with the run, which has no list of operators.
+    override : of the gate's refusals.
 
     Raises
     ------
     RefusedError
         Before anything moves: the run is unknown, damaged, finished, being written by another process, signed with
-        a key that is not set, or its configuration or plugins no longer pass the checks.
+        a key that is not set, its configuration or plugins no longer pass the checks, or the gate refuses it.
     InstrumentError
         If an instrument does not answer.
     """
     validate_operator(operator)
+    override = (override or Override()).checked()
     url = database_url(database)
     if not database_exists(url):
         raise StoreError(f"{shown(parsed_url(url))} does not exist or is empty", remedy=_ELSEWHERE)
@@ -64,7 +74,16 @@ def resume_run(
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
     with open_store(url, create=False, durable=on_real_clock) as store, store.writing_alone(run, operator):
-        return _resumed(store, run, operator, tell, ask, answers=answers)
+        asked = GateRequest(
+            serial=store.identity(run).sensor.serial,
+            operator=operator,
+            database=url,
+            folders=(reports_folder(), calibrations_folder()),
+            override=override,
+            resumed=True,
+            pin=pin,
+        )
+        return _resumed(store, run, asked, station, tell, ask, answers=answers)
 
 
 def _configuration(store: Repository, run: str) -> str:
@@ -79,13 +98,20 @@ def _configuration(store: Repository, run: str) -> str:
 
 
 def _resumed(
-    store: Repository, run: str, operator: str, tell: Callable[[str], None], ask: Ask | None, *, answers: bool
+    store: Repository,
+    run: str,
+    asked: GateRequest,
+    station: str | None,
+    tell: Callable[[str], None],
+    ask: Ask | None,
+    *,
+    answers: bool,
 ) -> RunOutcome:
     plugins = discover()
     store.check_resumable(run)
     configuration = restore(store.configuration(run))
     stored, now = store.identity(run), RealClock().wall()
-    identity = replace(stored, operator=operator, software=software_versions(plugins), started_at=now)
+    identity = replace(stored, operator=asked.operator, software=software_versions(plugins), started_at=now)
     changed = changed_software(stored, identity)
     if store.state_of(run).end is EndReason.FINISHED:
         if store.analyses(run):
@@ -97,14 +123,30 @@ def _resumed(
         return concluded(run, store, configuration, plugins, Stages(tell), changed)
     check_configuration(configuration, plugins)
     done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run), store.prompts_shown(run))
-    who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": operator}
+    who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}
     with controlled(configuration, **who, answers=answers) as control:
+        gate = ask_gate(asked, _as_it_is_now(configuration, station), plugins, store, ASKED_AGAIN)
+        if (refused := gate_refusal(gate)) is not None:
+            raise refused
         control.begun(run)
         stages = Stages(control.telling(tell))
-        with Session(configuration, plugins, stages, ask, done, control=control) as session:
+        with Session(configuration, plugins, stages, ask, done, gate=gate, control=control) as session:
             session.walk().refuse()
             session.warnings += [*changed, *changed_instruments(stored, session.instruments())]
             return session.run(identity, store)
+
+
+def _as_it_is_now(configuration: Configuration, station: str | None) -> Configuration:
+    """Return the configuration with the station's present file, for the gate. ConfigError for another station."""
+    if station is None:
+        return configuration
+    now = load_station(station).value
+    if now.name != configuration.station.name:
+        raise ConfigError(
+            f"the run was begun on station {configuration.station.name!r}, and the file given is of {now.name!r}",
+            remedy="give the file of the run's own station, or leave --station out",
+        )
+    return replace(configuration, station=now)
 
 
 def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:

@@ -3,11 +3,12 @@
 import hashlib
 from collections.abc import Callable, Collection
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 from typing import Self
 
+from cbsr_qa.app.gate import GateRequest, GateShown, Override, ask_before, gate_outcome, gate_refusal
 from cbsr_qa.app.run.control import Control, controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
@@ -25,8 +26,9 @@ from cbsr_qa.config import (
     validate_serial,
     writable_folder,
 )
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity, SensorHistory
+from cbsr_qa.domain import RefusedError, filled
+from cbsr_qa.domain.results import CommandOutcome
+from cbsr_qa.domain.run import GateAnswer, InstrumentIdentity, RunIdentity, SensorHistory
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.station import configure, on_stderr
@@ -40,7 +42,13 @@ _SEED_BITS = 31
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """A run to make; see the options of ``cbsr-qa run``."""
+    """A run to make; see the options of ``cbsr-qa run``.
+
+    Parameters
+    ----------
+    override : of the gate's refusals.
+    golden : whether it measures the golden sensor of a station check.
+    """
 
     station: str
     recipe: str
@@ -52,13 +60,16 @@ class RunRequest:
     seed: int | None = None
     database: str | None = None
     why: str = ""
+    override: Override = field(default_factory=Override)
+    golden: bool = False
 
     def checked(self) -> Self:
-        """Return itself. ConfigError if serial, batch, operator or reason is not allowed."""
+        """Return itself. ConfigError if serial, batch, operator, reason or override is not allowed."""
         validate_serial(self.serial)
         validate_batch(self.batch)
         validate_operator(self.operator)
         validate_reason(self.why)
+        self.override.checked()
         return self
 
     def configuration(self, seed: int, plugins: Plugins | None = None) -> Configuration:
@@ -94,9 +105,24 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     plugins, _ = _checked(request.checked())
     configuration = request.configuration(_seed(request))
     refuse_busy(configuration.station.name)
+    answers = _gate(request, configuration, plugins, preview=True)
     ask = _nobody_in_a_dry_run if attended else None
     with Session(configuration, plugins, Stages(), ask) as session:
-        return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures)
+        return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures, answers)
+
+
+def preview_gate(request: RunRequest) -> CommandOutcome[GateShown]:
+    """Ask the gate about a run without making it; no instrument is opened, no PIN asked for, nothing written.
+
+    Raises
+    ------
+    RefusedError
+        As :func:`run_sensor`, but what the gate refuses is listed in the result.
+    """
+    plugins, _ = _checked(request.checked())
+    configuration = request.configuration(0)
+    answers = _gate(request, configuration, plugins, preview=True)
+    return gate_outcome(request.serial, configuration.station.name, configuration.recipe.name, answers)
 
 
 def _nobody_in_a_dry_run(text: str) -> str:
@@ -110,6 +136,7 @@ def run_sensor(
     ask: Callable[[str], str] | None = None,
     begun: Callable[[str], None] = lambda run: None,
     answers: bool = False,
+    pin: Callable[[str], str] | None = None,
 ) -> RunOutcome:
     """Test one sensor. Meanwhile nobody else uses the station, and its control channel is served.
 
@@ -120,6 +147,7 @@ def run_sensor(
         worked by hand are then refused.
     begun : called with the run's identifier before anything is stored.
     answers : whether prompts are answered over the control channel, instead of with ``ask``.
+    pin : shows a text and returns the PIN of the operator; called only if the station file has one.
 
     Returns
     -------
@@ -128,20 +156,24 @@ def run_sensor(
     Raises
     ------
     RefusedError
-        Before anything moves and with nothing written: a file, a name, a plugin or a limit is wrong, or another
-        process uses the station.
+        Before anything moves and with nothing written: a file, a name, a plugin or a limit is wrong, another
+        process uses the station, or its gate refuses the run.
     InstrumentError
         If an instrument does not answer at the start.
     """
     plugins, configuration = _checked(request.checked())
     who = {"serial": request.serial, "batch": request.batch, "operator": request.operator}
     with controlled(configuration, **who, answers=answers) as control:
-        return _tested(request, plugins, control, control.telling(tell), ask, begun)
+        gate = _gate(request, configuration, plugins, pin=pin)
+        if (refused := gate_refusal(gate)) is not None:
+            raise refused
+        return _tested(request, plugins, gate, control, control.telling(tell), ask, begun)
 
 
 def _tested(
     request: RunRequest,
     plugins: Plugins,
+    gate: tuple[GateAnswer, ...],
     control: Control,
     tell: Callable[[str], None],
     ask: Callable[[str], str] | None,
@@ -152,7 +184,9 @@ def _tested(
         configuration = request.configuration(_seed(request, taken))
         if configuration.recipe.calibrate_phases:
             begin_templates(configuration.sensor_type, configuration.station.indenter)
-        with Session(configuration, plugins, Stages(tell), ask, why=request.why, control=control) as session:
+        with Session(
+            configuration, plugins, Stages(tell), ask, why=request.why, gate=gate, control=control
+        ) as session:
             session.walk().refuse()
             outcome = _stored_run(request, configuration, plugins, session, control.begins(begun))
         if outcome is not None:
@@ -200,6 +234,26 @@ def _checked(request: RunRequest) -> tuple[Plugins, Configuration]:
         check_folder(folder)
     check_usable(url)
     return plugins, configuration
+
+
+def _gate(
+    request: RunRequest,
+    configuration: Configuration,
+    plugins: Plugins,
+    *,
+    pin: Callable[[str], str] | None = None,
+    preview: bool = False,
+) -> tuple[GateAnswer, ...]:
+    asked = filled(
+        GateRequest,
+        request,
+        database=database_url(request.database),
+        folders=_folders(),
+        pin=pin,
+        preview=preview,
+        resumed=False,
+    )
+    return ask_before(asked, configuration, plugins)
 
 
 def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:

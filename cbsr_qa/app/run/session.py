@@ -11,14 +11,17 @@ from typing import Self
 from cbsr_qa.analysis import calibrated, evaluate_run
 from cbsr_qa.app.changes import unexplained
 from cbsr_qa.app.command_hints import report_command, resume_command
+from cbsr_qa.app.gate import overdue
 from cbsr_qa.app.run.control import Control
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import write_outputs
-from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
+from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded
 from cbsr_qa.config import Configuration
 from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, UnconcludedError, filled
+from cbsr_qa.domain.plan import GateCheck, GatePolicy
 from cbsr_qa.domain.results import EndReason, RunResult
 from cbsr_qa.domain.run import (
+    GateAnswer,
     InstrumentIdentity,
     PhaseFinished,
     PhaseStarted,
@@ -27,6 +30,7 @@ from cbsr_qa.domain.run import (
     RunIdentity,
     RunRecord,
     RunStarted,
+    gate_warnings,
 )
 from cbsr_qa.plugin import Plugins, left_running
 from cbsr_qa.report import duration
@@ -103,8 +107,7 @@ class Done:
 
 
 def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
-    """Check instruments' dates, recipe, plugins and limits before anything moves. RefusedError if one fails."""
-    refuse_overdue(configuration.station, RealClock().wall().date())
+    """Check recipe, plugins and limits before anything moves. RefusedError if one fails."""
     check_recipe(configuration.recipe, configuration.sensor_type, plugins)
     planned = plan_of(configuration, plugins)
     check_unloaded(planned, configuration.recipe)
@@ -120,6 +123,7 @@ class Session:
     ask : shows a text to the operator and returns the answer; None without an operator.
     done : by earlier sessions of the same run.
     why : operator's reason for files that differ from those of earlier runs.
+    gate : answers of the checks before this session.
     control : takes requests and prompts of others; None: nobody is served.
 
     Raises
@@ -136,6 +140,7 @@ class Session:
         ask: Ask | None,
         done: Done | None = None,
         why: str = "",
+        gate: Sequence[GateAnswer] = (),
         control: Control | None = None,
     ) -> None:
         self._configuration = configuration
@@ -143,6 +148,7 @@ class Session:
         self._stages = stages
         self._asks = ask
         self._why = why
+        self._gate = gate
         self._done = done or Done()
         self._progress: RunProgress | None = None
         self.warnings: list[str] = []
@@ -193,7 +199,9 @@ class Session:
             If the run or its result could not be stored or read back; stored rows are kept.
         """
         self.warnings += filter(None, [store.from_the_future()])
-        self.warnings += overdue(identity.instruments, RealClock().wall().date())
+        if self._configuration.station.gate.policy(GateCheck.CALIBRATION_DUE) is not GatePolicy.OFF:
+            self.warnings += overdue(identity.instruments, RealClock().wall().date())
+        self.warnings += gate_warnings(self._gate)
         with self._stages.stage("running the station"):
             ended = self._drive(identity, store)
         _refuse_unstored(identity.run, ended, store)
@@ -214,6 +222,7 @@ class Session:
             indenter=configuration.station.indenter,
             tell=on_stderr,
             why=self._why,
+            gate=self._gate,
         )
         with RunProgress(len(self._plan.phases), self._clock) as progress:
             self._progress = progress

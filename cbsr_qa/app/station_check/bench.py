@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 
 from cbsr_qa.analysis import RING, check_ring
-from cbsr_qa.app.run import past_due
+from cbsr_qa.app.gate import past_due
 from cbsr_qa.config import Configuration
 from cbsr_qa.domain import AbortedError, CbsrError, InstrumentError, RefusedError
-from cbsr_qa.domain.plan import InstrumentSpec, ReferenceRing, Station
+from cbsr_qa.domain.plan import GateCheck, GatePolicy, InstrumentSpec, ReferenceRing, Station
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity, RingReadings
 from cbsr_qa.eit.forward import FEWEST_RESISTORS
 from cbsr_qa.plugin import Instrument, Linked, Plugins, Sampler, SelfTesting
@@ -285,7 +285,11 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
     late = past_due(spec.calibration_due, today)
     outcome = CheckOutcome.OK
     if late:
-        outcome = CheckOutcome.FAILED if station.overdue == "refuse" else CheckOutcome.WARNING
+        outcome = (
+            CheckOutcome.FAILED
+            if station.gate.policy(GateCheck.CALIBRATION_DUE) is GatePolicy.REFUSE
+            else CheckOutcome.WARNING
+        )
     policy = "runs are refused" if outcome is CheckOutcome.FAILED else "runs carry a warning"
     return CheckResult(
         "calibration due",

@@ -70,6 +70,7 @@ def check_station(
     *,
     ask: Callable[[str], str] | None = None,
     tell: Callable[[str], None] = lambda stage: None,
+    pin: Callable[[str], str] | None = None,
 ) -> CommandOutcome[CheckedStation]:
     """Check a station, store the check, and write its page.
 
@@ -77,6 +78,7 @@ def check_station(
     ----------
     ask : shows a text to the operator and returns the answer; None without an operator: what must be connected first
         is then not measured, and instruments worked by hand do not answer.
+    pin : asks for the operator's PIN; see :func:`cbsr_qa.app.run.run_sensor`.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def check_station(
         _refuse_untried(findings, configuration)
         golden = None
         if request.golden is not None and _may_press(request.golden, findings, placed):
-            golden = _golden(request, request.golden, findings, store, ask, tell)
+            golden = _golden(request, request.golden, findings, store, ask, tell, pin)
         check = _check(store.new_id(), request, configuration, software_versions(plugins), findings, golden)
         store.save_station_check(check, findings.ring)
     named = "" if golden is None else golden.words
@@ -221,6 +223,7 @@ def _golden(
     store: Repository,
     ask: Callable[[str], str] | None,
     tell: Callable[[str], None],
+    pin: Callable[[str], str] | None,
 ) -> RunIdentity | None:
     """Run the golden sensor and add a line for each of its values; return the run, or None if not started."""
     subject = _subject(serial)
@@ -236,9 +239,10 @@ def _golden(
         sensor_type=request.sensor_type,
         material=request.material,
         database=request.database,
+        golden=True,
     )
     try:
-        outcome = run_sensor(wanted, tell=tell, ask=ask)
+        outcome = run_sensor(wanted, tell=tell, ask=ask, pin=pin)
     except CbsrError as error:
         line(CheckOutcome.FAILED, error.reason, error.remedy)
         return None

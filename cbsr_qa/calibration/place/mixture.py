@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 from scipy.optimize import Bounds, minimize
-from scipy.stats import chi2, f as fisher
+from scipy.special import fdtri, gammaincinv
 
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import PlaceMixture
@@ -82,13 +82,14 @@ def quantile(ratio: Array, level: float, visits: Indices | None = None) -> float
     if level * (len(presses) + 1) <= len(presses) - 0.5:
         order = np.argsort(ratio)
         return float(np.interp(level * (1 + 1 / len(presses)), np.cumsum(weight[order]), ratio[order]))
-    return max(float(weight @ ratio * fisher.ppf(level, 2, 2 * len(presses))), float(ratio.max()))
+    return max(float(weight @ ratio * fdtri(2, 2 * len(presses), level)), float(ratio.max()))
 
 
 def few_presses_tell(count: int) -> Array:
     """Factors (2,) by which regions of normal errors grow where their variance is told by few presses."""
     levels = np.array(LEVELS)
-    factors: Array = np.asarray(2 * fisher.ppf(levels, 2, 2 * count) / chi2.ppf(levels, 2))
+    # Quantiles of F, and of chi-squared per degree of freedom. Loading scipy.stats for them would slow every run.
+    factors: Array = np.asarray(fdtri(2, 2 * count, levels) / gammaincinv(1, levels))
     return factors
 
 

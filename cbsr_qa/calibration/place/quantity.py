@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from scipy.optimize import Bounds, minimize
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from cbsr_qa.calibration.place.features import matern, squared_distances
 from cbsr_qa.calibration.place.held_out import evenly
@@ -214,5 +214,5 @@ def _quantile(ratio: Array, level: float) -> float:
     rank = level * (len(ratio) + 1) - 1
     if rank <= len(ratio) - 1.5:
         return float(np.interp(max(rank, 0.0), np.arange(len(ratio)), np.sort(ratio)))
-    normal = float(np.sqrt((ratio**2).mean()) * student.ppf((1 + level) / 2, len(ratio)))
+    normal = float(np.sqrt((ratio**2).mean()) * stdtrit(len(ratio), (1 + level) / 2))
     return max(normal, float(ratio.max()))

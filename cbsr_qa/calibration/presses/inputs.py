@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from cbsr_qa.calibration.presses.pairs import DistinctPairs
 from cbsr_qa.calibration.presses.tables import PressTable, read_table
@@ -78,7 +78,7 @@ class LabelledPresses:
         if degrees < 1 or unexplained > _UNORDERED:
             return False
         ratio = (1 - unexplained) / max(unexplained, 1e-12) * degrees / (design.shape[1] - 1)
-        return bool(fisher.sf(ratio, design.shape[1] - 1, degrees) < _BY_CHANCE)
+        return bool(fdtrc(design.shape[1] - 1, degrees, ratio) < _BY_CHANCE)
 
     def check(self) -> None:
         """Check that readings and labels match and may be from one sheet; RecordingError names file and rows."""

@@ -1,4 +1,11 @@
 from . import steps as steps
+from .gate import (
+    GATE_DEFAULTS as GATE_DEFAULTS,
+    GateCheck as GateCheck,
+    GatePolicy as GatePolicy,
+    GateSettings as GateSettings,
+    Operator as Operator,
+)
 from .plan import (
     EMULATED as EMULATED,
     NO_RECONSTRUCTION as NO_RECONSTRUCTION,

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.gate import GateSettings
 from cbsr_qa.domain.results import CharacterisationSettings, Limit, LimitsVersion, OverlapBand
 from cbsr_qa.domain.run import Indenter
 
@@ -152,8 +153,8 @@ class Station:
     clock_speed : station seconds per second of a virtual clock that waits; None: it does not wait.
     sensor_type, material : names of the files used unless the command line says otherwise.
     emulated_scene : scene shared by its emulated instruments: a name, or a scene file's content; None if it has none.
-    overdue : policy for runs with an instrument past its calibration date: ``"warn"`` or ``"refuse"``.
     reference_ring : measured by ``cbsr-qa station check``; None if the station has none.
+    gate : checks before every run.
     """
 
     name: str
@@ -165,9 +166,9 @@ class Station:
     safety: SafetyLimits
     instruments: tuple[InstrumentSpec, ...]
     emulated_scene: str | Mapping[str, Any] | None = None
-    overdue: str = "warn"
     reference_ring: ReferenceRing | None = None
     clock_speed: float | None = None
+    gate: GateSettings = field(default_factory=GateSettings)
 
 
 @dataclass(frozen=True, slots=True)

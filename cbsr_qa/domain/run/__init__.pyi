@@ -24,6 +24,12 @@ from .event_documents import (
     EventDocument as EventDocument,
     event_document as event_document,
 )
+from .gate import (
+    GateAnswer as GateAnswer,
+    GateOutcome as GateOutcome,
+    Release as Release,
+    gate_warnings as gate_warnings,
+)
 from .loads import (
     NINE_LOCATIONS_MM as NINE_LOCATIONS_MM,
     EasedStrain as EasedStrain,

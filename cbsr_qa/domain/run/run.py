@@ -12,6 +12,7 @@ from cbsr_qa.domain.plan import Role, Step
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run.attendance import AskedPrompt, AttendanceEvent, Pause
+from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.loads import Indenter, LoadRecord
 from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
 
@@ -190,6 +191,7 @@ class RunRecord:
     set_aside : frames that are stored and do not count: a load that was cut off was pressed again.
     pauses, prompts : in the order they began.
     chain : state of the digests it is under, checked when it was loaded.
+    gate : answers of the checks before the run, and of those asked again when it was resumed.
     chain_head : digest of the last link that was checked then; empty where the run has no chain.
     """
 
@@ -207,6 +209,7 @@ class RunRecord:
     pauses: tuple[Pause, ...] = field(default=())
     prompts: tuple[AskedPrompt, ...] = field(default=())
     chain: ChainState = field(default_factory=ChainState)
+    gate: tuple[GateAnswer, ...] = ()
     chain_head: str = field(default="", compare=False)
 
     def phase(self, name: str) -> PhaseRecord:

@@ -5,7 +5,7 @@ Times of a resumed session are shifted onto the clock of the whole run, after th
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, fields, replace
 from functools import singledispatchmethod
 from typing import Any, Final
@@ -19,6 +19,7 @@ from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import (
     AttendanceEvent,
     FramesTaken,
+    GateAnswer,
     Indenter,
     LoadFinished,
     LoadRecord,
@@ -43,6 +44,7 @@ from cbsr_qa.store.changes import note_changes
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.runs.attendance import attendance_values
 from cbsr_qa.store.runs.codec import encoded, frame_values, sample_values
+from cbsr_qa.store.runs.gate_answers import add_answers
 from cbsr_qa.store.runs.rows import begin_run, current_state, run_row
 from cbsr_qa.store.tables import (
     AttendanceRow,
@@ -159,9 +161,11 @@ class Journal:
         indenter: Indenter,
         tell: Callable[[str], None] | None = None,
         why: str = "",
+        gate: Sequence[GateAnswer] = (),
     ) -> None:
         self._engine = engine
         self._why = why
+        self._gate = gate
         self._tell = tell
         self._configuration = configuration
         self._setting = encoded(sensor_type, indenter, material)
@@ -206,6 +210,7 @@ class Journal:
         else:
             self._offset_s = on_tick(last_time_s(connection, identity.run))
         self._run = identity.run
+        add_answers(connection, identity.run, self._gate)
         self._state(connection, EndReason.RUNNING, "", self._offset_s, (), identity)
 
     @_store.register

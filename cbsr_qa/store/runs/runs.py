@@ -35,6 +35,7 @@ from cbsr_qa.store.runs.codec import (
     frame_block,
     sample_block,
 )
+from cbsr_qa.store.runs.gate_answers import answers_of
 from cbsr_qa.store.runs.journal import last_time_s
 from cbsr_qa.store.runs.live import load_record
 from cbsr_qa.store.runs.rows import current_state, identity_of, run_row
@@ -109,6 +110,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
                 prompts=prompts_of(attended),
                 chain=chain,
                 chain_head=head,
+                gate=answers_of(connection, run),
             )
         except StoreError:
             raise

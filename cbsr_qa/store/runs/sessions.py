@@ -23,6 +23,7 @@ from cbsr_qa.store.tables import (
     FrameBlockRow,
     LoadRow,
     PhaseRow,
+    ReleaseRow,
     RunRow,
     RunStateRow,
     SampleBlockRow,
@@ -163,6 +164,7 @@ def latest_id(engine: Engine) -> str:
         StationCheckRow.check_id,
         ChartReferenceRow.reference,
         VerdictOverrideRow.override_id,
+        ReleaseRow.release_id,
     )
     with reading(engine) as connection:
         found = [connection.scalar(select(func.max(column))) for column in columns]

@@ -1,3 +1,7 @@
+from .gate import (
+    GateAnswerRow as GateAnswerRow,
+    ReleaseRow as ReleaseRow,
+)
 from .records import (
     ChartReferenceRow as ChartReferenceRow,
     ConfigurationChangeRow as ConfigurationChangeRow,

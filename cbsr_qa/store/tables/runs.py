@@ -57,6 +57,7 @@ class RunRow(Base):
         Index(None, "station", "run"),
         Index(None, "batch"),
         Index(None, "started_at"),
+        Index(None, "station", "started_at"),
     )
 
     run: Mapped[str] = mapped_column(Identifier, primary_key=True)

@@ -1,4 +1,4 @@
-from .after_run import charts_after as charts_after
+from .after_run import charts_after as charts_after, charts_now as charts_now
 from .charting import STANDS as STANDS, UNCOUNTED as UNCOUNTED, charts_of as charts_of, standard_of as standard_of
 from .charts import Charts as Charts, control_charts as control_charts
 from .report import charts_outcome as charts_outcome

@@ -29,6 +29,11 @@ from cbsr_qa.studies.selection import clock_notes
 LOOK_BACK: Final = 100
 
 
+def charts_now(store: Repository, station: str) -> StationCharts | None:
+    """Return the state of all charts of a station by what is stored; None without a reference."""
+    return _charts(store, station, None, None, "")
+
+
 def charts_after(
     store: Repository, identity: RunIdentity, measurements: Sequence[Measurement] | None = None, *, until: str = ""
 ) -> StationCharts | None:
@@ -43,18 +48,28 @@ def charts_after(
     -------
     None if no reference is stored for the station.
     """
-    references = store.chart_references(identity.station, until)
+    return _charts(store, identity.station, identity, measurements, until)
+
+
+def _charts(
+    store: Repository,
+    station: str,
+    identity: RunIdentity | None,
+    measurements: Sequence[Measurement] | None,
+    until: str,
+) -> StationCharts | None:
+    references = store.chart_references(station, until)
     if not references:
         return None
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
         members = [held for held in references if (held.recipe, held.golden) == (recipe, golden)]
-        table = store.fleet(_looked_at(identity.station, members, until))
+        table = store.fleet(_looked_at(station, members, until))
         figures = reference_figures(table, members)
         lines = tuple(run for run in table.runs if run.outcome is not None)
         notes |= dict.fromkeys(clock_notes(lines))
-        if measurements is not None and recipe == identity.recipe and golden in (None, identity.sensor.serial):
+        if identity is not None and measurements is not None and _charted(identity, recipe, golden):
             own = _table_of(identity, measurements)
             for key, of in reference_figures(own, members).items():
                 figures.setdefault(key, {}).update(of)
@@ -66,7 +81,12 @@ def charts_after(
                 signals += filter(None, [_signal(reference, lines, figures)])
             except NumericsError as error:
                 notes[f"{reference.label}: {error.reason}"] = None
-    return StationCharts(identity.station, len(references), tuple(signals), tuple(notes))
+    return StationCharts(station, len(references), tuple(signals), tuple(notes))
+
+
+def _charted(identity: RunIdentity, recipe: str, golden: str | None) -> bool:
+    """Whether a run is among those of a chart."""
+    return recipe == identity.recipe and golden in (None, identity.sensor.serial)
 
 
 def _table_of(identity: RunIdentity, measurements: Sequence[Measurement]) -> FleetTable:

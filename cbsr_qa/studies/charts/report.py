@@ -1,6 +1,6 @@
 """Report of a station's control charts: the state of each, then those with signals, drawn and in words."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from cbsr_qa.domain import of_kind
@@ -56,13 +56,22 @@ def charts_outcome(charts: Charts) -> CommandOutcome[Charts]:
     """Lay charts out; the exit code is 1 if a signal is active."""
     sections = [Section("How to read this page", tuple(_reading(charts)), page_only=True)]
     sections += [Section("Charts", (_table(charts),))] if charts.charts else []
+    shared = _shared_notes(charts.charts)
     sections += [
-        Section(unit_column(capital(chart.label), chart.unit), tuple(_blocks(chart))) for chart in charts.charts
+        Section(unit_column(capital(chart.label), chart.unit), tuple(_blocks(chart, shared)))
+        for chart in charts.charts
     ]
-    return CommandOutcome(charts, _page(charts), tuple(sections), 0 if charts.in_control else 1)
+    return CommandOutcome(charts, _page(charts, shared), tuple(sections), 0 if charts.in_control else 1)
 
 
-def _page(charts: Charts) -> Page:
+def _shared_notes(charts: Sequence[MetricChart]) -> tuple[str, ...]:
+    """Return the notes that every one of several charts has: the page shows them once."""
+    if len(charts) < 2:
+        return ()
+    return tuple(note for note in charts[0].notes if all(note in chart.notes for chart in charts))
+
+
+def _page(charts: Charts, shared: tuple[str, ...]) -> Page:
     charted = [chart.reference for chart in charts.charts if chart.reference is not None]
     facts = (
         ("Station", charts.station),
@@ -73,7 +82,9 @@ def _page(charts: Charts) -> Page:
         *((("Stored", plural(len(charted), "new reference")),) if charts.stored else ()),
     )
     simulated = ("all charted runs",) if charts.simulated else ()
-    return Page("Control charts", charts.station, _banner(charts, len(charted)), facts, simulated, charts.notes)
+    return Page(
+        "Control charts", charts.station, _banner(charts, len(charted)), facts, simulated, (*charts.notes, *shared)
+    )
 
 
 def _banner(found: Charts, charted: int) -> Banner:
@@ -137,12 +148,12 @@ def _latest(chart: MetricChart) -> ChartPhase | None:
     return next((part for part in reversed(chart.charts) if part.name == chart.charts[0].name), None)
 
 
-def _blocks(chart: MetricChart) -> Iterator[Block]:
+def _blocks(chart: MetricChart, shared: tuple[str, ...]) -> Iterator[Block]:
     if chart.reference is None:
         yield Paragraph(_NO_CHART.format(why=chart.why), "warning")
     if chart.signal is not None:
         yield Paragraph(f"S{chart.signal.since_words()[1:]}.", "warning")
-    yield from (Paragraph(f"{capital(note)}.", "note") for note in chart.notes)
+    yield from (Paragraph(f"{capital(note)}.", "note") for note in chart.notes if note not in shared)
     if chart.charts:
         yield _figure(chart)
 

@@ -7,7 +7,16 @@ from typing import Final
 from cbsr_qa.domain.results import Block, EndReason, Paragraph, RunObservation, RunResult, Table
 from cbsr_qa.domain.run import ChangeHistory, RunRecord, RunSession, VerdictOverride
 from cbsr_qa.domain.sensor import ElectrodeKind, Electrodes, PlacedElectrodes, SensorType
-from cbsr_qa.report import RunSection, chart_blocks, duration, number, quantity, station_blocks, text_table
+from cbsr_qa.report import (
+    RunSection,
+    chart_blocks,
+    duration,
+    gate_blocks,
+    number,
+    quantity,
+    station_blocks,
+    text_table,
+)
 
 _OUTLINES: Final = {
     "contour": "bounded by a contour inside the elements",
@@ -205,11 +214,12 @@ def _software(record: RunRecord) -> Table:
 
 
 class StationChecked(RunSection):
-    """Section of the station's control charts that signal, and its latest check before the run."""
+    """Section of the station's control charts that signal, the checks before the run, and its latest own check."""
 
     title = "Station"
 
     def blocks(self, result: RunResult) -> Iterator[Block]:
         identity = result.record.identity
         yield from chart_blocks(result.station_charts)
+        yield from gate_blocks(result.record.gate)
         yield from station_blocks(identity.station, result.station_check, identity.started_at)

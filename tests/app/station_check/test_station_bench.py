@@ -8,7 +8,7 @@ import pytest
 
 from cbsr_qa.app.station_check.bench import look_at_bench, with_ring
 from cbsr_qa.domain import AbortedError, ConfigError, InstrumentError, RefusedError
-from cbsr_qa.domain.plan import InstrumentSpec, ReferenceRing
+from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, InstrumentSpec, ReferenceRing
 from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import CheckOutcome, CheckResult
 from cbsr_qa.plugin import discover
@@ -135,7 +135,8 @@ def test_self_tests_are_lines_of_their_instrument(bench):
 
 @pytest.mark.parametrize(("policy", "outcome"), [("warn", WARNING), ("refuse", FAILED)])
 def test_calibration_dates_are_held_against_the_stations_policy(simulated, policy, outcome):
-    bench = Bench(simulated, overdue=policy)
+    gate = GateSettings({GateCheck.CALIBRATION_DUE: GatePolicy(policy)})
+    bench = Bench(simulated, gate=gate)
     bench.due(force_applicator="2026-11-21", frame_source="2026-11-22")
     bench.look()
     late, today = bench.lines["force_applicator", "calibration due"], bench.lines["frame_source", "calibration due"]

@@ -14,12 +14,15 @@ from stored_runs import calibration, frames, identity, journalled, short_run
 
 from cbsr_qa.calibration.file import stamped
 from cbsr_qa.domain import ConfigError, StoreError
+from cbsr_qa.domain.plan import GateCheck, GatePolicy
 from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, RunSelection, decide
 from cbsr_qa.domain.run import (
     ChainState,
     ChartReference,
     CheckOutcome,
     CheckResult,
+    GateAnswer,
+    GateOutcome,
     InstrumentIdentity,
     RingReadings,
     RunStarted,
@@ -40,11 +43,14 @@ MEASURED = (
 )
 
 
+ANSWER = GateAnswer(GateCheck.DISK, GatePolicy.REFUSE, GateOutcome.OVERRIDDEN, "1 GB free", "tidy up", "Zoë", "so")
+
+
 def filled(url):
     """Store a run with something in every table, and a second one; return the first."""
     with open_store(url) as store:
         first, second = store.new_id(), store.new_id()
-        journalled(store, short_run(first))
+        journalled(store, short_run(first), gate=[ANSWER])
         journalled(store, short_run(second, "S-2"))
         record = store.load_run(first)
         issued = calibration(store.new_id(), first)
@@ -200,7 +206,7 @@ READ_ALL = (
 
 
 #: Nothing is stored in these here, or nobody reads it.
-EMPTY = ("sensors", "configuration_changes", *(f"calibration_{what}" for what in
+EMPTY = ("sensors", "configuration_changes", "releases", *(f"calibration_{what}" for what in
          ("settling", "relaxations", "parameters", "overlap_bands", "forces")))  # fmt: skip
 
 
@@ -278,7 +284,7 @@ def test_every_reader_refuses_what_it_uses(copied, statement, read):
 
 
 def test_every_table_of_a_run_is_covered_or_said_not_to_be():
-    elsewhere = {"sensors", "run_links", "chart_references"} | {
+    elsewhere = {"sensors", "run_links", "chart_references", "releases"} | {
         table.__tablename__
         for table in (check_tables.StationCheckRow, check_tables.StationCheckLineRow,
                       check_tables.StationCheckFramesRow)

@@ -305,6 +305,20 @@ def test_a_reference_period_is_named_by_its_days(shifted, command):
     assert f"30 runs, {first + timedelta(days=5)} to" in " ".join(later.split())
 
 
+def test_a_note_that_every_chart_has_is_on_the_page_once(tmp_path, command):
+    noise = 0.01 * np.random.default_rng(6).standard_normal(12)
+    runs = (
+        (Measurement("force_gain", float(gain), "N/V"), Measurement("drift", 0.1 + float(drift), "1"))
+        for gain, drift in zip(values(count=12), noise, strict=True)
+    )
+    filled(tmp_path / "runs.db", [(f"S-{k}", run, {"station": STATION, "day": k}) for k, run in enumerate(runs)])
+    asked = ("--station", STATION, "--reference-runs", 10, "--dry-run")
+    assert command(tmp_path / "runs.db", *asked, "--output", tmp_path / "page.html")[0] == 0
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("<svg") == 2
+    assert page.count("runs are uncertain") == 1
+
+
 def test_the_page_draws_the_charts(shifted, command, tmp_path):
     code, out, _ = command(shifted[0], "--station", STATION, *NEW, "--dry-run", "--output", tmp_path / "page.html")
     assert code == 1

@@ -1,0 +1,56 @@
+"""Free space for what a run writes: frames and samples in the database, report and calibration file."""
+
+import os
+import shutil
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.app.gate.request import Asked, Finding
+from cbsr_qa.station import dry_run, plan_of
+from cbsr_qa.store import parsed_url, sqlite_file
+
+_GB: Final = 1e9
+#: Time of a frame that is assumed: how fast the instruments are is known only once they are open. The shipped
+#: drivers take 0.24 s or more.
+_FRAME_S: Final = 0.1
+#: Bytes in the database of a reading (a voltage, its time and its flag), and beside the readings of a frame.
+_READING: Final = 17
+_FRAME: Final = 1500
+#: Bytes a second of the sampled channels: four of them, in blocks of their own at every frame.
+_SAMPLES_PER_S: Final = 4 * 400 / _FRAME_S
+#: Report, calibration file and its copy in the database.
+_FILES: Final = 100e6
+#: The write-ahead log may grow as large as what was written.
+_TWICE: Final = 2
+
+
+def enough_disk(asked: Asked) -> Finding:
+    """Compare the free space where the run writes with what it needs."""
+    stated = asked.settings.disk_GB
+    needed = needed_bytes(asked) if stated is None else stated * _GB
+    file = sqlite_file(parsed_url(asked.request.database))
+    folders = [*([] if file is None else [file.parent]), *asked.request.folders]
+    free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in folders)
+    what = "the estimate for this run" if stated is None else "disk_GB of the station"
+    words = f"{free[0] / _GB:.1f} GB free at {free[1]}, {needed / _GB:.1f} GB needed ({what})"
+    if file is None:
+        words += "; the disk of the database server is not seen from here"
+    if free[0] >= needed:
+        return Finding(True, words)
+    return Finding(
+        False, words, "free some space, or name another folder in CBSR_QA_VAR, another database with --database"
+    )
+
+
+def needed_bytes(asked: Asked) -> float:
+    """Estimate what a run writes, from its plan [bytes]."""
+    dry = dry_run(plan_of(asked.configuration, asked.plugins), _FRAME_S)
+    pattern = asked.configuration.sensor_type.pattern
+    readings = len(pattern.drive) * len(pattern.measure)
+    frames = dry.frames * (_READING * readings + _FRAME)
+    return _TWICE * (frames + dry.duration_s * _SAMPLES_PER_S) + _FILES
+
+
+def _there(folder: Path) -> Path:
+    """Return the folder, or the nearest above it that exists."""
+    return next((one for one in (folder, *folder.absolute().parents) if os.path.lexists(one)), Path("/"))

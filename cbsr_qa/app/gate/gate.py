@@ -1,0 +1,112 @@
+"""The gate: asks every check of a station before a run, and refuses the run where one refuses."""
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Final
+
+from cbsr_qa.app.gate.disk import enough_disk
+from cbsr_qa.app.gate.files import files_released
+from cbsr_qa.app.gate.instrument_dates import instruments_in_date
+from cbsr_qa.app.gate.people import operator_known
+from cbsr_qa.app.gate.request import Asked, Finding, GateRequest
+from cbsr_qa.app.gate.sensor import retest_allowed, serial_fits
+from cbsr_qa.app.gate.station_state import charts_in_control, golden_measured
+from cbsr_qa.app.gate.vetoes import no_veto
+from cbsr_qa.config import Configuration
+from cbsr_qa.domain import CbsrError, RefusedError
+from cbsr_qa.domain.plan import GateCheck, GatePolicy
+from cbsr_qa.domain.run import GateAnswer, GateOutcome
+from cbsr_qa.plugin import Plugins
+from cbsr_qa.store import Repository, database_exists, open_store
+from cbsr_qa.system import RealClock
+
+CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
+    GateCheck.SERIAL_PATTERN: serial_fits,
+    GateCheck.RETEST: retest_allowed,
+    GateCheck.CALIBRATION_DUE: instruments_in_date,
+    GateCheck.GOLDEN: golden_measured,
+    GateCheck.CHARTS: charts_in_control,
+    GateCheck.DISK: enough_disk,
+    GateCheck.OPERATOR: operator_known,
+    GateCheck.RELEASED: files_released,
+    GateCheck.BEFORE_RUN: no_veto,
+}
+#: Asked again when a run is resumed: what may have changed since, and matters for the rest of the run. The others
+#: decide whether a run may begin, and this one has.
+ASKED_AGAIN: Final = frozenset({GateCheck.CALIBRATION_DUE, GateCheck.DISK, GateCheck.OPERATOR})
+#: A golden sensor is run again and again, also while the station is out of control, to find out about the station.
+_NOT_OF_GOLDEN: Final = frozenset({GateCheck.RETEST, GateCheck.GOLDEN, GateCheck.CHARTS})
+_GOLDEN: Final = "not asked of the golden sensor in a check of the station"
+
+
+def ask_gate(
+    request: GateRequest,
+    configuration: Configuration,
+    plugins: Plugins,
+    store: Repository | None,
+    checks: Collection[GateCheck] = tuple(GateCheck),
+) -> tuple[GateAnswer, ...]:
+    """Return the answer of every check, in order; nothing is moved or written.
+
+    A check that cannot be answered, e.g. because a stored run was altered, has not passed.
+
+    Parameters
+    ----------
+    store : None if there is no database yet.
+    checks : to ask.
+    """
+    asked = Asked(request, configuration, plugins, store, RealClock().wall())
+    return tuple(_answer(check, asked) for check in GateCheck if check in checks)
+
+
+def ask_before(
+    request: GateRequest,
+    configuration: Configuration,
+    plugins: Plugins,
+    checks: Collection[GateCheck] = tuple(GateCheck),
+) -> tuple[GateAnswer, ...]:
+    """Return the answers as :func:`ask_gate`, by the database of the request as far as it exists."""
+    if not database_exists(request.database):
+        return ask_gate(request, configuration, plugins, None, checks)
+    with open_store(request.database, create=False) as store:
+        return ask_gate(request, configuration, plugins, store, checks)
+
+
+def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:
+    """Return the one error for all checks that refuse; None if none does."""
+    refused = [one for one in answers if one.outcome is GateOutcome.REFUSED]
+    if not refused:
+        return None
+    listed = "\n".join(f"  {one.check}: {one.words}" for one in refused)
+    remedies = [f"{one.check}: {one.remedy}" for one in refused if one.remedy]
+    names = " ".join(f"--override {one.check}" for one in refused)
+    override = f"or override: {names} --override-by NAME --override-why TEXT"
+    return RefusedError(
+        f"the gate of this station refuses the run:\n{listed}", remedy="\n".join([*remedies, override])
+    )
+
+
+def _answer(check: GateCheck, asked: Asked) -> GateAnswer:
+    policy = asked.settings.policy(check)
+    finding = Finding(None, "")
+    if policy is not GatePolicy.OFF:
+        finding = _finding(check, asked)
+    if finding.well is None:
+        return GateAnswer(check, policy, GateOutcome.OFF, finding.words)
+    if finding.well:
+        return GateAnswer(check, policy, GateOutcome.PASSED, finding.words)
+    if policy is GatePolicy.WARN:
+        return GateAnswer(check, policy, GateOutcome.WARNED, finding.words, finding.remedy)
+    override = asked.request.override
+    if check in override.checks:
+        by, why = override.by, override.why.strip()
+        return GateAnswer(check, policy, GateOutcome.OVERRIDDEN, finding.words, finding.remedy, by, why)
+    return GateAnswer(check, policy, GateOutcome.REFUSED, finding.words, finding.remedy)
+
+
+def _finding(check: GateCheck, asked: Asked) -> Finding:
+    if asked.request.golden and check in _NOT_OF_GOLDEN:
+        return Finding(None, _GOLDEN)
+    try:
+        return CHECKS[check](asked)
+    except CbsrError as error:
+        return Finding(False, f"it could not be checked: {error.reason}", error.remedy)

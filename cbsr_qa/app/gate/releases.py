@@ -1,0 +1,121 @@
+"""Release configuration files for runs, or withdraw a release."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Final
+
+from cbsr_qa.config import (
+    DocumentKind,
+    FileContent,
+    Loaded,
+    database_url,
+    load_material,
+    load_recipe,
+    load_scene,
+    load_sensor_type,
+    load_station,
+    open_document,
+    shipped_names,
+    validate_operator,
+    validate_reason,
+)
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.results import CommandOutcome
+from cbsr_qa.domain.run import Release
+from cbsr_qa.plugin import Plugins, discover, echo
+from cbsr_qa.report import answer
+from cbsr_qa.store import open_store
+from cbsr_qa.system import RealClock
+
+_Load = Callable[[str, Plugins], Loaded[Any]]
+_LOADERS: Final[Mapping[DocumentKind, _Load]] = {
+    DocumentKind.STATION: load_station,
+    DocumentKind.RECIPE: load_recipe,
+    DocumentKind.SENSOR_TYPE: lambda file, plugins: load_sensor_type(file),
+    DocumentKind.MATERIAL: lambda file, plugins: load_material(file),
+    DocumentKind.SCENE: load_scene,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseRequest:
+    """A file to release, or whose release to withdraw; see the options of ``cbsr-qa release``."""
+
+    file: str
+    by: str
+    why: str
+    withdraw: bool = False
+    database: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Released(Release):
+    """The release or withdrawal that was stored, and what was said of this content before."""
+
+    before: Release | None
+
+
+def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
+    """Store that a file of just this content may configure runs, or no longer.
+
+    Raises
+    ------
+    ConfigError
+        If the file does not exist, is no file of a run or has mistakes, or name or reason is missing.
+    StoreError
+        If the database cannot be used.
+    """
+    for option, text, what in (("--by", request.by, "who decides"), ("--why", request.why, "for what reason")):
+        if not text.strip():
+            raise ConfigError(f"a release needs {option}", remedy=f"say {what}")
+    by, why = validate_operator(request.by), validate_reason(request.why)
+    kind = _kind(request.file)
+    content = FileContent.of(kind, _LOADERS[kind](request.file, discover()).document.data)
+    with open_store(database_url(request.database)) as store:
+        before = store.latest_release(content.kind, content.sha256)
+        if request.withdraw and (before is None or before.action != "released"):
+            raise ConfigError(f"{content.kind} {content.name!r} is not released with this content")
+        made = Released(
+            release=store.new_id(),
+            kind=content.kind,
+            name=content.name,
+            sha256=content.sha256,
+            action="withdrawn" if request.withdraw else "released",
+            by=by,
+            why=why,
+            at=RealClock().wall(),
+            before=before,
+        )
+        store.save_release(made)
+    facts = (("Content", f"SHA-256 {made.sha256}"), ("Why", made.why))
+    return answer(made, f"{made.kind} {made.name} {made.action} by {made.by}", "", facts)
+
+
+def _kind(file: str) -> DocumentKind:
+    """Return what a file is by its table, and a shipped one by its name. ConfigError if it is neither."""
+    found = list(_kinds(file))
+    if len(found) == 1:
+        return found[0]
+    known = ", ".join(kind.noun for kind in _LOADERS)
+    if not found:
+        open_document(DocumentKind.STATION, file)  # says what is wrong with a file that cannot be read
+        raise ConfigError(
+            f"{echo(file)} is no file of a run", remedy=f"give the path or the shipped name of a {known}"
+        )
+    raise ConfigError(
+        f"{echo(file)} is the name of a {' and a '.join(kind.noun for kind in found)}", remedy="give the path"
+    )
+
+
+def _kinds(file: str) -> Iterator[DocumentKind]:
+    if file.endswith(".toml") or "/" in file or "\\" in file:
+        yield from (kind for kind in _LOADERS if _has_table(kind, file))
+    else:
+        yield from (kind for kind in _LOADERS if file in shipped_names(kind))
+
+
+def _has_table(kind: DocumentKind, file: str) -> bool:
+    with suppress(ConfigError):
+        return kind.table in open_document(kind, file).data
+    return False

@@ -1,0 +1,99 @@
+"""What the gate is asked about, and what a check finds."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime
+from difflib import get_close_matches
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from cbsr_qa.config import Configuration, validate_operator, validate_reason
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import GateCheck, GateSettings
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.plugin import Plugins, echo
+from cbsr_qa.store import Repository
+
+
+@dataclass(frozen=True, slots=True)
+class Override:
+    """Checks that may not refuse this run, by whom and for what reason."""
+
+    checks: tuple[str, ...] = ()
+    by: str = ""
+    why: str = ""
+
+    def checked(self) -> Self:
+        """Return itself. ConfigError if a check is unknown, or name or reason is missing or not allowed."""
+        known = [str(check) for check in GateCheck]
+        for name in self.checks:
+            if name not in known:
+                near = get_close_matches(name, known, n=1)
+                hint = f"did you mean {near[0]!r}? " if near else ""
+                remedy = f"{hint}checks: {', '.join(known)}"
+                raise ConfigError(f"there is no check {echo(name)} to override", remedy=remedy)
+        if not self.checks:
+            if self.by or self.why:
+                raise ConfigError("an override needs --override", remedy=f"name a check: {', '.join(known)}")
+            return self
+        for option, text, what in (("--override-by", self.by, "who decides"), ("--override-why", self.why, "why")):
+            if not text.strip():
+                raise ConfigError(f"an override needs {option}", remedy=f"say {what}")
+        validate_operator(self.by)
+        validate_reason(self.why)
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class GateRequest:
+    """A run that wants to begin, or to be resumed.
+
+    Parameters
+    ----------
+    serial, batch, operator : checked names.
+    override : checked.
+    golden : whether the run measures the golden sensor of a station check.
+    resumed : whether the run goes on with earlier loads.
+    pin : asks for the operator's PIN; None if nobody can be asked. Called only if the station file has one.
+    preview : whether the answers are only shown; no PIN is asked for.
+    database : URL.
+    folders : other folders the run writes to.
+    """
+
+    serial: str
+    database: str
+    folders: tuple[Path, ...]
+    batch: str = ""
+    operator: str = ""
+    override: Override = field(default_factory=Override)
+    golden: bool = False
+    resumed: bool = False
+    pin: Callable[[str], str] | None = None
+    preview: bool = False
+
+
+class Finding(NamedTuple):
+    """What a check found: whether all is well (None: there was nothing to check), in words, and what to do."""
+
+    well: bool | None
+    words: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """All that a check may look at; ``store`` is None as long as there is no database."""
+
+    request: GateRequest
+    configuration: Configuration
+    plugins: Plugins
+    store: Repository | None
+    now: datetime
+
+    @property
+    def settings(self) -> GateSettings:
+        return self.configuration.station.gate
+
+    @property
+    def sensor(self) -> SensorIdentity:
+        return SensorIdentity(self.request.serial, self.request.batch, self.configuration.sensor_type.name)

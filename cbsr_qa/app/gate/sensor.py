@@ -1,0 +1,50 @@
+"""The sensor: its serial number, and how often it may be tested."""
+
+from cbsr_qa.app.gate.request import Asked, Finding
+from cbsr_qa.config import fits_pattern
+from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.run import EarlierRun
+
+_PASSED = (Outcome.PASS, Outcome.MARGINAL)
+
+
+def serial_fits(asked: Asked) -> Finding:
+    """Match the whole serial number with the pattern of the sensor type."""
+    pattern, sensor = asked.configuration.serial_pattern, asked.sensor
+    if not pattern:
+        return Finding(None, f"sensor type {sensor.sensor_type} states no serial_pattern")
+    if fits_pattern(pattern, sensor.serial):
+        return Finding(True, f"{sensor.serial} fits {pattern!r}")
+    remedy = "scan the sensor again, or choose the sensor type it is of"
+    return Finding(
+        False, f"{sensor.serial} does not fit {pattern!r}, the serial_pattern of {sensor.sensor_type}", remedy
+    )
+
+
+def retest_allowed(asked: Asked) -> Finding:
+    """Count finished runs of this sensor and recipe; those of station checks, aborted and broken ones do not count.
+
+    A run that was altered since counts: what it was cannot be known.
+    """
+    recipe, serial = asked.configuration.recipe.name, asked.request.serial
+    tries = () if asked.store is None else asked.store.sensor_history(asked.sensor, recipe).tries
+    finished = [one for one in tries if one.changed or one.end is EndReason.FINISHED]
+    passed = [one for one in finished if _decided(one) in _PASSED]
+    if passed:
+        latest = passed[-1]
+        words = f"{serial} already passed {recipe} on {latest.day} (run {latest.run})"
+        return Finding(False, words, "take the next sensor")
+    most = asked.settings.retest_runs
+    count = f"{len(finished)} finished run{'' if len(finished) == 1 else 's'} of {serial} with {recipe}"
+    if most is None:
+        return Finding(True, f"{count}, none of them passed" if finished else count)
+    if len(finished) < most:
+        return Finding(True, f"{count}, at most {most} allowed")
+    return Finding(
+        False, f"{count}; the station allows {most}", "set the sensor aside: it has failed as often as allowed"
+    )
+
+
+def _decided(run: EarlierRun) -> Outcome | None:
+    """Return the outcome that holds: of the latest override, if there is one."""
+    return run.outcome if run.overridden is None else run.overridden[0]

@@ -1,0 +1,36 @@
+"""The outcome of ``cbsr-qa gate``: every answer, without running."""
+
+from dataclasses import dataclass
+
+from cbsr_qa.app.gate.gate import gate_refusal
+from cbsr_qa.domain import filled
+from cbsr_qa.domain.results import Banner, CommandOutcome, Page, Section
+from cbsr_qa.domain.run import GateAnswer, GateOutcome
+from cbsr_qa.report import Refusal, gate_table
+
+
+@dataclass(frozen=True, slots=True)
+class GateShown:
+    """Answers of the gate to a run that was not made; ``refused`` is None if it could begin."""
+
+    serial: str
+    station: str
+    recipe: str
+    answers: tuple[GateAnswer, ...]
+    refused: Refusal | None
+
+
+def gate_outcome(
+    serial: str, station: str, recipe: str, answers: tuple[GateAnswer, ...]
+) -> CommandOutcome[GateShown]:
+    """Lay out the answers; the exit code is 2 if the run would be refused."""
+    error = gate_refusal(answers)
+    refused = None if error is None else filled(Refusal, error)
+    banner = Banner("pass", "✓", "The gate lets this run begin", f"{serial} with {recipe} on {station}")
+    if refused is not None:
+        names = ", ".join(str(one.check) for one in answers if one.outcome is GateOutcome.REFUSED)
+        banner = Banner("fail", "✗", "The gate refuses this run", f"{names}: {serial} with {recipe} on {station}")
+    todo = tuple((str(one.check), one.remedy) for one in answers if one.remedy)
+    page = Page("Gate", serial, banner, todo)
+    shown = GateShown(serial, station, recipe, answers, refused)
+    return CommandOutcome(shown, page, (Section("Answers", (gate_table("", answers),)),), 0 if error is None else 2)

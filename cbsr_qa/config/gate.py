@@ -1,0 +1,86 @@
+"""``[gate]`` of a station file: the checks before a run."""
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field
+
+from cbsr_qa.config.serials import validate_operator
+from cbsr_qa.config.tables import as_domain
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator
+from cbsr_qa.plugin import Problem, Table
+from cbsr_qa.system import pin_hash_readable
+
+Policy = Literal["refuse", "warn", "off"]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+#: Key of the list of operators. It is no part of what a run is configured with: a station measures the same whoever
+#: works at it, and the hashes of PINs stay out of the database.
+OPERATORS: Final = "operators"
+
+
+class OperatorTable(Table):
+    """``[[gate.operators]]``."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64)]
+    pin: Any = None  # checked below: no message may repeat it
+
+    def problems(self, number: int) -> Iterator[Problem]:
+        at = ("gate", OPERATORS, number)
+        try:
+            validate_operator(self.name)
+        except ConfigError as error:
+            yield Problem((*at, "name"), f"cannot be used: {error.reason}", error.remedy)
+        if self.pin is not None and not pin_hash_readable(self.pin):
+            yield Problem((*at, "pin"), "is no hash of a PIN", "copy the line that cbsr-qa station pin prints")
+
+
+class GateTable(Table):
+    """``[gate]``: a policy for each check, and what the checks require."""
+
+    serial_pattern: Policy | None = None
+    retest: Policy | None = None
+    retest_runs: Count | None = None
+    calibration_due: Policy | None = None
+    golden: Policy | None = None
+    golden_hours: Annotated[float, Field(gt=0, le=87600)] | None = None
+    golden_runs: Count | None = None
+    charts: Policy | None = None
+    disk: Policy | None = None
+    disk_GB: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    operator: Policy | None = None
+    operators: list[OperatorTable] = Field(default_factory=list)
+    released: Policy | None = None
+    before_run: Policy | None = None
+    before_run_s: Annotated[float, Field(gt=0, le=600)] = 10.0
+
+    def problems(self) -> Iterator[Problem]:
+        """A check that is on has what it needs; no operator is listed twice."""
+        if self.golden not in (None, "off") and self.golden_hours is None and self.golden_runs is None:
+            yield Problem(("gate", "golden"), "needs golden_hours or golden_runs, or both")
+        if self.operator not in (None, "off") and not self.operators:
+            yield Problem(("gate", "operator"), "needs a list: one [[gate.operators]] table with a name for each")
+        names = [one.name for one in self.operators]
+        for number, one in enumerate(self.operators):
+            yield from one.problems(number)
+            if one.name in names[:number]:
+                yield Problem(("gate", OPERATORS, number, "name"), f"{one.name!r} is listed before")
+
+    def to_domain(self, overdue: str | None) -> GateSettings:
+        """Return the settings; ``overdue`` is the earlier spelling of ``calibration_due``."""
+        given = {check: getattr(self, check) for check in GateCheck}
+        given[GateCheck.CALIBRATION_DUE] = self.calibration_due or overdue
+        return as_domain(
+            GateSettings,
+            self,
+            policies={check: GatePolicy(policy) for check, policy in given.items() if policy is not None},
+            operators=tuple(Operator(one.name, one.pin or "") for one in self.operators),
+        )
+
+
+def without_operators(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the content of a station file without its list of operators."""
+    gate = data.get("gate")
+    if not isinstance(gate, Mapping) or OPERATORS not in gate:
+        return data
+    return {**data, "gate": {key: value for key, value in gate.items() if key != OPERATORS}}

@@ -1,0 +1,50 @@
+"""What reports say of the checks before a run."""
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from cbsr_qa.domain.results import Block, Cell, Outcome, Paragraph, Table
+from cbsr_qa.domain.run import GateAnswer, GateOutcome
+from cbsr_qa.report.tables import plural, text_table
+
+_CELLS: Final = {
+    GateOutcome.PASSED: Outcome.PASS,
+    GateOutcome.WARNED: Outcome.MARGINAL,
+    GateOutcome.OVERRIDDEN: Outcome.MARGINAL,
+    GateOutcome.REFUSED: Outcome.FAIL,
+    GateOutcome.OFF: Outcome.NOT_JUDGED,
+}
+_NOTED: Final = (GateOutcome.WARNED, GateOutcome.OVERRIDDEN, GateOutcome.REFUSED)
+
+
+def gate_table(caption: str, answers: Iterable[GateAnswer]) -> Table:
+    """Return answers of the gate, one a row."""
+    rows = [
+        (str(one.check), str(one.policy), Cell(str(one.outcome), _CELLS[one.outcome]), one.sentence)
+        for one in answers
+    ]
+    return text_table(caption, ("Check", "Policy", "Outcome", "Finding"), rows)
+
+
+def gate_words(answers: Sequence[GateAnswer]) -> str:
+    """Say how many checks there were, and which did not pass: ``5 checks, retest overridden by Ada: …``."""
+    asked = [one for one in answers if one.outcome is not GateOutcome.OFF]
+    noted = [f"{one.check} {one.outcome}: {one.sentence}" for one in asked if one.outcome in _NOTED]
+    return "; ".join([plural(len(asked), "check"), *(noted or ["all passed"])])
+
+
+def gate_blocks(answers: Sequence[GateAnswer]) -> tuple[Block, ...]:
+    """Show the answers before the run and at each resumption; nothing for a run of before there was a gate."""
+    if not answers:
+        return ()
+    blocks: list[Block] = [
+        Paragraph(f"Before the run, {one.check} was {one.outcome}: {one.sentence}.", "warning")
+        for one in answers
+        if one.outcome in _NOTED
+    ]
+    for session in sorted({one.session for one in answers}):
+        own = [one for one in answers if one.session == session]
+        caption = "Checks before the run." if session == 0 else f"Asked again before resumption {session} of the run."
+        table = gate_table(caption, own)
+        blocks.append(Table(table.caption, table.columns, table.rows, folded=True))
+    return tuple(blocks)

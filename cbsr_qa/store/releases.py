@@ -1,0 +1,37 @@
+"""Releases of configuration files: appended; the latest of a kind and digest holds."""
+
+from typing import Literal
+
+from sqlalchemy import Engine, insert, select
+
+from cbsr_qa.domain.run import Release
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.store.tables import ReleaseRow
+
+
+def save_release(engine: Engine, release: Release) -> None:
+    """Store a release or a withdrawal. StoreError if it is already stored, or the database cannot be written."""
+    values = row_of(
+        ReleaseRow,
+        release,
+        release_id=release.release,
+        outcome=release.action,
+        operator=release.by,
+        noted_at=release.at,
+    )
+    with writing(engine) as connection:
+        connection.execute(insert(ReleaseRow), values)
+
+
+def latest_release(engine: Engine, kind: str, sha256: str) -> Release | None:
+    """Return what was last said about a file of this content; None if nothing was."""
+    row = ReleaseRow
+    query = select(*row.__table__.columns).where(row.sha256 == sha256, row.kind == kind)
+    with reading(engine) as connection:
+        found = connection.execute(query.order_by(row.release_id.desc()).limit(1)).one_or_none()
+    if found is None:
+        return None
+    # An unknown word is no release.
+    action: Literal["released", "withdrawn"] = "released" if found.outcome == "released" else "withdrawn"
+    return of_row(Release, found, release=found.release_id, action=action, by=found.operator, at=found.noted_at)

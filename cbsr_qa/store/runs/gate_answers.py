@@ -1,0 +1,52 @@
+"""Answers of the checks before a run, as rows of its chain."""
+
+from collections.abc import Sequence
+
+from sqlalchemy import Connection, func, select
+
+from cbsr_qa.domain.plan import GateCheck, GatePolicy
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import GateAnswer, GateOutcome
+from cbsr_qa.store.chain import add_rows
+from cbsr_qa.store.damage import stored
+from cbsr_qa.store.mapping import of_row, row_of
+from cbsr_qa.store.tables import GateAnswerRow, RunStateRow
+
+
+def add_answers(connection: Connection, run: str, answers: Sequence[GateAnswer]) -> None:
+    """Store the answers of a session that is about to begin."""
+    begun = select(func.count()).where(RunStateRow.run == run, RunStateRow.end == str(EndReason.RUNNING))
+    session = connection.scalar(begun)
+    rows = [
+        row_of(
+            GateAnswerRow,
+            one,
+            run=run,
+            session=session,
+            subject=str(one.check),
+            policy=str(one.policy),
+            outcome=str(one.outcome),
+            operator=one.by,
+        )
+        for one in answers
+    ]
+    add_rows(connection, run, GateAnswerRow, rows)
+
+
+def answers_of(connection: Connection, run: str) -> tuple[GateAnswer, ...]:
+    """Return the answers stored with a run, by session and in the order of the checks."""
+    rows = connection.execute(select(*GateAnswerRow.__table__.columns).where(GateAnswerRow.run == run))
+    where = f"run {run}"
+    found = [
+        of_row(
+            GateAnswer,
+            row,
+            check=stored(GateCheck, row.subject, "gate_answers.subject", where),
+            policy=stored(GatePolicy, row.policy, "gate_answers.policy", where),
+            outcome=stored(GateOutcome, row.outcome, "gate_answers.outcome", where),
+            by=row.operator,
+        )
+        for row in rows
+    ]
+    order = list(GateCheck)
+    return tuple(sorted(found, key=lambda one: (one.session, order.index(one.check))))
