@@ -11,6 +11,7 @@ from starlette.responses import JSONResponse, Response
 
 from cbsr_qa.config import validate_operator, validate_reason
 from cbsr_qa.domain import CbsrError, RefusedError
+from cbsr_qa.web.gate import gate_view
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
@@ -47,8 +48,8 @@ class Actions:
         if not form.get("serial"):
             raise RefusedError(text("station.no_sensor_asked"))
         wanted = StartForm.of(watch.served, form)
-        html = self._pages.gate(station, wanted)
-        return _said(parts=[["gate", html], ["verdict", ""]])
+        view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database)
+        return _said(parts=[["gate", self._pages.gate(station, wanted, view)], ["verdict", ""]])
 
     async def start(self, station: str, form: dict[str, str]) -> Response:
         """Start a run."""

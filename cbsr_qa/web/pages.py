@@ -12,6 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cbsr_qa.domain.results import EndReason, ListedRun
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
+from cbsr_qa.web.gate import GateView
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.live_run import TRACE_S, Place
 from cbsr_qa.web.start import StartForm
@@ -242,9 +243,9 @@ class Pages:
             "station", control=control, here=name, stream=stream, keys=keys, **own | {"trouble": trouble}
         )
 
-    def gate(self, station: str, wanted: StartForm) -> str:
+    def gate(self, station: str, wanted: StartForm, view: GateView) -> str:
         """Render what is said of a sensor before its run."""
-        return self.fragment("gate", base=_base(station), request=wanted, may=True, answers=())
+        return self.fragment("gate", base=_base(station), request=wanted, may=view.may, answers=view.answers)
 
     def overview_parts(self) -> list[Part]:
         """Return the parts of the overview."""

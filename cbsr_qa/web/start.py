@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
+from cbsr_qa.app.gate import Override
 from cbsr_qa.config import validate_batch, validate_operator, validate_serial
 from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
@@ -16,6 +17,7 @@ class StartForm:
     recipe: OfferedRecipe
     operator: str
     batch: str
+    override: Override
 
     @classmethod
     def of(cls, served: ServedStation, form: Mapping[str, str]) -> Self:
@@ -25,6 +27,11 @@ class StartForm:
             recipe=served.recipe(form.get("recipe", served.recipes[0].name)),
             operator=validate_operator(form.get("operator", "")),
             batch=validate_batch(form.get("batch", "")),
+            override=Override(
+                tuple(filter(None, form.get("override", "").split())),
+                form.get("override_by", ""),
+                form.get("override_why", ""),
+            ).checked(),
         )
 
     @property
@@ -35,6 +42,9 @@ class StartForm:
             "recipe": self.recipe.name,
             "operator": self.operator,
             "batch": self.batch,
+            "override": " ".join(self.override.checks),
+            "override_by": self.override.by,
+            "override_why": self.override.why,
         }
 
     def arguments(self, served: ServedStation, database: str | None) -> list[str]:
@@ -45,6 +55,9 @@ class StartForm:
             f"--serial={self.serial}",
             f"--operator={self.operator}",
             f"--batch={self.batch}",
+            *(f"--override={check}" for check in self.override.checks),
+            *([f"--override-by={self.override.by}"] if self.override.checks else []),
+            *([f"--override-why={self.override.why}"] if self.override.checks else []),
             *common_arguments(database),
         ]
 
