@@ -123,6 +123,7 @@ class ServedLine:
             station = _STATION.replace('"line-1"', f'"{name}"').replace("clock_speed = 60.0", "clock_speed = 10.0")
             if name == "dying":
                 station = station.replace('"simulated-bench"', '"dying-bench"')
+                station += '\n[gate]\noperator = "refuse"\n\n[[gate.operators]]\nname = "Ada"\n'
             (self.folder / f"{name}.toml").write_text(station)
         for name, places, asks in (
             ("five-places", [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0], [0.0, 30.0], [0.0, -30.0]], ""),

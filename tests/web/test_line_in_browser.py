@@ -122,6 +122,7 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
 @pytest.mark.rest
 def test_an_instrument_that_dies_is_named_with_what_to_do(pages):
     page = pages("/stations/dying")
+    page.locator("#operator").fill("Ada")
     _scan(page, "DIE-1", "five-places")
     expect(page.locator(".verdict h2")).to_contain_text("Broken off")
     expect(page.locator(".verdict .reason")).to_contain_text("its cable was pulled out")
@@ -148,6 +149,25 @@ def test_hostile_serials_are_refused_with_what_is_allowed(pages, serial):
     page.keyboard.press("Enter")
     expect(page.locator("#say")).to_contain_text("cannot be used")
     expect(page.locator("#gate")).to_be_empty()
+
+
+def test_the_gate_refuses_until_somebody_overrides_it(pages):
+    page = pages("/stations/dying")
+    page.locator("#operator").fill("Nobody")
+    page.locator("#serial").fill("GATE-1")
+    page.keyboard.press("Enter")
+    expect(page.locator("#gate .refused")).to_contain_text("operator")
+    expect(page.get_by_role("button", name="Start")).to_have_count(0)
+    page.shot("gate-refuses")
+    _accessible(page)
+    page.get_by_text("Override with a name and a reason").click()
+    page.get_by_label("Who decides").fill("Grace")
+    page.get_by_label("Why").fill("Ada is ill")
+    page.keyboard.press("Enter")
+    expect(page.locator("#gate .overridden")).to_contain_text("overridden by Grace: Ada is ill")
+    expect(page.get_by_role("button", name="Start")).to_be_focused()
+    page.shot("gate-overridden")
+    _accessible(page)
 
 
 def test_who_is_not_signed_in_is_asked_to(line, chromium, pages):
