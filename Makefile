@@ -10,7 +10,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q
 
 .DEFAULT_GOAL := help
-.PHONY: help demo fleet-demo test test-rest test-all check lint types imports bench faults soak clean
+.PHONY: help demo fleet-demo serve test test-rest test-all check lint types imports bench faults soak clean
 
 help: ## Say what can be made
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -44,6 +44,10 @@ fleet-demo: $(VENV)/.run-stamp ## Build a fleet of 3 batches at 3 stations, comp
 			$(BIN)/python -m webbrowser "file://$$(cd "$$CBSR_QA_VAR" && pwd -P)/$${page##*/}" >/dev/null 2>&1 || :; \
 		fi; \
 	done
+
+serve: $(VENV)/.run-stamp ## Open the page of a simulated line of two stations; Ctrl-C ends it
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[web]'
+	@$(BIN)/cbsr-qa serve --station line-1 --station line-2 --recipe nine-locations --open
 
 test: $(VENV)/.dev-stamp ## Run the tests that take minutes; names the slowest, which may be for test-rest
 	@CBSR_QA_TIER=test $(PYTEST) -m "not rest" --durations=10 --durations-min=4 $(PYTEST_ARGS)

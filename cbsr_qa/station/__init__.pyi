@@ -18,6 +18,7 @@ from .plan import (
     LoadKey as LoadKey,
     Plan as Plan,
     PlannedPhase as PlannedPhase,
+    ScheduledPhase as ScheduledPhase,
     ScheduledStep as ScheduledStep,
     describe as describe,
     schedule as schedule,

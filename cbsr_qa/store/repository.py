@@ -17,7 +17,7 @@ from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url
 from cbsr_qa.store.listed import listed_runs
 from cbsr_qa.store.results import analyses as analysed, calibrations as issued, calibrations_of_before as of_before
-from cbsr_qa.store.runs import Journal, attendance, latest_id, outcomes, runs, sessions
+from cbsr_qa.store.runs import ChangeNotice, Journal, attendance, latest_id, live, outcomes, runs, sessions
 from cbsr_qa.store.types import IdSource, made_at
 
 P = ParamSpec("P")
@@ -116,6 +116,12 @@ class Repository:
     prompts_shown = _of_engine(attendance.prompts_shown)
     incomplete_runs = _of_engine(sessions.incomplete_runs)
     counts = _of_engine(sessions.counts)
+
+    change_notice = _of_engine(ChangeNotice)
+    run_tail = _of_engine(live.run_tail)
+    frames_between = _of_engine(live.frames_between)
+    latest_run_at = _of_engine(live.latest_run_at)
+    look_at = _of_engine(live.look_at)
 
     analyses = _of_engine(analysed.analyses_of)
     run_lines = _of_engine(fleets.run_lines)

@@ -17,6 +17,9 @@ mkdir home
 cd home
 "$away/venv/bin/cbsr-qa" --version
 "$away/venv/bin/cbsr-qa" plugins list >/dev/null
+"$away/venv/bin/python" -m pip install --quiet --disable-pip-version-check -c "$top/constraints.txt" "$(echo "$away"/dist/*.whl)[web]"
+(cd "$away" && "$away/venv/bin/python" -c "from cbsr_qa.web.application import Site; from cbsr_qa.web.pages import Pages; from cbsr_qa.web.line import Line
+pages = Pages(Line((), None)); Site(pages._line, pages, None); assert 'line.css' in pages.overview(control=True)")
 "$away/venv/bin/cbsr-qa" run --station simulated --recipe nine-locations --serial WHEEL-001 --batch wheel --json >run.json
 "$away/venv/bin/python" - <<'PY'
 import importlib.metadata

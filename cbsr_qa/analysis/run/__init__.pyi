@@ -27,6 +27,7 @@ from .force_quality import (
     places_mm as places_mm,
     tests_of as tests_of,
 )
+from .live import LivePreview as LivePreview, PlacePreview as PlacePreview
 from .loads import load_window as load_window
 from .observe import observe_run as observe_run
 from .place import PlaceErrors as PlaceErrors, run_place as run_place

@@ -1,4 +1,4 @@
-from . import attendance as attendance, outcomes as outcomes, runs as runs, sessions as sessions
+from . import attendance as attendance, live as live, outcomes as outcomes, runs as runs, sessions as sessions
 from .codec import (
     decoded_indenter as decoded_indenter,
     decoded_material as decoded_material,
@@ -10,6 +10,12 @@ from .codec import (
     sample_values as sample_values,
 )
 from .journal import Journal as Journal
+from .live import (
+    ChangeNotice as ChangeNotice,
+    LivePhase as LivePhase,
+    RunLook as RunLook,
+    RunTail as RunTail,
+)
 from .outcomes import latest_outcome as latest_outcome
 from .rows import (
     current_state as current_state,

@@ -14,8 +14,6 @@ from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.results import EndReason, Outcome
 from cbsr_qa.domain.run import (
-    EasedStrain,
-    Load,
     LoadRecord,
     PhaseRecord,
     RunIdentity,
@@ -39,6 +37,7 @@ from cbsr_qa.store.runs.codec import (
 )
 from cbsr_qa.store.runs.gate_answers import answers_of
 from cbsr_qa.store.runs.journal import last_time_s
+from cbsr_qa.store.runs.live import load_record
 from cbsr_qa.store.runs.rows import current_state, identity_of, run_row
 from cbsr_qa.store.runs.sessions import Span, counted_spans, sessions_of, within
 from cbsr_qa.store.tables import (
@@ -317,13 +316,4 @@ def _samples(connection: Connection, phase: Row[Any], spans: list[Span]) -> tupl
 
 
 def _loads(connection: Connection, phase: Row[Any]) -> tuple[LoadRecord, ...]:
-    return tuple(
-        of_row(
-            LoadRecord,
-            row,
-            index=row.load_index,
-            load=of_row(Load, row),
-            eased=tuple(EasedStrain(*map(float, one)) for one in row.eased or ()),
-        )
-        for row in _rows(connection, phase, LoadRow, LoadRow.load_index)
-    )
+    return tuple(load_record(row) for row in _rows(connection, phase, LoadRow, LoadRow.load_index))

@@ -1,0 +1,98 @@
+"""Images of a run that is still going on, and what a load looks like in them: a preview, which judges nothing.
+
+The reference is the unloaded frames so far, and a reading counts unless it is flagged in one of them. Defects that
+show over a whole run (offsets, spikes, electrodes that come loose) are left to the analysis of the run.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run.imaging import Imager, mean_under, sensed_regions
+from cbsr_qa.analysis.run.reference import split_unloaded
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
+from cbsr_qa.domain.results import linear
+from cbsr_qa.domain.run import Indenter, Load
+from cbsr_qa.domain.sensor import Mesh, SensorType
+from cbsr_qa.eit.imaging import noise_floor, overlap_grade, spatial_figures
+from cbsr_qa.eit.inverse import imaging_problem, scale_of
+from cbsr_qa.plugin import Reconstruction
+
+
+@dataclass(frozen=True, slots=True)
+class PlacePreview:
+    """How well a load is seen.
+
+    Parameters
+    ----------
+    error_mm, overlap_percent : of the region next to the head, at the recipe's main mask; None where none is seen.
+    band : of the overlap, as the recipe names it; ``"not seen"`` without a region.
+    """
+
+    error_mm: float | None
+    overlap_percent: float | None
+    band: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LivePreview:
+    """Images of a run relative to its unloaded frames so far."""
+
+    imager: Imager
+    noise_floor: float
+    settings: AnalysisSettings
+    indenter: Indenter
+
+    @classmethod
+    def of(
+        cls,
+        sensor_type: SensorType,
+        indenter: Indenter,
+        settings: AnalysisSettings,
+        reconstruction: Reconstruction,
+        unloaded: FrameBlock,
+    ) -> Self:
+        """Prepare the images.
+
+        Parameters
+        ----------
+        unloaded : frames of the rested sheet before the first press.
+
+        Raises
+        ------
+        NumericsError
+            If these are too few, too few readings are usable, or the method is not linear.
+        """
+        for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
+        used = sensor_type.pattern.usable() & ~((unloaded.flags & UNUSABLE) != 0).any(axis=0)
+        prepared = linear(reconstruction.prepare(imaging_problem(sensor_type, used=used)))
+        reference = for_reference.voltages.mean(axis=0)
+        imager = Imager(prepared, reference, scale_of(reference, prepared.problem))
+        return cls(imager, noise_floor(imager.images(for_noise)), settings, indenter)
+
+    @property
+    def mesh(self) -> Mesh:
+        return self.imager.mesh
+
+    def image(self, frames: FrameBlock) -> NDArray[np.float64]:
+        """Return the mean image of some frames: (e,) float64, relative conductance change."""
+        values: NDArray[np.float64] = self.imager.images(frames).mean(axis=0)
+        return values
+
+    def place(self, load: Load, steady: FrameBlock) -> PlacePreview:
+        """Say how well a load is seen in the last frames of its hold."""
+        values, pressed = self.image(steady), self.indenter.at(load.x_mm, load.y_mm)
+        signed = values if mean_under(self.mesh, values, pressed) >= 0 else -values
+        regions = sensed_regions(self.mesh, signed, self.noise_floor, self.settings, pressed)
+        chosen = self.settings
+        figures = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
+        index = chosen.masks.index(chosen.main_mask)
+        seen, region = figures[index], regions[index]
+        if seen is None or region is None:
+            return PlacePreview(None, None, "not seen")
+        ratio = region.area_mm2 / self.indenter.area_mm2
+        band = overlap_grade(seen.overlap_percent, ratio, bands=chosen.overlap_bands, size_ratio=chosen.size_ratio)
+        return PlacePreview(seen.error_mm, seen.overlap_percent, band)

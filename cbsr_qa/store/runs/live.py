@@ -1,0 +1,242 @@
+"""What a run has stored so far, for those who watch it: short reads, nothing locked, no frame read twice."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from time import monotonic
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, Engine, select, tuple_
+from sqlalchemy.exc import SQLAlchemyError
+
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames
+from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
+from cbsr_qa.store.damage import stored, translated
+from cbsr_qa.store.engine import reading, sqlite_file
+from cbsr_qa.store.mapping import of_row
+from cbsr_qa.store.results import analysis_outcome
+from cbsr_qa.store.runs.codec import frame_block, sample_block
+from cbsr_qa.store.runs.rows import current_state
+from cbsr_qa.store.tables import (
+    AnalysisRow,
+    CalibrationRow,
+    FrameBlockRow,
+    LoadRow,
+    PhaseRow,
+    RunRow,
+    SampleBlockRow,
+    UnloadedMarkRow,
+)
+
+#: Most blocks of frames, and of samples, that one read returns: the latest ones.
+MOST_BLOCKS: Final = 400
+
+#: (phase, block) before the first.
+_START: Final = (-1, -1)
+
+
+@dataclass(frozen=True, slots=True)
+class LivePhase:
+    """A phase as far as it has come. ``unloaded_from_s`` as in :class:`~cbsr_qa.domain.run.PhaseRecord`."""
+
+    index: int
+    name: str
+    role: Role
+    started_s: float
+    ended_s: float | None
+    unloaded_from_s: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunTail:
+    """What was stored of a run since an earlier look.
+
+    Parameters
+    ----------
+    end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
+    phases, loads : all so far, the loads with the index of their phase.
+    frames, samples : new blocks with the index of their phase; of many, the latest :data:`MOST_BLOCKS`.
+    frames_seen, samples_seen : (phase, block) of the last ones, for the next look.
+    """
+
+    end: EndReason
+    detail: str
+    phases: tuple[LivePhase, ...]
+    loads: tuple[tuple[int, LoadRecord], ...]
+    frames: tuple[tuple[int, FrameBlock], ...]
+    samples: tuple[tuple[int, SampleBlock], ...]
+    frames_seen: tuple[int, int]
+    samples_seen: tuple[int, int]
+
+
+def run_tail(
+    engine: Engine, run: str, *, frames_after: tuple[int, int] = _START, samples_after: tuple[int, int] = _START
+) -> RunTail:
+    """Read what a run has stored since (phase, block) of its frames and samples.
+
+    Raises
+    ------
+    StoreError
+        If the run does not exist, or a block was altered.
+    """
+    with reading(engine) as connection:
+        state = current_state(connection, run)
+        frames = _latest(connection, FrameBlockRow, run, frames_after)
+        samples = _latest(connection, SampleBlockRow, run, samples_after)
+        return RunTail(
+            end=EndReason(state.end),
+            detail=state.detail,
+            phases=_phases(connection, run),
+            loads=_loads(connection, run),
+            frames=tuple((row.phase, frame_block(row)) for row in frames),
+            samples=tuple((row.phase, sample_block(row)) for row in samples),
+            frames_seen=_last(frames, frames_after),
+            samples_seen=_last(samples, samples_after),
+        )
+
+
+def frames_between(engine: Engine, run: str, phase: int, start_s: float, end_s: float) -> FrameBlock | None:
+    """Return the frames of a phase with start_s ≤ time < end_s; None without any."""
+    table = FrameBlockRow
+    query = select(*table.__table__.columns).where(table.run == run, table.phase == phase)
+    query = query.where(table.last_s >= start_s, table.first_s < end_s).order_by(table.block)
+    with reading(engine) as connection:
+        blocks = [frame_block(row) for row in connection.execute(query)]
+    frames = join_frames(blocks).between(start_s, end_s) if blocks else None
+    return frames if frames is not None and len(frames) else None
+
+
+@dataclass(frozen=True, slots=True)
+class RunLook:
+    """A run at a glance.
+
+    Parameters
+    ----------
+    end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
+    outcome, reason, calibrated : of its latest analysis; None and empty without one.
+    """
+
+    run: str
+    serial: str
+    batch: str
+    station: str
+    recipe: str
+    operator: str
+    started_at: datetime
+    end: EndReason
+    detail: str
+    outcome: Outcome | None
+    reason: str
+    calibrated: bool
+
+
+def latest_run_at(engine: Engine, station: str) -> RunLook | None:
+    """Return the latest run of a station; None before its first."""
+    return _look(engine, RunRow.station == station)
+
+
+def look_at(engine: Engine, run: str) -> RunLook | None:
+    """Return a run; None if it is not stored."""
+    return _look(engine, RunRow.run == run)
+
+
+def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
+    columns = [column for column in RunRow.__table__.columns if column.name not in ("setting", "configuration")]
+    analysis = AnalysisRow
+    with reading(engine) as connection:
+        row = connection.execute(select(*columns).where(which).order_by(RunRow.run.desc()).limit(1)).one_or_none()
+        if row is None:
+            return None
+        state = current_state(connection, row.run)
+        latest = select(analysis.analysis, analysis.outcome, analysis.reason).where(analysis.run == row.run)
+        found = connection.execute(latest.order_by(analysis.analysis.desc()).limit(1)).one_or_none()
+        issued = select(CalibrationRow.calibration).where(CalibrationRow.run == row.run).limit(1)
+        return of_row(
+            RunLook,
+            row,
+            end=EndReason(state.end),
+            detail=state.detail,
+            outcome=None if found is None else analysis_outcome(found),
+            reason="" if found is None else found.reason,
+            calibrated=connection.scalar(issued) is not None,
+        )
+
+
+class ChangeNotice:
+    """Notices that another connection has written to a database, without reading it.
+
+    SQLite counts changes (``PRAGMA data_version``); other databases are taken to have changed once a second.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._connection: Any = None
+        self._seen: Any = None
+
+    def changed(self) -> bool:
+        """Whether something was written since the last call; True the first time. StoreError if it is unreachable."""
+        with translated(self._engine.url):
+            now = self._version()
+        changed: bool = now != self._seen
+        self._seen = now
+        return changed
+
+    def close(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def _version(self) -> int:
+        if sqlite_file(self._engine.url) is None:
+            return int(monotonic())
+        try:
+            if self._connection is None:  # the count is kept by each connection
+                self._connection = self._engine.raw_connection()
+                self._seen = None
+            return int(self._connection.cursor().execute("PRAGMA data_version").fetchone()[0])
+        except (SQLAlchemyError, self._engine.dialect.dbapi.Error):  # type: ignore[union-attr]
+            self._connection = None
+            raise
+
+
+def _latest(connection: Connection, table: Any, run: str, after: tuple[int, int]) -> list[Any]:
+    newest = select(*table.__table__.columns).where(table.run == run, tuple_(table.phase, table.block) > after)
+    rows = connection.execute(newest.order_by(table.phase.desc(), table.block.desc()).limit(MOST_BLOCKS)).all()
+    return list(reversed(rows))
+
+
+def _last(rows: list[Any], before: tuple[int, int]) -> tuple[int, int]:
+    return (rows[-1].phase, rows[-1].block) if rows else before
+
+
+def _phases(connection: Connection, run: str) -> tuple[LivePhase, ...]:
+    query = select(UnloadedMarkRow.phase, UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == run)
+    marks = {row.phase: row.time_s for row in connection.execute(query.order_by(UnloadedMarkRow.mark))}
+    phases = select(*PhaseRow.__table__.columns).where(PhaseRow.run == run).order_by(PhaseRow.phase)
+    return tuple(
+        of_row(
+            LivePhase,
+            row,
+            index=row.phase,
+            role=stored(Role, row.role, "phases.role", f"phase {row.phase} of run {run}"),
+            unloaded_from_s=marks.get(row.phase),
+        )
+        for row in connection.execute(phases)
+    )
+
+
+def _loads(connection: Connection, run: str) -> tuple[tuple[int, LoadRecord], ...]:
+    query = select(*LoadRow.__table__.columns).where(LoadRow.run == run)
+    return tuple((row.phase, load_record(row)) for row in connection.execute(query.order_by(LoadRow.press_start_s)))
+
+
+def load_record(row: Any) -> LoadRecord:
+    """Return the press of a row."""
+    return of_row(
+        LoadRecord,
+        row,
+        index=row.load_index,
+        load=of_row(Load, row),
+        eased=tuple(EasedStrain(*map(float, one)) for one in row.eased or ()),
+    )

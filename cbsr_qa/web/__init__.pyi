@@ -1,0 +1,1 @@
+from .server import ServeRequest as ServeRequest, serve as serve

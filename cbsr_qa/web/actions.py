@@ -1,0 +1,114 @@
+"""What an operator may ask for: check a sensor, start, resume, pause, continue, stop, answer.
+
+Every text of a form is checked by the rules of the command line before anything is done with it.
+"""
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import JSONResponse, Response
+
+from cbsr_qa.config import validate_operator, validate_reason
+from cbsr_qa.domain import CbsrError, RefusedError
+from cbsr_qa.web.gate import gate_view
+from cbsr_qa.web.guard import LOG
+from cbsr_qa.web.line import Line
+from cbsr_qa.web.pages import Pages
+from cbsr_qa.web.processes import start_run
+from cbsr_qa.web.start import StartForm, resume_arguments
+from cbsr_qa.web.texts import text
+
+Action = Callable[[str, dict[str, str]], Awaitable[Response]]
+
+#: What is said when a run does as it was asked.
+_DONE = {
+    "pause": "control.pausing",
+    "continue": "control.continuing",
+    "stop": "control.stopping",
+    "emergency": "control.emergency_done",
+}
+
+
+class Actions:
+    """Answers to forms, in JSON: ``parts`` of the page to replace, and ``words`` to say."""
+
+    def __init__(self, line: Line, pages: Pages) -> None:
+        self._line, self._pages = line, pages
+
+    def by_name(self) -> dict[str, Action]:
+        """Return the actions of a station by the last part of their address."""
+        asked = {do: self._told(do) for do in _DONE}
+        own = {"check": self.check, "start": self.start, "resume": self.resume, "answer": self.answer}
+        return {name: self._worded(action) for name, action in (asked | own).items()}
+
+    async def check(self, station: str, form: dict[str, str]) -> Response:
+        """Say whether a sensor may be tested, and offer to start."""
+        watch = self._line.stations[station]
+        if not form.get("serial"):
+            raise RefusedError(text("station.no_sensor_asked"))
+        wanted = StartForm.of(watch.served, form)
+        view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database)
+        return _said(parts=[["gate", self._pages.gate(station, wanted, view)], ["verdict", ""]])
+
+    async def start(self, station: str, form: dict[str, str]) -> Response:
+        """Start a run."""
+        watch = self._line.stations[station]
+        wanted = StartForm.of(watch.served, form)
+        arguments = wanted.arguments(watch.served, self._line.database)
+        await self._begin(station, arguments, wanted.serial)
+        return _said(words=text("station.started", serial=wanted.serial))
+
+    async def resume(self, station: str, form: dict[str, str]) -> Response:
+        """Resume the latest run of the station."""
+        look = self._line.stations[station].look
+        if look is None or look.run != form.get("run"):
+            raise RefusedError(text("problem.no_run"))
+        operator = validate_operator(form.get("operator", look.operator))
+        await self._begin(station, resume_arguments(look.run, operator, self._line.database), look.serial)
+        return _said(words=text("station.resumed"))
+
+    async def _begin(self, station: str, arguments: list[str], serial: str) -> None:
+        watch = self._line.stations[station]
+        if watch.busy:
+            raise RefusedError(text("station.busy"))
+        watch.started = await run_in_threadpool(start_run, station, arguments, serial)
+        self._line.wake(station)
+
+    async def answer(self, station: str, form: dict[str, str]) -> Response:
+        """Answer a prompt; the first answer counts."""
+        channel = self._line.stations[station].channel
+        number = form.get("prompt", "")
+        if not (number.isascii() and number.isdigit() and len(number) < 10):
+            raise RefusedError(text("prompt.other"))
+        answer = validate_reason(form.get("text", ""))
+        why = await channel.ask("answer", by=self._by(station), prompt=int(number), text=answer)
+        return _said(words=why or text("control.answered"))
+
+    def _told(self, do: str) -> Action:
+        async def tell(station: str, form: dict[str, str]) -> Response:
+            why = await self._line.stations[station].channel.ask(do, by=self._by(station))
+            LOG.info("%s: %s asked for%s", station, do, f", refused: {why}" if why else "")
+            return _said(words=why or text(_DONE[do]))
+
+        return tell
+
+    def _by(self, station: str) -> str:
+        """Return who asks: the operator of the run, at the page."""
+        control = self._line.stations[station].channel.control
+        return (control.operator if control is not None else "") or text("control.at_the_page")
+
+    def _worded(self, action: Action) -> Action:
+        async def worded(station: str, form: dict[str, str]) -> Response:
+            try:
+                return await action(station, form)
+            except CbsrError as error:
+                LOG.warning("%s: %s", station, error.reason)
+                words = f"{error.reason}. {error.remedy}" if error.remedy else error.reason
+                return _said(words=words, parts=[["gate", ""]])
+
+        return worded
+
+
+def _said(**what: Any) -> Response:
+    return JSONResponse(what)

@@ -1,0 +1,229 @@
+"""The application: which address answers with what."""
+
+import re
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from http import HTTPStatus
+from importlib.resources import files
+from typing import Final
+from urllib.parse import parse_qsl
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.web.actions import Actions
+from cbsr_qa.web.files import calibration_response, prompt_picture, report_response
+from cbsr_qa.web.guard import LOG, Access, Guard, Right
+from cbsr_qa.web.line import MOST_VIEWERS, Line, Viewer
+from cbsr_qa.web.pages import Pages, Part, picture_address
+from cbsr_qa.web.shift import sensor_page, shift_page
+from cbsr_qa.web.streams import EventStream
+from cbsr_qa.web.texts import text
+
+_KINDS: Final = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml", "png": "image/png"}
+#: Files of the package that are served, read once.
+_STATIC: Final = ("line.css", "line.js", "icon.svg", "none.png")
+_RUN: Final = re.compile(r"[0-9a-f-]{36}")
+
+Endpoint = Callable[[Request], Awaitable[Response]]
+
+
+def make_application(line: Line, access: Access) -> Guard:
+    """Return the application behind its guard."""
+    pages = Pages(line)
+    actions = Actions(line, pages)
+    site = Site(line, pages, access)
+
+    @asynccontextmanager
+    async def open_line(app: Starlette) -> AsyncIterator[None]:
+        await line.open()
+        try:
+            yield
+        finally:
+            await line.close()
+
+    def post(path: str, endpoint: Endpoint) -> Route:
+        return Route(path, endpoint, methods=["POST"])
+
+    station = "/stations/{station}"
+    look = [
+        ("/", site.overview),
+        ("/events", site.overview_events),
+        (station, site.station),
+        (f"{station}/events", site.station_events),
+        (f"{station}/image/{{run}}/{{frame}}", site.image),
+        (f"{station}/prompt/{{number:int}}", site.prompt),
+        ("/runs/{run}/report", site.report),
+        ("/runs/{run}/calibration", site.calibration),
+        ("/shift", site.shift),
+        ("/sensors/{serial}", site.sensor),
+    ]
+    routes = [
+        *(Route(path, site.guarded(endpoint)) for path, endpoint in look),
+        Route("/static/{name}", site.static),
+        Route("/sign-in", site.sign_in, methods=["GET", "POST"]),
+        *(post(f"{station}/{name}", site.of_station(action)) for name, action in actions.by_name().items()),
+    ]
+    failed: dict[type[Exception] | int, Callable[[Request, Exception], Awaitable[Response]]] = {
+        HTTPException: site.problem,
+        CbsrError: site.refusal,
+        Exception: site.broken,
+    }
+    return Guard(Starlette(routes=routes, lifespan=open_line, exception_handlers=failed), access)
+
+
+class Site:
+    """Answers to requests that change nothing."""
+
+    def __init__(self, line: Line, pages: Pages, access: Access) -> None:
+        self._line, self._pages, self._access = line, pages, access
+        folder = files(__package__).joinpath("static")
+        self._static = {name: folder.joinpath(name).read_bytes() for name in _STATIC}
+
+    def guarded(self, endpoint: Endpoint) -> Endpoint:
+        """Return an endpoint that asks who may not look to sign in; a token in the address signs in."""
+
+        async def endpoint_for_viewers(request: Request) -> Response:
+            if "token" in request.query_params:
+                return self._signed_in(request.query_params["token"], request.url.path)
+            if request.scope["cbsr_right"] < Right.LOOK:
+                return self._sign_in_page(HTTPStatus.UNAUTHORIZED)
+            return await endpoint(request)
+
+        return endpoint_for_viewers
+
+    def of_station(self, action: Callable[[str, dict[str, str]], Awaitable[Response]]) -> Endpoint:
+        """Return an endpoint for an action, which gets the station and the fields of the form."""
+
+        async def endpoint_for_action(request: Request) -> Response:
+            return await action(self._known(request), await _form(request))
+
+        return endpoint_for_action
+
+    async def overview(self, request: Request) -> Response:
+        return HTMLResponse(self._pages.overview(control=_controls(request)))
+
+    async def station(self, request: Request) -> Response:
+        return HTMLResponse(self._pages.station(self._known(request), control=_controls(request)))
+
+    async def overview_events(self, request: Request) -> Response:
+        return self._events(Viewer(None), self._pages.overview_parts, lambda: "")
+
+    async def station_events(self, request: Request) -> Response:
+        name = self._known(request)
+        watch = self._line.stations[name]
+
+        def picture() -> str:
+            shown = watch.snapshot
+            return "" if shown is None or not shown.mode.live else picture_address(shown)
+
+        return self._events(Viewer(name), lambda: self._pages.station_parts(name), picture)
+
+    def _events(self, viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]) -> Response:
+        if len(self._line.viewers) >= MOST_VIEWERS:
+            LOG.warning("%s", text("refused.streams"))
+            return PlainTextResponse(text("refused.streams"), HTTPStatus.SERVICE_UNAVAILABLE)
+        return EventStream(self._line, viewer, parts, picture)
+
+    async def image(self, request: Request) -> Response:
+        live = self._line.stations[self._known(request)].live
+        if live is None or live.run != request.path_params["run"] or not live.picture:
+            raise HTTPException(HTTPStatus.NOT_FOUND)
+        return Response(live.picture, media_type="image/png")
+
+    async def prompt(self, request: Request) -> Response:
+        channel = self._line.stations[self._known(request)].channel
+        return await run_in_threadpool(prompt_picture, channel, request.path_params["number"])
+
+    async def report(self, request: Request) -> Response:
+        return await run_in_threadpool(report_response, self._line.database, _run(request))
+
+    async def calibration(self, request: Request) -> Response:
+        return await run_in_threadpool(calibration_response, self._line.database, _run(request))
+
+    async def shift(self, request: Request) -> Response:
+        names = tuple(self._line.stations)
+        found = await run_in_threadpool(shift_page, self._line.database, names)
+        return HTMLResponse(self._pages.page("shift", control=_controls(request), here="shift", **found))
+
+    async def sensor(self, request: Request) -> Response:
+        found = await run_in_threadpool(sensor_page, self._line.database, request.path_params["serial"])
+        return HTMLResponse(self._pages.page("sensor", control=_controls(request), **found))
+
+    async def static(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in self._static:
+            raise HTTPException(HTTPStatus.NOT_FOUND)
+        return Response(
+            self._static[name],
+            media_type=_KINDS[name.rpartition(".")[2]],
+            headers={"cache-control": "max-age=60"},
+        )
+
+    async def sign_in(self, request: Request) -> Response:
+        if request.method == "GET":
+            return self._sign_in_page(HTTPStatus.OK)
+        return self._signed_in((await _form(request)).get("token", ""), "/")
+
+    def _signed_in(self, token: str, path: str) -> Response:
+        if not self._access.is_token(token):
+            LOG.warning("a wrong token was given")
+            return self._sign_in_page(HTTPStatus.UNAUTHORIZED, wrong=True)
+        return RedirectResponse(path, HTTPStatus.SEE_OTHER, {"set-cookie": self._access.set_cookie()})
+
+    def _sign_in_page(self, status: int, *, wrong: bool = False) -> Response:
+        return HTMLResponse(self._pages.page("sign_in", control=True, wrong=wrong), status)
+
+    def _known(self, request: Request) -> str:
+        name = str(request.path_params["station"])
+        if name not in self._line.stations:
+            known = ", ".join(self._line.stations)
+            raise HTTPException(HTTPStatus.NOT_FOUND, text("problem.no_station", name=repr(name[:64]), known=known))
+        return name
+
+    async def problem(self, request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        phrase = HTTPStatus(error.status_code).phrase
+        words = text("problem.no_page") if error.detail == phrase else error.detail
+        return self._problem(request, words, error.status_code)
+
+    async def refusal(self, request: Request, error: Exception) -> Response:
+        assert isinstance(error, CbsrError)
+        LOG.warning("%s: %s", request.url.path[:120], error.reason)
+        return self._problem(request, f"{error.reason}. {error.remedy}" if error.remedy else error.reason, 400)
+
+    async def broken(self, request: Request, error: Exception) -> Response:
+        LOG.error("%s", request.url.path[:120], exc_info=error)
+        return self._problem(request, text("problem.broken"), 500)
+
+    def _problem(self, request: Request, words: str, status: int) -> Response:
+        if request.method == "POST":
+            return PlainTextResponse(words, status)
+        control = _controls(request)
+        title = text("problem.title")
+        return HTMLResponse(self._pages.page("problem", control=control, title=title, words=words), status)
+
+
+def _controls(request: Request) -> bool:
+    return bool(request.scope["cbsr_right"] >= Right.CONTROL)
+
+
+def _run(request: Request) -> str:
+    run = str(request.path_params["run"])
+    if not _RUN.fullmatch(run):
+        raise HTTPException(HTTPStatus.NOT_FOUND, text("problem.no_run"))
+    return run
+
+
+async def _form(request: Request) -> dict[str, str]:
+    """Return the fields of a form, each once, without blanks around them."""
+    try:
+        pairs = parse_qsl((await request.body()).decode(), keep_blank_values=True, max_num_fields=40, errors="strict")
+    except ValueError:
+        raise HTTPException(HTTPStatus.BAD_REQUEST, text("refused.form")) from None
+    return {name: value.strip() for name, value in pairs}

@@ -1,0 +1,227 @@
+"""Who may ask for what: checks of every request before a page sees it, and headers of every answer.
+
+A browser shows its right by a cookie that a link with the token has set, a program by the token itself
+(``Authorization: Bearer``). A cookie counts for a change only from a page of this server (Origin), so that no page of
+another site can make a browser start or stop a run.
+"""
+
+import asyncio
+import hashlib
+import hmac
+import logging
+from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import dataclass
+from enum import IntEnum
+from http.cookies import CookieError, SimpleCookie
+from typing import Any, Final
+from urllib.parse import quote
+
+from cbsr_qa.web.texts import text
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+LOG: Final = logging.getLogger("cbsr_qa.web")
+
+#: Largest body: a form of a page is a tenth of this [B].
+MOST_BODY: Final = 16_384
+#: Longest path and query [B].
+MOST_TARGET: Final = 1_024
+#: Longest headers together [B].
+MOST_HEADERS: Final = 16_384
+#: How long a body may take [s].
+BODY_S: Final = 10.0
+
+_POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self';"
+    " form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
+)
+#: Of a report, which brings its own style and drawings and runs nothing.
+REPORT_POLICY: Final = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none';"
+    " form-action 'none'; sandbox allow-popups"
+)
+_HEADERS: Final = {
+    b"content-security-policy": _POLICY.encode(),
+    b"x-content-type-options": b"nosniff",
+    b"referrer-policy": b"same-origin",  # with "no-referrer" a browser would not say where a form comes from
+    b"cross-origin-opener-policy": b"same-origin",
+    b"cross-origin-resource-policy": b"same-origin",
+    b"permissions-policy": b"camera=(), geolocation=(), microphone=()",
+    b"cache-control": b"no-store",
+}
+
+
+class Right(IntEnum):
+    """What a request may do."""
+
+    NONE = 0
+    LOOK = 1
+    CONTROL = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Names the server is reached by, and who may look.
+
+    Parameters
+    ----------
+    hosts : allowed values of ``Host``, with the port.
+    scheme : ``"http"`` or ``"https"``.
+    token : of at least 16 characters; who shows it may control.
+    anyone_may_look : whether pages are shown without it.
+    port : in the cookie's name, as cookies are shared by the ports of a computer.
+    """
+
+    hosts: frozenset[str]
+    scheme: str
+    token: str
+    anyone_may_look: bool
+    port: int
+
+    @property
+    def cookie(self) -> str:
+        return f"cbsr_qa_{self.port}"
+
+    @property
+    def cookie_value(self) -> str:
+        """A digest: who reads the cookie does not learn the token."""
+        return hashlib.sha256(f"cbsr-qa cookie {self.token}".encode()).hexdigest()
+
+    def set_cookie(self) -> str:
+        secure = "; Secure" if self.scheme == "https" else ""
+        return f"{self.cookie}={self.cookie_value}; HttpOnly; SameSite=Strict; Path=/; Max-Age=31536000{secure}"
+
+    def is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self.token.encode())
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedRequestError(Exception):
+    """A request that is not answered."""
+
+    status: int
+    words: str
+
+
+class Guard:
+    """The outermost application: refuses what it must, and passes the rest on with its right."""
+
+    def __init__(self, inner: App, access: Access) -> None:
+        self._inner, self._access = inner, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+        if scope["type"] != "http":
+            await self._inner(scope, receive, send)
+            return
+        try:
+            scope["cbsr_right"] = self._checked(scope)
+            body = await _body(receive) if scope["method"] not in ("GET", "HEAD") else b""
+        except RefusedRequestError as refusal:
+            LOG.warning("refused %s %s: %s", scope["method"], quote(scope["path"])[:120], refusal.words)
+            await _answer(refusal, send)
+            return
+        await self._inner(scope, _replayed(body, receive), _with_headers(send))
+
+    def _checked(self, scope: Scope) -> Right:
+        headers = _headers(scope)
+        if headers.get(b"host", b"").decode("latin-1").lower() not in self._access.hosts:
+            raise RefusedRequestError(421, text("refused.host"))
+        if len(scope.get("raw_path") or b"") + len(scope["query_string"]) > MOST_TARGET:
+            raise RefusedRequestError(414, text("refused.target"))
+        if sum(len(name) + len(value) for name, value in scope["headers"]) > MOST_HEADERS:
+            raise RefusedRequestError(431, text("refused.headers"))
+        if scope["method"] not in ("GET", "HEAD", "POST"):
+            raise RefusedRequestError(405, text("refused.method"))
+        right, by_cookie = self._right(headers)
+        if scope["method"] == "POST":
+            self._check_change(scope, headers, right, by_cookie)
+        return right
+
+    def _right(self, headers: dict[bytes, bytes]) -> tuple[Right, bool]:
+        """Return the right of a request, and whether a cookie gives it."""
+        kind, _, token = headers.get(b"authorization", b"").decode("latin-1").partition(" ")
+        if kind.lower() == "bearer":
+            if self._access.is_token(token.strip()):
+                return Right.CONTROL, False
+            raise RefusedRequestError(401, text("refused.token"))
+        try:
+            cookies = SimpleCookie(headers.get(b"cookie", b"").decode("latin-1"))
+        except CookieError:
+            cookies = SimpleCookie()
+        given = cookies.get(self._access.cookie)
+        if given is not None and hmac.compare_digest(given.value.encode(), self._access.cookie_value.encode()):
+            return Right.CONTROL, True
+        return (Right.LOOK if self._access.anyone_may_look else Right.NONE), True
+
+    def _check_change(self, scope: Scope, headers: dict[bytes, bytes], right: Right, by_cookie: bool) -> None:
+        if by_cookie:
+            host = headers[b"host"].decode("latin-1").lower()
+            origin = headers.get(b"origin", b"").decode("latin-1").lower()
+            if origin != f"{self._access.scheme}://{host}":
+                raise RefusedRequestError(403, text("refused.origin"))
+        if right < Right.CONTROL and scope["path"] != "/sign-in":
+            raise RefusedRequestError(401, text("refused.control"))
+        if not headers.get(b"content-type", b"").startswith(b"application/x-www-form-urlencoded"):
+            raise RefusedRequestError(415, text("refused.form"))
+        length = headers.get(b"content-length", b"0")
+        if not length.isdigit() or int(length) > MOST_BODY:
+            raise RefusedRequestError(413, text("refused.body"))
+
+
+def _headers(scope: Scope) -> dict[bytes, bytes]:
+    """Return the headers; of one that is repeated where it must not be, nothing."""
+    found: dict[bytes, bytes] = {}
+    for name, value in scope["headers"]:
+        found[name] = b"" if name in found and name in (b"host", b"origin", b"authorization") else value
+    return found
+
+
+async def _body(receive: Receive) -> bytes:
+    body = bytearray()
+    try:
+        async with asyncio.timeout(BODY_S):
+            while True:
+                message = await receive()
+                body += message.get("body", b"")
+                if len(body) > MOST_BODY:
+                    raise RefusedRequestError(413, text("refused.body"))
+                if message["type"] == "http.disconnect" or not message.get("more_body", False):
+                    return bytes(body)
+    except TimeoutError:
+        raise RefusedRequestError(408, text("refused.slow")) from None
+
+
+def _replayed(body: bytes, receive: Receive) -> Receive:
+    waiting = [body]
+
+    async def replay() -> MutableMapping[str, Any]:
+        if waiting:
+            return {"type": "http.request", "body": waiting.pop(), "more_body": False}
+        return await receive()
+
+    return replay
+
+
+def _with_headers(send: Send) -> Send:
+    async def sent(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            own = {name.lower() for name, _ in message["headers"]}
+            message["headers"] = [*message["headers"], *(one for one in _HEADERS.items() if one[0] not in own)]
+        await send(message)
+
+    return sent
+
+
+async def _answer(refusal: RefusedRequestError, send: Send) -> None:
+    body = f"{refusal.words}\n".encode()
+    headers = [
+        (b"content-type", b"text/plain; charset=utf-8"),
+        (b"content-length", str(len(body)).encode()),
+        (b"connection", b"close"),
+    ]
+    await _with_headers(send)({"type": "http.response.start", "status": refusal.status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

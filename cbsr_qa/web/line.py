@@ -1,0 +1,83 @@
+"""What all requests share: the stations with their channels, the watching thread, and the pages that are open."""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from cbsr_qa.config import database_url
+from cbsr_qa.web.channel import ChannelClient
+from cbsr_qa.web.stations import ServedStation
+from cbsr_qa.web.watching import StationWatch, Watcher
+
+#: Pages that may be open at once.
+MOST_VIEWERS = 256
+
+
+@dataclass(eq=False)
+class Viewer:
+    """An open page.
+
+    Parameters
+    ----------
+    station : that it shows; None for all.
+    news : set when there is something new.
+    """
+
+    station: str | None
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+
+
+class Line:
+    """The stations that are served. Belongs to one event loop.
+
+    Parameters
+    ----------
+    database : option of the command; None for the default.
+    """
+
+    def __init__(self, served: Sequence[ServedStation], database: str | None) -> None:
+        self.database = database
+        self.viewers: set[Viewer] = set()
+        self.stations = {one.name: StationWatch(one, ChannelClient(one.name, self._woken)) for one in served}
+        self._watcher = Watcher(tuple(self.stations.values()), database_url(database), self._publish)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._tasks: list[asyncio.Task[None]] = []
+
+    @property
+    def trouble(self) -> str:
+        """Why the store cannot be read; empty if it can."""
+        return self._watcher.trouble
+
+    def in_progress(self) -> frozenset[str]:
+        """Return the runs that are going on."""
+        shown = (one.snapshot for one in self.stations.values())
+        return frozenset(one.look.run for one in shown if one is not None and one.look is not None and one.mode.live)
+
+    async def open(self) -> None:
+        """Begin to watch."""
+        self._loop = asyncio.get_running_loop()
+        self._tasks = [asyncio.create_task(one.channel.follow()) for one in self.stations.values()]
+        self._watcher.start()
+
+    async def close(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.to_thread(self._watcher.stop)
+
+    def wake(self, station: str) -> None:
+        """Look at a station soon: something was started or asked."""
+        self.stations[station].wake()
+        self._watcher.wake()
+
+    def _woken(self) -> None:
+        self._watcher.wake()
+
+    def _publish(self, names: list[str]) -> None:
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._tell, frozenset(names))
+
+    def _tell(self, names: frozenset[str]) -> None:
+        for viewer in self.viewers:
+            if viewer.station is None or viewer.station in names:
+                viewer.news.set()

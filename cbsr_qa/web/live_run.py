@@ -1,0 +1,264 @@
+"""A run as it is watched: what it has stored so far, its latest image, its traces, and how each place was seen."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from time import monotonic
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.analysis.run import LivePreview, PlacePreview
+from cbsr_qa.config import Configuration, restore
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain.plan import Press, Role
+from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import Load, LoadRecord
+from cbsr_qa.plugin import Kind, Plugins, create_plugin
+from cbsr_qa.report.draw import Raster
+from cbsr_qa.station import ScheduledPhase, plan_of, schedule
+from cbsr_qa.store import Repository
+from cbsr_qa.store.runs import LivePhase, RunTail
+from cbsr_qa.web.drawings import SheetDrawing, png
+
+#: Length of the traces [s of the run].
+TRACE_S: Final = 240.0
+#: Pixels of a live image along its longer side.
+_PIXELS: Final = 160
+#: Later than any time of a run [s].
+_NEVER_S: Final = 1e12
+#: Last frames of a hold that a place is judged by [s].
+_STEADY_S: Final = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One planned press of the grid.
+
+    Parameters
+    ----------
+    seen : how well it was seen; None before it was pressed.
+    now : whether the head is there.
+    """
+
+    load: Load
+    seen: PlacePreview | None
+    now: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveView:
+    """What a page shows of a run in progress.
+
+    Parameters
+    ----------
+    frame : number of the imaged frame, in the address of its picture; 0 without one.
+    change_percent : change at the dark end of the scale; 0 without an image.
+    force_N, conductance_percent : points (time_s, value) of the last :data:`TRACE_S`; the conductance relative to the
+        unloaded sheet, as the mean of all readings.
+    frames : so far.
+    silent_s : since the last frame, by this computer's clock; None before the first.
+    no_image : why there is no image, for people; empty with one.
+    """
+
+    sheet: SheetDrawing
+    phases: tuple[LivePhase, ...]
+    planned_phases: int
+    loads_done: int
+    loads_planned: int
+    places: tuple[Place, ...]
+    frame: int
+    change_percent: float
+    force_N: tuple[tuple[float, float], ...]
+    conductance_percent: tuple[tuple[float, float], ...]
+    frames: int
+    silent_s: float | None
+    no_image: str
+
+
+class LiveRun:
+    """Follows one run in the store. Used by one thread.
+
+    Parameters
+    ----------
+    run : its identifier.
+    """
+
+    def __init__(self, store: Repository, plugins: Plugins, run: str) -> None:
+        self.run = run
+        self._store, self._plugins = store, plugins
+        self.configuration: Configuration = restore(store.configuration(run))
+        self._schedule: tuple[ScheduledPhase, ...] = schedule(plan_of(self.configuration, plugins))
+        self._sheet = SheetDrawing.of(self.configuration.sensor_type, self.configuration.station.indenter)
+        self._tail: RunTail | None = None
+        self._preview: LivePreview | None = None
+        self._raster: Raster | None = None
+        self._no_image = ""
+        self._force: deque[tuple[float, float]] = deque()
+        self._conductance: deque[tuple[float, float]] = deque()
+        self._level: float | None = None
+        self._seen: dict[tuple[int, int], PlacePreview] = {}
+        self._frame: FrameBlock | None = None
+        self._frames = 0
+        self._frame_at: float | None = None
+        self._change = 0.0
+        self.picture = b""
+
+    @property
+    def end(self) -> EndReason:
+        """End of its latest session, RUNNING until there is one."""
+        return EndReason.RUNNING if self._tail is None else self._tail.end
+
+    @property
+    def detail(self) -> str:
+        """By whom it was stopped, or what broke it."""
+        return "" if self._tail is None else self._tail.detail
+
+    def update(self) -> None:
+        """Read what is new, and image the latest frame. StoreError if the database cannot be read."""
+        last = self._tail
+        seen = {} if last is None else {"frames_after": last.frames_seen, "samples_after": last.samples_seen}
+        self._tail = tail = self._store.run_tail(self.run, **seen)
+        self._take_frames(tail)
+        self._take_samples(tail)
+        if self._preview is None:
+            self._prepare(tail)
+        if self._preview is not None:
+            self._image()
+            self._judge_places(self._preview, tail)
+
+    def view(self, pressed: str) -> LiveView:
+        """Return what to show.
+
+        Parameters
+        ----------
+        pressed : label of the load under the head now; empty for none.
+        """
+        tail = self._tail
+        phases = () if tail is None else tail.phases
+        current = phases[-1].index if phases else 0
+        return LiveView(
+            sheet=self._sheet,
+            phases=phases,
+            planned_phases=len(self._schedule),
+            loads_done=0 if tail is None else len(tail.loads),
+            loads_planned=sum(phase.loads for phase in self._schedule),
+            places=tuple(self._places(current, pressed)),
+            frame=self._frames if self.picture else 0,
+            change_percent=100 * self._change,
+            force_N=thinned(self._force),
+            conductance_percent=thinned(self._conductance),
+            frames=self._frames,
+            silent_s=None if self._frame_at is None else monotonic() - self._frame_at,
+            no_image=self._no_image,
+        )
+
+    def _places(self, current: int, pressed: str) -> list[Place]:
+        grid = next((phase for phase in self._schedule if phase.role is Role.GRID), None)
+        if grid is None:
+            return []
+        presses = [step for step in grid.steps if isinstance(step.step, Press) and step.load is not None]
+        return [
+            Place(
+                step.step.load,
+                self._seen.get((grid.index, step.load)),
+                current == grid.index
+                and (grid.index, step.load) not in self._seen
+                and step.step.load.label == pressed,
+            )
+            for step in presses
+            if isinstance(step.step, Press) and step.load is not None
+        ]
+
+    def _take_frames(self, tail: RunTail) -> None:
+        pattern = self.configuration.sensor_type.pattern.usable()
+        for _, block in tail.frames:
+            self._frames += len(block)
+            self._frame, self._frame_at = block.select(slice(-1, None)), monotonic()
+            sound = pattern & ~((block.flags & UNUSABLE) != 0).any(axis=0)
+            levels = np.abs(block.voltages[:, sound]).mean(axis=1)
+            if not np.isfinite(levels).all() or not (levels > 0).all():
+                continue
+            if self._level is None:
+                self._level = float(levels[0])
+            for time_s, level in zip(block.time_s, levels, strict=True):
+                self._conductance.append((float(time_s), 100 * (self._level / float(level) - 1)))
+        _forget(self._conductance)
+
+    def _take_samples(self, tail: RunTail) -> None:
+        for _, block in tail.samples:
+            if block.channel == "force":
+                self._force.extend(zip(block.time_s.tolist(), block.values.tolist(), strict=True))
+        _forget(self._force)
+
+    def _prepare(self, tail: RunTail) -> None:
+        """Prepare imaging once the first press after unloaded frames has begun, or there are enough of them."""
+        phase = next((phase for phase in tail.phases if phase.unloaded_from_s is not None), None)
+        if phase is None or phase.unloaded_from_s is None or self._no_image:
+            return
+        pressed = min((load.press_start_s for index, load in tail.loads if index == phase.index), default=_NEVER_S)
+        settings = self.configuration.recipe.analysis
+        unloaded = self._store.frames_between(self.run, phase.index, phase.unloaded_from_s, pressed)
+        if unloaded is None or len(unloaded) <= settings.noise_floor_frames:
+            return
+        unloaded = unloaded.select(slice(0, settings.noise_floor_frames + settings.reference_frames))
+        sensor_type, station = self.configuration.sensor_type, self.configuration.station
+        try:
+            choice = self.configuration.recipe.reconstruction
+            reconstruction = create_plugin(self._plugins, Kind.RECONSTRUCTION, choice, "[reconstruction]")
+            self._preview = LivePreview.of(sensor_type, station.indenter, settings, reconstruction, unloaded)
+        except CbsrError as error:
+            self._no_image = error.reason
+            return
+        self._level = float(np.abs(unloaded.voltages[:, sensor_type.pattern.usable()]).mean())
+        self._raster = Raster(self._preview.mesh, sensor_type.outline, _PIXELS)
+
+    def _image(self) -> None:
+        if self._frame is None or self._preview is None or self._raster is None:
+            return
+        try:
+            values = self._preview.image(self._frame)
+        except CbsrError as error:
+            self._no_image = error.reason
+            return
+        self._no_image = ""
+        largest = float(np.abs(values).max())
+        # The scale grows at once and shrinks slowly: an unloaded sheet is not shown as a picture of its noise.
+        self._change = max(largest, 0.9 * self._change, 4 * self._preview.noise_floor)
+        self.picture = png(self._raster.picture(values), self._change)
+        self._frame = None
+
+    def _judge_places(self, preview: LivePreview, tail: RunTail) -> None:
+        for phase, record in tail.loads:
+            key = (phase, record.index)
+            if key not in self._seen and self._role(phase) is Role.GRID:
+                steady = self._steady(phase, record)
+                if steady is not None:
+                    self._seen[key] = preview.place(record.load, steady)
+
+    def _role(self, phase: int) -> Role:
+        return self._schedule[phase].role if phase < len(self._schedule) else Role.OTHER
+
+    def _steady(self, phase: int, record: LoadRecord) -> FrameBlock | None:
+        start_s = max(record.hold_start_s, record.release_start_s - _STEADY_S)
+        return self._store.frames_between(self.run, phase, start_s, record.release_start_s)
+
+
+def _forget(trace: deque[tuple[float, float]]) -> None:
+    while trace and trace[0][0] < trace[-1][0] - TRACE_S:
+        trace.popleft()
+
+
+def thinned(trace: Sequence[tuple[float, float]], most: int = 240) -> tuple[tuple[float, float], ...]:
+    """Return a trace of at most this many points: of each stretch its lowest and its highest, in order."""
+    points = list(trace)
+    if len(points) <= most:
+        return tuple(points)
+    kept: list[tuple[float, float]] = []
+    edges = np.linspace(0, len(points), most // 2 + 1).astype(int)
+    for start, end in pairwise(edges):
+        stretch = points[start:end]
+        kept += sorted({min(stretch, key=lambda point: point[1]), max(stretch, key=lambda point: point[1])})
+    return tuple(kept)

@@ -1,0 +1,312 @@
+"""Pages and their parts as HTML. A page that is open gets the parts that have changed."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any, Final, Self
+from urllib.parse import quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from cbsr_qa.domain.results import EndReason, ListedRun
+from cbsr_qa.web.drawings import Trace, scale_colours, trace
+from cbsr_qa.web.gate import GateView
+from cbsr_qa.web.line import Line
+from cbsr_qa.web.live_run import TRACE_S, Place
+from cbsr_qa.web.start import StartForm
+from cbsr_qa.web.state import Mode, Snapshot
+from cbsr_qa.web.stations import OfferedRecipe
+from cbsr_qa.web.texts import text
+
+#: Sign of each kind of badge.
+SIGNS: Final = {
+    "pass": "pass",
+    "marginal": "marginal",
+    "fail": "fail",
+    "not_measured": "unknown",
+    "not_judged": "unknown",
+    "none": "unknown",
+    "aborted": "stop",
+    "broken": "warn",
+    "ready": "ready",
+    "done": "ready",
+    "starting": "wait",
+    "running": "run",
+    "paused": "pause",
+    "asking": "unknown",
+    "concluding": "wait",
+    "interrupted": "warn",
+    "held": "wait",
+    "open": "ready",
+    "passed": "pass",
+    "warned": "warn",
+    "refused": "fail",
+    "overridden": "marginal",
+    "off": "ready",
+}
+#: Parts of a run in progress, each replaced by itself.
+_LIVE_PARTS: Final = ("prompt", "marks", "legend", "step", "controls", "traces", "places", "notes")
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A piece of a page.
+
+    Parameters
+    ----------
+    place : id of the element it fills.
+    key : changes when it must be sent again.
+    """
+
+    place: str
+    html: str
+    key: str
+
+    @classmethod
+    def of(cls, place: str, html: str, layout: str | None = None) -> Self:
+        """Return a part that changes with its HTML, or with the layout given."""
+        content = html if layout is None else layout
+        return cls(place, html, hashlib.blake2b(content.encode(), digest_size=6).hexdigest())
+
+
+def verdict_kind(snapshot: Snapshot) -> str:
+    """Return the kind of the latest run's result, a key of :data:`SIGNS`."""
+    look = snapshot.look
+    if look is None:
+        return "none"
+    if snapshot.mode is Mode.INTERRUPTED:
+        return "interrupted"
+    if look.end in (EndReason.ABORTED, EndReason.BROKEN):
+        return str(look.end)
+    return "none" if look.outcome is None else str(look.outcome).replace(" ", "_")
+
+
+def listed_kind(run: ListedRun, in_progress: frozenset[str]) -> str:
+    """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
+    if run.run in in_progress:
+        return "running"
+    if not run.finished:
+        return "interrupted" if run.end is EndReason.RUNNING else str(run.end)
+    return "none" if run.verdict is None else str(run.verdict).replace(" ", "_")
+
+
+def reason_words(snapshot: Snapshot) -> str:
+    """Return why the latest run ended as it did: of a run that was cut off the cause, else of the verdict."""
+    look = snapshot.look
+    if look is None:
+        return ""
+    return look.detail if look.end in (EndReason.ABORTED, EndReason.BROKEN) and look.detail else look.reason
+
+
+def minutes_left(snapshot: Snapshot) -> str:
+    """Return the time left in words, that changes once a minute."""
+    if snapshot.mode is Mode.CONCLUDING:
+        return text("mode.concluding")
+    ends_at = None if snapshot.control is None else snapshot.control.ends_at
+    if ends_at is None:
+        return text("page.no_estimate")
+    left_s = ends_at - monotonic()
+    return text("page.less_than_a_minute") if left_s < 60 else f"{round(left_s / 60)} {text('page.minutes')}"
+
+
+def step_words(snapshot: Snapshot) -> str:
+    """Return what the run is doing."""
+    control = snapshot.control
+    if control is None:
+        return text("station." + ("starting" if snapshot.mode is Mode.STARTING else "concluding"))
+    press = text("live.press", number=control.number, of=control.of) if control.number else ""
+    return " · ".join(filter(None, [press, control.step]))
+
+
+def phase_words(snapshot: Snapshot) -> str:
+    """Return the phase with its number."""
+    live = snapshot.live
+    if live is None or not live.phases:
+        return "" if snapshot.control is None else snapshot.control.phase
+    last = live.phases[-1]
+    return text("live.phase", phase=last.name, number=last.index + 1, of=live.planned_phases)
+
+
+def band_kind(place: Place) -> str:
+    """Return the kind of a place, a key of :data:`SIGNS`."""
+    if place.seen is None:
+        return "running" if place.now else "open"
+    return {"good": "pass", "ok": "marginal"}.get(place.seen.band, "fail")
+
+
+def band_words(place: Place) -> str:
+    """Return the band of a place, as the recipe names it."""
+    if place.seen is None:
+        return text("live.now_place") if place.now else text("live.open_place")
+    return place.seen.band
+
+
+def place_numbers(place: Place) -> str:
+    """Return overlap and error of a place."""
+    seen = place.seen
+    if seen is None or seen.overlap_percent is None or seen.error_mm is None:
+        return ""
+    overlap = text("live.overlap", percent=f"{seen.overlap_percent:.0f}")
+    return f"{overlap}, {text('live.error', error=f'{seen.error_mm:.1f}')}"
+
+
+def force_trace(snapshot: Snapshot) -> Trace:
+    """Lay out the force."""
+    assert snapshot.live is not None
+    return trace(snapshot.live.force_N, TRACE_S, 1.0)
+
+
+def conductance_trace(snapshot: Snapshot) -> Trace:
+    """Lay out the conductance."""
+    assert snapshot.live is not None
+    return trace(snapshot.live.conductance_percent, TRACE_S, 0.2)
+
+
+def picture_address(snapshot: Snapshot) -> str:
+    """Return the address of the latest image; a transparent one before the first."""
+    if snapshot.live is None or snapshot.look is None or not snapshot.live.frame:
+        return "/static/none.png"
+    return f"{_base(snapshot.station)}/image/{snapshot.look.run}/{snapshot.live.frame}"
+
+
+def number(value: float, digits: int) -> str:
+    """Format a value with a fixed number of digits, without a negative zero."""
+    shown = f"{value:.{digits}f}"
+    return shown.removeprefix("-") if not float(shown) else shown.replace("-", "−")
+
+
+def _base(station: str) -> str:
+    return f"/stations/{quote(station, safe='')}"
+
+
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("cbsr_qa.web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.globals |= {
+        "t": text,
+        "signs": SIGNS,
+        "trace_minutes": f"{TRACE_S / 60:g}",
+        "scale_colours": scale_colours(),
+        "verdict_kind": verdict_kind,
+        "listed_kind": listed_kind,
+        "reason_words": reason_words,
+        "minutes_left": minutes_left,
+        "step_words": step_words,
+        "phase_words": phase_words,
+        "band_kind": band_kind,
+        "band_words": band_words,
+        "place_numbers": place_numbers,
+        "force_trace": force_trace,
+        "conductance_trace": conductance_trace,
+        "picture_address": picture_address,
+        "number": number,
+    }
+    return environment
+
+
+class Pages:
+    """Renders pages and parts of a line; a part is rendered once for all viewers."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+        self._environment = _environment()
+        self._rendered: dict[str, tuple[Snapshot | None, str, list[Part]]] = {}
+
+    def page(self, template: str, *, control: bool, here: str = "", stream: str = "", **names: Any) -> str:
+        """Render a whole page."""
+        common = {
+            "stations": list(self._line.stations),
+            "trouble": self._line.trouble,
+            "in_progress": self._line.in_progress(),
+        }
+        return self._environment.get_template(f"{template}.html.j2").render(
+            common | {"control": control, "here": here, "stream": stream, "keys": "{}"} | names
+        )
+
+    def fragment(self, part: str, **names: Any) -> str:
+        """Render a part."""
+        return self._environment.get_template(f"parts/{part}.html.j2").render(names)
+
+    def overview(self, *, control: bool) -> str:
+        cards = [{"name": name, "snapshot": one.snapshot} for name, one in self._line.stations.items()]
+        return self.page("overview", control=control, here="overview", stream="/events", cards=cards)
+
+    def station(self, name: str, *, control: bool) -> str:
+        own = self._names(name)
+        trouble = self._line.trouble or _trouble(own["s"])
+        keys = json.dumps({part.place: part.key for part in self.station_parts(name)})
+        stream = f"{_base(name)}/events"
+        return self.page(
+            "station", control=control, here=name, stream=stream, keys=keys, **own | {"trouble": trouble}
+        )
+
+    def gate(self, station: str, wanted: StartForm, view: GateView) -> str:
+        """Render what is said of a sensor before its run."""
+        return self.fragment("gate", base=_base(station), request=wanted, may=view.may, answers=view.answers)
+
+    def overview_parts(self) -> list[Part]:
+        """Return the parts of the overview."""
+        parts = [self._part("trouble", trouble=self._line.trouble)]
+        for index, (name, watch) in enumerate(self._line.stations.items()):
+            html = self.fragment("card", s=watch.snapshot, name=name)
+            parts.append(Part.of(f"card-{index}", html))
+        return parts
+
+    def station_parts(self, name: str) -> list[Part]:
+        """Return the parts of a station's page, the one that holds others first."""
+        snapshot, trouble = self._line.stations[name].snapshot, self._line.trouble
+        kept = self._rendered.get(name)
+        if kept is None or kept[0] is not snapshot or kept[1] != trouble:
+            kept = snapshot, trouble, self._station_parts(name, snapshot, trouble)
+            self._rendered[name] = kept
+        return kept[2]
+
+    def _station_parts(self, name: str, snapshot: Snapshot | None, trouble: str) -> list[Part]:
+        own = self._names(name)
+        parts = [Part.of("body", self.fragment("body", **own), _layout(snapshot))]
+        parts += [self._part("state", **own), self._part("trouble", trouble=trouble or _trouble(snapshot))]
+        if snapshot is None:
+            return parts
+        if snapshot.mode.live:
+            return [*parts, *(self._part(part, **own) for part in _LIVE_PARTS)]
+        return parts if snapshot.mode.runs else [*parts, self._part("refused", **own)]
+
+    def _part(self, place: str, **names: Any) -> Part:
+        html = self.fragment(place, **names)
+        return Part.of(place, html)
+
+    def _names(self, name: str) -> dict[str, Any]:
+        watch = self._line.stations[name]
+        recipes = watch.served.recipes
+        return {
+            "s": watch.snapshot,
+            "name": name,
+            "base": _base(name),
+            "recipes": recipes,
+            "chosen_recipe": lambda snapshot: _chosen(recipes, snapshot),
+        }
+
+
+def _layout(snapshot: Snapshot | None) -> str:
+    """Return what the layout of a station's page depends on: a field in use must not be replaced."""
+    if snapshot is None:
+        return ""
+    if snapshot.mode.live:
+        return f"live {None if snapshot.live is None else snapshot.live.sheet}"
+    if snapshot.mode.runs:
+        return str(snapshot.mode)
+    look = snapshot.look
+    return f"idle {snapshot.mode} {look}"
+
+
+def _trouble(snapshot: Snapshot | None) -> str:
+    return "" if snapshot is None else snapshot.trouble
+
+
+def _chosen(recipes: Sequence[OfferedRecipe], snapshot: Snapshot | None) -> str:
+    names = [recipe.name for recipe in recipes]
+    last = "" if snapshot is None or snapshot.look is None else snapshot.look.recipe
+    return last if last in names else names[0]

@@ -1,0 +1,107 @@
+"""Processes of runs: each in a session of its own with its own log, so that no end of the page ends a run."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.config import var_folder, writable_folder
+from cbsr_qa.web.guard import LOG
+
+#: Lines of a log that a page shows.
+_SHOWN_LINES: Final = 6
+#: Logs that are kept of each station.
+_KEPT_LOGS: Final = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """A run that this page started.
+
+    Parameters
+    ----------
+    what : serial number or run, for people.
+    log : of the process: what ``cbsr-qa run`` says in a terminal.
+    """
+
+    process: "subprocess.Popen[bytes]"
+    what: str
+    log: Path
+    at: datetime
+
+    @property
+    def ended(self) -> int | None:
+        """Exit code once it has ended."""
+        return self.process.poll()
+
+    def last_words(self) -> str:
+        """Return the end of the log: of a refused run, its reason."""
+        try:
+            lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError as error:
+            return str(error)
+        start = next((n for n in reversed(range(len(lines))) if lines[n].startswith("cbsr-qa:")), len(lines))
+        chosen = lines[start:] or lines[-_SHOWN_LINES:]
+        return "\n".join(line.removeprefix("cbsr-qa: ") for line in chosen[:_SHOWN_LINES])
+
+
+def start_run(station: str, arguments: Sequence[str], what: str) -> Started:
+    """Start ``cbsr-qa run`` with these arguments; returns at once.
+
+    Parameters
+    ----------
+    station : its name, which names the log.
+
+    Raises
+    ------
+    ConfigError
+        If the log cannot be written.
+    """
+    folder = writable_folder(var_folder() / "control" / "logs")
+    _forget_old(folder, station)
+    now = datetime.now(UTC)
+    log = folder / f"{station.replace(' ', '_')}-{now:%Y%m%dT%H%M%S%f}.log"
+    program = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "run", *arguments]
+    unit = f"cbsr-qa-run-{log.stem}".replace(".", "_")
+    with log.open("xb") as output:
+        process = subprocess.Popen(  # arguments are checked values, and no shell reads them
+            [*_own_unit(unit), *program],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    LOG.info("%s: started the run of %s as process %d; log: %s", station, what, process.pid, log)
+    return Started(process, what, log, now)
+
+
+def _own_unit(unit: str) -> list[str]:
+    """Return what starts a program as a unit of its own, if this process belongs to a unit of systemd."""
+    scope = _scope()
+    return [*scope, f"--unit={unit}"] if scope else []
+
+
+@cache
+def _scope() -> tuple[str, ...]:
+    program = shutil.which("systemd-run")
+    if "INVOCATION_ID" not in os.environ or program is None:
+        return ()
+    manager = () if os.geteuid() == 0 else ("--user",)
+    scope = (program, *manager, "--scope", "--quiet", "--collect")
+    tried = subprocess.run([*scope, "true"], capture_output=True, check=False, timeout=10)
+    if tried.returncode:
+        LOG.warning("systemd-run makes no units for runs (%s); KillMode=process keeps runs alive", tried.stderr)
+        return ()
+    return scope
+
+
+def _forget_old(folder: Path, station: str) -> None:
+    logs = sorted(folder.glob(f"{station.replace(' ', '_')}-*.log"))
+    for log in logs[: -_KEPT_LOGS or None]:
+        log.unlink(missing_ok=True)

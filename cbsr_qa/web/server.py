@@ -1,0 +1,201 @@
+"""``cbsr-qa serve``: checks, then a server that runs until it is stopped. It stops no run."""
+
+import asyncio
+import logging
+import secrets
+import signal
+import socket
+import ssl
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any, Final
+
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from cbsr_qa.config import var_folder, writable_folder
+from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.web.application import make_application
+from cbsr_qa.web.guard import LOG, Access
+from cbsr_qa.web.line import MOST_VIEWERS, Line
+from cbsr_qa.web.stations import served_stations
+
+#: Largest head of a request [B].
+_MOST_HEAD: Final = 16_384
+#: How long the head of a request may take, and how long a connection is kept without one [s].
+_HEAD_S: Final = 10
+#: Connections that are open at once; more are answered with 503.
+_MOST_CONNECTIONS: Final = MOST_VIEWERS + 128
+#: Shortest token that somebody may choose.
+_SHORTEST: Final = 16
+
+
+@dataclass(frozen=True, slots=True)
+class ServeRequest:
+    """What to serve, and where; see the options of ``cbsr-qa serve``."""
+
+    stations: Sequence[str]
+    recipes: Sequence[str] = ()
+    host: str = "127.0.0.1"
+    port: int = 8765
+    names: Sequence[str] = ()
+    certificate: Path | None = None
+    key: Path | None = None
+    token_file: Path | None = None
+    anyone_may_look: bool = False
+    database: str | None = None
+
+
+def serve(request: ServeRequest, tell: Callable[[str], None]) -> None:
+    """Serve the page until a signal ends it.
+
+    Parameters
+    ----------
+    tell : gets the address of the page once it can be opened.
+
+    Raises
+    ------
+    RefusedError
+        Before anything is served: a file, an address or a certificate is wrong, or the port is taken.
+    """
+    _log_to_stderr()
+    served = served_stations(request.stations, request.recipes)
+    loopback = _is_loopback(request.host)
+    tls = _certificate(request, loopback=loopback)
+    token = _token(request)
+    listening = _listening(request.host, request.port)
+    port = listening.getsockname()[1]
+    scheme = "http" if tls is None else "https"
+    access = Access(_hosts(request, port), scheme, token, request.anyone_may_look, port)
+    line = Line(served, request.database)
+    config = uvicorn.Config(
+        make_application(line, access),
+        http=_Unhurried,
+        ws="none",
+        loop="asyncio",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        lifespan="on",
+        h11_max_incomplete_event_size=_MOST_HEAD,
+        limit_concurrency=_MOST_CONNECTIONS,
+        timeout_keep_alive=_HEAD_S,
+        timeout_graceful_shutdown=1,
+        ssl_certfile=None if tls is None else tls[0],
+        ssl_keyfile=None if tls is None else tls[1],
+    )
+    shown = request.names[0] if request.names else "127.0.0.1" if loopback else request.host
+    shown = f"[{shown}]" if ":" in shown else shown
+    tell(f"{scheme}://{shown}:{port}/?token={token}")
+    asyncio.run(_Server(config).serve(sockets=[listening]))
+
+
+class _Server(uvicorn.Server):
+    """Ends in order when a signal asks for it, which is how it is meant to end."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        asked = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        before = {number: signal.signal(number, self.handle_exit) for number in asked}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+class _Unhurried(H11Protocol):
+    """Leaves a connection whose first request does not arrive in time; later ones have the keep-alive's time."""
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self.loop.call_later(_HEAD_S, self._leave_idle)
+
+    def _leave_idle(self) -> None:
+        if getattr(self, "cycle", None) is None and not self.transport.is_closing():
+            self.transport.close()
+
+
+def _log_to_stderr() -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    for logger, level in ((LOG, logging.INFO), (logging.getLogger("uvicorn.error"), logging.WARNING)):
+        logger.handlers, logger.propagate = [handler], False
+        logger.setLevel(level)
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _hosts(request: ServeRequest, port: int) -> frozenset[str]:
+    """Return the allowed values of ``Host``."""
+    own = ("127.0.0.1", "localhost", "[::1]") if _is_loopback(request.host) else ()
+    host = f"[{request.host}]" if ":" in request.host else request.host
+    names = {*own, host, *request.names}
+    with_port = {f"{name.lower()}:{port}" for name in names}
+    return frozenset(with_port | ({name.lower() for name in names} if port in (80, 443) else set()))
+
+
+def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] | None:
+    """Return the files of certificate and key. ConfigError if they are missing, unreadable, or not a pair."""
+    if request.certificate is None and request.key is None:
+        if loopback:
+            return None
+        raise ConfigError(
+            f"--host {request.host} is reached from other computers: without TLS the token could be read on the way",
+            remedy="give --certificate and --key (PEM files), or leave --host out to serve this computer alone",
+        )
+    if request.certificate is None or request.key is None:
+        raise ConfigError("--certificate and --key belong together", remedy="give both")
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(request.certificate, request.key)
+    except (OSError, ssl.SSLError) as error:
+        raise ConfigError(
+            f"certificate {request.certificate} and key {request.key} cannot be used: {error}",
+            remedy="both must be PEM files, of the same pair, and readable",
+        ) from error
+    return request.certificate, request.key
+
+
+def _token(request: ServeRequest) -> str:
+    """Return the token: of the given file, or one that is made once and kept."""
+    file = request.token_file
+    if file is None:
+        file = writable_folder(var_folder() / "control") / "serve.token"
+        if not file.exists():
+            file.touch(mode=0o600)
+            file.write_text(secrets.token_urlsafe(24), encoding="ascii")
+    try:
+        token = file.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeError) as error:
+        raise ConfigError(f"the token cannot be read from {file}: {error}") from error
+    if len(token) < _SHORTEST or not all(one.isalnum() or one in "-_" for one in token):
+        raise ConfigError(
+            f"the token in {file} cannot be used", remedy=f"allowed: at least {_SHORTEST} letters, digits, - and _"
+        )
+    return token
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens. RefusedError if the address is not this computer's, or the port is taken."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((host, port))
+    except (OSError, OverflowError) as error:
+        listening.close()
+        why = getattr(error, "strerror", None) or str(error)
+        raise RefusedError(
+            f"{host}, port {port}: {why}",
+            remedy="is the page served already? Open it, end the other program, or choose another --port",
+        ) from error
+    return listening

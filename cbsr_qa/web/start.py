@@ -1,0 +1,72 @@
+"""From a form to the arguments of ``cbsr-qa run``."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Self
+
+from cbsr_qa.app.gate import Override
+from cbsr_qa.config import validate_batch, validate_operator, validate_serial
+from cbsr_qa.web.stations import OfferedRecipe, ServedStation
+
+
+@dataclass(frozen=True, slots=True)
+class StartForm:
+    """A run that an operator asks for, checked."""
+
+    serial: str
+    recipe: OfferedRecipe
+    operator: str
+    batch: str
+    override: Override
+
+    @classmethod
+    def of(cls, served: ServedStation, form: Mapping[str, str]) -> Self:
+        """Check the fields of a form. RefusedError names the first that is not allowed."""
+        return cls(
+            serial=validate_serial(form.get("serial", "")),
+            recipe=served.recipe(form.get("recipe", served.recipes[0].name)),
+            operator=validate_operator(form.get("operator", "")),
+            batch=validate_batch(form.get("batch", "")),
+            override=Override(
+                tuple(filter(None, form.get("override", "").split())),
+                form.get("override_by", ""),
+                form.get("override_why", ""),
+            ).checked(),
+        )
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """The fields of a form that asks for the same."""
+        return {
+            "serial": self.serial,
+            "recipe": self.recipe.name,
+            "operator": self.operator,
+            "batch": self.batch,
+            "override": " ".join(self.override.checks),
+            "override_by": self.override.by,
+            "override_why": self.override.why,
+        }
+
+    def arguments(self, served: ServedStation, database: str | None) -> list[str]:
+        """Return the arguments of ``cbsr-qa run``."""
+        return [
+            f"--station={served.source}",
+            f"--recipe={self.recipe.source}",
+            f"--serial={self.serial}",
+            f"--operator={self.operator}",
+            f"--batch={self.batch}",
+            *(f"--override={check}" for check in self.override.checks),
+            *([f"--override-by={self.override.by}"] if self.override.checks else []),
+            *([f"--override-why={self.override.why}"] if self.override.checks else []),
+            *common_arguments(database),
+        ]
+
+
+def resume_arguments(run: str, operator: str, database: str | None) -> list[str]:
+    """Return the arguments of ``cbsr-qa run`` that resume a run."""
+    return [f"--resume={run}", f"--operator={operator}", *common_arguments(database)]
+
+
+def common_arguments(database: str | None) -> list[str]:
+    """Return the arguments of every run that a page starts."""
+    return ["--prompts=channel", *([] if database is None else [f"--database={database}"])]

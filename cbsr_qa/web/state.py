@@ -1,0 +1,184 @@
+"""What a station is doing, put together from the run's channel, the station's lock and the store."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from time import monotonic
+from typing import Any
+
+from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.store.runs import RunLook
+from cbsr_qa.web.live_run import LiveView
+
+
+class Mode(StrEnum):
+    """What a station is doing."""
+
+    READY = "ready"  #: nothing runs, and nothing has run
+    STARTING = "starting"  #: a process was started, and has not answered yet
+    RUNNING = "running"
+    PAUSED = "paused"
+    ASKING = "asking"  #: a prompt waits for an answer
+    CONCLUDING = "concluding"  #: the head is up; the verdict is worked out
+    DONE = "done"  #: with a verdict, also of a run that was stopped
+    INTERRUPTED = "interrupted"  #: the run's process has gone without an end
+    HELD = "held"  #: something else uses the station
+
+    @property
+    def runs(self) -> bool:
+        """Whether a process works at the station."""
+        return self not in (Mode.READY, Mode.DONE, Mode.INTERRUPTED)
+
+    @property
+    def live(self) -> bool:
+        """Whether frames may come."""
+        return self in (Mode.RUNNING, Mode.PAUSED, Mode.ASKING, Mode.CONCLUDING)
+
+
+@dataclass(frozen=True, slots=True)
+class Prompt:
+    """A question to the operator. ``picture`` says whether there is one."""
+
+    number: int
+    text: str
+    picture: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """What a run says of itself on its channel; see docs/decisions/0041.
+
+    Parameters
+    ----------
+    step : in words.
+    place : label of the load under the head; empty for none. ``x_mm``, ``y_mm``: where the head is.
+    number, of : which press of how many.
+    ends_at : when the run is expected to end, by ``time.monotonic`` [s]; None if unknown, or if its clock stands.
+    paused_by, pause_wanted_by : who; None for nobody.
+    """
+
+    run: str
+    serial: str
+    recipe: str
+    operator: str
+    phase: str
+    step: str
+    place: str
+    x_mm: float | None
+    y_mm: float | None
+    number: int
+    of: int
+    ends_at: float | None
+    paused_by: str | None
+    pause_wanted_by: str | None
+    prompt: Prompt | None
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """All that pages show of a station at one time.
+
+    Parameters
+    ----------
+    control : of the run in progress; None without one, or before it answers.
+    look : the latest stored run; None before the first.
+    live : of the run in progress.
+    refused : why the run that was started last never began; empty otherwise.
+    trouble : why the store cannot be read, or the run cannot be followed; empty otherwise.
+    health : of the station, in words, and whether that is in order.
+    """
+
+    station: str
+    mode: Mode
+    control: Control | None
+    look: RunLook | None
+    live: LiveView | None
+    starting: str
+    refused: str
+    trouble: str
+    health: str
+    healthy: bool
+
+    @property
+    def serial(self) -> str:
+        """The sensor at the station; empty for none."""
+        if self.control is not None:
+            return self.control.serial
+        if self.mode is Mode.STARTING:
+            return self.starting
+        return "" if self.look is None else self.look.serial
+
+    @property
+    def outcome(self) -> Outcome | None:
+        return None if self.look is None else self.look.outcome
+
+    @property
+    def resumable(self) -> bool:
+        """Whether the latest run can be continued."""
+        return self.look is not None and self.look.end is not EndReason.FINISHED and not self.mode.runs
+
+
+def mode_of(control: Control | None, look: RunLook | None, *, held: bool, starting: bool) -> Mode:
+    """Decide what a station is doing.
+
+    Parameters
+    ----------
+    held : whether a process holds the station's lock.
+    starting : whether a process that this page started is alive.
+    """
+    if control is not None and not _ended(control, look):
+        if control.prompt is not None:
+            return Mode.ASKING
+        return Mode.RUNNING if control.paused_by is None else Mode.PAUSED
+    if held or starting:
+        unjudged = look is not None and look.end is EndReason.FINISHED and look.outcome is None
+        if unjudged or control is not None:
+            return Mode.CONCLUDING
+        return Mode.STARTING if starting else Mode.HELD
+    return Mode.READY if look is None else Mode.INTERRUPTED if look.outcome is None else Mode.DONE
+
+
+def _ended(control: Control, look: RunLook | None) -> bool:
+    return look is not None and look.run == control.run and look.end is not EndReason.RUNNING
+
+
+def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool) -> Control:
+    """Read the documents of a run's channel.
+
+    Parameters
+    ----------
+    down : whether the head is on its way down, or pressed.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If they are malformed.
+    """
+    load, prompt, paused, wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
+    return Control(
+        run=str(hello["run"]),
+        serial=str(hello["serial"]),
+        recipe=str(hello["recipe"]),
+        operator=str(hello.get("operator", "")),
+        phase=str(state.get("phase") or ""),
+        step=str(state.get("step") or ""),
+        place=str(load["label"]) if load and down else "",
+        x_mm=float(load["x_mm"]) if load and down else None,
+        y_mm=float(load["y_mm"]) if load and down else None,
+        number=0 if load is None else int(load["number"]),
+        of=0 if load is None else int(load["of"]),
+        ends_at=_ends_at(state),
+        paused_by=None if paused is None else str(paused.get("by") or ""),
+        pause_wanted_by=str(wanted) if wanted else None,
+        prompt=None
+        if prompt is None
+        else Prompt(int(prompt["prompt"]), str(prompt["text"]), bool(prompt["picture"])),
+        warnings=tuple(map(str, state.get("warnings") or ())),
+    )
+
+
+def _ends_at(state: Mapping[str, Any]) -> float | None:
+    """Return when a run is expected to end: a clock that is not waited for counts as one that is."""
+    remaining_s = state.get("remaining_s")
+    return None if remaining_s is None else monotonic() + float(remaining_s) / float(state.get("clock_speed") or 1.0)

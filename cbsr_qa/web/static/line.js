@@ -1,0 +1,103 @@
+// Shows what the server sends, and sends what the operator asks for. Without it the pages are still readable.
+
+const body = document.body;
+const say = document.getElementById("say");
+const connection = document.getElementById("connection");
+
+// What is shown already is not replaced: somebody may be typing in it.
+const keys = JSON.parse(body.dataset.keys ?? "{}");
+function put([id, html, key]) {
+  const place = document.getElementById(id);
+  if (!place || (key && keys[id] === key)) return;
+  if (key) keys[id] = key;
+  place.innerHTML = html;
+  place.querySelector("[autofocus]:not([popover] *)")?.focus();
+}
+
+// The next picture is decoded before it replaces the last one, so that nothing flickers.
+let wanted = "";
+async function show(address) {
+  wanted = address;
+  const next = new Image();
+  next.src = address;
+  try { await next.decode(); } catch { return; }
+  const shown = document.getElementById("image");
+  if (shown && wanted === address) {
+    shown.setAttribute("href", address);
+    shown.dataset.shown = Date.now();
+  }
+}
+
+function take({ parts = [], picture = "", words = "", go = "" }) {
+  parts.forEach(put);
+  if (picture) show(picture);
+  if (words) {
+    say.textContent = words;
+    setTimeout(() => { if (say.textContent === words) say.textContent = ""; }, 10000);
+  }
+  if (go) location.assign(go);
+}
+
+// One stream for each page that is looked at: a browser allows six connections to a server.
+let stream = null;
+let lastHeard = 0;
+function lost(yes) {
+  connection.textContent = yes ? body.dataset.lost : "";
+  body.classList.toggle("lost", yes);
+}
+function listen() {
+  if (stream || !body.dataset.stream || document.hidden) return;
+  stream = new EventSource(body.dataset.stream);
+  stream.onopen = () => { lastHeard = Date.now(); lost(false); };
+  stream.onmessage = (event) => { lastHeard = Date.now(); lost(false); take(JSON.parse(event.data)); };
+  stream.addEventListener("here", () => { lastHeard = Date.now(); lost(false); });
+  stream.onerror = () => { lost(true); again(); };
+}
+function again() {
+  stream?.close();
+  stream = null;
+  setTimeout(listen, 500);
+}
+function leave() {
+  stream?.close();
+  stream = null;
+}
+document.addEventListener("visibilitychange", () => (document.hidden ? leave() : listen()));
+setInterval(() => { if (stream && Date.now() - lastHeard > 15000) { lost(true); again(); } }, 3000);
+addEventListener("pageshow", listen);
+addEventListener("pagehide", leave);
+listen();
+
+document.addEventListener("submit", async (event) => {
+  const form = event.target;
+  if (!form.matches("[data-send]")) return;
+  event.preventDefault();
+  const button = event.submitter ?? form.querySelector("button");
+  if (button?.getAttribute("aria-busy") === "true") return;
+  button?.setAttribute("aria-busy", "true");
+  say.textContent = "";
+  document.querySelector(":popover-open")?.hidePopover();
+  try {
+    const answer = await fetch(form.action, { method: "POST", body: new URLSearchParams(new FormData(form)) });
+    if (answer.headers.get("content-type")?.startsWith("application/json")) take(await answer.json());
+    else say.textContent = await answer.text();
+  } catch { lost(true); } finally { button?.removeAttribute("aria-busy"); }
+});
+
+document.addEventListener("click", (event) => {
+  const link = event.target.closest("[data-clear]");
+  if (!link) return;
+  document.getElementById(link.dataset.clear).replaceChildren();
+  const serial = document.getElementById("serial");
+  if (serial) { serial.value = ""; serial.focus(); }
+});
+
+// What a scanner types goes to the scan field, wherever the focus was left.
+document.addEventListener("keydown", (event) => {
+  const serial = document.getElementById("serial");
+  const free = document.activeElement === body || document.activeElement === document.getElementById("content");
+  if (serial && free && event.key.length === 1 && !event.ctrlKey && !event.altKey && !event.metaKey) {
+    serial.value = "";
+    serial.focus();
+  }
+});

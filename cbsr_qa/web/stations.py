@@ -1,0 +1,98 @@
+"""The stations that are served, and the recipes a run may be started with: all that a request can choose from."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from cbsr_qa.config import DocumentKind, load_recipe, load_station, shipped_names
+from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.domain.plan import Station
+from cbsr_qa.plugin import Plugins, discover
+
+#: A station's name is part of addresses.
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]*")
+
+
+@dataclass(frozen=True, slots=True)
+class OfferedRecipe:
+    """A recipe that may be chosen. ``source`` is what ``--recipe`` takes, ``name`` what the page shows."""
+
+    name: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class ServedStation:
+    """A station of the page.
+
+    Parameters
+    ----------
+    source : what ``--station`` takes.
+    recipes : that may be started here, the first one by default.
+    """
+
+    name: str
+    source: str
+    station: Station
+    recipes: tuple[OfferedRecipe, ...]
+
+    def recipe(self, name: str) -> OfferedRecipe:
+        """Return an offered recipe. RefusedError if it is not offered."""
+        for recipe in self.recipes:
+            if recipe.name == name:
+                return recipe
+        offered = ", ".join(recipe.name for recipe in self.recipes)
+        raise RefusedError(f"recipe {name[:64]!r} is not offered here", remedy=f"offered: {offered}")
+
+
+def served_stations(stations: Sequence[str], recipes: Sequence[str]) -> tuple[ServedStation, ...]:
+    """Load stations and recipes.
+
+    Parameters
+    ----------
+    stations, recipes : files or names of shipped ones; without recipes, the shipped ones are offered.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or wrong, a name cannot be part of an address, or two have the same name.
+    """
+    plugins = discover()
+    offered = _offered(recipes, plugins)
+    served = tuple(_served(source, offered, plugins) for source in stations)
+    _check_unique("station", [(one.name, one.source) for one in served])
+    return served
+
+
+def _served(source: str, offered: tuple[OfferedRecipe, ...], plugins: Plugins) -> ServedStation:
+    station = load_station(source, plugins).value
+    if not _NAME.fullmatch(station.name):
+        raise ConfigError(
+            f"station {source}: the name {station.name!r} cannot be part of an address",
+            remedy="allowed: letters, digits, spaces and . _ -, starting with a letter or a digit",
+        )
+    return ServedStation(station.name, source, station, offered)
+
+
+def _offered(recipes: Sequence[str], plugins: Plugins) -> tuple[OfferedRecipe, ...]:
+    sources = tuple(recipes) or _shipped_recipes()
+    offered = tuple(OfferedRecipe(load_recipe(source, plugins).value.name, source) for source in sources)
+    _check_unique("recipe", [(one.name, one.source) for one in offered])
+    return offered
+
+
+def _shipped_recipes() -> tuple[str, ...]:
+    """The shipped recipes for a line, the shortest production test first."""
+    names = shipped_names(DocumentKind.RECIPE)
+    return tuple(sorted(names, key=lambda name: (name != "nine-locations", name)))
+
+
+def _check_unique(noun: str, named: Sequence[tuple[str, str]]) -> None:
+    seen: dict[str, str] = {}
+    for name, source in named:
+        if name in seen:
+            raise ConfigError(
+                f"{seen[name]} and {source} are both {noun} {name!r}", remedy=f"give each {noun} its own name"
+            )
+        seen[name] = source

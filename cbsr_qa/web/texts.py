@@ -1,0 +1,28 @@
+"""The catalogue of what the pages say: ``texts.toml``. Its values may hold ``{names}`` that a page fills in."""
+
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+_FILE: Final = "texts.toml"
+
+
+@cache
+def _catalogue() -> Mapping[str, str]:
+    flat: dict[str, str] = {}
+    source = files(__package__).joinpath(_FILE).read_text(encoding="utf-8")
+    for group, texts in tomllib.loads(source).items():
+        flat |= {f"{group}.{key}": value for key, value in texts.items()}
+    return flat
+
+
+def text(key: str, **names: Any) -> str:
+    """Return a text of the catalogue. KeyError if it has none of this key."""
+    return _catalogue()[key].format(**names)
+
+
+def keys() -> frozenset[str]:
+    """All keys of the catalogue."""
+    return frozenset(_catalogue())

@@ -1,0 +1,189 @@
+"""Watches stations and their store in one thread: short reads when something was written, images at its own rate."""
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from time import monotonic
+from typing import Final
+
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain.run import CheckOutcome
+from cbsr_qa.plugin import Plugins, discover
+from cbsr_qa.station.control import station_holder
+from cbsr_qa.store import Repository, open_store
+from cbsr_qa.store.runs import ChangeNotice, RunLook
+from cbsr_qa.web.channel import ChannelClient
+from cbsr_qa.web.guard import LOG
+from cbsr_qa.web.live_run import LiveRun
+from cbsr_qa.web.processes import Started
+from cbsr_qa.web.state import Mode, Snapshot, mode_of
+from cbsr_qa.web.stations import ServedStation
+from cbsr_qa.web.texts import text
+
+#: Between looks whether anything was written [s].
+_LOOK_S: Final = 0.03
+#: Between images of one station at least [s].
+_IMAGE_S: Final = 0.1
+#: Between snapshots of a station of which nothing is heard [s].
+_QUIET_S: Final = 1.0
+#: Between looks at what changes by the hour [s].
+_HEALTH_S: Final = 15.0
+#: A run that takes frames and has sent none for so long is in trouble [s].
+SILENT_S: Final = 60.0
+
+
+class StationWatch:
+    """One station as the watching thread knows it.
+
+    Parameters
+    ----------
+    channel : of its runs; belongs to the event loop, its ``control`` is only read here.
+    """
+
+    def __init__(self, served: ServedStation, channel: ChannelClient) -> None:
+        self.served, self.channel = served, channel
+        self.started: Started | None = None
+        self.live: LiveRun | None = None
+        self.look: RunLook | None = None
+        self.snapshot: Snapshot | None = None
+        self._due, self._next_s = True, 0.0
+        self._health, self._healthy, self._health_s = "", True, 0.0
+        self._unread = ""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a run is going on, or was started and has not ended."""
+        if self.started is not None and self.started.ended is None:
+            return True
+        return self.channel.control is not None or station_holder(self.served.name) is not None
+
+    def wake(self) -> None:
+        """Have a look soon."""
+        self._due = True
+
+    def refresh(self, store: Repository, plugins: Plugins) -> bool:
+        """Look at station and store if it is time; return whether there is a new snapshot."""
+        now_s = monotonic()
+        if now_s < self._next_s or not (self._due or now_s >= self._next_s + _QUIET_S - _IMAGE_S):
+            return False
+        self._due, self._next_s = False, now_s + _IMAGE_S
+        self.look = store.latest_run_at(self.served.name)
+        control, started = self.channel.control, self.started
+        holder = station_holder(self.served.name)
+        alive = started is not None and started.ended is None
+        mode = mode_of(control, self.look, held=holder is not None, starting=alive)
+        trouble = self._follow(store, plugins, mode)
+        self._look_after(store, now_s)
+        self.snapshot = Snapshot(
+            station=self.served.name,
+            mode=mode,
+            control=control,
+            look=self.look,
+            live=None if self.live is None else self.live.view("" if control is None else control.place),
+            starting=started.what if started is not None else "",
+            refused=self._refused(),
+            trouble=trouble or self._silence(mode),
+            health=self._health,
+            healthy=self._healthy,
+        )
+        return True
+
+    def _follow(self, store: Repository, plugins: Plugins, mode: Mode) -> str:
+        """Read what the run in progress has stored; return what went wrong."""
+        if self.look is None or not mode.live:
+            self.live = None
+            return ""
+        try:
+            if self.live is None or self.live.run != self.look.run:
+                self.live = LiveRun(store, plugins, self.look.run)
+            self.live.update()
+        except CbsrError as error:
+            if error.reason != self._unread:
+                LOG.warning("%s: %s", self.served.name, error.reason)
+            self._unread = error.reason
+            return error.reason
+        self._unread = ""
+        return ""
+
+    def _silence(self, mode: Mode) -> str:
+        view = None if self.live is None else self.live.view("")
+        if mode is not Mode.RUNNING or view is None or view.silent_s is None or view.silent_s < SILENT_S:
+            return ""
+        return text("trouble.silent", seconds=round(view.silent_s))
+
+    def _refused(self) -> str:
+        """Return why the run that was started last never began."""
+        started = self.started
+        if started is None or not started.ended or (self.look is not None and self.look.started_at > started.at):
+            return ""
+        return started.last_words()
+
+    def _look_after(self, store: Repository, now_s: float) -> None:
+        if now_s < self._health_s:
+            return
+        self._health_s = now_s + _HEALTH_S
+        check = store.latest_station_check(self.served.name)
+        if check is None:
+            self._health, self._healthy = text("health.unchecked"), True
+        else:
+            self._healthy = check.outcome is not CheckOutcome.FAILED
+            key = "health.passed" if self._healthy else "health.failed"
+            self._health = text(key, when=f"{check.checked_at:%Y-%m-%d %H:%M}")
+
+
+class Watcher(threading.Thread):
+    """The watching thread.
+
+    Parameters
+    ----------
+    database : its URL.
+    publish : called from this thread with the names of stations that have a new snapshot.
+    """
+
+    def __init__(self, stations: Sequence[StationWatch], database: str, publish: Callable[[list[str]], None]) -> None:
+        super().__init__(name="watcher", daemon=True)
+        self._stations, self._database, self._publish = stations, database, publish
+        self._woken, self._stopped = threading.Event(), False
+        self.trouble = ""
+
+    def wake(self) -> None:
+        """Look at once."""
+        self._woken.set()
+
+    def stop(self) -> None:
+        self._stopped = True
+        self._woken.set()
+        self.join(timeout=5)
+
+    def run(self) -> None:
+        plugins = discover()
+        while not self._stopped:
+            try:
+                with open_store(self._database, durable=False) as store:
+                    self._watch(store, plugins)
+            except CbsrError as error:
+                self._say(f"{error.reason}. {error.remedy}" if error.remedy else error.reason)
+                self._woken.wait(1.0)
+                self._woken.clear()
+
+    def _watch(self, store: Repository, plugins: Plugins) -> None:
+        notice: ChangeNotice = store.change_notice()
+        with closing(notice):
+            while not self._stopped:
+                woken = self._woken.wait(_LOOK_S)
+                self._woken.clear()
+                if notice.changed() or woken:
+                    for station in self._stations:
+                        station.wake()
+                fresh = [one.served.name for one in self._stations if one.refresh(store, plugins)]
+                self._say("")
+                if fresh:
+                    self._publish(fresh)
+
+    def _say(self, trouble: str) -> None:
+        if trouble == self.trouble:
+            return
+        self.trouble = trouble
+        if trouble:
+            LOG.error("%s", trouble)
+        self._publish([one.served.name for one in self._stations])
