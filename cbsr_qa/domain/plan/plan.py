@@ -56,6 +56,14 @@ class InstrumentSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class EventSinkSpec:
+    """A table ``[events.<name>]`` of a station file: where events of its runs are delivered."""
+
+    name: str
+    sink: PluginChoice
+
+
+@dataclass(frozen=True, slots=True)
 class Motion:
     """Speeds and reach of the head.
 
@@ -153,6 +161,7 @@ class Station:
     emulated_scene : scene shared by its emulated instruments: a name, or a scene file's content; None if it has none.
     overdue : policy for runs with an instrument past its calibration date: ``"warn"`` or ``"refuse"``.
     reference_ring : measured by ``cbsr-qa station check``; None if the station has none.
+    events : where events of its runs are delivered, by name.
     """
 
     name: str
@@ -166,6 +175,7 @@ class Station:
     emulated_scene: str | Mapping[str, Any] | None = None
     overdue: str = "warn"
     reference_ring: ReferenceRing | None = None
+    events: tuple[EventSinkSpec, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

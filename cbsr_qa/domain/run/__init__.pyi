@@ -11,7 +11,9 @@ from .changes import (
 )
 from .event_documents import (
     EventDocument as EventDocument,
+    EventMessage as EventMessage,
     event_document as event_document,
+    event_message as event_message,
 )
 from .loads import (
     NINE_LOCATIONS_MM as NINE_LOCATIONS_MM,

@@ -25,6 +25,7 @@ from cbsr_qa.domain.run.run import (
     PhaseStarted,
     RunEnded,
     RunEvent,
+    RunIdentity,
     RunStarted,
     SamplesTaken,
     StepRetried,
@@ -228,8 +229,8 @@ class LoadFinishedDocument:
     """A press was held to its end and released, and its rest has ended (``time_s``).
 
     The head starts down, is down, starts up, is up: ``press_start_s`` … ``release_end_s``. It left the sheet at
-    ``clear_s``. ``index`` counts the presses of the phase from 0, ``trial`` repetitions of one load; ``strain`` is a fraction;
-    ``eased`` are strains that the press was brought to after the first.
+    ``clear_s``. ``index`` counts the presses of the phase from 0, ``trial`` repetitions of one load; ``strain`` is a
+    fraction; ``eased`` are strains that the press was brought to after the first.
     """
 
     type: Literal["load_finished"]
@@ -317,3 +318,32 @@ EventDocument = (
     | PhaseFinishedDocument
     | RunEndedDocument
 )
+
+
+@dataclass(frozen=True, slots=True)
+class EventMessage:
+    """An event as sinks deliver it: with its run, so that each message can be understood by itself.
+
+    ``session`` is when this session of the run began: a resumed run has several. ``number`` counts the events of the
+    session from 0, so that a gap is a lost event. A message may arrive twice, with the same ``run``, ``session`` and
+    ``number``.
+    """
+
+    station: str
+    run: str
+    serial: str
+    session: str
+    number: int
+    event: EventDocument
+
+
+def event_message(identity: RunIdentity, number: int, event: RunEvent) -> dict[str, Any]:
+    """Return the message of an event, which JSON can hold; its keys are those of :class:`EventMessage`."""
+    return {
+        "station": identity.station,
+        "run": identity.run,
+        "serial": identity.sensor.serial,
+        "session": identity.started_at.isoformat(),
+        "number": number,
+        "event": event_document(event),
+    }
