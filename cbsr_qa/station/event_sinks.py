@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from cbsr_qa.domain import CbsrError, DeliveryError
 from cbsr_qa.domain.plan import EventSinkSpec
-from cbsr_qa.domain.run import RunEvent, RunIdentity, event_message
+from cbsr_qa.domain.run import RunEvent, RunIdentity, event_document, event_message
 from cbsr_qa.plugin import EventSink, Kind, Plugins, create_plugin, said
 from cbsr_qa.station.documents import Warn
 
@@ -49,7 +49,7 @@ class EventSinks:
     def __call__(self, event: RunEvent) -> None:
         if not self._deliveries:
             return
-        message = event_message(self._identity, self._number, event)
+        message = event_message(self._identity, self._number, event_document(event))
         self._number += 1
         for delivery in self._deliveries:
             delivery.put(message)

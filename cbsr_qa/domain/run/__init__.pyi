@@ -10,7 +10,6 @@ from .changes import (
     differences as differences,
 )
 from .event_documents import (
-    EventDocument as EventDocument,
     EventMessage as EventMessage,
     event_document as event_document,
     event_message as event_message,

@@ -337,13 +337,13 @@ class EventMessage:
     event: EventDocument
 
 
-def event_message(identity: RunIdentity, number: int, event: RunEvent) -> dict[str, Any]:
-    """Return the message of an event, which JSON can hold; its keys are those of :class:`EventMessage`."""
+def event_message(identity: RunIdentity, number: int, document: dict[str, Any]) -> dict[str, Any]:
+    """Return the message of an event's document; its keys are those of :class:`EventMessage`."""
     return {
         "station": identity.station,
         "run": identity.run,
         "serial": identity.sensor.serial,
         "session": identity.started_at.isoformat(),
         "number": number,
-        "event": event_document(event),
+        "event": document,
     }

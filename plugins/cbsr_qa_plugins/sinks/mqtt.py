@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field
 
@@ -20,9 +20,6 @@ from cbsr_qa_plugins.sinks._options import (
     filled_template,
     secret,
 )
-
-if TYPE_CHECKING:
-    from paho.mqtt.client import Client
 
 #: A connection without traffic is checked at this interval [s].
 _KEEP_ALIVE_S: Final = 30
@@ -83,13 +80,12 @@ class Mqtt(WithOptions):
         check_file("ca_file", self.options.ca_file)
         self._port = self.options.port or (_TLS_PORT if self.options.tls else _PORT)
         self._broker = f"broker {self.options.host}:{self._port}"
-        self._client: Client | None = None
+        self._client: Any = None
 
     def deliver(self, messages: Sequence[Mapping[str, Any]]) -> None:
         if self._client is None or not self._client.is_connected():
             self.close()
             self._connect()
-        assert self._client is not None
         try:
             self._publish(self._client, messages)
         except (OSError, ValueError, RuntimeError) as error:  # paho raises the latter two when the connection is lost
@@ -106,7 +102,7 @@ class Mqtt(WithOptions):
                 client.disconnect()
             client.loop_stop()
 
-    def _publish(self, client: "Client", messages: Sequence[Mapping[str, Any]]) -> None:
+    def _publish(self, client: Any, messages: Sequence[Mapping[str, Any]]) -> None:
         deadline = time.monotonic() + self.options.timeout_s
         sent = [
             client.publish(
