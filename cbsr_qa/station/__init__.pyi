@@ -11,12 +11,7 @@ from .bench import (
 )
 from .documents import MemoryJournal as MemoryJournal
 from .dry_runs import DryRun as DryRun, dry_run as dry_run
-from .event_sinks import (
-    END_S as END_S,
-    LARGEST_QUEUE as LARGEST_QUEUE,
-    Delivery as Delivery,
-    EventSinks as EventSinks,
-)
+from .event_sinks import EventSinks as EventSinks
 from .execution import execute as execute
 from .interrupts import OperatorPrompt as OperatorPrompt, on_stderr as on_stderr
 from .limits import check_samplers as check_samplers, place_violations as place_violations

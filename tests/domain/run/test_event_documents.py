@@ -15,7 +15,6 @@ from stored_runs import force, frames, record, short_run
 from cbsr_qa.domain.plan import AcquireFrames, Press
 from cbsr_qa.domain.readings import ReadingFlag, SampleBlock
 from cbsr_qa.domain.run import (
-    EventDocument,
     EventMessage,
     FramesTaken,
     Load,
@@ -25,6 +24,7 @@ from cbsr_qa.domain.run import (
     StepStarted,
     event_document,
 )
+from cbsr_qa.domain.run.event_documents import EventDocument
 
 
 def test_the_events_of_a_run_are_all_documented():
