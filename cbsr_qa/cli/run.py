@@ -1,17 +1,25 @@
 """``cbsr-qa run``: tests one sensor."""
 
+from enum import StrEnum
 from typing import Annotated
 
 import typer
 
 from cbsr_qa.cli.command import command, document
-from cbsr_qa.cli.options import AsJson, Database, given_options, option_names
+from cbsr_qa.cli.options import AsJson, Database, given_options, one_of, option_names
 from cbsr_qa.cli.output import announce, note, operator_at_terminal, show
 from cbsr_qa.cli.supervised import begun
 
 #: Options a new run requires, and those allowed with --resume.
 _NEEDED = ("station", "recipe", "serial")
-_WITH_RESUME = ("resume", "operator", "database", "as_json")
+_WITH_RESUME = ("resume", "operator", "database", "as_json", "prompts")
+
+
+class Prompts(StrEnum):
+    """Where prompts of a run are answered."""
+
+    TERMINAL = "terminal"
+    CHANNEL = "channel"
 
 
 document("dry run", prints="cbsr_qa.app.run:PlannedRun")
@@ -41,6 +49,9 @@ def run(
         str | None, typer.Option(metavar="RUN", help="Resume an interrupted run with its original settings.")
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what the run would do; nothing moves.")] = False,
+    prompts: Annotated[
+        str, typer.Option(hidden=True, help="Where prompts are answered: terminal, or channel (control channel).")
+    ] = Prompts.TERMINAL,
     as_json: AsJson = False,
 ) -> int:
     """Test one sensor: store the run, give a verdict, write a report and, if it passed, its calibration file.
@@ -48,6 +59,7 @@ def run(
     Requires --station, --recipe and --serial, or else --resume, which allows only --operator, --database and --json.
     """
     _check_given(context, resuming=resume is not None)
+    answers = one_of(Prompts, prompts, "--prompts") is Prompts.CHANNEL
     from cbsr_qa.app.run import RunRequest, plan_outcome, plan_run, resume_run, run_outcome, run_sensor
 
     if resume is not None:
@@ -58,6 +70,7 @@ def run(
             operator=operator,
             tell=announce,
             ask=operator_at_terminal(),
+            answers=answers,
         )
         return show(run_outcome(outcome), as_json=as_json)
 
@@ -74,7 +87,7 @@ def run(
         why=why,
     )
     if dry_run:
-        planned = plan_run(request, attended=operator_at_terminal() is not None)
+        planned = plan_run(request, attended=answers or operator_at_terminal() is not None)
         code = show(plan_outcome(planned), as_json=as_json)
         if planned.refused is not None:
             note(f"cbsr-qa: the run would be refused\n{planned.refused.remedy}")
@@ -84,6 +97,7 @@ def run(
         tell=announce,
         ask=operator_at_terminal(),
         begun=lambda run: begun(run, database),
+        answers=answers,
     )
     return show(run_outcome(outcome), as_json=as_json)
 

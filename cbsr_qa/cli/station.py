@@ -1,5 +1,6 @@
 """``cbsr-qa station``: looks after a station."""
 
+import getpass
 from typing import Annotated
 
 import typer
@@ -8,7 +9,7 @@ from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import announce, operator_at_terminal, show
 
-group("station", "Check stations.")
+group("station", "Check stations, and pause or stop the runs at them.")
 
 
 @command("station check", prints="cbsr_qa.app.station_check:CheckedStation")
@@ -65,3 +66,41 @@ def check(
     )
     checked = check_station(request, ask=operator_at_terminal(), tell=announce)
     raise typer.Exit(show(checked, as_json=as_json))
+
+
+Named = Annotated[str, typer.Argument(metavar="NAME", help="Station, by the name in its file.")]
+By = Annotated[str, typer.Option(metavar="NAME", help="Who asks for it; stored with the run.")]
+
+
+@command("station pause")
+def pause(station: Named, by: By = "") -> None:
+    """Pause the run at a station before its next press, with the head up."""
+    _request(station, "pause", by)
+    announce("the run pauses before its next press; cbsr-qa station continue lets it go on")
+
+
+@command("station continue")
+def resume(station: Named, by: By = "") -> None:
+    """Continue a paused run, or withdraw the request for a pause."""
+    _request(station, "continue", by)
+    announce("the run continues")
+
+
+@command("station stop")
+def stop(
+    station: Named,
+    by: By = "",
+    at_once: Annotated[
+        bool, typer.Option("--at-once", help="Do not lift the head in order: make the bench safe at once.")
+    ] = False,
+) -> None:
+    """Stop the run at a station: the current step is completed, the head is lifted, the bench is made safe."""
+    _request(station, "emergency" if at_once else "stop", by)
+    announce("the bench is made safe at once" if at_once else "the run stops in order")
+
+
+def _request(station: str, do: str, by: str) -> None:
+    from cbsr_qa.station.control import RunChannel
+
+    with RunChannel.connect(station) as channel:
+        channel.ask(do, by=by or getpass.getuser())

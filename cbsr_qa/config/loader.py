@@ -11,7 +11,7 @@ from typing import Any, Final, Generic, TypeVar
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
 from cbsr_qa.config.limits import with_limits
 from cbsr_qa.config.material import MaterialFile
-from cbsr_qa.config.recipe import RecipeFile
+from cbsr_qa.config.recipe import RecipeFile, with_picture
 from cbsr_qa.config.scene import STATION_TABLES, SceneFile
 from cbsr_qa.config.sensor_type import SensorTypeFile
 from cbsr_qa.config.station import StationFile, resolved_options
@@ -95,8 +95,13 @@ def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Stati
 
 
 def load_recipe(source: Source, plugins: Plugins | None = None) -> Loaded[Recipe]:
-    """Load a recipe. See :func:`load_station` for what is raised."""
-    return _load(DocumentKind.RECIPE, RecipeFile, source, None, plugins)
+    """Load a recipe; pictures of prompts get their full path. See :func:`load_station` for what is raised.
+
+    A recipe from a database has no folder: its pictures keep their names.
+    """
+    loaded = _load(DocumentKind.RECIPE, RecipeFile, source, None, plugins)
+    phases = tuple(with_picture(phase, loaded.folder) for phase in loaded.value.phases)
+    return Loaded(replace(loaded.value, phases=phases), loaded.document)
 
 
 def load_sensor_type(source: Source, *, near: Path | None = None) -> Loaded[SensorType]:

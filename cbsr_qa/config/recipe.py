@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -10,6 +11,7 @@ from pydantic import Field
 from cbsr_qa.config.choices import Choice, check_choice, check_measured, chosen, tables
 from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, version_problems
 from cbsr_qa.config.tables import FileModel, OpenTable, as_domain
+from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe
 from cbsr_qa.domain.results import STRIP_MEASURES, CharacterisationSettings, OverlapBand
 from cbsr_qa.plugin import Kind, Plugins, Problem, Table
@@ -144,6 +146,24 @@ class ReportTable(Table):
     """``[report]``: sections in order; none named means every installed one."""
 
     sections: list[Name] = Field(default_factory=list)
+
+
+#: Sequence option that names an image file next to the recipe, and what such a file may be.
+_PICTURE, _PICTURES = "picture", (".png", ".jpg", ".jpeg", ".gif", ".svg", ".webp")
+
+
+def with_picture(phase: PhaseSpec, near: Path | None) -> PhaseSpec:
+    """Return a phase with the full path of its picture. ConfigError if there is no such image next to the recipe."""
+    name = phase.options.get(_PICTURE)
+    if not isinstance(name, str) or not name or near is None:
+        return phase
+    path = (near / name).resolve()
+    if Path(name).name != name or path.suffix.lower() not in _PICTURES or not path.is_file():
+        raise ConfigError(
+            f"phase {phase.name!r}: picture {name[:100]!r} is not an image file next to the recipe",
+            remedy=f"put it into the folder {near}; allowed: {', '.join(_PICTURES)}",
+        )
+    return replace(phase, options={**phase.options, _PICTURE: str(path)})
 
 
 class RecipeFile(FileModel[Recipe]):

@@ -53,9 +53,14 @@ class StationTable(Table):
 
     name: Name
     clock: Literal["virtual", "real"]
+    clock_speed: Annotated[float, Field(ge=1, le=1e5)] | None = None
     sensor_type: Name
     material: Name
     overdue: Literal["warn", "refuse"] = "warn"
+
+    def problems(self) -> Iterator[Problem]:
+        if self.clock_speed is not None and self.clock != "virtual":
+            yield Problem(("station", "clock_speed"), 'is given, but only a clock = "virtual" has a speed')
 
 
 class IndenterTable(Table):
@@ -195,6 +200,7 @@ class StationFile(FileModel[Station]):
 
     def problems(self) -> Iterator[Problem]:
         """Every role is filled once, the head by one instrument; emulated instruments have a world."""
+        yield from self.station.problems()
         yield from self.indenter.problems()
         yield from self.safety.problems()
         yield from self._unemulated()

@@ -13,7 +13,7 @@ from .documents import MemoryJournal as MemoryJournal
 from .dry_runs import DryRun as DryRun, dry_run as dry_run
 from .event_sinks import EventSinks as EventSinks
 from .execution import execute as execute
-from .interrupts import OperatorPrompt as OperatorPrompt, on_stderr as on_stderr
+from .interrupts import on_stderr as on_stderr
 from .limits import check_samplers as check_samplers, place_violations as place_violations
 from .plan import (
     LoadKey as LoadKey,
@@ -24,6 +24,7 @@ from .plan import (
     schedule as schedule,
 )
 from .progress import RunProgress as RunProgress
+from .prompts import OperatorPrompt as OperatorPrompt
 from .setup import (
     check_clock as check_clock,
     configure as configure,

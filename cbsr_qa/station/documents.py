@@ -9,6 +9,7 @@ from cbsr_qa.domain import AbortedError, CbsrError, SafetyError
 from cbsr_qa.domain.readings import join_frames, join_samples
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import (
+    AttendanceEvent,
     FramesTaken,
     LoadFinished,
     PhaseFinished,
@@ -20,6 +21,8 @@ from cbsr_qa.domain.run import (
     RunRecord,
     SamplesTaken,
     Unloaded,
+    pauses_of,
+    prompts_of,
 )
 from cbsr_qa.plugin import failure
 from cbsr_qa.station.interrupts import Interrupts
@@ -126,9 +129,10 @@ class MemoryJournal:
         started = [event for event in self._events if isinstance(event, PhaseStarted)]
         phases = tuple(self._phase(event, ends.get(event.index, ended.time_s)) for event in started)
         plan = self._plan
+        attended = [event for event in self._events if isinstance(event, AttendanceEvent)]
         return RunRecord(
             identity, plan.sensor_type, plan.material, plan.indenter, phases, ended.end, ended.detail, ended.time_s,
-            ended.spent,
+            ended.spent, pauses=pauses_of(attended), prompts=prompts_of(attended),
         )  # fmt: skip
 
     def _of(self, kind: type[E], phase: int) -> list[E]:

@@ -3,19 +3,23 @@
 import logging
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Final
+from dataclasses import dataclass
+from typing import Any, Final
 
 from cbsr_qa.domain import AbortedError, CbsrError, InstrumentError, SafetyError
+from cbsr_qa.domain.plan import AcquireFrames, Hold, MarkUnloaded
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import PhaseFinished, PhaseStarted, RunEnded, RunIdentity, RunStarted, StepStarted
 from cbsr_qa.plugin import said
 from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.control import ControlDesk
 from cbsr_qa.station.documents import Documents, Subscriber, Warn
 from cbsr_qa.station.dry_runs import DryPhase, DryRun, dry_run
-from cbsr_qa.station.interrupts import Interrupts, OperatorPrompt, Stopped, on_stderr
+from cbsr_qa.station.interrupts import Interrupts, Stopped, on_stderr
 from cbsr_qa.station.limits import check_samplers
 from cbsr_qa.station.performer import Ask, Performer
-from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe
+from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe, ends_rest
+from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.station.safety import Interlock, UnderWay
 from cbsr_qa.station.watchdog import BrokenInto, Watchdog
 from cbsr_qa.system import Clock
@@ -26,21 +30,22 @@ Ending = tuple[EndReason, str]
 _log: Final = logging.getLogger(__name__)
 
 
-def ending(error: BaseException, where: str, *, at_once: bool = False, before: Ending | None = None) -> Ending:
+def ending(error: BaseException, where: str, *, at_once: str = "", before: Ending | None = None) -> Ending:
     """Return how an error ended a run.
 
     Parameters
     ----------
     where : "while", the current step, and the state of the bench.
+    at_once : what ended it at once, not in order; empty if nothing did.
     before : earlier ending, if this error arose while the head was being lifted.
     """
     with suppress(Exception):
         _log.debug("the run ended while %s", where, exc_info=error)
     if before is not None:
         reason, detail = before
-        return reason, f"{detail}; {_during_retreat(error)}"
+        return reason, f"{detail}; {_during_retreat(error, at_once)}"
     if isinstance(error, AbortedError | KeyboardInterrupt):
-        how = " and at once by a second signal" if at_once else ""
+        how = f" and at once by {at_once}" if at_once else ""
         return EndReason.ABORTED, f"by {_by(error)}{how}, {where}"
     return EndReason.BROKEN, f"{_what(error)}, {where}{_remedy(error)}"
 
@@ -80,9 +85,9 @@ def _remedy(error: BaseException) -> str:
     return f"; {remedy}" if remedy else ""
 
 
-def _during_retreat(error: BaseException) -> str:
+def _during_retreat(error: BaseException, at_once: str) -> str:
     if isinstance(error, AbortedError | KeyboardInterrupt):
-        return "a second signal ended it at once"
+        return f"{at_once or 'a second signal'} ended it at once"
     return f"lifting the head failed: {_what(error)}"
 
 
@@ -96,6 +101,7 @@ def execute(
     done: frozenset[LoadKey] = frozenset(),
     ended: frozenset[int] = frozenset(),
     ask: Ask | None = None,
+    desk: ControlDesk | None = None,
     retries: int = 2,
     warn: Warn = _log.warning,
     tell: Warn = on_stderr,
@@ -115,6 +121,7 @@ def execute(
     ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
     ask : shows a prompt and returns when it is answered; an :class:`~cbsr_qa.station.OperatorPrompt` if instruments
         ask through it as well, so that one that waits for the operator does not count as hanging.
+    desk : takes requests for a pause, to continue, and to stop.
     retries : how often an operation that failed retryably is tried again.
     warn : called with subscribers that fail.
     tell : called from a signal's handler with its effect and that of another one.
@@ -139,18 +146,39 @@ def execute(
         documents = Documents(subscribers, interrupts, warn)
         run = UnderWay(plan, bench, clock, documents, interlock, interrupts, watchdog)
         performer = Performer(run, retries=retries, ask=None if ask is None else prompt)
-        end, detail = _Execution(dry, run, performer).to_its_end(identity)
+        execution = _Execution(dry, run, performer, prompt, desk or ControlDesk())
+        end, detail = execution.to_its_end(identity)
         return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
+
+
+@dataclass(frozen=True, slots=True)
+class _Brakes:
+    """Stops a run under way, from another thread."""
+
+    interrupts: Interrupts
+    watchdog: Watchdog
+
+    def stop(self, by: str) -> bool:
+        return self.interrupts.ask_to_stop(f"{by} over the control channel")
+
+    def emergency(self, by: str) -> bool:
+        heard = self.interrupts.ask_to_stop(f"{by} over the control channel", at_once=True)
+        if heard:
+            self.watchdog.insist()
+        return heard
 
 
 class _Execution:
     """Executes the scheduled steps, and keeps track of the current one."""
 
-    def __init__(self, dry: DryRun, run: UnderWay, performer: Performer) -> None:
+    def __init__(
+        self, dry: DryRun, run: UnderWay, performer: Performer, prompt: OperatorPrompt[Any], desk: ControlDesk
+    ) -> None:
         self._dry = dry
         self._clock, self._documents, self._interlock = run.clock, run.documents, run.interlock
         self._bench, self._interrupts, self._watchdog = run.bench, run.interrupts, run.watchdog
         self._performer = performer
+        self._prompt, self._desk = prompt, desk
         self._left_s = dry.duration_s
         self._at: tuple[DryPhase, ScheduledStep] | None = None
         self._end: Ending | None = None
@@ -161,12 +189,15 @@ class _Execution:
         silent: tuple[str, ...] = ()
         try:
             with interrupts.heard():
+                self._desk.open(_Brakes(interrupts, self._watchdog))
                 self._through_or_back(identity)
         except BaseException as error:  # noqa: BLE001 - whatever it is, the head comes up
             interrupts.mask()
-            self._end = ending(error, self.where(), at_once=interrupts.urgent, before=self._end)
+            self._end = ending(error, self.where(), at_once=interrupts.urgent_by, before=self._end)
         finally:
             interrupts.mask()
+            self._desk.close()
+            self._prompt.unheard()
             self._watchdog.end()
             silent = self._interlock.stop(self._bench)
         assert self._end is not None
@@ -177,7 +208,7 @@ class _Execution:
         try:
             self._through(identity)
         except (AbortedError, KeyboardInterrupt) as error:
-            urgent = self._interrupts.urgent
+            urgent = self._interrupts.urgent_by
             self._end = ending(error, self.where(), at_once=urgent)
             if not urgent:
                 self._performer.retreat()
@@ -186,6 +217,7 @@ class _Execution:
 
     def _through(self, identity: RunIdentity) -> None:
         self._documents.emit(RunStarted(identity))
+        self._prompt.heard_by(self._documents.emit, self._clock, lambda: 0 if self._at is None else self._at[1].phase)
         for phase in self._dry.phases:
             self._phase(phase)
 
@@ -204,12 +236,39 @@ class _Execution:
                 scheduled.index, scheduled.name, scheduled.sequence, self._clock.now(), scheduled.role
             )
             self._documents.emit(began)
-        for step, planned_s in zip(scheduled.steps, phase.durations_s, strict=True):
-            self._at = phase, step
-            now_s = self._clock.now()
-            self._documents.emit(StepStarted(step.phase, step.number, step.step, now_s, max(self._left_s, 0.0)))
-            self._performer.perform(step)
-            self._left_s -= planned_s
+        for place, (step, planned_s) in enumerate(zip(scheduled.steps, phase.durations_s, strict=True)):
+            if self._desk.pause_wanted() and ends_rest(step.step):
+                self._at = phase, step
+                self._pause(phase, place)
+            self._perform(phase, step, planned_s)
         self._performer.finish_load()
         if not scheduled.finished:
             self._documents.emit(PhaseFinished(scheduled.index, self._clock.now()))
+
+    def _perform(self, phase: DryPhase, step: ScheduledStep, planned_s: float) -> None:
+        self._at = phase, step
+        now_s = self._clock.now()
+        self._documents.emit(StepStarted(step.phase, step.number, step.step, now_s, max(self._left_s, 0.0)))
+        self._performer.perform(step)
+        self._left_s -= planned_s
+
+    def _pause(self, phase: DryPhase, place: int) -> None:
+        """Wait before a step; then take the frames before it again, so that a press has recent ones for reference."""
+        if not self._performer.pause(phase.scheduled.steps[place], self._desk):
+            return
+        again = list(_frames_before(phase, place))
+        self._left_s += sum(planned_s for _, planned_s in again)
+        for step, planned_s in again:
+            self._perform(phase, step, planned_s)
+
+
+def _frames_before(phase: DryPhase, place: int) -> list[tuple[ScheduledStep, float]]:
+    """Return the steps with the head up right before one, and their durations, without mere rests: it has rested."""
+    found = []
+    for number in reversed(range(place)):
+        step = phase.scheduled.steps[number]
+        if not isinstance(step.step, Hold | AcquireFrames | MarkUnloaded):
+            break
+        if not isinstance(step.step, Hold) or step.step.acquire:
+            found.append((step, phase.durations_s[number]))
+    return found[::-1]

@@ -1,42 +1,17 @@
-"""Signals during a run: the first one stops it in order, the second at once."""
+"""Signals and requests to stop a run: the first one stops it in order, the second at once."""
 
 import multiprocessing
 import os
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any, Final, Generic, Self, TypeVar
+from typing import Any, Final, Self
 
 from cbsr_qa.system import Redelivery
-
-A = TypeVar("A")
-
-
-class OperatorPrompt(Generic[A]):
-    """Asks the operator, and knows while a question is open.
-
-    Shared by the runner and instruments worked by hand. ``ask``: shows a text and returns the answer; None without an
-    operator.
-    """
-
-    def __init__(self, ask: Callable[[str], A] | None) -> None:
-        self._ask = ask
-        self._waiting = False
-
-    def is_waiting(self) -> bool:
-        return self._waiting
-
-    def __call__(self, text: str) -> A:
-        assert self._ask is not None  # never called without an operator
-        self._waiting = True
-        try:
-            return self._ask(text)
-        finally:
-            self._waiting = False
-
 
 #: Signals that end a run. Ctrl-Z and Ctrl-\ would suspend or kill the program with the head down. Windows knows two.
 _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT")
@@ -47,10 +22,12 @@ FIRST: Final = (
     " the bench is made safe. A second signal makes the bench safe at once."
 )
 SECOND: Final = "{}: making the bench safe at once. Further signals are ignored until it is safe."
+#: What the first and the second one are called, if they are requests over the control channel.
+_ASKED, _INSISTED = "stop asked for by {}", "emergency stop by {}"
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal asked the run to stop; not an ``Exception``, so no driver's ``except`` swallows it."""
+    """A signal or a request asked the run to stop; not an ``Exception``, so no driver's ``except`` swallows it."""
 
     def __init__(self, by: str) -> None:
         super().__init__(f"stopped by {by}")
@@ -84,8 +61,8 @@ class Interrupts:
     """
 
     def __init__(self, tell: Callable[[str], None] = on_stderr) -> None:
-        #: The run must end at once, not in order.
-        self.urgent = False
+        #: What made the run end at once, not in order; empty while nothing did.
+        self.urgent_by = ""
         #: Whether the run is only waiting, as within :meth:`idle`.
         self.waiting: Callable[[], bool] = lambda: False
         #: Called on the first signal, to shorten the deadline of the current call.
@@ -94,7 +71,8 @@ class Interrupts:
         self._redelivery = Redelivery()
         self._before: dict[signal.Signals, Any] = {}
         self._alarm_before: Any = None
-        self._first: signal.Signals | None = None
+        self._first: signal.Signals | str | None = None
+        self._asked: deque[tuple[str, bool]] = deque()
         self._overdue: BaseException | None = None
         self._raised = False
         self._masked = False
@@ -150,8 +128,20 @@ class Interrupts:
 
         Raises Stopped, KeyboardInterrupt or AbortedError, naming the cause; once.
         """
+        self._hear_asked()
         if self._first is not None and self._heard_now and not self._raised:
             self._raise()
+
+    def ask_to_stop(self, by: str, *, at_once: bool = False) -> bool:
+        """Stop the run as the first signal does, or at once as the second does; called from another thread.
+
+        Returns whether it takes effect: not outside of :meth:`heard`.
+        """
+        if self._masked or not self._heard_now:
+            return False
+        self._asked.append((by, at_once))
+        self._wake()
+        return True
 
     def break_in(self, error: BaseException) -> None:
         """Raise an error in the main thread, wherever it hangs; called from another thread.
@@ -159,6 +149,9 @@ class Interrupts:
         Does nothing if no handler was installed. Wakes a call that waits in C if the system allows it.
         """
         self._overdue = error
+        self._wake()
+
+    def _wake(self) -> None:
         if self._alarm_before is not None:
             ident = threading.main_thread().ident
             assert ident is not None
@@ -169,28 +162,50 @@ class Interrupts:
             return
         if self._redelivery.was_dropped():
             self._raise()  # the earlier exception was swallowed
-        if self.urgent:
+        if self.urgent_by:
             return
         name = signal.Signals(number).name
         if self._first is None:
-            self._first = signal.Signals(number)
-            self._tell(FIRST.format(name))
-            self.hurry()
-            if self._idle or self.waiting():
-                self.poll()
+            self._stop_in_order(signal.Signals(number), name)
         elif self._heard_now:
-            self.urgent = True
-            self._tell(SECOND.format(name))
-            self._raise()
+            self._stop_at_once(name, "a second signal")
+
+    def _hear_asked(self) -> None:
+        while self._asked and not (self._masked or self.urgent_by):
+            by, at_once = self._asked.popleft()
+            if at_once:
+                self._first = by if self._first is None else self._first
+                self._stop_at_once(_INSISTED.format(by), f"an emergency stop by {by}")
+            elif self._first is None:
+                self._stop_in_order(by, _ASKED.format(by))
+
+    def _stop_in_order(self, first: signal.Signals | str, name: str) -> None:
+        self._first = first
+        self._tell(FIRST.format(name))
+        self.hurry()
+        if self._idle or self.waiting():
+            self.poll()
+
+    def _stop_at_once(self, name: str, by: str) -> None:
+        self.urgent_by = by
+        self._tell(SECOND.format(name))
+        self._raise()
 
     def _broken_into(self, _: int, __: FrameType | None) -> None:
-        if self._heard_now and not (self._masked or self.urgent) and self._overdue is not None:
+        if self._heard_now and not (self._masked or self.urgent_by) and self._overdue is not None:
             self._masked = True
             raise self._overdue
+        if self._heard_now and not self._masked:
+            if self._redelivery.was_dropped():
+                self._raise()
+            self._hear_asked()
 
     def _raise(self) -> None:
         self._raised = True
         assert self._first is not None
+        if isinstance(self._first, str):
+            self._redelivery.number = signal.SIGALRM
+            raise Stopped(self._first)
         before = self._before[self._first]
         self._redelivery.number = self._first
         if callable(before):

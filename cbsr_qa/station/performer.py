@@ -19,13 +19,24 @@ from cbsr_qa.domain.plan import (
     steps as kinematics,
 )
 from cbsr_qa.domain.readings import FrameBlock
-from cbsr_qa.domain.run import EasedStrain, FramesTaken, Load, LoadFinished, LoadRecord, StepRetried, Unloaded
+from cbsr_qa.domain.run import (
+    EasedStrain,
+    FramesTaken,
+    Load,
+    LoadFinished,
+    LoadRecord,
+    RunContinued,
+    RunPaused,
+    StepRetried,
+    Unloaded,
+)
 from cbsr_qa.plugin import Addressed
 from cbsr_qa.station.bench import FRAME_SOURCE
+from cbsr_qa.station.control import ControlDesk
 from cbsr_qa.station.limits import Limits
 from cbsr_qa.station.plan import Activity, ScheduledStep, Spent, another_frame, ends_rest
 from cbsr_qa.station.safety import State, UnderWay, Watch
-from cbsr_qa.system import in_ticks
+from cbsr_qa.system import in_ticks, passing
 
 
 @dataclass(slots=True)
@@ -86,7 +97,8 @@ RETRY_PAUSE_S: Final = 0.25
 #: Shorter rests of a hold than this are over: below the resolution of any clock after hours [s].
 _OVER_S: Final = 1e-9
 
-Ask = Callable[[str], object]
+#: Shows a text, and a picture if there is one, and returns when it is answered.
+Ask = Callable[..., object]
 
 
 class Performer:
@@ -157,6 +169,31 @@ class Performer:
             ):
                 self._lift()
 
+    def pause(self, before: ScheduledStep, desk: ControlDesk) -> bool:
+        """Wait with the head up until somebody continues the run; limits are watched. False if nobody wants it now.
+
+        The rest of the last load ends here for its record: a run that is killed in a pause does not repeat it.
+        """
+        self.finish_load()
+        start_s = self._clock.now()
+        by = desk.pause_wanted()
+        if by is None:
+            return False
+        self._at = before
+        self._documents.emit(RunPaused(before.phase, start_s, by))
+        desk.begin_pause(by, start_s)
+        with self.spent.on(Activity.PAUSE, self._clock):
+            while (continued := desk.continued()) is None:
+                self._wait_at_most(self._watch.next_look_s(), desk)
+        self._documents.emit(RunContinued(before.phase, self._clock.now(), continued))
+        return True
+
+    def _wait_at_most(self, station_s: float, desk: ControlDesk) -> None:
+        with self._watchdog.expect("the station's clock", station_s), self._interrupts.idle():
+            passing(self._clock, desk.wait, station_s)
+        if self._watch.is_due():
+            self._look()
+
     def finish_load(self) -> None:
         """Emit the last load after its rest."""
         record = self._loads.finish(self._clock.now())
@@ -173,10 +210,10 @@ class Performer:
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 self._travel(x_mm, y_mm)
                 self._feel(partial(applicator.find_surface, x_mm, y_mm))
-            case Prompt(text=text):
+            case Prompt(text=text, picture=picture):
                 assert self._ask is not None  # the dry run refuses prompts without an operator
                 with self.spent.on(Activity.PROMPT, self._clock), self._interrupts.idle():
-                    self._ask(text)
+                    self._ask(text, picture)
 
     def _press(self, load: Load) -> None:
         self._limits.check_load(load)

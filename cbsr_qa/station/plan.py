@@ -56,6 +56,7 @@ class Activity(StrEnum):
     REST = "rest"
     FRAMES = "frames"
     PROMPT = "prompt"
+    PAUSE = "pause"
 
 
 class Spent:

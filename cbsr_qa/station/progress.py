@@ -5,7 +5,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self, TextIO
 
-from cbsr_qa.domain.run import PhaseStarted, RunEnded, RunEvent, RunStarted, StepRetried, StepStarted
+from cbsr_qa.domain.run import (
+    PhaseStarted,
+    RunContinued,
+    RunEnded,
+    RunEvent,
+    RunPaused,
+    RunStarted,
+    StepRetried,
+    StepStarted,
+)
 from cbsr_qa.station.plan import describe, duration
 from cbsr_qa.system import Clock, VirtualClock
 
@@ -43,6 +52,10 @@ class RunProgress:
                 self._phase, self._announced = event, False
             case StepStarted():
                 self._step(event)
+            case RunPaused(by=by):
+                self._say(f"paused by {by}: the head is up; cbsr-qa station continue NAME lets the run go on")
+            case RunContinued(by=by):
+                self._say(f"continued by {by}")
             case StepRetried(attempt=attempt, why=why):
                 self._say(f"attempt {attempt} failed, retrying: {why}")
             case RunEnded():

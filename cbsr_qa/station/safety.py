@@ -152,13 +152,20 @@ class Watch:
         self._attempt = attempt
         self._drained_s = dict.fromkeys(range(len(run.bench.samplers)), run.clock.now())
         self._alive = run.bench.alive()
-        self._asked_s = run.clock.now()
+        self._asked_s = self._looked_s = run.clock.now()
+
+    def is_due(self) -> bool:
+        """Whether the next check is due, of a run that waits in short steps."""
+        return self._clock.now() - self._looked_s >= WATCH_S - _SOON_S or (
+            bool(self._alive) and self._silent_s() >= self._safety.heartbeat_s - _SOON_S
+        )
 
     def look(self, phase: int) -> None:
         """Do everything that is due; samples are stored under this phase.
 
         SafetyError if a limit is violated, or an instrument does not respond (rule ``"heartbeat"``).
         """
+        self._looked_s = self._clock.now()
         for number, sampler in enumerate(self._bench.samplers):
             self._drain(phase, number, sampler)
         self._limits.check_time(self._clock.now(), touching=self._interlock.touching, down=self._interlock.dwelling)

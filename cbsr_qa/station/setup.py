@@ -85,9 +85,10 @@ def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
 
 def station_clock(configuration: Configuration) -> Clock:
     """Return the station's clock; emulated instruments have their own kind."""
+    speed = configuration.station.clock_speed
     if configuration.station.emulated_scene is not None:
-        return WatchedClock()
-    return VirtualClock() if configuration.station.clock == "virtual" else RealClock()
+        return WatchedClock(speed=speed)
+    return VirtualClock(speed=speed) if configuration.station.clock == "virtual" else RealClock()
 
 
 def open_station(

@@ -68,6 +68,7 @@ class Watchdog:
         # One assignment each, so that a signal's handler and two threads need no lock.
         self._call = self._between()
         self._late: SafetyError | None = None
+        self._insisted = False
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
@@ -88,6 +89,10 @@ class Watchdog:
         """Shorten the time for the current call and all that follow; safe to call from a signal handler."""
         self._answer_s = min(self._answer_s, GRACE_S)
         self._call.since_s = self._clock.now()
+
+    def insist(self) -> None:
+        """Make the bench safe without the run's thread if that does not do it at once; called from any thread."""
+        self._insisted = True
 
     @contextmanager
     def expect(self, what: str, work_s: float = 0.0) -> Iterator[None]:
@@ -118,6 +123,9 @@ class Watchdog:
     def _watch(self) -> None:
         while not self._ended.wait(LOOK_S):
             call = self._call
+            if self._insisted:
+                self._safe_unless_ended(f"{call.what} does not return")
+                return
             if self._excused():
                 call.since_s = self._clock.now()
             elif self._clock.now() - call.since_s > 2 * call.work_s + self._answer_s:
@@ -133,5 +141,12 @@ class Watchdog:
         )
         self._break_in(BrokenInto(late))
         if not self._ended.wait(REACTION_S) and self._call is call:
-            self._tell(f"{late.reason}; the bench is made safe without it")
-            self._make_safe()
+            self._make_safe_without(late.reason)
+
+    def _safe_unless_ended(self, why: str) -> None:
+        if not self._ended.wait(REACTION_S):
+            self._make_safe_without(why)
+
+    def _make_safe_without(self, why: str) -> None:
+        self._tell(f"{why}; the bench is made safe without it")
+        self._make_safe()

@@ -16,7 +16,7 @@ from cbsr_qa.store import changes as changed, fleet as fleets, locks, stations
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url
 from cbsr_qa.store.results import analyses as analysed, calibrations as issued, calibrations_of_before as of_before
-from cbsr_qa.store.runs import Journal, latest_id, outcomes, runs, sessions
+from cbsr_qa.store.runs import Journal, attendance, latest_id, outcomes, runs, sessions
 from cbsr_qa.store.types import IdSource, made_at
 
 P = ParamSpec("P")
@@ -112,6 +112,7 @@ class Repository:
     ended_phases = _of_engine(runs.ended_phases)
     state_of = _of_engine(runs.state_of)
     goes_on_at_s = _of_engine(runs.goes_on_at_s)
+    prompts_shown = _of_engine(attendance.prompts_shown)
     incomplete_runs = _of_engine(sessions.incomplete_runs)
     counts = _of_engine(sessions.counts)
 

@@ -7,6 +7,7 @@ from .clock import (
     VirtualClock as VirtualClock,
     in_ticks as in_ticks,
     on_tick as on_tick,
+    passing as passing,
 )
 from .files import (
     FileLock as FileLock,

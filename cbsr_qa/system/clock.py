@@ -14,6 +14,8 @@ from typing import Final, Protocol
 
 #: What times are multiples of [s]; 0.95 µs.
 TICK_S: Final = 2.0**-20
+#: How far a paced clock may lag behind and catch up by not waiting [s].
+_CATCH_UP_S: Final = 1.0
 
 
 def in_ticks(duration_s: float) -> float:
@@ -66,12 +68,18 @@ class RealClock:
 class VirtualClock:
     """Time that advances only by sleeping: hours of station time cost no waiting.
 
-    ``start``: the wall time at second 0; by default now.
+    Parameters
+    ----------
+    start : the wall time at second 0; by default now.
+    speed : station seconds per second, for people who watch: sleeping then waits. What happens at which station time
+        is the same at any speed. None: as fast as the computer can.
     """
 
-    def __init__(self, start: datetime | None = None) -> None:
+    def __init__(self, start: datetime | None = None, *, speed: float | None = None) -> None:
+        self.speed = speed
         self._start = start or datetime.now(UTC)
         self._now = 0.0
+        self._due = time.monotonic()
 
     def now(self) -> float:
         """Seconds slept so far [s]."""
@@ -83,7 +91,32 @@ class VirtualClock:
 
     def sleep(self, duration_s: float) -> None:
         """Advance by the nearest number of ticks, at least one [s]; a negative duration is ignored."""
-        self._now += in_ticks(max(duration_s, 0.0))
+        slept_s = self._advance(duration_s)
+        self._keep_pace(slept_s)
+
+    def _advance(self, duration_s: float) -> float:
+        slept_s = in_ticks(max(duration_s, 0.0))
+        self._now += slept_s
+        return slept_s
+
+    def _keep_pace(self, slept_s: float) -> None:
+        """Wait until this much station time has passed; a computer that was too slow may catch up a little."""
+        if self.speed is not None:
+            self._due = max(self._due, time.monotonic() - _CATCH_UP_S) + slept_s / self.speed
+            time.sleep(max(self._due - time.monotonic(), 0.0))
+
+
+def passing(clock: Clock, wait: Callable[[float], object], station_s: float) -> None:
+    """Wait in real time, at most for so much station time; a virtual clock advances by the time that has passed.
+
+    ``wait``: waits for at most so many seconds of real time, shorter if what it waits for has happened.
+    """
+    if not isinstance(clock, VirtualClock):
+        wait(station_s)
+        return
+    speed, before_s = clock.speed or 1.0, time.monotonic()
+    wait(min(station_s / speed, _CATCH_UP_S / 2))
+    clock.sleep((time.monotonic() - before_s) * speed)
 
 
 #: Told the name of each stage as it begins.

@@ -28,6 +28,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.SEQUENCE, "random-loads", "sequences.places:RandomLoadsSequence"),
     (Kind.SEQUENCE, "given-loads", "sequences.places:GivenLoadsSequence"),
     (Kind.SEQUENCE, "relaxation", "sequences.centre:RelaxationSequence"),
+    (Kind.SEQUENCE, "operator-prompt", "sequences.prompts:OperatorPromptSequence"),
     (Kind.SEQUENCE, "characterisation", "sequences.characterisation:CharacterisationSequence"),
     (Kind.RECONSTRUCTION, "gauss-newton-noser", "reconstruction.one_step:GaussNewtonNoser"),
     (Kind.RECONSTRUCTION, "gauss-newton-tikhonov", "reconstruction.one_step:GaussNewtonTikhonov"),

@@ -14,6 +14,7 @@ from cbsr_qa.domain import StoreError
 from cbsr_qa.store import open_engine, parsed_url, reading, schema, writing
 from cbsr_qa.store.tables import (
     AnalysisRow,
+    AttendanceRow,
     Base,
     records,
 )
@@ -108,7 +109,7 @@ def test_data_survive_every_step_up_and_down(engine):
     assert content(engine) == before
     schema.upgrade(engine)
     concluded |= {"calibration_forces", *CHECKS, *CHANGES, records.ChartReferenceRow.__tablename__}
-    concluded.add(LINKS)
+    concluded |= {LINKS, AttendanceRow.__tablename__}
     # Eased, notes; chain; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]

@@ -46,7 +46,7 @@ def left_behind():
 @pytest.fixture
 def cut_off(left_behind, tmp_path):
     """A folder with a run that was killed in its second phase."""
-    shutil.copytree(left_behind, tmp_path, dirs_exist_ok=True)
+    shutil.copytree(left_behind, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.sock"))
     return tmp_path, latest_run(tmp_path, "S-1")
 
 

@@ -220,7 +220,7 @@ def test_a_signal_is_raised_once_where_the_run_may_end():
                 send(signal.SIGTERM)()
             send(signal.SIGTERM, 2)()
             heard.break_in(watchdog.BrokenInto(SafetyError("no answer", "too late")))
-    assert (heard.urgent, len(said)) == (True, 2)
+    assert (heard.urgent_by, len(said)) == ("a second signal", 2)
 
 
 def test_nothing_is_broken_into_once_signals_are_masked():

@@ -15,7 +15,7 @@ from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import FramesTaken
 from cbsr_qa.station import watchdog
 from cbsr_qa.station.execution import execute
-from cbsr_qa.station.interrupts import OperatorPrompt
+from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.station.watchdog import Watchdog
 from cbsr_qa.system import RealClock, VirtualClock
 from cbsr_qa.testing import Script, example_identity, example_plan, scripted_bench

@@ -33,12 +33,17 @@ from cbsr_qa.domain.plan import Press, Role, StrainStep
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import (
+    AskedPrompt,
     EasedStrain,
     FramesTaken,
     LoadFinished,
+    Pause,
     PhaseFinished,
     PhaseStarted,
+    PromptShown,
+    RunContinued,
     RunEnded,
+    RunPaused,
     RunStarted,
     SamplesTaken,
     StepStarted,
@@ -101,6 +106,23 @@ def test_a_run_comes_back_as_it_was_told(repository):
     assert (channel.channel, channel.unit) == ("force", "N")
     np.testing.assert_array_equal(channel.values, np.concatenate([block.values for block in sampled]))
     assert second.samples == ()
+    assert back.pauses == (Pause(0, 152.5, 153.5, "Zoë", "Ada"),)
+    assert back.prompts == (AskedPrompt(0, 0, "Turn the sheet over", "sheet.png", 154.0, 154.5, "done", "Ada"),)
+
+
+def test_a_run_cut_off_in_a_pause_has_a_pause_without_an_end_and_later_prompts_count_on(repository):
+    run = repository.new_id()
+    events = short_run(run)
+    cut = next(number for number, event in enumerate(events) if isinstance(event, RunPaused))
+    journalled(repository, events[: cut + 1])
+    assert repository.finished_loads(run) == {(0, 0)}
+    assert repository.prompts_shown(run) == 0
+    shown = PromptShown(0, 0, "Is the head clean?", "", 1.0)
+    journalled(repository, [RunStarted(identity(run)), RunPaused(0, 0.5, "Ada"), RunContinued(0, 1.0, "Ada"), shown])
+    back = repository.load_run(run)
+    assert back.pauses == (Pause(0, 152.5, None, "Zoë"), Pause(0, 153.0, 153.5, "Ada", "Ada"))
+    assert back.prompts == (AskedPrompt(0, 0, "Is the head clean?", "", 153.5),)
+    assert repository.prompts_shown(run) == 1
 
 
 def test_every_document_is_committed_before_the_call_returns(repository, path):
@@ -110,6 +132,7 @@ def test_every_document_is_committed_before_the_call_returns(repository, path):
         journal(event)
         with sqlite3.connect(path) as other:  # another program, with a connection of its own
             tables = "run_states", "phases", "steps", "frame_blocks", "sample_blocks", "loads", "unloaded_marks"
+            tables = (*tables, "attendance")
             seen.append(tuple(other.execute(f"select count(*) from {table}").fetchone()[0] for table in tables))
     # Each document but the ends of phases adds exactly one row somewhere.
     gained = [sum(after) - sum(before) for before, after in pairwise(seen)]

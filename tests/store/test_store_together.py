@@ -41,7 +41,7 @@ def upgraded(url, _):
     return before
 
 
-def seed_of_a_run(url, folder, _):
+def seed_of_a_run(url, folder, number):
     """Begin a run of one sensor and hold it until all have begun theirs; returns its seed."""
 
     def begun(session, identity, store):
@@ -49,7 +49,7 @@ def seed_of_a_run(url, folder, _):
         return session._configuration.seed
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CBSR_QA_VAR", folder)
+        patch.setenv("CBSR_QA_VAR", f"{folder}/{number}")  # each has a bench
         patch.setattr(Session, "run", begun)
         return run_sensor(RunRequest("simulated", "nine-locations", "S-1", database=url))
 

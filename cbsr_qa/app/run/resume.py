@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 from cbsr_qa.app.command_hints import report_command
+from cbsr_qa.app.run.control import controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_recipe
 from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded
@@ -35,6 +36,7 @@ def resume_run(
     operator: str = "",
     tell: Callable[[str], None] = lambda stage: None,
     ask: Ask | None = None,
+    answers: bool = False,
 ) -> RunOutcome:
     """Resume a run at its next unfinished load, after homing and finding surfaces again.
 
@@ -43,7 +45,7 @@ def resume_run(
 
     Parameters
     ----------
-    tell, ask : see :func:`cbsr_qa.app.run.run_sensor`.
+    tell, ask, answers : see :func:`cbsr_qa.app.run.run_sensor`.
 
     Raises
     ------
@@ -62,7 +64,7 @@ def resume_run(
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
     with open_store(url, create=False, durable=on_real_clock) as store, store.writing_alone(run, operator):
-        return _resumed(store, run, operator, Stages(tell), ask)
+        return _resumed(store, run, operator, tell, ask, answers=answers)
 
 
 def _configuration(store: Repository, run: str) -> str:
@@ -76,7 +78,9 @@ def _configuration(store: Repository, run: str) -> str:
         ) from error
 
 
-def _resumed(store: Repository, run: str, operator: str, stages: Stages, ask: Ask | None) -> RunOutcome:
+def _resumed(
+    store: Repository, run: str, operator: str, tell: Callable[[str], None], ask: Ask | None, *, answers: bool
+) -> RunOutcome:
     plugins = discover()
     store.check_resumable(run)
     configuration = restore(store.configuration(run))
@@ -90,13 +94,17 @@ def _resumed(store: Repository, run: str, operator: str, stages: Stages, ask: As
                 remedy=f"{report_command(run, store)} writes its report and calibration file again",
             )
         check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
-        return concluded(run, store, configuration, plugins, stages, changed)
+        return concluded(run, store, configuration, plugins, Stages(tell), changed)
     check_configuration(configuration, plugins)
-    done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run))
-    with Session(configuration, plugins, stages, ask, done) as session:
-        session.walk().refuse()
-        session.warnings += [*changed, *changed_instruments(stored, session.instruments())]
-        return session.run(identity, store)
+    done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run), store.prompts_shown(run))
+    who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": operator}
+    with controlled(configuration, **who, answers=answers) as control:
+        control.begun(run)
+        stages = Stages(control.telling(tell))
+        with Session(configuration, plugins, stages, ask, done, control=control) as session:
+            session.walk().refuse()
+            session.warnings += [*changed, *changed_instruments(stored, session.instruments())]
+            return session.run(identity, store)
 
 
 def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:

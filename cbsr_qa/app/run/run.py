@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Self
 
+from cbsr_qa.app.run.control import Control, controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
 from cbsr_qa.app.run.session import Session, check_configuration
@@ -29,6 +30,7 @@ from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity, SensorHistory
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.station import configure, on_stderr
+from cbsr_qa.station.control import refuse_busy
 from cbsr_qa.store import check_usable, database_exists, open_store, parsed_url, sqlite_file
 from cbsr_qa.system import RealClock, Stages
 
@@ -89,8 +91,9 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     RefusedError
         As :func:`run_sensor`, but violated limits of the station are listed in the result.
     """
-    plugins = _checked(request.checked())
+    plugins, _ = _checked(request.checked())
     configuration = request.configuration(_seed(request))
+    refuse_busy(configuration.station.name)
     ask = _nobody_in_a_dry_run if attended else None
     with Session(configuration, plugins, Stages(), ask) as session:
         return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures)
@@ -106,8 +109,9 @@ def run_sensor(
     tell: Callable[[str], None] = lambda stage: None,
     ask: Callable[[str], str] | None = None,
     begun: Callable[[str], None] = lambda run: None,
+    answers: bool = False,
 ) -> RunOutcome:
-    """Test one sensor.
+    """Test one sensor. Meanwhile nobody else uses the station, and its control channel is served.
 
     Parameters
     ----------
@@ -115,6 +119,7 @@ def run_sensor(
     ask : shows a text to the operator and returns the answer; None without an operator: prompts and instruments
         worked by hand are then refused.
     begun : called with the run's identifier before anything is stored.
+    answers : whether prompts are answered over the control channel, instead of with ``ask``.
 
     Returns
     -------
@@ -123,19 +128,33 @@ def run_sensor(
     Raises
     ------
     RefusedError
-        Before anything moves and with nothing written: a file, a name, a plugin or a limit is wrong.
+        Before anything moves and with nothing written: a file, a name, a plugin or a limit is wrong, or another
+        process uses the station.
     InstrumentError
         If an instrument does not answer at the start.
     """
-    plugins = _checked(request.checked())
+    plugins, configuration = _checked(request.checked())
+    who = {"serial": request.serial, "batch": request.batch, "operator": request.operator}
+    with controlled(configuration, **who, answers=answers) as control:
+        return _tested(request, plugins, control, control.telling(tell), ask, begun)
+
+
+def _tested(
+    request: RunRequest,
+    plugins: Plugins,
+    control: Control,
+    tell: Callable[[str], None],
+    ask: Callable[[str], str] | None,
+    begun: Callable[[str], None],
+) -> RunOutcome:
     taken: list[int] = []
     while True:
         configuration = request.configuration(_seed(request, taken))
         if configuration.recipe.calibrate_phases:
             begin_templates(configuration.sensor_type, configuration.station.indenter)
-        with Session(configuration, plugins, Stages(tell), ask, why=request.why) as session:
+        with Session(configuration, plugins, Stages(tell), ask, why=request.why, control=control) as session:
             session.walk().refuse()
-            outcome = _stored_run(request, configuration, plugins, session, begun)
+            outcome = _stored_run(request, configuration, plugins, session, control.begins(begun))
         if outcome is not None:
             return outcome
         taken.append(configuration.seed)
@@ -170,16 +189,17 @@ def _folders() -> tuple[Path, ...]:
     return reports_folder(), calibrations_folder()
 
 
-def _checked(request: RunRequest) -> Plugins:
-    """Check files, then folders and database, before the bench is opened."""
+def _checked(request: RunRequest) -> tuple[Plugins, Configuration]:
+    """Check files, then folders and database, before the bench is opened; the configuration is that of seed 0."""
     plugins = discover()
-    check_configuration(request.configuration(0, plugins), plugins)
+    configuration = request.configuration(0, plugins)
+    check_configuration(configuration, plugins)
     url = database_url(request.database)
     file = sqlite_file(parsed_url(url))
     for folder in (*_folders(), *(() if file is None else (file.parent,))):
         check_folder(folder)
     check_usable(url)
-    return plugins
+    return plugins, configuration
 
 
 def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:

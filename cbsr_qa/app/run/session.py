@@ -11,6 +11,7 @@ from typing import Self
 from cbsr_qa.analysis import calibrated, evaluate_run
 from cbsr_qa.app.changes import unexplained
 from cbsr_qa.app.command_hints import report_command, resume_command
+from cbsr_qa.app.run.control import Control
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import write_outputs
 from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
@@ -24,9 +25,11 @@ from cbsr_qa.domain.run import (
     RunEnded,
     RunEvent,
     RunIdentity,
+    RunRecord,
     RunStarted,
 )
 from cbsr_qa.plugin import Plugins, left_running
+from cbsr_qa.report import duration
 from cbsr_qa.station import (
     DryRun,
     EventSinks,
@@ -91,11 +94,13 @@ class Done:
     loads : (phase, index) of finished presses.
     phases : finished ones.
     until_s : start of this session on the run's time line [s].
+    prompts : how many were shown.
     """
 
     loads: frozenset[LoadKey] = frozenset()
     phases: frozenset[int] = frozenset()
     until_s: float = 0.0
+    prompts: int = 0
 
 
 def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
@@ -116,6 +121,7 @@ class Session:
     ask : shows a text to the operator and returns the answer; None without an operator.
     done : by earlier sessions of the same run.
     why : operator's reason for files that differ from those of earlier runs.
+    control : takes requests and prompts of others; None: nobody is served.
 
     Raises
     ------
@@ -131,6 +137,7 @@ class Session:
         ask: Ask | None,
         done: Done | None = None,
         why: str = "",
+        control: Control | None = None,
     ) -> None:
         self._configuration = configuration
         self._plugins = plugins
@@ -142,10 +149,19 @@ class Session:
         self.warnings: list[str] = []
         self._plan = plan_of(configuration, plugins)
         self._clock = station_clock(configuration)
-        self._ask = None if ask is None else OperatorPrompt(self._asked)
+        self._control = control
+        self._ask = self._prompt(control)
         self._bench = open_station(
             configuration, plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
         )
+
+    def _prompt(self, control: Control | None) -> OperatorPrompt[str] | None:
+        """Return who asks the operator; None if nobody answers."""
+        desk = None if control is None else control.desk
+        if self._asks is None and not (desk is not None and desk.answers):
+            return None
+        who = "" if control is None else control.operator
+        return OperatorPrompt(self._asked, desk, operator=who, first=self._done.prompts)
 
     def __enter__(self) -> Self:
         return self
@@ -209,15 +225,22 @@ class Session:
                     identity,
                     self._bench,
                     self._clock,
-                    [journal, progress, self._hooks(identity), sinks],
+                    [journal, *self._watching(), progress, self._hooks(identity), sinks],
                     done=self._done.loads,
                     ended=self._done.phases,
                     ask=self._ask,
+                    desk=None if self._control is None else self._control.desk,
                     warn=self.warnings.append,
                 )
         finally:
             with _concluding(identity.run, store):
                 sinks.end()
+
+    def _watching(self) -> tuple[Callable[[RunEvent], None], ...]:
+        if self._control is None:
+            return ()
+        self._control.planned(self._plan, self._done.loads)
+        return self._control.subscribers
 
     def _hooks(self, identity: RunIdentity) -> Callable[[RunEvent], None]:
         """Notify plugins of events; a failing plugin becomes a warning of the run."""
@@ -304,6 +327,7 @@ def _concluded(
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     conclusion = evaluate_run(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
+    paused = _paused(record)
     charts = charts_after(store, record.identity, conclusion.measurements)
     calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
     result = filled(
@@ -316,6 +340,7 @@ def _concluded(
         warnings=(
             *conclusion.warnings,
             *warnings,
+            *paused,
             *map(str, plugins.failures),
             *left_running(threads),
             *(charts.warnings() if charts else ()),
@@ -332,3 +357,14 @@ def _concluded(
     store.save_result(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
     return write_outputs(result, recipe, plugins, stages, configuration.seed, resume=resume)
+
+
+def _paused(record: RunRecord) -> Iterator[str]:
+    """Yield a note if pauses made rests before presses longer than the recipe says."""
+    lasted_s = [pause.duration_s for pause in record.pauses if pause.duration_s is not None]
+    if lasted_s:
+        times = "once" if len(lasted_s) == 1 else f"{len(lasted_s)} times"
+        yield (
+            f"the run was paused {times}, for {duration(sum(lasted_s))} in all: the sheet rested longer than the"
+            " recipe states before the press that followed"
+        )

@@ -26,6 +26,7 @@ from cbsr_qa.domain.run import CheckOutcome, CheckResult, RunIdentity, StationCh
 from cbsr_qa.plugin import Plugins, discover, software_versions
 from cbsr_qa.report import render_sections, report_name, write_report
 from cbsr_qa.station import configure, on_stderr, station_clock
+from cbsr_qa.station.control import station_held
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.system import RealClock
 
@@ -99,7 +100,8 @@ def check_station(
         if placed is not None and request.golden is not None and ring is None:
             # Contacts are checked while the instruments are linked: something must be connected by then.
             placed(_place_words(request.golden))
-        with stoppable():
+        doing = "checking the station"
+        with station_held(configuration.station.name, who=request.operator, doing=doing), stoppable():
             findings = look_at_bench(
                 configuration,
                 plugins,

@@ -157,6 +157,7 @@ class Station:
     Parameters
     ----------
     clock : ``"real"`` or ``"virtual"``; virtual only where every instrument is simulated.
+    clock_speed : station seconds per second of a virtual clock that waits; None: it does not wait.
     sensor_type, material : names of the files used unless the command line says otherwise.
     emulated_scene : scene shared by its emulated instruments: a name, or a scene file's content; None if it has none.
     overdue : policy for runs with an instrument past its calibration date: ``"warn"`` or ``"refuse"``.
@@ -176,6 +177,7 @@ class Station:
     overdue: str = "warn"
     reference_ring: ReferenceRing | None = None
     events: tuple[EventSinkSpec, ...] = ()
+    clock_speed: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

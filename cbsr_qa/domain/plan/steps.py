@@ -94,9 +94,10 @@ class MarkUnloaded:
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """Ask the operator to do something and wait for the answer."""
+    """Ask the operator to do something and wait for the answer. ``picture``: path of an image to show with it."""
 
     text: str
+    picture: str = ""
 
 
 Step = Home | FindSurface | Press | StrainStep | Hold | Release | AcquireFrames | MarkUnloaded | Prompt

@@ -1,3 +1,14 @@
+from .attendance import (
+    AskedPrompt as AskedPrompt,
+    AttendanceEvent as AttendanceEvent,
+    Pause as Pause,
+    PromptAnswered as PromptAnswered,
+    PromptShown as PromptShown,
+    RunContinued as RunContinued,
+    RunPaused as RunPaused,
+    pauses_of as pauses_of,
+    prompts_of as prompts_of,
+)
 from .changes import (
     NO_REASON as NO_REASON,
     ChangeHistory as ChangeHistory,

@@ -16,6 +16,7 @@ from cbsr_qa.domain.filling import filled
 from cbsr_qa.domain.plan import Step
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock, SampleBlock
 from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
 from cbsr_qa.domain.run.loads import EasedStrain
 from cbsr_qa.domain.run.run import (
     FramesTaken,
@@ -290,6 +291,70 @@ def _phase_finished(event: PhaseFinished) -> PhaseFinishedDocument:
 
 
 @dataclass(frozen=True, slots=True)
+class RunPausedDocument:
+    """The run waits between two presses, with the head up."""
+
+    type: Literal["run_paused"]
+    phase: int
+    time_s: float
+    by: str
+
+
+@_document.register
+def _run_paused(event: RunPaused) -> RunPausedDocument:
+    return filled(RunPausedDocument, event, type="run_paused")
+
+
+@dataclass(frozen=True, slots=True)
+class RunContinuedDocument:
+    """A pause has ended."""
+
+    type: Literal["run_continued"]
+    phase: int
+    time_s: float
+    by: str
+
+
+@_document.register
+def _run_continued(event: RunContinued) -> RunContinuedDocument:
+    return filled(RunContinuedDocument, event, type="run_continued")
+
+
+@dataclass(frozen=True, slots=True)
+class PromptShownDocument:
+    """The operator is asked something. ``prompt`` names it within the run, ``picture`` is an image's file name."""
+
+    type: Literal["prompt_shown"]
+    phase: int
+    prompt: int
+    text: str
+    picture: str
+    time_s: float
+
+
+@_document.register
+def _prompt_shown(event: PromptShown) -> PromptShownDocument:
+    return filled(PromptShownDocument, event, type="prompt_shown")
+
+
+@dataclass(frozen=True, slots=True)
+class PromptAnsweredDocument:
+    """The answer to a prompt, and who gave it."""
+
+    type: Literal["prompt_answered"]
+    phase: int
+    prompt: int
+    answer: str
+    by: str
+    time_s: float
+
+
+@_document.register
+def _prompt_answered(event: PromptAnswered) -> PromptAnsweredDocument:
+    return filled(PromptAnsweredDocument, event, type="prompt_answered")
+
+
+@dataclass(frozen=True, slots=True)
 class RunEndedDocument:
     """The bench is in its safe state; the analysis follows. ``spent_s`` are station seconds by kind of step."""
 
@@ -316,6 +381,10 @@ EventDocument = (
     | LoadFinishedDocument
     | StepRetriedDocument
     | PhaseFinishedDocument
+    | RunPausedDocument
+    | RunContinuedDocument
+    | PromptShownDocument
+    | PromptAnsweredDocument
     | RunEndedDocument
 )
 

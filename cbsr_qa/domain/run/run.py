@@ -11,6 +11,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan import Role, Step
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run.attendance import AskedPrompt, AttendanceEvent, Pause
 from cbsr_qa.domain.run.loads import Indenter, LoadRecord
 from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
 
@@ -187,6 +188,7 @@ class RunRecord:
     station_s : time the sensor occupied the station [s].
     sessions : in order; one where the run was not interrupted.
     set_aside : frames that are stored and do not count: a load that was cut off was pressed again.
+    pauses, prompts : in the order they began.
     chain : state of the digests it is under, checked when it was loaded.
     chain_head : digest of the last link that was checked then; empty where the run has no chain.
     """
@@ -202,6 +204,8 @@ class RunRecord:
     spent: tuple[tuple[str, float], ...] = field(default=())  #: station seconds by kind of step
     sessions: tuple[RunSession, ...] = field(default=())
     set_aside: int = 0
+    pauses: tuple[Pause, ...] = field(default=())
+    prompts: tuple[AskedPrompt, ...] = field(default=())
     chain: ChainState = field(default_factory=ChainState)
     chain_head: str = field(default="", compare=False)
 
@@ -319,5 +323,6 @@ RunEvent = (
     | LoadFinished
     | StepRetried
     | PhaseFinished
+    | AttendanceEvent
     | RunEnded
 )

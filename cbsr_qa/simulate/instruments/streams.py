@@ -31,12 +31,12 @@ class WatchedClock(VirtualClock):
     """A virtual clock for several threads, which notifies its watchers as time passes.
 
     The runner sleeps in its own thread, emulated instruments in theirs; a free-running instrument (a load cell that
-    sends eight samples a second) watches, and sends due lines before the sleep returns. ``start``: the wall time at
-    second 0; by default now.
+    sends eight samples a second) watches, and sends due lines before the sleep returns. ``start`` and ``speed`` are
+    those of the virtual clock.
     """
 
-    def __init__(self, start: datetime | None = None) -> None:
-        super().__init__(start)
+    def __init__(self, start: datetime | None = None, *, speed: float | None = None) -> None:
+        super().__init__(start, speed=speed)
         #: Held while time passes, and by an emulated instrument while it executes a command.
         self.lock = threading.RLock()
         self._watchers: list[Callable[[float], None]] = []
@@ -53,10 +53,11 @@ class WatchedClock(VirtualClock):
     def sleep(self, duration_s: float) -> None:
         """Advance by this much [s], and notify the watchers."""
         with self.lock:
-            super().sleep(duration_s)
+            slept_s = self._advance(duration_s)
             now_s = super().now()
             for watcher in self._watchers:
                 watcher(now_s)
+        self._keep_pace(slept_s)
 
 
 class Fault(StrEnum):

@@ -33,6 +33,7 @@ from sqlalchemy import (
 
 from cbsr_qa.store.tables import (
     AnalysisRow,
+    AttendanceRow,
     Base,
     BaselineRow,
     CalibrationRow,
@@ -73,6 +74,7 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (SampleBlockRow, ("phase", "block")),
         (LoadRow, ("phase", "load_index")),
         (UnloadedMarkRow, ("phase", "mark")),
+        (AttendanceRow, ("phase", "entry")),
         (AnalysisRow, ("analysis",)),
         (WarningRow, ("analysis",)),
         (MeasurementRow, ("analysis",)),

@@ -1,4 +1,4 @@
-from . import outcomes as outcomes, runs as runs, sessions as sessions
+from . import attendance as attendance, outcomes as outcomes, runs as runs, sessions as sessions
 from .codec import (
     decoded_indenter as decoded_indenter,
     decoded_material as decoded_material,

@@ -17,15 +17,20 @@ from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import (
+    AttendanceEvent,
     FramesTaken,
     Indenter,
     LoadFinished,
     LoadRecord,
     PhaseFinished,
     PhaseStarted,
+    PromptAnswered,
+    PromptShown,
+    RunContinued,
     RunEnded,
     RunEvent,
     RunIdentity,
+    RunPaused,
     RunStarted,
     SamplesTaken,
     StepRetried,
@@ -36,9 +41,11 @@ from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.store.chain import add_links, add_rows, phase_end
 from cbsr_qa.store.changes import note_changes
 from cbsr_qa.store.engine import writing
+from cbsr_qa.store.runs.attendance import attendance_values
 from cbsr_qa.store.runs.codec import encoded, frame_values, sample_values
 from cbsr_qa.store.runs.rows import begin_run, current_state, run_row
 from cbsr_qa.store.tables import (
+    AttendanceRow,
     FrameBlockRow,
     LoadRow,
     PhaseRow,
@@ -95,6 +102,7 @@ _TIMES = (
     (StepRow, StepRow.time_s),
     (LoadRow, LoadRow.rest_end_s),
     (UnloadedMarkRow, UnloadedMarkRow.time_s),
+    (AttendanceRow, AttendanceRow.time_s),
     (PhaseRow, PhaseRow.started_s),
     (PhaseRow, PhaseRow.ended_s),
 )
@@ -234,6 +242,13 @@ class Journal:
     @_store.register
     def _(self, event: Unloaded, connection: Connection) -> None:
         self._add(connection, UnloadedMarkRow.mark, event.phase, {"time_s": event.time_s})
+
+    @_store.register(RunPaused)
+    @_store.register(RunContinued)
+    @_store.register(PromptShown)
+    @_store.register(PromptAnswered)
+    def _(self, event: AttendanceEvent, connection: Connection) -> None:
+        self._add(connection, AttendanceRow.entry, event.phase, attendance_values(event))
 
     @_store.register
     def _(self, event: LoadFinished, connection: Connection) -> None:

@@ -13,12 +13,23 @@ from cbsr_qa.domain import RefusedError, StoreError
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.results import EndReason, Outcome
-from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord, RunSession
+from cbsr_qa.domain.run import (
+    EasedStrain,
+    Load,
+    LoadRecord,
+    PhaseRecord,
+    RunIdentity,
+    RunRecord,
+    RunSession,
+    pauses_of,
+    prompts_of,
+)
 from cbsr_qa.store.chain import IDENTITY, chain_head, check_run, key_to_continue, unreadable
 from cbsr_qa.store.damage import address, shown, stored
 from cbsr_qa.store.engine import file_problem, look_afresh, reading
 from cbsr_qa.store.mapping import of_row
 from cbsr_qa.store.results import analysis_outcome
+from cbsr_qa.store.runs.attendance import attendance_of
 from cbsr_qa.store.runs.codec import (
     decoded_indenter,
     decoded_material,
@@ -82,6 +93,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
         try:
             sessions = sessions_of(connection, run)
             phases, set_aside = _phases(connection, run, sessions)
+            attended = tuple(attendance_of(connection, run))
             return RunRecord(
                 identity=identity_of(connection, row),
                 sensor_type=decoded_sensor_type(row.setting),
@@ -94,6 +106,8 @@ def load_run(engine: Engine, run: str) -> RunRecord:
                 spent=spent,
                 sessions=sessions,
                 set_aside=set_aside,
+                pauses=pauses_of(attended),
+                prompts=prompts_of(attended),
                 chain=chain,
                 chain_head=head,
             )

@@ -20,6 +20,7 @@ from .results import (
     WarningRow as WarningRow,
 )
 from .runs import (
+    AttendanceRow as AttendanceRow,
     Base as Base,
     FrameBlockRow as FrameBlockRow,
     InstrumentRow as InstrumentRow,

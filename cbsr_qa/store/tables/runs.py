@@ -200,6 +200,23 @@ class LoadRow(Base):
     eased: Mapped[list[Any] | None]  #: [strain, start_s, hold_start_s] of each further strain; None: none
 
 
+class AttendanceRow(Base):
+    """A pause began or ended, a prompt was shown or answered."""
+
+    __tablename__ = "attendance"
+    __table_args__ = (_of_phase(),)
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    entry: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)  #: counts rows of the phase
+    kind: Mapped[str] = mapped_column(Word(16))  #: "paused", "continued", "shown" or "answered"
+    prompt: Mapped[int | None]  #: identity within the run; None for pauses
+    text: Mapped[str]  #: of the prompt, or its answer; empty for pauses
+    picture: Mapped[str]  #: name of the image shown with a prompt; empty without one
+    by: Mapped[str]  #: who asked for it or answered; empty of a prompt that is shown
+    time_s: Mapped[float]
+
+
 class UnloadedMarkRow(Base):
     """Time from which the sheet counted as rested; a resumed phase has one per session, the latest holds."""
 

@@ -31,6 +31,7 @@ class Traceability(RunSection):
         yield from (_changes(result.history), _phases(record))
         if len(record.sessions) > 1:
             yield _sessions(record)
+        yield from (Paragraph(words) for words in _attended(record))
         yield _software(record)
 
 
@@ -161,6 +162,23 @@ def _sessions(record: RunRecord) -> Table:
         " not analysed."
     )
     return text_table(caption, ("Session", "When", "At run time", "Because the one before", "Software"), rows, (2,))
+
+
+def _attended(record: RunRecord) -> Iterator[str]:
+    """Describe each pause and each answered prompt in one line."""
+    names = {phase.index: phase.name for phase in record.phases}
+    for pause in record.pauses:
+        where = f"at {duration(pause.started_s)} of run time, in phase {names[pause.phase]!r}"
+        if pause.duration_s is None:
+            yield f"Paused by {pause.by} {where}; the session ended in this pause."
+        else:
+            yield (
+                f"Paused by {pause.by} {where}, for {duration(pause.duration_s)}; continued by {pause.continued_by}."
+                " The sheet rested longer before the next press, and frames for its reference were taken again."
+            )
+    for prompt in record.prompts:
+        answer = "no answer" if prompt.answered_s is None else f"{prompt.by} answered {prompt.answer!r}"
+        yield f"Asked at {duration(prompt.shown_s)} of run time, {prompt.text!r}: {answer}."
 
 
 def _ended(session: RunSession, following: RunSession) -> str:

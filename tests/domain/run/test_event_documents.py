@@ -90,7 +90,9 @@ def test_the_reference_shows_a_message_and_an_example_of_every_event():
     assert list(message) == [field.name for field in fields(EventMessage)]
     TypeAdapter(EventMessage).validate_python(message)
     real = {document["type"]: document for document in map(event_document, short_run("run-1"))}
-    assert [example["type"] for example in examples] == re.findall(r"^### `(\w+)`", page.read_text(), re.M)
+    assert [example["type"] for example in examples] == re.findall(
+        r"`(\w+)`", "".join(re.findall(r"^### .*", page.read_text(), re.M))
+    )
     assert {example["type"] for example in examples} == set(real)
     for example in examples:
         TypeAdapter(EventDocument).validate_python(example)

@@ -1,0 +1,118 @@
+"""A run as others see it: it holds its station, tells how it stands, and takes requests."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from cbsr_qa.config import Configuration
+from cbsr_qa.domain.plan import Press
+from cbsr_qa.domain.run import RunEvent
+from cbsr_qa.station import LoadKey, Plan, schedule
+from cbsr_qa.station.control import ControlDesk, RunServer, RunStatus, station_held
+
+
+@dataclass(slots=True)
+class Control:
+    """What connects a run and its channel.
+
+    Parameters
+    ----------
+    about : serial, batch, operator, station and recipe.
+    """
+
+    desk: ControlDesk
+    status: RunStatus
+    about: dict[str, Any]
+    _server: RunServer | None = field(default=None, init=False)
+
+    @property
+    def subscribers(self) -> tuple[Callable[[RunEvent], None], ...]:
+        """To call with every event: first what knows the state, then what sends it."""
+        return (self.status, *([] if self._server is None else [self._server]))
+
+    @property
+    def operator(self) -> str:
+        return str(self.about["operator"])
+
+    def hello(self) -> dict[str, Any]:
+        return dict(self.about)
+
+    def begun(self, run: str) -> None:
+        """State the run's identifier."""
+        self.about["run"] = run
+        self._changed()
+
+    def begins(self, begun: Callable[[str], None]) -> Callable[[str], None]:
+        """Return what is called with a run's identifier, and states it here too."""
+
+        def both(run: str) -> None:
+            self.begun(run)
+            begun(run)
+
+        return both
+
+    def planned(self, plan: Plan, done: frozenset[LoadKey]) -> None:
+        """State what will be pressed, including what an earlier session has pressed."""
+        phases = schedule(plan)
+        presses = [
+            ((phase.index, step.load), step.step)
+            for phase in phases
+            for step in phase.steps
+            if isinstance(step.step, Press) and step.load is not None
+        ]
+        self.status.plan({phase.index: phase.name for phase in phases}, presses, done)
+        self._changed()
+
+    def telling(self, tell: Callable[[str], None]) -> Callable[[str], None]:
+        """Return a listener of stages that states them here too."""
+
+        def told(stage: str) -> None:
+            self.status.doing(stage)
+            self._changed()
+            tell(stage)
+
+        return told
+
+    @contextmanager
+    def served(self, station: str, warn: Callable[[str], None]) -> Iterator[None]:
+        """Serve the channel while entered. ``warn``: called if there can be none."""
+        with RunServer(station, self.desk, self.hello, self.status.document) as server:
+            self._server = server
+            if server.why:
+                warn(server.why)
+            try:
+                yield
+            finally:
+                self._server = None
+
+    def _changed(self) -> None:
+        if self._server is not None:
+            self._server.state_changed()
+
+
+@contextmanager
+def controlled(
+    configuration: Configuration, *, serial: str, batch: str, operator: str, answers: bool
+) -> Iterator[Control]:
+    """Hold the station of a run and serve its channel while entered.
+
+    Parameters
+    ----------
+    answers : whether prompts are answered over the channel, not in the terminal.
+
+    Raises
+    ------
+    RefusedError
+        If another process uses the station; nothing was moved or written.
+    """
+    station, recipe = configuration.station, configuration.recipe.name
+    about = {"run": None, "station": station.name, "recipe": recipe, "serial": serial, "batch": batch}
+    speed = 1.0 if station.clock == "real" else station.clock_speed
+    status = RunStatus(speed)
+    control = Control(ControlDesk(answers=answers), status, {**about, "operator": operator})
+    with (
+        station_held(station.name, who=operator, doing=f"testing {serial} with {recipe!r}"),
+        control.served(station.name, status.warn),
+    ):
+        yield control

@@ -1,0 +1,16 @@
+from .client import RunChannel as RunChannel
+from .desk import (
+    ControlDesk as ControlDesk,
+    Question as Question,
+)
+from .lock import (
+    control_socket as control_socket,
+    refuse_busy as refuse_busy,
+    station_held as station_held,
+    station_holder as station_holder,
+)
+from .server import (
+    LONGEST_LINE as LONGEST_LINE,
+    RunServer as RunServer,
+)
+from .status import RunStatus as RunStatus

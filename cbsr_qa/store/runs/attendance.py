@@ -1,0 +1,53 @@
+"""Pauses and prompts as rows, and back."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from sqlalchemy import Connection, Engine, Row, func, select
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.run import AttendanceEvent, PromptAnswered, PromptShown, RunContinued, RunPaused
+from cbsr_qa.store.engine import reading
+from cbsr_qa.store.tables import AttendanceRow
+
+
+def attendance_values(event: AttendanceEvent) -> dict[str, Any]:
+    """Return the columns of an event, without the key columns."""
+    values = {"prompt": None, "text": "", "picture": "", "by": "", "time_s": event.time_s}
+    match event:
+        case RunPaused(by=by):
+            return {**values, "kind": "paused", "by": by}
+        case RunContinued(by=by):
+            return {**values, "kind": "continued", "by": by}
+        case PromptShown(prompt=prompt, text=text, picture=picture):
+            return {**values, "kind": "shown", "prompt": prompt, "text": text, "picture": picture}
+        case PromptAnswered(prompt=prompt, answer=answer, by=by):
+            return {**values, "kind": "answered", "prompt": prompt, "text": answer, "by": by}
+
+
+def attendance_of(connection: Connection, run: str) -> Iterator[AttendanceEvent]:
+    """Yield the stored events of a run in their order. StoreError if the kind of one is unknown."""
+    row = AttendanceRow
+    query = select(*row.__table__.columns).where(row.run == run).order_by(row.time_s, row.phase, row.entry)
+    for one in connection.execute(query):
+        yield _event(one)
+
+
+def prompts_shown(engine: Engine, run: str) -> int:
+    """Return the number of prompts a run has shown; a resumed one counts on from there."""
+    with reading(engine) as connection:
+        last = connection.scalar(select(func.max(AttendanceRow.prompt)).where(AttendanceRow.run == run))
+    return 0 if last is None else int(last) + 1
+
+
+def _event(row: Row[Any]) -> AttendanceEvent:
+    match row.kind:
+        case "paused":
+            return RunPaused(row.phase, row.time_s, row.by)
+        case "continued":
+            return RunContinued(row.phase, row.time_s, row.by)
+        case "shown":
+            return PromptShown(row.phase, row.prompt, row.text, row.picture, row.time_s)
+        case "answered":
+            return PromptAnswered(row.phase, row.prompt, row.text, row.by, row.time_s)
+    raise StoreError(f"attendance.kind is {str(row.kind)[:32]!r} in phase {row.phase} of run {row.run}")
