@@ -8,7 +8,7 @@ from cbsr_qa.cli.command import command, document, documents
 from cbsr_qa.cli.output import emit_json, say
 from cbsr_qa.domain import RefusedError
 
-document("events", prints="cbsr_qa.domain.run:EventDocument")
+document("events", prints="cbsr_qa.domain.run:EventMessage")
 
 
 @command("schema")

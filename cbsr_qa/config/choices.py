@@ -9,7 +9,7 @@ from cbsr_qa.domain import CbsrError, PluginError
 from cbsr_qa.plugin import KeyPath, Kind, Plugins, Problem, check, contained, options_of, shown
 
 #: Plugins that are made of their options alone; the others need a bench or a scene.
-_MADE_OF_OPTIONS = (Kind.SEQUENCE, Kind.RECONSTRUCTION, Kind.METRIC)
+_MADE_OF_OPTIONS = (Kind.SEQUENCE, Kind.RECONSTRUCTION, Kind.METRIC, Kind.SINK)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,16 @@ from cbsr_qa.config.documents import reference_path
 from cbsr_qa.config.gate import GateTable
 from cbsr_qa.config.tables import FileModel, OpenTable, Word, as_domain
 from cbsr_qa.domain import NumericsError
-from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing, SafetyLimits, Station
+from cbsr_qa.domain.plan import (
+    EMULATED,
+    EventSinkSpec,
+    InstrumentSpec,
+    Motion,
+    PluginChoice,
+    ReferenceRing,
+    SafetyLimits,
+    Station,
+)
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.plugin import Kind, Problem, Table
 
@@ -158,6 +167,15 @@ class InstrumentTable(OpenTable):
         return as_domain(InstrumentSpec, self, role=role, options=self.options, **who)
 
 
+class EventsTable(OpenTable):
+    """``[events.<name>]``: a sink of events, and its options."""
+
+    sink: Name
+
+    def to_domain(self, name: str) -> EventSinkSpec:
+        return EventSinkSpec(name, PluginChoice(self.sink, self.options))
+
+
 class StationFile(FileModel[Station]):
     """A station file."""
 
@@ -169,6 +187,7 @@ class StationFile(FileModel[Station]):
     emulation: EmulationTable | None = None
     reference_ring: ReferenceRingTable | None = None
     gate: GateTable = Field(default_factory=GateTable)
+    events: Annotated[dict[Word, EventsTable], Field(default_factory=dict)]
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
@@ -177,6 +196,9 @@ class StationFile(FileModel[Station]):
             yield from chosen(
                 Kind.INSTRUMENT, table, ("instruments", role), "driver", tuple(InstrumentTable.model_fields)
             )
+        events = data.get("events")
+        for name, table in events.items() if isinstance(events, Mapping) else ():
+            yield from chosen(Kind.SINK, table, ("events", name), "sink")
 
     def problems(self) -> Iterator[Problem]:
         """Every role is filled once, the head by one instrument; emulated instruments have a world."""
@@ -229,6 +251,7 @@ class StationFile(FileModel[Station]):
             emulated_scene=None if self.emulation is None else self.emulation.scene,
             reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),
             gate=self.gate.to_domain(self.station.overdue),
+            events=tuple(table.to_domain(name) for name, table in sorted(self.events.items())),
         )
 
 

@@ -7,6 +7,7 @@ from .errors import (
     CalibrationError as CalibrationError,
     CbsrError as CbsrError,
     ConfigError as ConfigError,
+    DeliveryError as DeliveryError,
     InstrumentError as InstrumentError,
     NotReproducedError as NotReproducedError,
     NumericsError as NumericsError,

@@ -110,6 +110,14 @@ class InstrumentError(CbsrError):
         self.retryable = retryable
 
 
+class DeliveryError(CbsrError):
+    """Events were not delivered; they are sent again unless ``final``: the receiver would never take them."""
+
+    def __init__(self, reason: str, *, remedy: str = "", final: bool = False) -> None:
+        super().__init__(reason, remedy=remedy)
+        self.final = final
+
+
 class SafetyError(CbsrError):
     """A safety rule was violated; the bench is in its safe state (exit code 3)."""
 

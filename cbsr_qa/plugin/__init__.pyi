@@ -23,6 +23,7 @@ from .instruments import (
 from .interfaces import (
     AnyEffect as AnyEffect,
     Effect as Effect,
+    EventSink as EventSink,
     LoadMetric as LoadMetric,
     Reconstruction as Reconstruction,
     RecordingEffect as RecordingEffect,

@@ -31,6 +31,7 @@ class Kind(StrEnum):
     EFFECT = "effect"  #: called with its parameters from the scene and the SceneSetting (Effect)
     RECORDING = "recording"  #: called with nothing (RecordingFormat)
     SECTION = "section"  #: called with nothing (ReportSection)
+    SINK = "sink"  #: called with its options from the station file (EventSink)
 
 
 #: ``register(kind, name, "package.module:factory")``; names are lower case words joined by hyphens.

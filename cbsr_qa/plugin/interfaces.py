@@ -1,9 +1,9 @@
 """Interfaces of plugins: sequences, recording formats, sections, reconstructions, metrics and effects."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence as AnySequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from cbsr_qa.domain.plan import Moment, SheetDesign, Step, Transcript
 from cbsr_qa.domain.readings import ReadOptions, Recording, RecordingResult
@@ -194,4 +194,32 @@ class Sequence(Protocol):
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones on every call."""
+        ...
+
+
+class EventSink(Protocol):
+    """Delivers the events of a run elsewhere: to a file, a broker, a server.
+
+    Creating it opens nothing and starts nothing; the check of a station file does so too. A run then calls it from
+    one thread of its own, which may wait: the run does not. After a failure the same messages are delivered again.
+    """
+
+    @property
+    def largest_batch(self) -> int:
+        """Most messages it takes in one call."""
+        ...
+
+    def deliver(self, messages: AnySequence[Mapping[str, Any]]) -> None:
+        """Deliver messages (see :class:`~cbsr_qa.domain.run.EventMessage`) in order; return once they are taken.
+
+        Raises
+        ------
+        DeliveryError
+            If they are not taken; any other exception counts as one. It is final if they would never be taken:
+            they then count as lost, and the next ones follow.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close what it has opened; may be called more than once."""
         ...

@@ -11,6 +11,7 @@ from .bench import (
 )
 from .documents import MemoryJournal as MemoryJournal
 from .dry_runs import DryRun as DryRun, dry_run as dry_run
+from .event_sinks import EventSinks as EventSinks
 from .execution import execute as execute
 from .interrupts import on_stderr as on_stderr
 from .limits import check_samplers as check_samplers, place_violations as place_violations

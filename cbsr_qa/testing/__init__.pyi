@@ -33,4 +33,5 @@ from .scanning import (
     check_self_test as check_self_test,
     check_source_meter as check_source_meter,
 )
+from .sinks import check_sink as check_sink, example_messages as example_messages
 from .targets import example_problem as example_problem, images_elsewhere as images_elsewhere

@@ -138,6 +138,9 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.SECTION, "recording-events", "sections.recording:RecordingEvents"),
     (Kind.SECTION, "recording-channels", "sections.recording:RecordingChannels"),
     (Kind.SECTION, "recording-rows", "sections.recording:RecordingRows"),
+    (Kind.SINK, "json-lines", "sinks.json_lines:JsonLines"),
+    (Kind.SINK, "mqtt", "sinks.mqtt:Mqtt"),
+    (Kind.SINK, "webhook", "sinks.webhook:Webhook"),
 )
 
 

@@ -36,6 +36,7 @@ from cbsr_qa.plugin import Plugins, left_running
 from cbsr_qa.report import duration
 from cbsr_qa.station import (
     DryRun,
+    EventSinks,
     LoadKey,
     OperatorPrompt,
     RunProgress,
@@ -224,20 +225,25 @@ class Session:
             why=self._why,
             gate=self._gate,
         )
-        with RunProgress(len(self._plan.phases), self._clock) as progress:
-            self._progress = progress
-            return execute(
-                self._plan,
-                identity,
-                self._bench,
-                self._clock,
-                [journal, *self._watching(), progress, self._hooks(identity)],
-                done=self._done.loads,
-                ended=self._done.phases,
-                ask=self._ask,
-                desk=None if self._control is None else self._control.desk,
-                warn=self.warnings.append,
-            )
+        sinks = EventSinks(configuration.station.events, self._plugins, identity, self.warnings.append)
+        try:
+            with RunProgress(len(self._plan.phases), self._clock) as progress:
+                self._progress = progress
+                return execute(
+                    self._plan,
+                    identity,
+                    self._bench,
+                    self._clock,
+                    [journal, *self._watching(), progress, self._hooks(identity), sinks],
+                    done=self._done.loads,
+                    ended=self._done.phases,
+                    ask=self._ask,
+                    desk=None if self._control is None else self._control.desk,
+                    warn=self.warnings.append,
+                )
+        finally:
+            with _concluding(identity.run, store):
+                sinks.end()
 
     def _watching(self) -> tuple[Callable[[RunEvent], None], ...]:
         if self._control is None:
@@ -296,16 +302,24 @@ def concluded(
         If a signal or the keyboard stopped it.
     """
     try:
-        with stoppable():
+        with _concluding(run, store):
             return _concluded(run, store, configuration, plugins, stages, warnings)
-    except AbortedError as error:
-        following = report_command(run, store) if store.analyses(run) else resume_command(run, store)
-        raise UnconcludedError(run, following, error.by) from error
     except StoreError as error:
         remedy = "; if the database then holds the run, this continues it: ".join(
             filter(None, [error.remedy, resume_command(run, store)])
         )
         raise BrokenRunError(run, error.reason, remedy=remedy) from error
+
+
+@contextmanager
+def _concluding(run: str, store: Repository) -> Iterator[None]:
+    """Let a signal or the keyboard stop what follows a run. UnconcludedError, with the next command, if it did."""
+    try:
+        with stoppable():
+            yield
+    except AbortedError as error:
+        following = report_command(run, store) if store.analyses(run) else resume_command(run, store)
+        raise UnconcludedError(run, following, error.by) from error
 
 
 def _concluded(

@@ -10,6 +10,7 @@ from .plan import (
     EMULATED as EMULATED,
     NO_RECONSTRUCTION as NO_RECONSTRUCTION,
     AnalysisSettings as AnalysisSettings,
+    EventSinkSpec as EventSinkSpec,
     InstrumentSpec as InstrumentSpec,
     Motion as Motion,
     PhaseSpec as PhaseSpec,

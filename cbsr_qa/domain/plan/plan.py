@@ -57,6 +57,14 @@ class InstrumentSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class EventSinkSpec:
+    """A table ``[events.<name>]`` of a station file: where events of its runs are delivered."""
+
+    name: str
+    sink: PluginChoice
+
+
+@dataclass(frozen=True, slots=True)
 class Motion:
     """Speeds and reach of the head.
 
@@ -155,6 +163,7 @@ class Station:
     emulated_scene : scene shared by its emulated instruments: a name, or a scene file's content; None if it has none.
     reference_ring : measured by ``cbsr-qa station check``; None if the station has none.
     gate : checks before every run.
+    events : where events of its runs are delivered, by name.
     """
 
     name: str
@@ -167,6 +176,7 @@ class Station:
     instruments: tuple[InstrumentSpec, ...]
     emulated_scene: str | Mapping[str, Any] | None = None
     reference_ring: ReferenceRing | None = None
+    events: tuple[EventSinkSpec, ...] = ()
     clock_speed: float | None = None
     gate: GateSettings = field(default_factory=GateSettings)
 

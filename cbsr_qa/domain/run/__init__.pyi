@@ -21,8 +21,9 @@ from .changes import (
     differences as differences,
 )
 from .event_documents import (
-    EventDocument as EventDocument,
+    EventMessage as EventMessage,
     event_document as event_document,
+    event_message as event_message,
 )
 from .gate import (
     GateAnswer as GateAnswer,

@@ -26,6 +26,7 @@ from cbsr_qa.domain.run.run import (
     PhaseStarted,
     RunEnded,
     RunEvent,
+    RunIdentity,
     RunStarted,
     SamplesTaken,
     StepRetried,
@@ -386,3 +387,32 @@ EventDocument = (
     | PromptAnsweredDocument
     | RunEndedDocument
 )
+
+
+@dataclass(frozen=True, slots=True)
+class EventMessage:
+    """An event as sinks deliver it: with its run, so that each message can be understood by itself.
+
+    ``session`` is when this session of the run began: a resumed run has several. ``number`` counts the events of the
+    session from 0, so that a gap is a lost event. A message may arrive twice, with the same ``run``, ``session`` and
+    ``number``.
+    """
+
+    station: str
+    run: str
+    serial: str
+    session: str
+    number: int
+    event: EventDocument
+
+
+def event_message(identity: RunIdentity, number: int, document: dict[str, Any]) -> dict[str, Any]:
+    """Return the message of an event's document; its keys are those of :class:`EventMessage`."""
+    return {
+        "station": identity.station,
+        "run": identity.run,
+        "serial": identity.sensor.serial,
+        "session": identity.started_at.isoformat(),
+        "number": number,
+        "event": document,
+    }

@@ -1,18 +1,21 @@
 """Every event of a run as a document: complete, plain JSON, as its schema says."""
 
 import json
-from dataclasses import asdict
+import re
+from dataclasses import asdict, fields
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
+from pages import blocks
 from pydantic import TypeAdapter
 from stored_runs import force, frames, record, short_run
 
 from cbsr_qa.domain.plan import AcquireFrames, Press
 from cbsr_qa.domain.readings import ReadingFlag, SampleBlock
 from cbsr_qa.domain.run import (
-    EventDocument,
+    EventMessage,
     FramesTaken,
     Load,
     LoadFinished,
@@ -21,6 +24,7 @@ from cbsr_qa.domain.run import (
     StepStarted,
     event_document,
 )
+from cbsr_qa.domain.run.event_documents import EventDocument
 
 
 def test_the_events_of_a_run_are_all_documented():
@@ -78,3 +82,18 @@ def test_a_load_is_finished_when_its_rest_has_ended():
     document = event_document(LoadFinished(0, record(3, 30.0)))
     assert (document["index"], document["trial"], document["label"]) == (3, 3, "L0")
     assert (document["press_start_s"], document["clear_s"], document["time_s"]) == (30.0, 91.25, 152.0)
+
+
+def test_the_reference_shows_a_message_and_an_example_of_every_event():
+    page = Path(__file__).parents[3] / "docs" / "reference" / "events.md"
+    message, *examples = [json.loads(block) for block in blocks(page, "json")]
+    assert list(message) == [field.name for field in fields(EventMessage)]
+    TypeAdapter(EventMessage).validate_python(message)
+    real = {document["type"]: document for document in map(event_document, short_run("run-1"))}
+    assert [example["type"] for example in examples] == re.findall(
+        r"`(\w+)`", "".join(re.findall(r"^### .*", page.read_text(), re.M))
+    )
+    assert {example["type"] for example in examples} == set(real)
+    for example in examples:
+        TypeAdapter(EventDocument).validate_python(example)
+        assert example.keys() == real[example["type"]].keys()

@@ -1,0 +1,166 @@
+"""Delivery of a run's events to sinks, each with its own thread and bounded queue; none delays or stops a run."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Final
+
+from cbsr_qa.domain import CbsrError, DeliveryError
+from cbsr_qa.domain.plan import EventSinkSpec
+from cbsr_qa.domain.run import RunEvent, RunIdentity, event_document, event_message
+from cbsr_qa.plugin import EventSink, Kind, Plugins, create_plugin, said
+from cbsr_qa.station.documents import Warn
+
+#: Events that wait for a sink at most; beyond it the oldest are lost. A run of half an hour has about 5000.
+LARGEST_QUEUE: Final = 10_000
+#: Time for delivering what is pending at the end of a run, for all sinks together [s].
+END_S: Final = 5.0
+#: Pauses between attempts [s]: doubled after each failure, up to the longest.
+_FIRST_PAUSE_S: Final = 0.5
+_LONGEST_PAUSE_S: Final = 30.0
+
+Message = Mapping[str, Any]
+
+
+class EventSinks:
+    """A subscriber that passes the events of a run to sinks.
+
+    Parameters
+    ----------
+    identity : of the run.
+    warn : called with sinks that cannot be used, and at the end with how many events were lost.
+    """
+
+    def __init__(self, specs: Sequence[EventSinkSpec], plugins: Plugins, identity: RunIdentity, warn: Warn) -> None:
+        self._identity = identity
+        self._warn = warn
+        self._number = 0
+        self._deliveries: list[Delivery] = []
+        for spec in specs:
+            try:
+                sink = create_plugin(plugins, Kind.SINK, spec.sink, f"events {spec.name!r}")
+            except CbsrError as error:
+                warn(f"no events are delivered: {error.reason}")
+            else:
+                self._deliveries.append(Delivery(f"events {spec.name!r} ({spec.sink.name})", sink))
+
+    def __call__(self, event: RunEvent) -> None:
+        if not self._deliveries:
+            return
+        message = event_message(self._identity, self._number, event_document(event))
+        self._number += 1
+        for delivery in self._deliveries:
+            delivery.put(message)
+
+    def end(self) -> None:
+        """Wait up to :data:`END_S` for pending events, then warn of those that were lost."""
+        for delivery in self._deliveries:
+            delivery.end()
+        deadline = time.monotonic() + END_S
+        for delivery in self._deliveries:
+            delivery.wait(deadline - time.monotonic())
+        for lost in filter(None, [delivery.lost() for delivery in self._deliveries]):
+            self._warn(lost)
+
+
+class Delivery:
+    """One sink, its queue and its thread.
+
+    Parameters
+    ----------
+    name : in warnings.
+    most : events that may wait.
+    """
+
+    def __init__(self, name: str, sink: EventSink, *, most: int = LARGEST_QUEUE) -> None:
+        self._name = name
+        self._sink = sink
+        self._most = most
+        self._changed = threading.Condition()
+        self._waiting: deque[Message] = deque()
+        self._sending: list[Message] = []
+        self._total = self._dropped = 0
+        self._why = ""
+        self._ending = self._given_up = False
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, message: Message) -> None:
+        """Queue a message; never waits for the sink."""
+        with self._changed:
+            if len(self._waiting) >= self._most:
+                self._waiting.popleft()
+                self._dropped += 1
+            self._waiting.append(message)
+            self._total += 1
+            self._changed.notify()
+
+    def end(self) -> None:
+        """Let the thread end once everything is delivered."""
+        with self._changed:
+            self._ending = True
+            self._changed.notify()
+
+    def wait(self, longest_s: float) -> None:
+        """Wait for the thread to end; after this time it delivers nothing more."""
+        self._thread.join(max(longest_s, 0.0))
+        with self._changed:
+            self._given_up = True
+            self._changed.notify()
+
+    def lost(self) -> str:
+        """Return how many events were not delivered, and why; empty if all were."""
+        with self._changed:
+            lost = self._dropped + len(self._sending) + len(self._waiting)
+            why = self._why or f"the sink did not take them within {END_S:g} s of the run's end"
+            return f"{self._name}: {lost} of {self._total} events were not delivered: {why}" if lost else ""
+
+    def _work(self) -> None:
+        pause_s = _FIRST_PAUSE_S
+        while batch := self._next():
+            if self._delivered(batch):
+                pause_s = _FIRST_PAUSE_S
+            else:
+                self._pause(pause_s)
+                pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
+        with suppress(BaseException):  # a stranger's code may raise anything
+            self._sink.close()
+
+    def _next(self) -> list[Message]:
+        """Return the messages to send, those that failed first; none at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._sending or self._waiting or self._ending)
+            if self._given_up:
+                return []
+            if not self._sending:
+                size = min(len(self._waiting), max(self._sink.largest_batch, 1))
+                self._sending = [self._waiting.popleft() for _ in range(size)]
+            return self._sending
+
+    def _delivered(self, batch: list[Message]) -> bool:
+        """Deliver, and keep why it failed; False if the batch is to be sent again."""
+        why, dropped = "", 0
+        try:
+            self._sink.deliver(batch)
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            why = said(error)
+            if not (isinstance(error, DeliveryError) and error.final):
+                with self._changed:
+                    self._why = why
+                return False
+            dropped = len(batch)
+        with self._changed:
+            self._why = why or self._why
+            if not self._given_up:  # otherwise it is counted as lost already
+                self._sending = []
+                self._dropped += dropped
+        return True
+
+    def _pause(self, pause_s: float) -> None:
+        """Wait before the next attempt; the end of the run shortens it."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ending, pause_s)
+            if self._ending:
+                self._changed.wait_for(lambda: self._given_up, _FIRST_PAUSE_S)
