@@ -50,7 +50,7 @@ def test_runtime_dependencies_are_the_imported_ones():
     """A dependency nobody imports, or an import nobody declares, is found here."""
     import ast
 
-    names = {"pyserial": "serial", "pyvisa-py": "pyvisa_py", "scikit-image": "skimage"}
+    names = {"google-re2": "re2", "pyserial": "serial", "pyvisa-py": "pyvisa_py", "scikit-image": "skimage"}
     backends = {"pyvisa-py"}  # loaded by pyvisa
     declared = set(map(_name, _PROJECT["project"]["dependencies"]))
     modules = {names.get(d, d): d for d in declared - backends}
