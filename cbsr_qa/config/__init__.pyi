@@ -22,7 +22,6 @@ from .merging import (
     FileContent as FileContent,
     canonical_json as canonical_json,
     configured_files as configured_files,
-    content_digest as content_digest,
     merge as merge,
     restore as restore,
 )

@@ -1,6 +1,5 @@
 from . import steps as steps
 from .gate import (
-    GATE_DEFAULTS as GATE_DEFAULTS,
     GateCheck as GateCheck,
     GatePolicy as GatePolicy,
     GateSettings as GateSettings,
