@@ -13,7 +13,8 @@ from cbsr_qa.domain.run import RunEvent, RunIdentity, event_document, event_mess
 from cbsr_qa.plugin import EventSink, Kind, Plugins, create_plugin, said
 from cbsr_qa.station.documents import Warn
 
-#: Events that wait for a sink at most; beyond it the oldest are lost. A run of half an hour has about 5000.
+#: Events that wait for a sink at most; beyond it the oldest are lost.
+#: The recipe nine-locations has 2920 on the simulated bench.
 LARGEST_QUEUE: Final = 10_000
 #: Time for delivering what is pending at the end of a run, for all sinks together [s].
 END_S: Final = 5.0
