@@ -208,7 +208,7 @@ def test_a_signal_while_the_result_is_worked_out_says_how_to_have_it(
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--station", "simulated"], "--station cannot be given with --resume"),
+        (["--batch", "B-1"], "--batch cannot be given with --resume"),
         (["--seed", "1", "--dry-run"], "--seed, --dry-run cannot be given with --resume"),
         (["--serial", ""], "--serial cannot be given with --resume"),
     ],
