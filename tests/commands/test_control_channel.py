@@ -97,14 +97,14 @@ def test_a_paused_run_among_clients_that_mean_no_good_is_in_every_bit_the_run_th
         assert channel.hello["serial"] == "S-1"
         assert channel.hello["pid"] == station_holder(STATION).pid != os.getpid()
         until(lambda: pressing(channel))
+        channel.ask("pause", by="Grace")
         pestering = garbage()
-        cbsr_qa(folder, "station", "pause", STATION, "--by", "Grace")
         state = until(lambda: paused(channel))
         assert (state["paused"]["by"], state["pause_wanted"]) == ("Grace", None)
         assert 0 < sum(load["done"] for load in state["loads"]) < len(state["loads"])
         with pytest.raises(RefusedError, match="paused already, by Grace"):
             channel.ask("pause", by="Ada")
-        channel.ask("continue", by="Ada")
+        cbsr_qa(folder, "station", "continue", STATION, "--by", "Ada")
         kinds = [line["type"] for line in channel.lines()]
         assert kinds.index("run_continued") < kinds.index("run_ended")
     for client in pestering:
@@ -125,12 +125,12 @@ def test_a_paused_run_among_clients_that_mean_no_good_is_in_every_bit_the_run_th
 def test_a_run_killed_in_a_pause_leaves_no_lock_and_is_resumed_after_its_last_load(folder):
     with running(folder, *BEGIN, "--serial", "S-1", "--operator", "Ada") as (process, channel):
         until(lambda: pressing(channel))
+        channel.ask("pause", by="Ada")
         pestering = garbage()
+        done = sum(load["done"] for load in until(lambda: paused(channel))["loads"])
         refused = cbsr_qa(folder, *BEGIN, "--serial", "S-2", check=False)
         assert refused.returncode == 2
         assert "station 'simulated' is in use: Ada, process" in refused.stderr
-        cbsr_qa(folder, "station", "pause", STATION, "--by", "Ada")
-        done = sum(load["done"] for load in until(lambda: paused(channel))["loads"])
         os.kill(channel.hello["pid"], signal.SIGKILL)
     for client in pestering:
         client.close()
