@@ -31,6 +31,12 @@ $(VENV)/.dev-stamp: $(VENV)/.run-stamp
 	else $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'; fi
 	@touch $@
 
+$(VENV)/.web-stamp: $(VENV)/.run-stamp
+	@echo "installing what the page needs"
+	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '.[web]'; \
+	else $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[web]'; fi
+	@touch $@
+
 demo: $(VENV)/.run-stamp ## Test a simulated sensor: run, verdict, report, calibration file (in var/)
 	@$(BIN)/cbsr-qa run --station simulated --recipe nine-locations --serial DEMO-001 --batch demo --operator demo
 
@@ -45,8 +51,7 @@ fleet-demo: $(VENV)/.run-stamp ## Build a fleet of 3 batches at 3 stations, comp
 		fi; \
 	done
 
-serve: $(VENV)/.run-stamp ## Open the page of a simulated line of two stations; Ctrl-C ends it
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[web]'
+serve: $(VENV)/.web-stamp ## Open the page of a simulated line of two stations; Ctrl-C ends it
 	@$(BIN)/cbsr-qa serve --station line-1 --station line-2 --recipe nine-locations --open
 
 test: $(VENV)/.dev-stamp ## Run the tests that take minutes; names the slowest, which may be for test-rest
