@@ -139,7 +139,7 @@ def apply_to_presses(
         found = FaultFinder(issued.pairs, issued.rest, noise)(issued.rest + changes)
         changes[found.left_out], faults = np.nan, found.flags
     modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
-    estimator = PlaceEstimator(issued.place, modelled, issued.pairs)
+    estimator = PlaceEstimator(issued.place, modelled, issued.pairs, issued.held_out_mm)
     places, by_model = estimator(changes), None if modelled is None else modelled(changes)
     quantities = {
         f"{name}_{{}}{unit}": QuantityEstimator(learned)(places)

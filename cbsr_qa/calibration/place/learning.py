@@ -145,10 +145,11 @@ def learn_place(
     tell("learning from all presses")
     rechecks = out.presses >= len(about) - late
     early = out.of(~rechecks)
-    mixture = early.mixture(sheet.places_mm)
+    mixture, wider = early.mixture(sheet.places_mm), np.ones(2)
     if rechecks.any():
         growth = late_growth(mixture, early, out.of(rechecks), sheet.places_mm)
-        mixture = replace(mixture, quantiles=mixture.quantiles * few_presses_tell(int(rechecks.sum())))
+        wider = few_presses_tell(int(rechecks.sum()))
+    mixture = replace(mixture, quantiles=mixture.quantiles * wider)
     size = np.sqrt((changes**2).mean(axis=1))
     model = LearnedPlace(
         scaling,
@@ -167,7 +168,10 @@ def learn_place(
     strength = strengths(changes[early.presses], like / less[early.presses], scaling)
     found_mm = held_out.found_mm @ axes + centre
     held_out = replace(held_out, presses=order[held_out.presses], found_mm=found_mm)
-    return PlaceLearned(model, held_out, strength, tuple(_warnings(held_out, sheet, process.scales, drift=drift)))
+    warnings = [*_warnings(held_out, sheet, process.scales)]
+    if drift is not None:
+        warnings.append(_drift_words(drift, np.sqrt(growth * wider)))
+    return PlaceLearned(model, held_out, strength, tuple(warnings))
 
 
 def _check(changes: Array, places_mm: Array) -> None:
@@ -247,7 +251,7 @@ def _reach(about: Array) -> float:
     return max(_REACH * min(nearest_mm, spread_mm), nearest_mm)
 
 
-def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, drift: Drift | None) -> Iterator[str]:
+def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales) -> Iterator[str]:
     """Remarks for a person on the learned place."""
     spread_mm = float(np.linalg.norm(sheet.places_mm - sheet.places_mm.mean(axis=0), axis=1).mean())
     if held_out.mean_mm > _POOR * spread_mm:
@@ -258,8 +262,12 @@ def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales, drift
     at_edge = at_edges(scales, sheet.turns, sheet.features, sheet.places_mm)
     if at_edge:
         yield f"hyperparameters at the edge of their range: {', '.join(at_edge)}; press at more places"
-    if drift is not None:
-        yield (
-            "readings drift over the session: regions are widened to hold until"
-            f" {drift.horizon:g} times its length after the last press; press at some known places again before that"
-        )
+
+
+def _drift_words(drift: Drift, wider: Array) -> str:
+    """Say how much wider (2,) regions of 68 and 95 % are than those whose coverage is stated."""
+    return (
+        f"readings drift over the session: regions are widened, those of 68 % by a factor of {wider[0]:.3g} and those"
+        f" of 95 % by {wider[1]:.3g}, to hold until {drift.horizon:g} times its length after the last press; the stated"
+        " coverage is that of regions before widening; press at some known places again before that"
+    )

@@ -39,6 +39,11 @@ class ModelledEstimator:
         self._templates: Array = model.templates[:, self._answers].astype(np.float64)
         self._bank = unit_rows(self._templates)
 
+    @property
+    def error_mm(self) -> float:
+        """Root mean square distance of the presses that registered the sheet from where it places them."""
+        return float(np.sqrt(2 * self._model.variance_mm2))
+
     def __call__(self, changes: Array) -> Places:
         """Locate the touches of changes (n, m) of the calibrated readings, in their unit.
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from cbsr_qa.calibration.place import log_likelihood
 from cbsr_qa.calibration.presses.likeness import alikeness, answering_side
+from cbsr_qa.calibration.presses.pairs import measures_at_driven
 from cbsr_qa.calibration.presses.registration import (
     Registered,
     evenly_spread,
@@ -82,7 +83,7 @@ def _exchanged(
     chosen = chosen[evenly_spread(len(chosen), _TRIED)]
     evidence_of = _Evidence(sheet, order.registered, changes, chosen)
     before = evidence_of(order.pairs).sum()
-    exchanges = list(combinations(range(count), 2))
+    exchanges = list(combinations(np.unique(order.pairs).tolist(), 2))  # one that is in no pair shows in no reading
     evidence = [evidence_of(_swapped(order.pairs, pair)).sum() for pair in exchanges]
     for number in np.argsort(evidence)[::-1][:_REGISTERED]:
         pair = exchanges[number]
@@ -105,6 +106,8 @@ def _other_numbering(
     On a sheet as modelled no other numbering comes near the right one, so no further margin is needed: nine presses
     already decide.
     """
+    if _leaves_out_driven(order.pairs):
+        return None
     few, near = evenly_spread(len(changes), _FEW), order.registered.registration
     before = turned_likelihood(sheet, order.pairs, changes[few], place_mm[few], near)
     numberings = list(_numberings(order.pairs, sheet.electrode_count))
@@ -118,6 +121,17 @@ def _other_numbering(
     if not (found.trusted and found.signal_share > _LEAST_SIGNAL and likelier):
         return None
     return ElectrodeOrder(registered, pairs, (f"{words}: {_share_words(order.registered, registered)}",))
+
+
+def _leaves_out_driven(pairs: Indices) -> bool:
+    """Whether a pattern measures with every pair that is clear of the driven electrodes, and with no other.
+
+    Then driving and measuring electrodes are numbered alike: by another numbering it would measure at driven ones.
+    """
+    drives, measures = (np.unique(part, axis=0) for part in (pairs[:, :2], pairs[:, 2:]))
+    at_driven = (drives[:, None, :, None] == measures[None, :, None, :]).any(axis=(2, 3))
+    clear = len(np.unique(pairs, axis=0)) == np.count_nonzero(~at_driven)
+    return bool(at_driven.any()) and clear and not measures_at_driven(pairs).any()
 
 
 def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:

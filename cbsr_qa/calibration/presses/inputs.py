@@ -21,6 +21,8 @@ _ALIKE = 1e-6
 #: Presses were made in the order of their places if these explain more than half of the times' variance, which they
 #: do by chance in one case of a thousand.
 _UNORDERED, _BY_CHANCE = 0.5, 1e-3
+#: Smallest change: the fourth power of smaller ones is no float of full precision.
+_SMALLEST = 1e-60
 _WHAT_READINGS = "give the readings of the presses, several pairs of electrodes each"
 
 
@@ -121,6 +123,7 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
     some = np.any(changes != 0, axis=1)
     if not some.any():
         raise RecordingError(f"{readings.path}: no reading changes in any row", remedy=_WHAT_READINGS)
+    _refuse_tiny(readings)
     directions = changes[some] / np.linalg.norm(changes[some], axis=1, keepdims=True)
     if np.ptp(directions, axis=0).max() < _ALIKE:
         raise RecordingError(
@@ -143,6 +146,18 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
                 " press appears twice",
                 remedy="leave out one of the two, in both tables",
             )
+
+
+def _refuse_tiny(readings: PressReadings) -> None:
+    """Refuse readings whose powers are below the smallest floats; RecordingError names them."""
+    largest = np.abs(readings.changes).max(axis=1)
+    tiny = np.flatnonzero((largest > 0) & (largest < _SMALLEST))
+    if tiny.size:
+        raise RecordingError(
+            f"{readings.path}: the largest change in row {tiny[0] + 1} is {largest[tiny[0]]:.3g}, and {tiny.size} of"
+            f" {len(largest)} rows change by so little; at least {_SMALLEST:g} is allowed, or no change",
+            remedy="give the readings in a smaller unit",
+        )
 
 
 def check_near(presses: PressTable, radius_mm: float) -> None:

@@ -19,6 +19,7 @@ from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_r
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
 from cbsr_qa.calibration.presses.likeness import answering_side
+from cbsr_qa.calibration.presses.odd_labels import far_from_their_labels, off_the_sheet, unused_electrodes
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain import Array, CalibrationError, Mask, NumericsError, RecordingError
 from cbsr_qa.domain.results import (
@@ -132,7 +133,12 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
         if (values := getattr(presses, f"{name}_{unit}")) is not None
     }
     hardly = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
-    about_readings = *dead.findings, *_range_findings(clipped, presses.place_mm)
+    held_out = learned.held_out
+    about_presses = (*far_from_their_labels(presses, np.flatnonzero(used)[held_out.presses], held_out.found_mm),)
+    if registration.trusted:
+        about_presses += (*off_the_sheet(presses, registration),)
+    unused = unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
+    about_readings = *unused, *dead.findings, *_range_findings(clipped, presses.place_mm), *about_presses
     about_sheet = *about_readings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
     findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.by_place() else [])
     modelled = _modelled(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)

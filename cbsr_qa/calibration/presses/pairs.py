@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cbsr_qa.domain import Array, CalibrationError, Indices
+from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 
 #: Reversed pairs of the same reading: order of source, sink, plus and minus, and its sign.
 _POLARITIES = (((0, 1, 2, 3), 1), ((0, 1, 3, 2), -1), ((1, 0, 2, 3), -1), ((1, 0, 3, 2), 1))
@@ -37,6 +37,12 @@ class DistinctPairs:
         merging = np.zeros((len(pairs), len(order)))
         merging[np.arange(len(pairs)), rank] = 1 / repeats[rank]
         return cls(pairs[first[order]], repeats, merging)
+
+
+def measures_at_driven(pairs: Indices) -> Mask:
+    """Which of pairs (m, 4) measure at an electrode that they drive."""
+    at_driven: Mask = (pairs[:, :2, None] == pairs[:, None, 2:]).any(axis=(1, 2))
+    return at_driven
 
 
 def matched_readings(wanted: Indices, given: DistinctPairs) -> Array:

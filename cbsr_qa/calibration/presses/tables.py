@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.presses.pairs import measures_at_driven
 from cbsr_qa.domain import Array, Indices, RecordingError
 from cbsr_qa.domain.results import SourceFile
 
@@ -30,6 +31,8 @@ _OPTIONAL: Final = ("depth_mm", "force_N", "time_s")
 #: Names of columns, and rows of cells.
 _Cells = tuple[tuple[str, ...], Sequence[Sequence[object]]]
 _QUANTITIES: Final = {name.rpartition("_")[0]: name for name in (*_PLACE, *_OPTIONAL)}
+#: Largest share of a pattern's pairs that measure at driven electrodes by mistake: if more do, that is its kind.
+_FEW_AT_DRIVEN: Final = 0.1
 #: Most electrodes of a pattern.
 _MOST_ELECTRODES: Final = 256
 
@@ -175,8 +178,8 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
     Raises
     ------
     RecordingError
-        As for :func:`read_table`; if a column is missing, or a cell is not an electrode of the sensor or paired with
-        itself.
+        As for :func:`read_table`; if a column is missing, a cell is not an electrode of the sensor or paired with
+        itself, or a few pairs measure at an electrode that they drive and all others do not.
     """
     table = read_table(path)
     missing = [name for name in _PAIR_COLUMNS if name not in table.columns]
@@ -226,6 +229,13 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
             yield f"row {row}, column sink: current from electrode {source:g} to itself"
         if plus == minus:
             yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
+    at_driven = np.flatnonzero(measures_at_driven(values.astype(np.int64)))
+    if len(at_driven) <= _FEW_AT_DRIVEN * len(values):
+        for row in at_driven.tolist():
+            yield (
+                f"row {row + 1}: {','.join(f'{number:g}' for number in values[row])} measures at an electrode that it"
+                f" drives, which {len(values) - len(at_driven)} of the {len(values)} pairs do not"
+            )
 
 
 def _csv(path: Path) -> _Cells:

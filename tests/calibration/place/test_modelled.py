@@ -1,5 +1,7 @@
 """Places by the modelled sheet, registered from nine presses: right on sheets as modelled, flagged on others."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, pressed_sheet, some
@@ -44,14 +46,21 @@ def test_presses_of_a_real_skin_are_flagged_as_not_as_modelled(skins, name):
     assert not places.in_model[(places.flags & Flag.NOT_AS_MODELLED) > 0].any()
 
 
-def test_the_modelled_sheet_takes_over_beyond_the_presses():
-    """Pressed in its inner half; beyond, what was learned errs by centimetres."""
+@pytest.fixture(scope="module")
+def inner():
+    """A sheet pressed in its inner half, and what was learned from forty of the presses."""
     pressed = pressed_sheet(500, seed=32, noise=0.05, reach=0.8)
     away = np.linalg.norm(pressed.places_mm, axis=1)
-    inner, outer = np.flatnonzero(away < 29)[:40], np.flatnonzero(away > 40)[:150]
-    modelled, learned = registered(pressed, inner)
+    return pressed, away, *registered(pressed, np.flatnonzero(away < 29)[:40])
+
+
+def test_the_modelled_sheet_takes_over_beyond_the_presses(inner):
+    """What was learned errs by centimetres there."""
+    pressed, away, modelled, learned = inner
+    outer = np.flatnonzero(away > 40)[:150]
     truth, alone = pressed.labels_mm[outer], PlaceEstimator(learned.place.model)
-    both = PlaceEstimator(learned.place.model, modelled)(pressed.changes[outer])
+    error_mm = learned.place.held_out.mean_mm
+    both = PlaceEstimator(learned.place.model, modelled, held_out_mm=error_mm)(pressed.changes[outer])
     errors = [np.linalg.norm(found.place_mm - truth, axis=1) for found in (alone(pressed.changes[outer]), both)]
     assert errors[1].mean() < 0.3 * errors[0].mean()
     taken = both.in_model & ((both.flags & Flag.OUTSIDE) > 0)
@@ -59,6 +68,30 @@ def test_the_modelled_sheet_takes_over_beyond_the_presses():
     error = (both.place_mm - truth)[taken]
     ratio = np.einsum("na,na->n", error, np.linalg.solve(both.covariance_mm2[taken], error[:, :, None])[:, :, 0])
     assert (ratio <= alone.q95).mean() > 0.8  # the pose's own error is the same for all of one draw
+
+
+def test_a_learned_place_is_kept_where_a_wrong_model_sees_the_touch_beyond_the_presses(inner):
+    """As on an elliptic sheet, which the model may explain at places centimetres off."""
+    pressed, away, _, learned = inner
+    frames, model = pressed.changes[np.flatnonzero(away < 29)[40:]], learned.place.model
+    wrong = ModelledEstimator(learned.modelled, replace(learned.registration, scale=3.0))
+    alone, both = (PlaceEstimator(model, each)(frames) for each in (None, wrong))
+    kept = alone.in_model & ((alone.flags & Flag.OUTSIDE) == 0)
+    assert kept.mean() > 0.8
+    assert (np.linalg.norm(wrong(frames).place_mm - alone.place_mm, axis=1) > 30)[kept].mean() > 0.3
+    assert np.array_equal(both.place_mm[kept], alone.place_mm[kept])
+    assert np.array_equal(both.flags[kept], alone.flags[kept])
+
+
+def test_a_model_that_misses_the_presses_does_not_take_over(inner):
+    pressed, away, _, learned = inner
+    outer, model = pressed.changes[np.flatnonzero(away > 40)[:20]], learned.place.model
+    poor = ModelledEstimator(replace(learned.modelled, variance_mm2=200.0), learned.registration)
+    assert poor.error_mm == 20.0
+    places = PlaceEstimator(model, poor, held_out_mm=0.3)(outer)
+    assert np.array_equal(places.place_mm, PlaceEstimator(model)(outer).place_mm)
+    taken = PlaceEstimator(model, poor, held_out_mm=3.0)(outer)  # what was learned is poor too
+    assert not np.array_equal(places.place_mm, taken.place_mm)
 
 
 def test_two_touches_and_missing_readings_are_not_in_the_model():

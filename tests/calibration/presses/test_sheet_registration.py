@@ -156,6 +156,13 @@ def test_measuring_electrodes_that_are_numbered_from_elsewhere_are_named():
     np.testing.assert_array_equal(order.pairs, pressed.pairs)
 
 
+def test_a_pattern_that_leaves_out_what_it_drives_is_numbered_as_it_says(skins):
+    """Other numberings explain the plain skin a little better, but would measure at driven electrodes."""
+    skin = skins("no_pattern")
+    rows = np.random.default_rng(1).permutation(len(skin.labels_mm))[:39]
+    assert not ordered(some(skin, rows)).findings
+
+
 def test_electrodes_numbered_the_other_way_round_are_a_mirrored_sheet():
     order = ordered(pressed_sheet(40, wired=-np.arange(16) % 16))
     assert order.registered.registration.mirrored

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from pressed_sheets import adjacent_pairs
 
 from cbsr_qa.calibration.presses.tables import read_pairs, read_presses, read_table
 from cbsr_qa.domain import RecordingError
@@ -100,3 +101,13 @@ def test_pairs_that_are_none_are_refused(tmp_path, row, why):
 def test_a_pattern_without_its_columns_is_refused(tmp_path):
     with pytest.raises(RecordingError, match="missing: sink"):
         read_pairs(written(tmp_path, "source,drain,plus,minus\n0,1,2,3\n"), 16)
+
+
+def test_a_pair_that_measures_at_a_driven_electrode_as_no_other_does_is_refused(tmp_path):
+    pairs = [",".join(map(str, pair)) for pair in adjacent_pairs().tolist()]
+    pairs[2] = "0,1,0,4"
+    text = "\n".join(["source,sink,plus,minus", *pairs])
+    with pytest.raises(RecordingError, match="row 3: 0,1,0,4 measures at an electrode that it drives, which 207 of"):
+        read_pairs(written(tmp_path, text), 16)
+    every = [f"0,8,{plus},{(plus + 1) % 16}" for plus in range(16)]  # a quarter of such a pattern does
+    assert len(read_pairs(written(tmp_path, "\n".join(["source,sink,plus,minus", *every])), 16)) == 16

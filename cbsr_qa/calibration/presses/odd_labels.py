@@ -1,0 +1,71 @@
+"""Remarks on single presses whose place may be wrong, and on electrodes that no pair uses."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.presses.tables import PressTable
+from cbsr_qa.domain import Array, Indices
+from cbsr_qa.domain.results import SheetRegistration
+
+#: Times the median error of presses left out by which the place of one is doubtful. For normal errors in two
+#: dimensions one press of 10^19 errs by so much.
+_MANY_TIMES: Final = 8.0
+#: Share of the largest such error: a wrong place misplaces its neighbours too, by less.
+_OF_LARGEST: Final = 0.6
+#: Standard errors of the pose by which a place must lie outside the sheet.
+_CLEARLY: Final = 2.0
+_MOST_NAMED: Final = 5
+
+
+def off_the_sheet(presses: PressTable, registration: SheetRegistration) -> Iterator[str]:
+    """Name presses whose places lie a little outside the registered sheet."""
+    away_mm = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
+    variance = np.linalg.eigvalsh(registration.covariance_mm2(presses.place_mm))[:, -1]
+    beyond_mm = away_mm - registration.radius_mm
+    rows = np.flatnonzero(beyond_mm > _CLEARLY * np.sqrt(variance) / registration.scale)
+    if rows.size:
+        named = _named(rows, [f"{beyond:.1f} mm beyond its edge" for beyond in beyond_mm[rows[:_MOST_NAMED]]])
+        yield f"{_count(rows)} outside the sheet of {registration.radius_mm:.3g} mm radius: {named}; check the labels"
+
+
+def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -> Iterator[str]:
+    """Name presses that were found far from their labels without learning from them.
+
+    Parameters
+    ----------
+    rows : (k,) of the presses left out.
+    found_mm : (k, 2) where they were found.
+    """
+    error_mm = np.linalg.norm(found_mm - presses.place_mm[rows], axis=1)
+    usual_mm = float(np.median(error_mm))
+    odd = np.flatnonzero(error_mm > max(_MANY_TIMES * usual_mm, _OF_LARGEST * error_mm.max()))
+    odd = odd[np.argsort(-error_mm[odd], kind="stable")]
+    if odd.size:
+        named = _named(rows[odd], [f"{error:.3g} mm" for error in error_mm[odd[:_MOST_NAMED]]])
+        yield (
+            f"{_count(odd)} far from where the other presses place it, {named}; the median is {usual_mm:.2g} mm:"
+            " check the labels and the readings"
+        )
+
+
+def unused_electrodes(pairs: Indices, electrodes: int) -> Iterator[str]:
+    """Name electrodes of the sensor type that no pair (m, 4) uses."""
+    unused = np.setdiff1d(np.arange(electrodes), pairs)
+    if unused.size:
+        runs = np.split(unused, np.flatnonzero(np.diff(unused) > 1) + 1)
+        named = ", ".join(f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
+        yield (
+            f"no pair uses electrodes {named} of the {electrodes} of the sensor type: check its number of electrodes,"
+            " and the pattern"
+        )
+
+
+def _count(rows: Indices) -> str:
+    return "1 press is" if len(rows) == 1 else f"{len(rows)} presses are each"
+
+
+def _named(rows: Indices, words: list[str]) -> str:
+    more = ", …" if len(rows) > len(words) else ""
+    return ", ".join(f"row {row + 1} by {each}" for row, each in zip(rows, words, strict=False)) + more
