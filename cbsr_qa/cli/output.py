@@ -40,9 +40,21 @@ def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json:
     if as_json:
         emit_json(json_document(outcome.result))
         return outcome.exit_code
+    paint = _COLOURS.get(outcome.page.banner.tone, "") if _coloured() else ""
     for line in terminal_lines(outcome.page, outcome.sections):
-        say(line)
+        say(f"{paint}{line}{_PLAIN}" if paint else line)
+        paint = ""
     return outcome.exit_code
+
+
+#: Colours of the first line of a verdict, by the tone of its banner; the line has the word in any case.
+_COLOURS: Final = {"pass": "\x1b[1;32m", "marginal": "\x1b[1;33m", "fail": "\x1b[1;31m", "not-measured": "\x1b[1;35m"}
+_PLAIN: Final = "\x1b[0m"
+
+
+def _coloured() -> bool:
+    """Whether stdout is a terminal that shows colours, and nobody has asked for none (https://no-color.org)."""
+    return any(_on_terminal) and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def say(text: str = "") -> None:
@@ -97,6 +109,7 @@ def claim_stdout(stream: TextIO | None = None) -> None:
     if stdout is None or sys.stdout is not stdout:
         return
     stdout.flush()
+    _on_terminal[:] = [stdout.isatty()]
     own = stdout.fileno()
     if stream is None:
         stream = os.fdopen(os.dup(own), "w", encoding=stdout.encoding, errors=stdout.errors)
@@ -110,6 +123,9 @@ def _stream() -> TextIO | None:
 
 #: The original stdout.
 _claimed: TextIO | None = None
+
+#: Whether it is a terminal; a child process hands its output to its parent, who prints it there.
+_on_terminal: Final[list[bool]] = []
 
 #: Why output was lost; a command continues without a reader, and its exit code reports its result.
 _lost: list[str] = []

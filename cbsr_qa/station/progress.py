@@ -1,10 +1,12 @@
-"""Progress display of a run on stderr: phase, current step, remaining time."""
+"""Progress display of a run on stderr: press, place, force, noise, current step, remaining time."""
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Self, TextIO
+from typing import TYPE_CHECKING, Any, Final, Self, TextIO
 
+from cbsr_qa.domain.plan import Release
 from cbsr_qa.domain.run import (
     PhaseStarted,
     RunContinued,
@@ -12,27 +14,41 @@ from cbsr_qa.domain.run import (
     RunEvent,
     RunPaused,
     RunStarted,
+    SamplesTaken,
     StepRetried,
     StepStarted,
 )
-from cbsr_qa.station.plan import describe, duration
+from cbsr_qa.station.control import RunStatus
+from cbsr_qa.station.noise import NoiseSoFar
+from cbsr_qa.station.plan import duration
 from cbsr_qa.system import Clock, VirtualClock
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 
+#: A log has no more than one line a minute beside those of phases and presses [s].
+_QUIET_S: Final = 60.0
+
+
 class RunProgress:
-    """A subscriber that displays a run: a bar on a terminal, otherwise one line per phase.
+    """A subscriber that displays a run: a bar on a terminal, otherwise one line per phase and per press.
 
     The bar's thread only reads the clock, so that the time left counts down through a rest of four minutes without
     documents. On a virtual clock a percentage is shown instead. Leaving the context removes the bar, even if the run
     was refused. The stream is by default stderr.
+
+    Parameters
+    ----------
+    status : knows which press of how many is under way; it must see every event first.
     """
 
-    def __init__(self, phases: int, clock: Clock, *, stream: TextIO | None = None) -> None:
+    def __init__(self, phases: int, clock: Clock, status: RunStatus, *, stream: TextIO | None = None) -> None:
         self._phases = phases
         self._clock = clock
+        self._status = status
+        self._noise = NoiseSoFar()
+        self._said_s = time.monotonic()
         self._stream = stream or sys.stderr
         self._phase: PhaseStarted | None = None
         self._bar: _Bar | None = None
@@ -45,6 +61,7 @@ class RunProgress:
         self._close()
 
     def __call__(self, event: RunEvent) -> None:
+        self._noise(event)
         match event:
             case RunStarted() if self._stream.isatty():
                 self._bar = _Bar(self._clock, self._stream)
@@ -52,6 +69,8 @@ class RunProgress:
                 self._phase, self._announced = event, False
             case StepStarted():
                 self._step(event)
+            case SamplesTaken():
+                self._sampled()
             case RunPaused(by=by):
                 self._say(f"paused by {by}: the head is up; cbsr-qa station continue NAME lets the run go on")
             case RunContinued(by=by):
@@ -63,10 +82,43 @@ class RunProgress:
 
     def _step(self, event: StepStarted) -> None:
         if self._bar is not None:
-            self._bar.show(self._name(), describe(event.step), event.time_s, event.remaining_s)
-        elif not self._announced and self._phase is not None:
+            self._bar.timed(event.time_s, event.remaining_s)
+            self._bar.show(self._name(), self._live())
+            return
+        if not self._announced and self._phase is not None:
             self._announced = True
             self._say(f"{self._name()}: {duration(event.remaining_s)} of station time left")
+        if isinstance(event.step, Release):  # the head is still down: its force is that of the hold
+            facts = self._status.facts()
+            if facts["load"] is not None:
+                self._say(f"{', '.join(self._figures(facts))}, {duration(event.remaining_s)} left")
+        elif time.monotonic() - self._said_s >= _QUIET_S:
+            self._say(f"{self._live()}, {duration(event.remaining_s)} left")
+
+    def _sampled(self) -> None:
+        """Show the latest force."""
+        if self._bar is not None:
+            self._bar.show(self._name(), self._live())
+        elif time.monotonic() - self._said_s >= _QUIET_S:
+            self._say(self._live())
+
+    def _live(self) -> str:
+        """Return press, place, force, noise and step as one line."""
+        facts = self._status.facts()
+        figures, step = self._figures(facts), str(facts["step"])
+        return f"{', '.join(figures)}: {step}" if figures else step
+
+    def _figures(self, facts: dict[str, Any]) -> list[str]:
+        load, force_N, percent = facts["load"], facts["force_N"], self._noise.percent
+        figures = []
+        if load is not None:
+            place = f"{load['label']} at ({load['x_mm']:g}, {load['y_mm']:g}) mm"
+            figures.append(f"press {load['number']} of {load['of']}, {place}")
+        if force_N is not None:
+            figures.append(f"{force_N:.2f} N")
+        if percent is not None:
+            figures.append(f"noise {percent:.2g} % of the reading")
+        return figures
 
     @contextmanager
     def paused(self) -> Iterator[None]:
@@ -86,6 +138,7 @@ class RunProgress:
         return f"{self._phase.name} ({self._phase.index + 1} of {self._phases})"
 
     def _say(self, line: str) -> None:
+        self._said_s = time.monotonic()
         if self._bar is not None:
             self._bar.say(line)
         else:
@@ -108,11 +161,13 @@ class _Bar:
         self._bar, self._task = _rich_bar(stream, self._left)
         self._bar.start()
 
-    def show(self, phase: str, doing: str, now_s: float, remaining_s: float) -> None:
+    def timed(self, now_s: float, remaining_s: float) -> None:
         self._total_s = max(self._total_s or 0.0, remaining_s)
         self._ends_s = now_s + remaining_s
-        done_s = self._total_s - remaining_s
-        self._bar.update(self._task, total=self._total_s, completed=done_s, phase=phase, doing=doing)
+        self._bar.update(self._task, total=self._total_s, completed=self._total_s - remaining_s)
+
+    def show(self, phase: str, doing: str) -> None:
+        self._bar.update(self._task, phase=phase, doing=doing)
 
     def say(self, line: str) -> None:
         self._bar.console.print(line, markup=False, highlight=False)

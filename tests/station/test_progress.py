@@ -2,18 +2,23 @@
 
 import io
 
+import numpy as np
 import pytest
 
 from cbsr_qa.domain import InstrumentError
-from cbsr_qa.domain.plan import Hold, Press, Release
-from cbsr_qa.domain.run import Load, PhaseStarted, RunStarted, StepStarted
+from cbsr_qa.domain.plan import AcquireFrames, Hold, Press, Release
+from cbsr_qa.domain.readings import FrameBlock, VoltageUnit
+from cbsr_qa.domain.run import FramesTaken, Load, PhaseStarted, RunStarted, StepStarted
+from cbsr_qa.station.control import RunStatus
 from cbsr_qa.station.execution import execute
+from cbsr_qa.station.noise import NoiseSoFar
 from cbsr_qa.station.plan import PlannedPhase
 from cbsr_qa.station.progress import RunProgress
 from cbsr_qa.system import RealClock, VirtualClock
 from cbsr_qa.testing import FixedSequence, Script, example_identity, example_plan, raising, scripted_bench
 
-CYCLE = FixedSequence((Press(Load("L0", 0, 0, 0.2, 0)), Hold(60, acquire=True), Release(), Hold(60, acquire=True)))
+PRESS = Press(Load("L0", 0, 0, 0.2, 0))
+CYCLE = FixedSequence((PRESS, Hold(60, acquire=True), Release(), Hold(60, acquire=True)))
 
 
 class Terminal(io.StringIO):
@@ -26,21 +31,32 @@ class SlowTerminal(Terminal):
         raise OSError("gone")
 
 
+def planned(plan):
+    status = RunStatus(None)
+    presses = [((phase, 0), PRESS) for phase in range(len(plan.phases))]
+    status.plan({n: phase.name for n, phase in enumerate(plan.phases)}, presses, frozenset())
+    return status
+
+
 def shown(stream, *, script=None, listeners=()):
     script = script or Script(VirtualClock())
     plan = example_plan(*(PlannedPhase(f"[bold]{name}", "fixed", CYCLE) for name in ("first", "second")))
     bench = scripted_bench(script, plan.sensor_type)
     warnings = []
-    with RunProgress(len(plan.phases), script.clock, stream=stream) as progress:
-        subscribers = [lambda event: None, progress, *listeners]
+    status = planned(plan)
+    with RunProgress(len(plan.phases), script.clock, status, stream=stream) as progress:
+        subscribers = [lambda event: None, status, progress, *listeners]
         execute(plan, example_identity(), bench, script.clock, subscribers, warn=warnings.append)
     return warnings
 
 
-def test_without_a_terminal_there_is_one_line_a_phase(capsys):
+def test_without_a_terminal_there_is_one_line_a_phase_and_a_press(capsys):
     stream = io.StringIO()
     assert shown(stream) == []
-    first, second = stream.getvalue().splitlines()
+    first, press, second, other = stream.getvalue().splitlines()
+    assert press.startswith("press 1 of 2, L0 at (0, 0) mm, ")
+    assert press.endswith(" N, 3 min left")
+    assert other.startswith("press 2 of 2, L0 at (0, 0) mm, ")
     assert first.startswith("[bold]first (1 of 2): 4 min of station time left")
     assert second.startswith("[bold]second (2 of 2): 2 min of station time left")
     assert capsys.readouterr() == ("", "")
@@ -50,7 +66,7 @@ def test_by_default_it_goes_to_stderr_alone(capsys):
     shown(None)
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.count("\n") == 2
+    assert said.err.count("\n") == 4
 
 
 def test_a_retry_is_said():
@@ -73,7 +89,7 @@ def test_on_a_terminal_phase_and_doing_are_plain_text_and_the_bar_goes_away(caps
 @pytest.mark.parametrize(("clock", "said"), [(VirtualClock(), "50 %"), (RealClock(), "3 min left")])
 def test_time_left_in_real_time_and_percent_in_virtual(clock, said):
     stream = Terminal()
-    with RunProgress(2, clock, stream=stream) as progress:
+    with RunProgress(2, clock, RunStatus(None), stream=stream) as progress:
         progress(RunStarted(example_identity()))
         progress(PhaseStarted(0, "first", "fixed", clock.now()))
         progress(StepStarted(0, 0, Release(), clock.now(), 400.0))
@@ -92,7 +108,7 @@ def test_the_bar_makes_room_while_somebody_is_asked():
     stream, seen = Terminal(), []
     plan = example_plan(PlannedPhase("first", "fixed", CYCLE))
     script = Script(VirtualClock())
-    with RunProgress(1, script.clock, stream=stream) as progress:
+    with RunProgress(1, script.clock, RunStatus(None), stream=stream) as progress:
 
         def asking():
             with progress.paused():
@@ -104,3 +120,18 @@ def test_the_bar_makes_room_while_somebody_is_asked():
     with progress.paused():
         seen.append(progress._bar)
     assert seen == [False, True, None]
+
+
+def test_noise_is_pooled_over_steps_without_the_drift_between_them():
+    noise, random = NoiseSoFar(), np.random.default_rng(23)
+    for number, mean in enumerate((1.0, 1.5)):
+        noise(StepStarted(0, number, AcquireFrames(400), 0.0, 0.0))
+        voltages = mean + 0.003 * random.standard_normal((400, 4, 5))
+        flags = np.zeros(voltages.shape, dtype=np.uint8)
+        noise(FramesTaken(0, FrameBlock(np.arange(400.0), voltages, flags, VoltageUnit.VOLT, None)))
+    assert noise.percent == pytest.approx(100 * 0.003 / 1.5, rel=0.03)
+    noise(StepStarted(0, 2, PRESS, 0.0, 0.0))
+    noise(StepStarted(0, 3, AcquireFrames(1), 0.0, 0.0))
+    before = noise.percent
+    noise(FramesTaken(0, FrameBlock(np.arange(400.0), 9 * voltages, flags, VoltageUnit.VOLT, None)))
+    assert noise.percent == before

@@ -245,7 +245,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
     tries = "" if result.sensor_history is None else result.sensor_history.words
     facts = [
         *([("Sensor", tries)] if tries else []),
-        ("Run", identity.words),
+        ("Run", f"{identity.words}, by {identity.operator}" if identity.operator else identity.words),
         ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s of computing"),
         ("Rows", tested.chain.words),
         *([("Gate", gate_words(tested.gate))] if tested.gate else []),

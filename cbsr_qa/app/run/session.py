@@ -48,6 +48,7 @@ from cbsr_qa.station import (
     plan_of,
     station_clock,
 )
+from cbsr_qa.station.control import RunStatus
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.charts import charts_after
 from cbsr_qa.system import RealClock, Redelivery, Stages
@@ -226,15 +227,17 @@ class Session:
             gate=self._gate,
         )
         sinks = EventSinks(configuration.station.events, self._plugins, identity, self.warnings.append)
+        watching = self._watching()
+        status = RunStatus(None) if self._control is None else self._control.status
         try:
-            with RunProgress(len(self._plan.phases), self._clock) as progress:
+            with RunProgress(len(self._plan.phases), self._clock, status) as progress:
                 self._progress = progress
                 return execute(
                     self._plan,
                     identity,
                     self._bench,
                     self._clock,
-                    [journal, *self._watching(), progress, self._hooks(identity), sinks],
+                    [journal, *watching, progress, self._hooks(identity), sinks],
                     done=self._done.loads,
                     ended=self._done.phases,
                     ask=self._ask,

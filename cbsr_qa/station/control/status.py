@@ -92,6 +92,11 @@ class RunStatus:
                 "warnings": list(self._warnings),
             }
 
+    def facts(self) -> dict[str, Any]:
+        """Return the state without the list of loads and the warnings."""
+        with self._lock:
+            return dict(self._facts)
+
     def _follow(self, event: RunEvent) -> None:
         match event:
             case RunStarted(identity=identity):

@@ -7,10 +7,12 @@ from .lists import (
     sensor_runs as sensor_runs,
 )
 from .report import (
+    counts_words as counts_words,
     runs_csv as runs_csv,
     runs_outcome as runs_outcome,
     sensors_csv as sensors_csv,
     sensors_outcome as sensors_outcome,
+    yield_words as yield_words,
 )
 from .summary import (
     local_day as local_day,

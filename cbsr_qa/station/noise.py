@@ -1,0 +1,64 @@
+"""Noise of the readings so far, cheap enough for a display."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.plan import AcquireFrames, Press, Release
+from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
+from cbsr_qa.domain.run import FramesTaken, RunEvent, StepStarted
+
+#: Fewer degrees of freedom give no figure.
+_LEAST: Final = 5
+
+
+class NoiseSoFar:
+    """A subscriber that knows the noise of the frames a run has counted off with the head up.
+
+    Variances are pooled over steps, each about its own mean: a drift between steps is no noise. Frames during a
+    rest after a press are left out, since the sheet still recovers in them.
+    """
+
+    def __init__(self) -> None:
+        self._counts = self._pressed = False
+        self._frames = 0
+        self._freedom = 0
+        self._mean: NDArray[np.float64] | None = None
+        self._squares: NDArray[np.float64] | None = None
+        self._unusable: NDArray[np.bool_] | None = None
+
+    def __call__(self, event: RunEvent) -> None:
+        match event:
+            case StepStarted(step=step):
+                if isinstance(step, Press | Release):
+                    self._pressed = isinstance(step, Press)
+                self._counts = isinstance(step, AcquireFrames) and not self._pressed
+                self._frames = 0
+            case FramesTaken(frames=frames) if self._counts:
+                self._add(frames)
+
+    @property
+    def percent(self) -> float | None:
+        """Median over readings of the standard deviation of a frame, in per cent of the reading; None if unknown."""
+        if self._freedom < _LEAST or self._squares is None or self._mean is None or self._unusable is None:
+            return None
+        used = ~self._unusable & (self._mean != 0)
+        if not used.any():
+            return None
+        deviation = np.sqrt(self._squares[used] / self._freedom)
+        return float(100 * np.median(deviation / np.abs(self._mean[used])))
+
+    def _add(self, frames: FrameBlock) -> None:
+        for voltages, flags in zip(frames.voltages, frames.flags & UNUSABLE, strict=True):
+            if self._mean is None or self._squares is None or self._unusable is None:
+                self._squares, self._unusable = np.zeros_like(voltages), np.zeros(voltages.shape, dtype=bool)
+            self._unusable |= flags != 0
+            if not self._frames or self._mean is None:
+                self._mean, self._frames = voltages.copy(), 1
+                continue
+            self._frames += 1
+            self._freedom += 1
+            step = voltages - self._mean
+            self._mean = self._mean + step / self._frames
+            self._squares += step * (voltages - self._mean)
