@@ -227,7 +227,7 @@ def _nan(pressed):
         (_nan, {}, "readings.csv: row 5, column r9: 'nan'"),
         (lambda p: replace(p, changes=0 * p.changes), {}, "readings.csv: no reading changes in any row"),
         (lambda p: replace(p, changes=1e-300 * p.changes), {}, "and 60 of 60 rows change by so little"),
-        (lambda p: replace(p, changes=p.changes[:1] * p.force_N[:, None]), {}, "all 60 rows are proportional"),
+        (lambda p: replace(p, changes=p.changes[:1] * p.force_N[:, None]), {}, "all rows are proportional"),
         (lambda p: _place(p, 3, np.nan), {}, "presses.csv: row 4, column x_mm: 'nan'"),
         (lambda p: _place(p, 3, (46.0, 0.0)), {}, "row 4, columns x_mm and y_mm: (46, 0) mm"),
         (lambda p: _place(p, slice(None), (46.0, 0.0)), {}, "columns x_mm and y_mm: all 60 presses are at one place"),

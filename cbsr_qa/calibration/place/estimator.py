@@ -37,7 +37,7 @@ class PlaceEstimator:
     model : as learned.
     modelled : used where it explains a touch beyond the presses and what was learned does not.
     pairs : (m, 4) source, sink, plus and minus of the readings, for finding those of faulty pairs and electrodes.
-    held_out_mm : mean error of presses left out. ``modelled`` is not used if it misses the presses by many times as
+    held_out_mm : mean error of presses left out, if known. ``modelled`` is not used if it misses the presses by many times as
         much.
 
     Attributes
@@ -50,14 +50,13 @@ class PlaceEstimator:
         model: LearnedPlace,
         modelled: ModelledEstimator | None = None,
         pairs: Indices | None = None,
-        held_out_mm: float = np.inf,
+        held_out_mm: float | None = None,
     ) -> None:
         self._groups = None if pairs is None else FaultyGroups(pairs)
         self._model, self._modelled = model, modelled
-        if modelled is not None and modelled.error_mm > max(
-            _MISSED_REACH * model.reach_mm, _MISSED_TIMES * held_out_mm
-        ):
-            self._modelled = None
+        if modelled is not None and held_out_mm is not None:
+            most_mm = max(_MISSED_REACH * model.reach_mm, _MISSED_TIMES * held_out_mm)
+            self._modelled = modelled if modelled.error_mm <= most_mm else None
         self._kept: dict[bytes, Array] = {}
         self._expected = expected_features(model.templates)
         self.q68, self.q95 = model.mixture.quantiles.tolist()

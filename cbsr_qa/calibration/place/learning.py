@@ -268,6 +268,6 @@ def _drift_words(drift: Drift, wider: Array) -> str:
     """Say how much wider (2,) regions of 68 and 95 % are than those whose coverage is stated."""
     return (
         f"readings drift over the session: regions are widened, those of 68 % by a factor of {wider[0]:.3g} and those"
-        f" of 95 % by {wider[1]:.3g}, to hold until {drift.horizon:g} times its length after the last press; the stated"
-        " coverage is that of regions before widening; press at some known places again before that"
+        f" of 95 % by {wider[1]:.3g}, to hold until {drift.horizon:g} times its length after the last press; the"
+        " stated coverage is that of regions before widening; press at some known places again before that"
     )

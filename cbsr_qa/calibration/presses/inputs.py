@@ -127,7 +127,9 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
     directions = changes[some] / np.linalg.norm(changes[some], axis=1, keepdims=True)
     if np.ptp(directions, axis=0).max() < _ALIKE:
         raise RecordingError(
-            f"{readings.path}: all {len(directions)} rows are proportional to each other, wherever the press was",
+            f"{readings.path}: all rows are proportional to each other, wherever the press was"
+            if len(directions) > 1
+            else f"{readings.path}: only one row with changes",
             remedy=_WHAT_READINGS,
         )
     for first, second in _repeated(changes):

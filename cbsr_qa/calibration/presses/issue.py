@@ -19,7 +19,12 @@ from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_r
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
 from cbsr_qa.calibration.presses.likeness import answering_side
-from cbsr_qa.calibration.presses.odd_labels import far_from_their_labels, off_the_sheet, unused_electrodes
+from cbsr_qa.calibration.presses.odd_labels import (
+    far_from_their_labels,
+    ignored_columns,
+    off_the_sheet,
+    unused_electrodes,
+)
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain import Array, CalibrationError, Mask, NumericsError, RecordingError
 from cbsr_qa.domain.results import (
@@ -138,7 +143,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     if registration.trusted:
         about_presses += (*off_the_sheet(presses, registration),)
     unused = unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
-    about_readings = *unused, *dead.findings, *_range_findings(clipped, presses.place_mm), *about_presses
+    about_readings = *ignored_columns(presses), *unused, *dead.findings, *_range_findings(clipped), *about_presses
     about_sheet = *about_readings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
     findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.by_place() else [])
     modelled = _modelled(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
@@ -254,7 +259,7 @@ def _hardly_told(name: str, quantity: LearnedQuantity) -> Iterator[str]:
 def _ordered(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
     readings, presses = labelled.readings, labelled.presses
     try:
-        return find_electrode_order(
+        order = find_electrode_order(
             sheet,
             readings.distinct.pairs,
             readings.changes,
@@ -265,21 +270,31 @@ def _ordered(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
         raise RecordingError(
             f"{presses.table.path}, columns x_mm and y_mm: {error.reason}", remedy=error.remedy
         ) from error
+    small = _in_metres(presses.place_mm)
+    if not small:
+        return order
+    registration = replace(order.registered.registration, trusted=False, why=small)
+    return replace(order, registered=replace(order.registered, registration=registration))
 
 
-def _range_findings(clipped: float, place_mm: Array) -> Iterator[str]:
-    """Remarks on readings that are cut off, and on places in another unit."""
+def _range_findings(clipped: float) -> Iterator[str]:
+    """Remarks on readings that are cut off."""
     if clipped:
         yield (
             f"{clipped:.1%} of the readings are clipped: they have the same largest or smallest value; lower the gain"
             " or press less hard"
         )
+
+
+def _in_metres(place_mm: Array) -> str:
+    """Say that places are in another unit; empty where they seem to be in millimetres."""
     extent_mm = float(np.linalg.norm(np.ptp(place_mm, axis=0)))
-    if extent_mm < _SMALL_MM:
-        yield (
-            f"all presses lie within {extent_mm:.3g} mm: their places seem to be in metres; x_mm and y_mm are in"
-            " millimetres"
-        )
+    if extent_mm >= _SMALL_MM:
+        return ""
+    return (
+        f"all presses lie within {extent_mm:.3g} mm: their places seem to be in metres; x_mm and y_mm are in"
+        " millimetres"
+    )
 
 
 def _findings(order: ElectrodeOrder, clipped: float, *, radius_stated: bool) -> Sequence[str]:

@@ -1,11 +1,11 @@
-"""Remarks on single presses whose place may be wrong, and on electrodes that no pair uses."""
+"""Remarks on presses whose place may be wrong, on electrodes that no pair uses, and on ignored columns."""
 
 from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.presses.tables import PressTable
+from cbsr_qa.calibration.presses.tables import LABELS, PressTable
 from cbsr_qa.domain import Array, Indices
 from cbsr_qa.domain.results import SheetRegistration
 
@@ -48,6 +48,13 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
             f"{_count(odd)} far from where the other presses place it, {named}; the median is {usual_mm:.2g} mm:"
             " check the labels and the readings"
         )
+
+
+def ignored_columns(presses: PressTable) -> Iterator[str]:
+    """Name columns of the table that are no labels."""
+    others = [name for name in presses.table.columns if name not in LABELS]
+    if others:
+        yield f"{presses.table.path.name}: ignored columns: {', '.join(map(repr, others[:_MOST_NAMED]))}"
 
 
 def unused_electrodes(pairs: Indices, electrodes: int) -> Iterator[str]:

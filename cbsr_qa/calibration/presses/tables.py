@@ -30,7 +30,9 @@ _PLACE: Final = ("x_mm", "y_mm")
 _OPTIONAL: Final = ("depth_mm", "force_N", "time_s")
 #: Names of columns, and rows of cells.
 _Cells = tuple[tuple[str, ...], Sequence[Sequence[object]]]
-_QUANTITIES: Final = {name.rpartition("_")[0]: name for name in (*_PLACE, *_OPTIONAL)}
+#: Columns of a table of presses.
+LABELS: Final = (*_PLACE, *_OPTIONAL)
+_QUANTITIES: Final = {name.rpartition("_")[0]: name for name in LABELS}
 #: Largest share of a pattern's pairs that measure at driven electrodes by mistake: if more do, that is its kind.
 _FEW_AT_DRIVEN: Final = 0.1
 #: Most electrodes of a pattern.
@@ -220,6 +222,9 @@ def _header_problems(columns: Sequence[str]) -> Iterator[str]:
 
 
 def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
+    if values.min() == 1 and values.max() == electrodes:
+        yield f"electrodes are numbered from 1 to {electrodes}; they are counted from 0"
+        return
     for row, numbers in enumerate(values.tolist(), 1):
         for name, number in zip(_PAIR_COLUMNS, numbers, strict=True):
             if not (number.is_integer() and 0 <= number < electrodes):

@@ -215,6 +215,8 @@ def test_warnings_name_what_limits_a_calibration(sheet, learned):
     gains = 1 + np.linspace(0, 2, 60)[:, None] * random.uniform(0.2, 1, 192)
     drifting = learn_place(sheet.changes[LEARNED] * gains, sheet.labels_mm[LEARNED], sheet.pairs, 16)
     assert [warning.split(":")[0] for warning in drifting.warnings] == ["readings drift over the session"]
+    factor = float(drifting.warnings[0].split("68 % by a factor of ")[1].split()[0])
+    assert factor > 1
 
 
 def test_nothing_is_learned_from_nothing(sheet):

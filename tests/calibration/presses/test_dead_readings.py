@@ -109,8 +109,9 @@ def test_clipped_readings_are_blamed_not_the_radius():
 
 def test_places_in_metres_are_named():
     pressed = pressed_sheet(12, scale=1e-3, shift_mm=(0.046, -0.408))
-    found = learn_presses(replace(pressed.labelled(), radius_stated=False)).findings
-    assert "seem to be in metres" in found[0]
+    learned = learn_presses(replace(pressed.labelled(), radius_stated=False))
+    assert "seem to be in metres" in learned.findings[0]
+    assert not learned.registration.trusted
 
 
 def spoilt_presses(pressed, rows, random):

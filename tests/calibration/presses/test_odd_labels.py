@@ -6,7 +6,12 @@ import numpy as np
 from pressed_sheets import pressed_sheet
 
 from cbsr_qa.calibration.presses import learn_presses
-from cbsr_qa.calibration.presses.odd_labels import far_from_their_labels, off_the_sheet, unused_electrodes
+from cbsr_qa.calibration.presses.odd_labels import (
+    far_from_their_labels,
+    ignored_columns,
+    off_the_sheet,
+    unused_electrodes,
+)
 
 
 def test_a_press_with_a_wrong_place_is_named_and_one_off_the_sheet():
@@ -29,6 +34,13 @@ def test_errors_of_usual_size_accuse_no_press():
     labelled, random = pressed_sheet(40, seed=41, noise=0.05).labelled(), np.random.default_rng(0)
     found_mm = labelled.presses.place_mm + random.standard_normal((40, 2))
     assert not list(far_from_their_labels(labelled.presses, np.arange(40), found_mm))
+
+
+def test_columns_that_are_no_labels_are_named():
+    presses = pressed_sheet(2).labelled().presses
+    table = replace(presses.table, columns=("x_mm", "who", "y_mm", "force_N"))
+    assert list(ignored_columns(replace(presses, table=table))) == ["presses.csv: ignored columns: 'who'"]
+    assert not list(ignored_columns(presses))
 
 
 def test_electrodes_that_no_pair_uses_are_named():

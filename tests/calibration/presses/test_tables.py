@@ -103,11 +103,15 @@ def test_a_pattern_without_its_columns_is_refused(tmp_path):
         read_pairs(written(tmp_path, "source,drain,plus,minus\n0,1,2,3\n"), 16)
 
 
-def test_a_pair_that_measures_at_a_driven_electrode_as_no_other_does_is_refused(tmp_path):
+def test_pairs_at_a_driven_electrode_as_no_others_and_electrodes_from_one_are_refused(tmp_path):
     pairs = [",".join(map(str, pair)) for pair in adjacent_pairs().tolist()]
     pairs[2] = "0,1,0,4"
     text = "\n".join(["source,sink,plus,minus", *pairs])
     with pytest.raises(RecordingError, match="row 3: 0,1,0,4 measures at an electrode that it drives, which 207 of"):
+        read_pairs(written(tmp_path, text), 16)
+    from_one = [",".join(map(str, pair)) for pair in (adjacent_pairs() + 1).tolist()]
+    text = "\n".join(["source,sink,plus,minus", *from_one])
+    with pytest.raises(RecordingError, match="csv: electrodes are numbered from 1 to 16; they are counted from 0$"):
         read_pairs(written(tmp_path, text), 16)
     every = [f"0,8,{plus},{(plus + 1) % 16}" for plus in range(16)]  # a quarter of such a pattern does
     assert len(read_pairs(written(tmp_path, "\n".join(["source,sink,plus,minus", *every])), 16)) == 16
