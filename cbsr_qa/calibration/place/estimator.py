@@ -37,8 +37,8 @@ class PlaceEstimator:
     model : as learned.
     modelled : used where it explains a touch beyond the presses and what was learned does not.
     pairs : (m, 4) source, sink, plus and minus of the readings, for finding those of faulty pairs and electrodes.
-    held_out_mm : mean error of presses left out, if known. ``modelled`` is not used if it misses the presses by many times as
-        much.
+    held_out_mm : mean error of presses left out, if known. ``modelled`` is not used if it misses the presses by many
+        times as much.
 
     Attributes
     ----------
