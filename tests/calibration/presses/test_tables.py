@@ -111,7 +111,7 @@ def test_pairs_at_a_driven_electrode_as_no_others_and_electrodes_from_one_are_re
         read_pairs(written(tmp_path, text), 16)
     from_one = [",".join(map(str, pair)) for pair in (adjacent_pairs() + 1).tolist()]
     text = "\n".join(["source,sink,plus,minus", *from_one])
-    with pytest.raises(RecordingError, match="csv: electrodes are numbered from 1 to 16; they are counted from 0$"):
+    with pytest.raises(RecordingError, match=r"csv: electrodes are numbered from 1 to 16; they are counted from 0"):
         read_pairs(written(tmp_path, text), 16)
     every = [f"0,8,{plus},{(plus + 1) % 16}" for plus in range(16)]  # a quarter of such a pattern does
     assert len(read_pairs(written(tmp_path, "\n".join(["source,sink,plus,minus", *every])), 16)) == 16
