@@ -27,10 +27,10 @@ def gate_table(caption: str, answers: Iterable[GateAnswer]) -> Table:
 
 
 def gate_words(answers: Sequence[GateAnswer]) -> str:
-    """Say how many checks there were, and which did not pass: ``5 checks, retest overridden by Ada: …``."""
+    """Say which checks did not pass, of how many: ``5 checks; retest overridden: …``; empty if all passed."""
     asked = [one for one in answers if one.outcome is not GateOutcome.OFF]
     noted = [f"{one.check} {one.outcome}: {one.sentence}" for one in asked if one.outcome in _NOTED]
-    return "; ".join([plural(len(asked), "check"), *(noted or ["all passed"])])
+    return "; ".join([plural(len(asked), "check"), *noted]) if noted else ""
 
 
 def gate_blocks(answers: Sequence[GateAnswer]) -> tuple[Block, ...]:

@@ -248,7 +248,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
         ("Run", f"{identity.words}, by {identity.operator}" if identity.operator else identity.words),
         ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s of computing"),
         ("Rows", tested.chain.words),
-        *([("Gate", gate_words(tested.gate))] if tested.gate else []),
+        *([("Gate", gate)] if (gate := gate_words(tested.gate)) else []),
     ]
     printed = [("Report", str(tested.report or "none"))]
     if tested.calibration is None:
