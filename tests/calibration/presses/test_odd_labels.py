@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from pressed_sheets import pressed_sheet
 
 from cbsr_qa.calibration.presses import learn_presses
@@ -14,6 +15,7 @@ from cbsr_qa.calibration.presses.odd_labels import (
 )
 
 
+@pytest.mark.rest
 def test_a_press_with_a_wrong_place_is_named_and_one_off_the_sheet():
     pressed = pressed_sheet(40, seed=41, noise=0.05)
     labels, centre = pressed.labels_mm.copy(), np.array([46.0, -408.0])
