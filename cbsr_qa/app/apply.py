@@ -150,6 +150,7 @@ _SAID: Final = {
     Flag.OPEN_ELECTRODE: "nothing comes through an electrode: left out",
     Flag.SATURATED: "readings stand at one extreme value: left out",
     Flag.OFFSET: "one offset on all readings: taken out",
+    Flag.MISSING: "some readings are missing: left out",
 }
 
 
