@@ -12,6 +12,8 @@ from killing import write_files
 @pytest.mark.rest
 def test_a_run_is_stopped_in_order_and_no_scan_is_lost_silently(tmp_path):
     write_files(tmp_path)
+    station = tmp_path / "station.toml"  # paced: the run is under way until it is stopped
+    station.write_text(station.read_text().replace('clock = "virtual"', 'clock = "virtual"\nclock_speed = 10', 1))
     with subprocess.Popen(
         [str(PROGRAM), "line", "--station", "station.toml", "--recipe", "recipe.toml"],
         cwd=tmp_path,
