@@ -38,7 +38,7 @@ def line(
     """Test one sensor after the other: scan or type a serial number, wait for its verdict, scan the next.
 
     Ctrl-C during a run stops that run in order; at the prompt it ends, as quit and the end of input do. A scan during
-    a run is said to be ignored. Recipes that ask the operator are refused: use cbsr-qa run.
+    a run is ignored, with a message. Recipes that ask the operator are refused: use cbsr-qa run.
 
     Exit code 0 whatever the verdicts, 2 if a name is not allowed.
     """
@@ -149,16 +149,15 @@ class _Line:
         while True:
             try:
                 kind, text = self._heard.get()
+                if kind == "ended":
+                    return ignored, more
+                more = more and kind != "end"
+                if text:
+                    ignored.append(text)
+                    note(f"{text!r} is ignored: the run of {serial} is under way")
             except KeyboardInterrupt:
                 note(f"stopping the run of {serial} …")
                 process.send_signal(signal.SIGINT)
-                continue
-            if kind == "ended":
-                return ignored, more
-            more = more and kind != "end"
-            if text:
-                ignored.append(text)
-                note(f"{text!r} is ignored: the run of {serial} is under way")
 
 
 def _show(serial: str, printed: str) -> None:
@@ -169,7 +168,7 @@ def _show(serial: str, printed: str) -> None:
         found = {}
     finished = found.get("end") == "finished"
     outcome = str(found.get("outcome", "")) if finished else ""
-    word = outcome.replace("_", " ").replace("-", " ").upper() or "NO VERDICT"
+    word = outcome.upper() or "NO VERDICT"
     rule = "=" * 72
     reason = str(found.get("reason") or "the message above says why")
     note(f"\n{rule}\n  {serial}:  {word}\n  {reason}\n  {_DO.get(outcome, _OTHERWISE)}\n{rule}")

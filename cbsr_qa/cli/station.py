@@ -1,6 +1,7 @@
 """``cbsr-qa station``: looks after a station."""
 
 import getpass
+import signal
 from typing import Annotated
 
 import typer
@@ -8,6 +9,7 @@ import typer
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import announce, operator_at_terminal, read_pin, show
+from cbsr_qa.domain import RefusedError
 
 group("station", "Check stations, and pause or stop the runs at them.")
 
@@ -102,5 +104,20 @@ def stop(
 def _request(station: str, do: str, by: str) -> None:
     from cbsr_qa.station.control import RunChannel
 
-    with RunChannel.connect(station) as channel:
+    try:
+        channel = RunChannel.connect(station)
+    except RefusedError:
+        if not _signalled(station, do):
+            raise
+        return
+    with channel:
         channel.ask(do, by=by or getpass.getuser())
+
+
+def _signalled(station: str, do: str) -> bool:
+    """Stop a process that has no channel by signals: in order, or at once by a second one of another kind."""
+    from cbsr_qa.station.control import station_holder
+
+    signals = {"stop": (signal.SIGTERM,), "emergency": (signal.SIGTERM, signal.SIGINT)}.get(do, ())
+    holder = station_holder(station)
+    return holder is not None and bool(signals) and all(map(holder.send, signals))

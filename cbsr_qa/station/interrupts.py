@@ -171,8 +171,11 @@ class Interrupts:
             self._stop_at_once(name, "a second signal")
 
     def _hear_asked(self) -> None:
-        while self._asked and not (self._masked or self.urgent_by):
-            by, at_once = self._asked.popleft()
+        while not (self._masked or self.urgent_by):
+            try:
+                by, at_once = self._asked.popleft()
+            except IndexError:  # also if a signal's handler took the last one just now
+                return
             if at_once:
                 self._first = by if self._first is None else self._first
                 self._stop_at_once(_INSISTED.format(by), f"an emergency stop by {by}")

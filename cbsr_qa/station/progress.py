@@ -72,7 +72,7 @@ class RunProgress:
             case SamplesTaken():
                 self._sampled()
             case RunPaused(by=by):
-                self._say(f"paused by {by}: the head is up; cbsr-qa station continue NAME lets the run go on")
+                self._say(f"paused by {by}: the head is up; cbsr-qa station continue resumes the run")
             case RunContinued(by=by):
                 self._say(f"continued by {by}")
             case StepRetried(attempt=attempt, why=why):

@@ -4,7 +4,7 @@ import os
 import signal
 import socket
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import command
@@ -15,7 +15,7 @@ from killing import BEGIN, assert_same, came_of, latest_run, write_files
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import EndReason
-from cbsr_qa.station.control import LONGEST_LINE, RunChannel, control_socket, station_held, station_holder
+from cbsr_qa.station.control import RunChannel, control_socket, station_held, station_holder
 
 STATION = "simulated"
 
@@ -27,7 +27,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("CBSR_QA_VAR", "var")
     write_files(tmp_path)
     station = tmp_path / "station.toml"
-    station.write_text(station.read_text().replace('clock = "virtual"', 'clock = "virtual"\nclock_speed = 300'))
+    station.write_text(station.read_text().replace('clock = "virtual"', 'clock = "virtual"\nclock_speed = 60'))
     return tmp_path
 
 
@@ -71,12 +71,18 @@ def paused(channel):
     return state if state["paused"] else None
 
 
+@pytest.fixture
 def garbage():
-    """Connections that send nonsense, too much, nothing, or do not read."""
+    """Open connections that send nonsense, too much, nothing, or do not read; they are closed after the test."""
+    with ExitStack() as opened:
+        yield lambda: pester(opened)
+
+
+def pester(opened):
     sent = (b"\0\xff\n", b"[1]\n", b'{"do": "fly"}\n', b'{"do": "answer", "prompt": true}\n', b"x" * (1 << 17), b"")
     clients = []
     for what in sent * 2:
-        client = socket.socket(socket.AF_UNIX)
+        client = opened.enter_context(socket.socket(socket.AF_UNIX))
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
         client.connect(str(control_socket(STATION)))
         client.setblocking(False)
@@ -88,17 +94,16 @@ def garbage():
                 flood.send(b'{"do": "state"}\n' * 1000)
             except OSError:
                 break
-    return clients
 
 
 @pytest.mark.rest
-def test_a_paused_run_among_clients_that_mean_no_good_is_in_every_bit_the_run_that_was_left_alone(folder):
+def test_a_paused_run_among_clients_that_mean_no_good_is_in_every_bit_the_run_that_was_left_alone(folder, garbage):
     with running(folder, *BEGIN, "--serial", "S-1", "--operator", "Ada") as (process, channel):
         assert channel.hello["serial"] == "S-1"
         assert channel.hello["pid"] == station_holder(STATION).pid != os.getpid()
         until(lambda: pressing(channel))
         channel.ask("pause", by="Grace")
-        pestering = garbage()
+        garbage()
         state = until(lambda: paused(channel))
         assert (state["paused"]["by"], state["pause_wanted"]) == ("Grace", None)
         assert 0 < sum(load["done"] for load in state["loads"]) < len(state["loads"])
@@ -107,33 +112,29 @@ def test_a_paused_run_among_clients_that_mean_no_good_is_in_every_bit_the_run_th
         cbsr_qa(folder, "station", "continue", STATION, "--by", "Ada")
         kinds = [line["type"] for line in channel.lines()]
         assert kinds.index("run_continued") < kinds.index("run_ended")
-    for client in pestering:
-        client.close()
     assert process.exitcode in (0, 1)
     assert not control_socket(STATION).exists()
     assert station_holder(STATION) is None
     come = came_of(folder, latest_run(folder, "S-1"))
     (pause,) = come.record.pauses
     assert (pause.by, pause.continued_by, come.record.end) == ("Grace", "Ada", EndReason.FINISHED)
-    (folder / "station.toml").write_text((folder / "station.toml").read_text().replace("clock_speed = 300", ""))
+    (folder / "station.toml").write_text((folder / "station.toml").read_text().replace("clock_speed = 60", ""))
     cbsr_qa(folder, *BEGIN, "--serial", "S-1", check=False)
     assert_same(came_of(folder, latest_run(folder, "S-1")), come)
     report = next((folder / "var" / "reports").glob(f"*{come.record.identity.run}.html")).read_text()
     assert "Paused by Grace" in report
 
 
-def test_a_run_killed_in_a_pause_leaves_no_lock_and_is_resumed_after_its_last_load(folder):
+def test_a_run_killed_in_a_pause_leaves_no_lock_and_is_resumed_after_its_last_load(folder, garbage):
     with running(folder, *BEGIN, "--serial", "S-1", "--operator", "Ada") as (process, channel):
         until(lambda: pressing(channel))
         channel.ask("pause", by="Ada")
-        pestering = garbage()
+        garbage()
         done = sum(load["done"] for load in until(lambda: paused(channel))["loads"])
         refused = cbsr_qa(folder, *BEGIN, "--serial", "S-2", check=False)
         assert refused.returncode == 2
         assert "station 'simulated' is in use: Ada, process" in refused.stderr
         os.kill(channel.hello["pid"], signal.SIGKILL)
-    for client in pestering:
-        client.close()
     assert process.exitcode == 3
     assert control_socket(STATION).exists()
     assert latest_run(folder, "S-2") is None
@@ -208,4 +209,13 @@ def test_any_station_has_a_socket_in_a_folder_however_deep(folder, monkeypatch, 
         assert "/" not in path.name
         with station_held(name, who="", doing="nothing"):
             assert station_holder(name) is not None
-    assert LONGEST_LINE >= 1 << 20
+
+
+def test_a_run_without_a_channel_is_stopped_by_a_signal(folder):
+    with running(folder, *BEGIN, "--serial", "S-1") as (process, channel):
+        until(lambda: pressing(channel))
+        control_socket(STATION).unlink()
+        cbsr_qa(folder, "station", "stop", STATION)
+        process.join(60)
+    assert process.exitcode == 3
+    assert came_of(folder, latest_run(folder, "S-1")).record.end is EndReason.ABORTED

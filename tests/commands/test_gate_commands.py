@@ -6,7 +6,9 @@ import pytest
 from command import cbsr_qa, document, short_recipe
 from killing import BEGIN, killed, latest_run, write_files
 
+from cbsr_qa.app.run import RunRequest, run_sensor
 from cbsr_qa.config import DocumentKind, open_document
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import GateCheck
 from cbsr_qa.store import open_store
 from cbsr_qa.system import hashed_pin
@@ -105,3 +107,20 @@ def test_a_resumed_run_is_asked_again_what_matters_by_the_present_station_file(t
     assert {one["check"] for one in done["gate"] if one["session"] == 1} == {"calibration_due", "disk", "operator"}
     assert len([one for one in done["gate"] if one["session"] == 0]) == len(GateCheck)
     assert "Asked again before resumption 1 of the run." in (tmp_path / done["report"]).read_text()
+
+
+def test_files_that_change_while_the_pin_is_asked_for_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    text = open_document(DocumentKind.STATION, "simulated").text
+    gate = GATE.format(pin=hashed_pin("4711")).replace('disk = "refuse"\ndisk_GB = 1e6\n', "")
+    (tmp_path / "mine.toml").write_text(text.replace("[indenter]", gate, 1))
+    recipe = tmp_path / short_recipe(tmp_path, metrics=["centre-of-mass-error"])
+
+    def pin(_):
+        recipe.write_text(recipe.read_text().replace("upper = 6.5", "upper = 65"))
+        return "4711"
+
+    request = RunRequest(station=str(tmp_path / "mine.toml"), recipe=str(recipe), serial="S-1", operator="Grace")
+    with pytest.raises(RefusedError, match="files of this run were changed while the gate was asked"):
+        run_sensor(request, pin=pin)
+    assert not list(tmp_path.rglob("*.db"))

@@ -19,7 +19,7 @@ from cbsr_qa.domain.run import (
     RunPaused,
     StepStarted,
 )
-from cbsr_qa.station.control import ControlDesk
+from cbsr_qa.station.control import ControlDesk, Question
 from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.system import VirtualClock, passing
 from cbsr_qa.testing import Script, ScriptedApplicator
@@ -257,3 +257,15 @@ def test_what_cannot_be_done_is_refused_with_the_reason():
     assert desk.state()["stopping"] is None
     with pytest.raises(RefusedError, match="prompt 0 is not open"):
         desk.answer(0, "yes", "Ada")
+
+
+def test_a_stop_asked_for_while_the_bench_is_opened_stops_the_run_even_if_an_answer_came_before():
+    desk = ControlDesk(answers=True)
+    desk.show(Question(0, "Is the ring connected?"))
+    desk.answer(0, "yes", "Ada")
+    desk.stop("Grace")
+    desk.show(None)
+    ended, documents, *_ = run(STEPS, desk=desk)
+    assert ended.end is EndReason.ABORTED
+    assert "by Grace" in ended.detail
+    assert "Press" not in words(documents)

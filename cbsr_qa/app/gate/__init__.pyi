@@ -4,7 +4,7 @@ from .gate import (
     ask_gate as ask_gate,
     gate_refusal as gate_refusal,
 )
-from .instrument_dates import overdue as overdue, past_due as past_due
+from .instrument_dates import past_due as past_due
 from .releases import Released as Released, ReleaseRequest as ReleaseRequest, release_file as release_file
 from .request import GateRequest as GateRequest, Override as Override
 from .shown import GateShown as GateShown, gate_outcome as gate_outcome

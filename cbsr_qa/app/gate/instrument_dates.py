@@ -1,10 +1,8 @@
 """Calibration dates of instruments."""
 
-from collections.abc import Iterable
 from datetime import date
 
 from cbsr_qa.app.gate.request import Asked, Finding
-from cbsr_qa.domain.run import InstrumentIdentity
 
 
 def instruments_in_date(asked: Asked) -> Finding:
@@ -28,12 +26,3 @@ def instruments_in_date(asked: Asked) -> Finding:
 def past_due(calibration_due: str | None, today: date) -> bool:
     """Whether an instrument is past its calibration date; the day itself is not."""
     return calibration_due is not None and date.fromisoformat(calibration_due) < today
-
-
-def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str, ...]:
-    """Return a warning for each instrument past its calibration date."""
-    return tuple(
-        f"the calibration of {instrument.role} ({instrument.model}) was due on {instrument.calibration_due}"
-        for instrument in instruments
-        if past_due(instrument.calibration_due, today)
-    )

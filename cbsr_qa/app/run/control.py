@@ -1,4 +1,4 @@
-"""A run as others see it: it holds its station, tells how it stands, and takes requests."""
+"""A run as others see it: it holds its station, reports its state, and takes requests."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cbsr_qa.config import Configuration
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import Press
 from cbsr_qa.domain.run import RunEvent
-from cbsr_qa.station import LoadKey, Plan, schedule
+from cbsr_qa.station import LoadKey, Plan, on_stderr, schedule
 from cbsr_qa.station.control import ControlDesk, RunServer, RunStatus, station_held
 
 
@@ -76,9 +77,14 @@ class Control:
 
     @contextmanager
     def served(self, station: str, warn: Callable[[str], None]) -> Iterator[None]:
-        """Serve the channel while entered. ``warn``: called if there can be none."""
+        """Serve the channel while entered. ``warn``: called if there can be none.
+
+        RefusedError if there can be none, and prompts are answered over it.
+        """
         with RunServer(station, self.desk, self.hello, self.status.document) as server:
             self._server = server
+            if server.why and self.desk.answers:
+                raise RefusedError(server.why, remedy="prompts of this run are answered over the channel")
             if server.why:
                 warn(server.why)
             try:
@@ -104,7 +110,7 @@ def controlled(
     Raises
     ------
     RefusedError
-        If another process uses the station; nothing was moved or written.
+        If another process uses the station, or prompts could not be answered; nothing was moved or written.
     """
     station, recipe = configuration.station, configuration.recipe.name
     about = {"run": None, "station": station.name, "recipe": recipe, "serial": serial, "batch": batch}
@@ -113,6 +119,6 @@ def controlled(
     control = Control(ControlDesk(answers=answers), status, {**about, "operator": operator})
     with (
         station_held(station.name, who=operator, doing=f"testing {serial} with {recipe!r}"),
-        control.served(station.name, status.warn),
+        control.served(station.name, on_stderr),
     ):
         yield control

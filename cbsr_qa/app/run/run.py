@@ -18,6 +18,7 @@ from cbsr_qa.config import (
     Configuration,
     calibrations_folder,
     check_folder,
+    configured_files,
     database_url,
     reports_folder,
     validate_batch,
@@ -26,7 +27,7 @@ from cbsr_qa.config import (
     validate_serial,
     writable_folder,
 )
-from cbsr_qa.domain import RefusedError, filled
+from cbsr_qa.domain import ConfigError, RefusedError, filled
 from cbsr_qa.domain.results import CommandOutcome
 from cbsr_qa.domain.run import GateAnswer, InstrumentIdentity, RunIdentity, SensorHistory
 from cbsr_qa.domain.sensor import SensorIdentity
@@ -167,12 +168,13 @@ def run_sensor(
         gate = _gate(request, configuration, plugins, pin=pin)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
-        return _tested(request, plugins, gate, control, control.telling(tell), ask, begun)
+        return _tested(request, plugins, configuration, gate, control, control.telling(tell), ask, begun)
 
 
 def _tested(
     request: RunRequest,
     plugins: Plugins,
+    gated: Configuration,
     gate: tuple[GateAnswer, ...],
     control: Control,
     tell: Callable[[str], None],
@@ -182,6 +184,11 @@ def _tested(
     taken: list[int] = []
     while True:
         configuration = request.configuration(_seed(request, taken))
+        if configured_files(configuration) != configured_files(gated):
+            raise ConfigError(
+                "the files of this run were changed while the gate was asked",
+                remedy="start the run again: the gate answers for the files as they are then",
+            )
         if configuration.recipe.calibrate_phases:
             begin_templates(configuration.sensor_type, configuration.station.indenter)
         with Session(

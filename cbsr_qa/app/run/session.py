@@ -11,14 +11,12 @@ from typing import Self
 from cbsr_qa.analysis import calibrated, evaluate_run
 from cbsr_qa.app.changes import unexplained
 from cbsr_qa.app.command_hints import report_command, resume_command
-from cbsr_qa.app.gate import overdue
 from cbsr_qa.app.run.control import Control
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import write_outputs
 from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded
 from cbsr_qa.config import Configuration
 from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, UnconcludedError, filled
-from cbsr_qa.domain.plan import GateCheck, GatePolicy
 from cbsr_qa.domain.results import EndReason, RunResult
 from cbsr_qa.domain.run import (
     GateAnswer,
@@ -201,8 +199,6 @@ class Session:
             If the run or its result could not be stored or read back; stored rows are kept.
         """
         self.warnings += filter(None, [store.from_the_future()])
-        if self._configuration.station.gate.policy(GateCheck.CALIBRATION_DUE) is not GatePolicy.OFF:
-            self.warnings += overdue(identity.instruments, RealClock().wall().date())
         self.warnings += gate_warnings(self._gate)
         with self._stages.stage("running the station"):
             ended = self._drive(identity, store)
@@ -377,6 +373,6 @@ def _paused(record: RunRecord) -> Iterator[str]:
     if lasted_s:
         times = "once" if len(lasted_s) == 1 else f"{len(lasted_s)} times"
         yield (
-            f"the run was paused {times}, for {duration(sum(lasted_s))} in all: the sheet rested longer than the"
-            " recipe states before the press that followed"
+            f"the run was paused {times}, for {duration(sum(lasted_s))} in all: before the next press"
+            " the sheet rested longer than the recipe states"
         )

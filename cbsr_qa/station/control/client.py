@@ -113,5 +113,5 @@ def _unreachable(station: str, error: OSError) -> RefusedError:
         )
     return RefusedError(
         f"station {station!r} is in use ({holder.words}), but it cannot be reached: {error.strerror or error}",
-        remedy="only a run takes requests; stop other commands with Ctrl-C",
+        remedy="only a run can be paused; cbsr-qa station stop stops any command by a signal",
     )

@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 
 from cbsr_qa.domain import AbortedError, RefusedError
 
-#: How often somebody who waits looks whether anything has changed, if nothing wakes him [s, real time].
+#: Longest wait between looks for a change [s, real time].
 _LOOK_S: Final = 0.5
 
 
@@ -61,7 +61,7 @@ class ControlDesk:
         self._answer: Answer | None = None
         self._answered: dict[int, str] = {}
 
-    # Of people, in any thread.
+    # Called for people, from any thread.
 
     def pause(self, by: str) -> None:
         """Ask for a pause before the next press."""
@@ -99,7 +99,10 @@ class ControlDesk:
     def emergency(self, by: str) -> None:
         """Make the bench safe at once."""
         with self._lock:
-            brakes = self._brakes
+            brakes, asked = self._brakes, self._question is not None and self.answers
+        if brakes is None and asked:  # a prompt while the bench is being opened: nothing moves
+            self.stop(by)
+            return
         if brakes is None or not brakes.emergency(by):
             raise RefusedError("the run does not move now: there is nothing to stop")
         with self._lock:
@@ -133,12 +136,14 @@ class ControlDesk:
                 "prompt": None if asked is None else {**asked, "here": self.answers},
             }
 
-    # Of the run, in its own thread.
+    # Called by the run, in its own thread.
 
     def open(self, brakes: Brakes) -> None:
-        """Begin to take requests for a run under way."""
+        """Begin to take requests for a run under way; one to stop that came before is passed on."""
         with self._lock:
-            self._brakes = brakes
+            self._brakes, by = brakes, self._stopped_by
+        if by is not None:
+            brakes.stop(by)
 
     def close(self) -> None:
         """Take no more requests: the bench is safe, or is being made safe."""
@@ -188,10 +193,10 @@ class ControlDesk:
         try:
             while True:
                 with self._lock:
-                    if self._answer is not None:
-                        return self._answer
                     if self._stopped_by is not None:
                         raise AbortedError(self._stopped_by)
+                    if self._answer is not None:
+                        return self._answer
                 self.wait(_LOOK_S)
         finally:
             self.show(None)

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import re
+import shlex
 import signal
 import stat
 import time
@@ -21,7 +22,7 @@ from cbsr_qa.system import FileLock, HeldError, holder
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,47}")
 #: Longest path of a socket [bytes]: Linux takes 107, macOS 103.
 _LONGEST: Final = 100
-#: How long a lock may seem to be held by a process that has ended: somebody looks at it [s].
+#: How long another process may hold the lock just to read it [s].
 _LOOKED_AT_S: Final = 0.5
 
 
@@ -31,8 +32,8 @@ class Holder:
 
     Parameters
     ----------
-    started : when the process started, as the system counts it: a number that is used again has another. Empty where
-        that is not known.
+    started : start of the process in clock ticks since boot, which tells it from a later one with the same number;
+        empty if unknown.
     who : operator, in words.
     doing : what the process does, e.g. ``"testing S-1 with nine locations"``.
     """
@@ -171,7 +172,7 @@ def _busy(station: str, found: Holder | None) -> RefusedError:
     who = "another process" if found is None or not found.pid else found.words
     return RefusedError(
         f"station {station!r} is in use: {who}",
-        remedy="wait until it has ended, or stop it: cbsr-qa station stop NAME",
+        remedy=f"wait until it has ended, or stop it: cbsr-qa station stop {shlex.quote(station)}",
     )
 
 

@@ -49,7 +49,7 @@ class RunServer:
     ----------
     station : its lock is held by this process, so that a socket that is found there belongs to nobody.
     hello : who tests what, for the first line of each connection.
-    state : how the run stands.
+    state : returns the state of the run.
     """
 
     def __init__(
@@ -74,7 +74,8 @@ class RunServer:
             self.why = f"no control channel: {getattr(error, 'strerror', None) or error}"
             return self
         self._thread.start()
-        self._started.wait(_PATIENCE_S)
+        if not self._started.wait(_PATIENCE_S):
+            self.why = "no control channel: its thread did not start"
         self._desk.changed = self.state_changed
         return self
 
@@ -98,7 +99,11 @@ class RunServer:
     def state_changed(self) -> None:
         """Send the state, without the list of planned loads; returns at once."""
         if self._clients:
-            self._later(self._send_all, {"type": "state", **self._stands(), "loads": None})
+            self._later(self._send_state)
+
+    def _send_state(self) -> None:
+        """Send the state as it is now: in the loop's thread, so that states arrive in order."""
+        self._send_all({"type": "state", **self._stands(), "loads": None})
 
     def _stands(self) -> dict[str, Any]:
         return {**self._state(), **self._desk.state()}
@@ -151,11 +156,11 @@ class RunServer:
             self._send(writer, {"type": "refused", "why": f"{_MOST_CLIENTS} are connected already"})
             writer.close()
             return
+        self._clients.add(writer)  # first: what happens from here on is sent after the state
         self._send(
             writer,
             {"type": "hello", "protocol": PROTOCOL, "pid": os.getpid(), **self._hello(), "state": self._stands()},
         )
-        self._clients.add(writer)
         try:
             while line := await reader.readline():
                 self._send(writer, self._reply(line))
@@ -240,4 +245,4 @@ def _content(line: bytes) -> dict[str, Any]:
 
 
 def _line(document: dict[str, Any]) -> bytes:
-    return json.dumps(document, ensure_ascii=True).encode() + b"\n"
+    return json.dumps(document, ensure_ascii=True, allow_nan=False).encode() + b"\n"

@@ -1,5 +1,6 @@
 """What a page that has just been opened needs to know of a run, kept up to date by its events."""
 
+import math
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -27,7 +28,7 @@ _MOST_WARNINGS: Final = 100
 
 @dataclass(slots=True)
 class RunStatus:
-    """A subscriber that knows how a run stands; documents of it are asked for by other threads.
+    """A subscriber that tracks the state of a run for other threads.
 
     Parameters
     ----------
@@ -106,7 +107,11 @@ class RunStatus:
             case StepStarted():
                 self._step(event)
             case SamplesTaken(samples=samples) if samples.channel == FORCE_CHANNEL and len(samples):
-                self._facts |= {"force_N": float(samples.values[-1]), "time_s": float(samples.time_s[-1])}
+                force_N = float(samples.values[-1])
+                self._facts |= {
+                    "force_N": force_N if math.isfinite(force_N) else None,
+                    "time_s": float(samples.time_s[-1]),
+                }
             case LoadFinished(phase=phase, record=record):
                 self._finished((phase, record.index))
             case StepRetried(attempt=attempt, why=why) if len(self._warnings) < _MOST_WARNINGS:
