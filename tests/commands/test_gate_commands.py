@@ -1,6 +1,5 @@
 """The gate from the command line: refused before anything is stored, overridden by name, stored and shown again."""
 
-import json
 
 import pytest
 from command import cbsr_qa, document, short_recipe
@@ -85,7 +84,6 @@ def test_a_release_is_stored_by_name(tested):
     shown = document(cbsr_qa(folder, "gate", *options, "--json", check=False))
     words = next(one["words"] for one in shown["answers"] if one["check"] == "released")
     assert "recipe" not in words
-    assert json.dumps(released["sha256"])[1:13] not in words
 
 
 def test_a_resumed_run_is_asked_again_what_matters_by_the_present_station_file(tmp_path):

@@ -175,7 +175,8 @@ def test_an_emergency_stop_makes_the_bench_safe_while_a_driver_hangs_and_swallow
     script.on("load_cell.safe_state", safe.set, call=2)  # the first is before the run
     ended, *_ = run(STEPS, script=script, desk=desk)
     assert safe.is_set()
-    assert ended.end is not EndReason.FINISHED
+    assert ended.end is EndReason.ABORTED
+    assert "an emergency stop by Ada" in ended.detail
 
 
 def test_a_prompt_takes_one_answer_and_is_stored_with_its_answer():

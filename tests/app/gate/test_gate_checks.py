@@ -127,7 +127,7 @@ def test_finished_runs_of_sensor_and_recipe_count_and_no_others(ask, store):
     refused = ask("retest", retest_runs=1)
     assert (refused.outcome, refused.words) == (
         GateOutcome.REFUSED,
-        "1 finished run of S-1 with short; the station allows 1",
+        "1 finished run of S-1 with short; no more than 1 allowed, so it may not be tested again",
     )
     assert ask("retest", retest_runs=1, asked={"golden": True}).outcome is GateOutcome.OFF
 

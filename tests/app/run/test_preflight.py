@@ -1,12 +1,11 @@
-"""What is refused before anything moves: too few unloaded frames, an instrument whose calibration is overdue."""
+"""What is refused before anything moves: too few unloaded frames."""
 
 from dataclasses import replace
 
 import pytest
 
 from cbsr_qa.app.run.preflight import check_unloaded
-from cbsr_qa.app.run.run import RunRequest, plan_run
-from cbsr_qa.config import load_recipe, load_station
+from cbsr_qa.config import load_recipe
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press
 from cbsr_qa.domain.run import Load
@@ -50,13 +49,3 @@ def test_too_few_unloaded_frames_are_refused_with_what_needs_them(frames, settin
 )
 def test_as_many_as_are_needed_are_enough(frames, settings):
     check_unloaded(_plan(frames), _recipe(**settings))
-
-
-def test_a_run_is_refused_by_the_station_files_policy(tmp_path):
-    content = load_station("simulated").document.text.replace("[indenter]", 'overdue = "refuse"\n\n[indenter]', 1)
-    station = tmp_path / "late.toml"
-    station.write_text(f"{content}\ncalibration_due = 2020-01-31\n")
-    refused = plan_run(RunRequest(str(station), "nine-locations", "S-1", seed=1)).refused
-    assert "calibration of bench (simulated-bench) was due on 2020-01-31" in refused.reason
-    assert "calibration_due" in refused.remedy
-    assert list(tmp_path.iterdir()) == [station]
