@@ -17,6 +17,7 @@ from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.processes import start_run
 from cbsr_qa.web.start import StartForm, resume_arguments
+from cbsr_qa.web.state import Mode
 from cbsr_qa.web.texts import text
 
 Action = Callable[[str, dict[str, str]], Awaitable[Response]]
@@ -49,7 +50,10 @@ class Actions:
             raise RefusedError(text("station.no_sensor_asked"))
         wanted = StartForm.of(watch.served, form)
         view = await run_in_threadpool(gate_view, watch.served, wanted, self._line.database)
-        return _said(parts=[["gate", self._pages.gate(station, wanted, view)], ["verdict", ""]])
+        gate = ["gate", self._pages.gate(station, wanted, view)]
+        # What was interrupted stays on the page, with its warning, until it is resumed or another run begins.
+        stays = watch.snapshot is not None and watch.snapshot.mode is Mode.INTERRUPTED
+        return _said(parts=[gate] if stays else [gate, ["verdict", ""]])
 
     async def start(self, station: str, form: dict[str, str]) -> Response:
         """Start a run."""

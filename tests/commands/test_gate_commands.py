@@ -1,6 +1,5 @@
 """The gate from the command line: refused before anything is stored, overridden by name, stored and shown again."""
 
-
 import pytest
 from command import cbsr_qa, document, short_recipe
 from killing import BEGIN, killed, latest_run, write_files

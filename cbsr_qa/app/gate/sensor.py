@@ -41,7 +41,9 @@ def retest_allowed(asked: Asked) -> Finding:
     if len(finished) < most:
         return Finding(True, f"{count}, at most {most} allowed")
     return Finding(
-        False, f"{count}; no more than {most} allowed, so it may not be tested again", "set the sensor aside: it has failed as often as allowed"
+        False,
+        f"{count}; no more than {most} allowed, so it may not be tested again",
+        "set the sensor aside: it has failed as often as allowed",
     )
 
 

@@ -4,6 +4,9 @@ const body = document.body;
 const say = document.getElementById("say");
 const connection = document.getElementById("connection");
 
+let lastKey = 0;
+const isTyping = () => Date.now() - lastKey < 500 && document.activeElement?.matches("input");
+
 // What is shown already is not replaced: somebody may be typing in it.
 const keys = JSON.parse(body.dataset.keys ?? "{}");
 function put([id, html, key]) {
@@ -11,7 +14,8 @@ function put([id, html, key]) {
   if (!place || (key && keys[id] === key)) return;
   if (key) keys[id] = key;
   place.innerHTML = html;
-  place.querySelector("[autofocus]:not([popover] *)")?.focus();
+  // Half a serial number must not go elsewhere: whoever is typing keeps the focus.
+  if (!isTyping()) place.querySelector("[autofocus]:not([popover] *)")?.focus();
 }
 
 // The next picture is decoded before it replaces the last one, so that nothing flickers.
@@ -68,17 +72,21 @@ addEventListener("pageshow", listen);
 addEventListener("pagehide", leave);
 listen();
 
+let turn = 0;
 document.addEventListener("submit", async (event) => {
   const form = event.target;
   if (!form.matches("[data-send]")) return;
   event.preventDefault();
   const button = event.submitter ?? form.querySelector("button");
-  if (button?.getAttribute("aria-busy") === "true") return;
+  const latest = form.hasAttribute("data-latest");  // a newer scan replaces one whose answer is awaited
+  if (!latest && button?.getAttribute("aria-busy") === "true") return;
+  const mine = ++turn;
   button?.setAttribute("aria-busy", "true");
   say.textContent = "";
   document.querySelector(":popover-open")?.hidePopover();
   try {
     const answer = await fetch(form.action, { method: "POST", body: new URLSearchParams(new FormData(form)) });
+    if (latest && mine !== turn) return;
     if (answer.headers.get("content-type")?.startsWith("application/json")) take(await answer.json());
     else say.textContent = await answer.text();
   } catch { lost(true); } finally { button?.removeAttribute("aria-busy"); }
@@ -92,12 +100,29 @@ document.addEventListener("click", (event) => {
   if (serial) { serial.value = ""; serial.focus(); }
 });
 
-// What a scanner types goes to the scan field, wherever the focus was left.
+// What a scanner types goes to the scan field, unless a text is being typed. Where there is none, during a run, it is
+// ignored, with its Enter: neither may press a button.
+let ignored = 0;
 document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  const active = document.activeElement;
+  if (event.key === "Enter") lastKey = 0;
+  if (event.key === "Enter" && Date.now() - ignored < 1000) {
+    event.preventDefault();
+    ignored = 0;
+    say.textContent = body.dataset.ignored;
+    return;
+  }
+  if (event.key.length !== 1) return;
+  const before = lastKey;
+  lastKey = Date.now();
+  if (active?.matches("input, textarea") || (event.key === " " && lastKey - before > 500)) return;
   const serial = document.getElementById("serial");
-  const free = document.activeElement === body || document.activeElement === document.getElementById("content");
-  if (serial && free && event.key.length === 1 && !event.ctrlKey && !event.altKey && !event.metaKey) {
+  if (serial) {
     serial.value = "";
     serial.focus();
+  } else if (body.dataset.ignored) {
+    event.preventDefault();
+    ignored = lastKey;
   }
 });
