@@ -292,6 +292,13 @@ def apply_outcome(applied: AppliedCalibration, output: Path | None) -> CommandOu
     )
 
 
+#: What the stated errors of forces do not cover.
+_STEADY: Final = (
+    "Errors are those of steady loads: until a hold has settled its force reads low, and for some seconds after a release"
+    " it reads high."
+)
+
+
 def _table(recording: Applied) -> Table:
     """Tabulate some frames of a recording, evenly spread."""
     count = len(recording.frames)
@@ -302,7 +309,7 @@ def _table(recording: Applied) -> Table:
         time, x, y = ("–" if value is None else fixed(value, 1) for value in (frame.time_s, frame.x_mm, frame.y_mm))
         rows.append((time, force, x, y, frame.flags))
     spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
-    caption = f"{spread}Force with one standard error, and where the head presses."
+    caption = f"{spread}Force with one standard error, and where the head presses. {_STEADY}"
     return text_table(caption, ("time [s]", "force [N]", "x [mm]", "y [mm]", "flags"), rows, (0, 1, 2, 3))
 
 

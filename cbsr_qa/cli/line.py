@@ -152,7 +152,10 @@ class _Line:
                 if kind == "ended":
                     return ignored, more
                 more = more and kind != "end"
-                if text:
+                if text.lower() in _ENDS:
+                    more = False
+                    note(f"ending after the run of {serial}")
+                elif text:
                     ignored.append(text)
                     note(f"{text!r} is ignored: the run of {serial} is under way")
             except KeyboardInterrupt:

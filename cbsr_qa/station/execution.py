@@ -45,8 +45,10 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
         reason, detail = before
         return reason, f"{detail}; {_during_retreat(error, at_once)}"
     if isinstance(error, AbortedError | KeyboardInterrupt):
-        how = f" and at once by {at_once}" if at_once else ""
-        return EndReason.ABORTED, f"by {_by(error)}{how}, {where}"
+        by = _by(error)
+        if at_once:
+            by = at_once if by in at_once else f"{by} and at once by {at_once}"
+        return EndReason.ABORTED, f"by {by}, {where}"
     return EndReason.BROKEN, f"{_what(error)}, {where}{_remedy(error)}"
 
 

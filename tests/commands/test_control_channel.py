@@ -185,7 +185,7 @@ def test_a_recipe_asks_with_a_picture_and_the_first_of_two_answers_counts(folder
     record = came_of(folder, latest_run(folder, "S-1")).record
     (asked,) = record.prompts
     assert (asked.answer, asked.by, asked.picture) == ("yes, wiped", "Grace", "sheet.png")
-    assert "at once by an emergency stop by Ada" in record.end_detail
+    assert record.end_detail.startswith("by an emergency stop by Ada over the control channel, while ")
 
 
 def test_a_signal_goes_only_to_the_process_that_holds_the_lock(folder):

@@ -36,9 +36,10 @@ class Override:
             if self.by or self.why:
                 raise ConfigError("an override needs --override", remedy=f"name a check: {', '.join(known)}")
             return self
-        for option, text, what in (("--override-by", self.by, "who decides"), ("--override-why", self.why, "why")):
-            if not text.strip():
-                raise ConfigError(f"an override needs {option}", remedy=f"say {what}")
+        given = {"--override-by": self.by, "--override-why": self.why}
+        absent = [option for option, text in given.items() if not text.strip()]
+        if absent:
+            raise ConfigError(f"an override needs {' and '.join(absent)}", remedy="say who decides, and why")
         validate_operator(self.by)
         validate_reason(self.why)
         return self
