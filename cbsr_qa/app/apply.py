@@ -294,8 +294,8 @@ def apply_outcome(applied: AppliedCalibration, output: Path | None) -> CommandOu
 
 #: What the stated errors of forces do not cover.
 _STEADY: Final = (
-    "Errors are those of steady loads: until a hold has settled its force reads low, and for some seconds after a release"
-    " it reads high."
+    "Errors are those of steady loads: until a hold has settled its force reads low, and for some seconds after a"
+    " release it reads high."
 )
 
 

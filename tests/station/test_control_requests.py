@@ -135,7 +135,9 @@ def test_limits_and_heartbeat_are_watched_in_a_pause(monkeypatch, what):
     assert_made_safe(script)
 
 
-@pytest.mark.parametrize(("stop", "said"), [("stop", "by Ada over"), ("emergency", "by an emergency stop by Ada over")])
+@pytest.mark.parametrize(
+    ("stop", "said"), [("stop", "by Ada over"), ("emergency", "by an emergency stop by Ada over")]
+)
 def test_a_pause_is_stopped_at_once(stop, said):
     desk = ControlDesk()
     beside = Beside(desk, lambda state: state["paused"], lambda: getattr(desk, stop)("Ada"))
