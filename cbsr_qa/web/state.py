@@ -19,7 +19,7 @@ class Mode(StrEnum):
     RUNNING = "running"
     PAUSED = "paused"
     ASKING = "asking"  #: a prompt waits for an answer
-    CONCLUDING = "concluding"  #: the head is up; the verdict is worked out
+    CONCLUDING = "concluding"  #: measuring is over; the verdict is worked out
     DONE = "done"  #: with a verdict, also of a run that was stopped
     INTERRUPTED = "interrupted"  #: the run's process has gone without an end
     HELD = "held"  #: something else uses the station
@@ -50,6 +50,7 @@ class Control:
 
     Parameters
     ----------
+    run : its identifier; empty before it has begun.
     step : in words.
     place : label of the load under the head; empty for none. ``x_mm``, ``y_mm``: where the head is.
     number, of : which press of how many.
@@ -157,7 +158,7 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
     """
     load, prompt, paused, wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
     return Control(
-        run=str(hello["run"]),
+        run=str(state.get("run") or ""),  # known once its first row is stored, which may be after the hello
         serial=str(hello["serial"]),
         recipe=str(hello["recipe"]),
         operator=str(hello.get("operator", "")),
