@@ -115,7 +115,7 @@ def step_words(snapshot: Snapshot) -> str:
     """Return what the run is doing."""
     control = snapshot.control
     if control is None:
-        return text("station." + ("starting" if snapshot.mode is Mode.STARTING else "concluding"))
+        return text(f"station.{snapshot.mode}")  # without a run: starting, concluding or held
     press = text("live.press", number=control.number, of=control.of) if control.number else ""
     return " · ".join(filter(None, [press, control.step]))
 
