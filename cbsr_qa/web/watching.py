@@ -114,7 +114,7 @@ class StationWatch:
     def _refused(self) -> str:
         """Return why the run that was started last never began."""
         started = self.started
-        if started is None or not started.ended or (self.look is not None and self.look.started_at > started.at):
+        if started is None or not started.ended or (self.look is not None and self.look.worked_at > started.at):
             return ""
         return started.last_words()
 
