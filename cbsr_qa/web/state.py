@@ -61,7 +61,6 @@ class Control:
     run: str
     serial: str
     recipe: str
-    operator: str
     phase: str
     step: str
     place: str
@@ -160,7 +159,6 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
         run=str(state.get("run") or ""),  # known once its first row is stored, which may be after the hello
         serial=str(hello["serial"]),
         recipe=str(hello["recipe"]),
-        operator=str(hello.get("operator", "")),
         phase=str(state.get("phase") or ""),
         step=str(state.get("step") or ""),
         place=str(load["label"]) if load and down else "",
