@@ -223,6 +223,7 @@ class Pages:
         self._line = line
         self._environment = _environment()
         self._rendered: dict[str, tuple[Snapshot | None, str, list[Part]]] = {}
+        self._cards: dict[str, tuple[Snapshot | None, Part]] = {}
 
     def page(self, template: str, *, control: bool, here: str = "", stream: str = "", **names: Any) -> str:
         """Render a whole page."""
@@ -259,10 +260,15 @@ class Pages:
     def overview_parts(self) -> list[Part]:
         """Return the parts of the overview."""
         parts = [self._part("trouble", trouble=self._line.trouble)]
-        for index, (name, watch) in enumerate(self._line.stations.items()):
-            html = self.fragment("card", s=watch.snapshot, name=name)
-            parts.append(Part.of(f"card-{index}", html))
-        return parts
+        return [*parts, *(self._card(f"card-{index}", name) for index, name in enumerate(self._line.stations))]
+
+    def _card(self, place: str, name: str) -> Part:
+        snapshot = self._line.stations[name].snapshot
+        kept = self._cards.get(name)
+        if kept is None or kept[0] is not snapshot:
+            kept = snapshot, Part.of(place, self.fragment("card", s=snapshot, name=name))
+            self._cards[name] = kept
+        return kept[1]
 
     def station_parts(self, name: str) -> list[Part]:
         """Return the parts of a station's page, the one that holds others first."""

@@ -56,14 +56,11 @@ class RunTail:
 
     Parameters
     ----------
-    end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
     phases, loads : all so far, the loads with the index of their phase.
     frames, samples : new blocks with the index of their phase; of many, the latest :data:`MOST_BLOCKS`.
     frames_seen, samples_seen : (phase, block) of the last ones, for the next look.
     """
 
-    end: EndReason
-    detail: str
     phases: tuple[LivePhase, ...]
     loads: tuple[tuple[int, LoadRecord], ...]
     frames: tuple[tuple[int, FrameBlock], ...]
@@ -83,12 +80,10 @@ def run_tail(
         If the run does not exist, or a block was altered.
     """
     with reading(engine) as connection:
-        state = current_state(connection, run)
+        current_state(connection, run)  # whether it exists
         frames = _latest(connection, FrameBlockRow, run, frames_after)
         samples = _latest(connection, SampleBlockRow, run, samples_after)
         return RunTail(
-            end=EndReason(state.end),
-            detail=state.detail,
             phases=_phases(connection, run),
             loads=_loads(connection, run),
             frames=tuple((row.phase, frame_block(row)) for row in frames),
