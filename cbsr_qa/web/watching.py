@@ -59,7 +59,7 @@ class StationWatch:
 
     @property
     def busy(self) -> bool:
-        """Whether a run is going on, or was started and has not ended."""
+        """Whether a run is in progress, or was started and has not ended."""
         if self.started is not None and self.started.ended is None:
             return True
         return self.channel.control is not None or station_holder(self.served.name) is not None

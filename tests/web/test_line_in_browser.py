@@ -86,7 +86,7 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
         "/stations/bench-2/answer", form={"prompt": number, "text": "late"}, headers={"origin": line.address}
     )
     assert late.ok
-    assert late.json()["words"] != "The answer was stored."
+    assert late.json()["words"] != "The answer was accepted."
     other.get_by_role("button", name="Answer").click()
     _shows(page, "Running")
     page.get_by_role("button", name="Pause").click()
@@ -95,7 +95,7 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     other.shot("paused")
 
     line.stop(signal.SIGKILL)
-    expect(page.locator("#connection")).to_contain_text("Runs go on")
+    expect(page.locator("#connection")).to_contain_text("Runs continue")
     page.shot("connection-lost")
     line.start()
     expect(page.locator("#connection")).to_be_empty()
@@ -124,12 +124,12 @@ def test_an_instrument_that_dies_is_named_with_what_to_do(pages):
     page = pages("/stations/dying")
     page.locator("#operator").fill("Ada")
     _scan(page, "DIE-1", "five-places")
-    expect(page.locator(".verdict h2")).to_contain_text("Broken off")
+    expect(page.locator(".verdict h2")).to_contain_text("Stopped by a fault")
     expect(page.locator(".verdict .reason")).to_contain_text("its cable was pulled out")
     expect(page.locator(".todo")).to_contain_text("Check the bench first")
     page.shot("broken-off")
     overview = pages("/")
-    expect(overview.locator(".card").nth(2)).to_contain_text("Broken off")
+    expect(overview.locator(".card").nth(2)).to_contain_text("Stopped by a fault")
     overview.shot("overview")
     _accessible(overview)
     shift = pages("/shift")
