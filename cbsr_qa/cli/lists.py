@@ -51,7 +51,7 @@ def runs(
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """List stored runs with their verdicts, yields and reasons of failure.
+    """List stored runs with their verdicts, yields and reasons for failure.
 
     An overridden verdict counts as it was overridden; aborted and broken runs have none.
     """

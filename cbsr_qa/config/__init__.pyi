@@ -35,6 +35,7 @@ from .paths import (
     var_folder as var_folder,
     writable_folder as writable_folder,
 )
+from .recipe import PICTURES as PICTURES
 from .scene_checks import check_plan as check_plan, edge_remarks as edge_remarks
 from .serials import (
     fits_pattern as fits_pattern,

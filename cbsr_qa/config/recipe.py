@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -148,8 +148,16 @@ class ReportTable(Table):
     sections: list[Name] = Field(default_factory=list)
 
 
-#: Sequence option that names an image file next to the recipe, and what such a file may be.
-_PICTURE, _PICTURES = "picture", (".png", ".jpg", ".jpeg", ".gif", ".svg", ".webp")
+#: Sequence option that names an image file next to the recipe.
+_PICTURE = "picture"
+#: What such a file may be: endings and their media types, as a page shows them.
+PICTURES: Final = {
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".jpeg": "image/jpeg",
+    ".gif": "image/gif",
+    ".webp": "image/webp",
+}
 
 
 def with_picture(phase: PhaseSpec, near: Path | None) -> PhaseSpec:
@@ -158,10 +166,10 @@ def with_picture(phase: PhaseSpec, near: Path | None) -> PhaseSpec:
     if not isinstance(name, str) or not name or near is None:
         return phase
     path = (near / name).resolve()
-    if Path(name).name != name or path.suffix.lower() not in _PICTURES or not path.is_file():
+    if Path(name).name != name or path.suffix.lower() not in PICTURES or not path.is_file():
         raise ConfigError(
             f"phase {phase.name!r}: picture {name[:100]!r} is not an image file next to the recipe",
-            remedy=f"put it into the folder {near}; allowed: {', '.join(_PICTURES)}",
+            remedy=f"put it into the folder {near}; allowed: {', '.join(PICTURES)}",
         )
     return replace(phase, options={**phase.options, _PICTURE: str(path)})
 

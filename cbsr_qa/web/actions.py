@@ -3,6 +3,7 @@
 Every text of a form is checked by the rules of the command line before anything is done with it.
 """
 
+import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -36,6 +37,7 @@ class Actions:
 
     def __init__(self, line: Line, pages: Pages) -> None:
         self._line, self._pages = line, pages
+        self._beginning = {station: asyncio.Lock() for station in line.stations}
 
     def by_name(self) -> dict[str, Action]:
         """Return the actions of a station by the last part of their address."""
@@ -65,18 +67,21 @@ class Actions:
 
     async def resume(self, station: str, form: dict[str, str]) -> Response:
         """Resume the latest run of the station."""
-        look = self._line.stations[station].look
+        watch = self._line.stations[station]
+        look = watch.look
         if look is None or look.run != form.get("run"):
             raise RefusedError(text("problem.no_run"))
         operator = validate_operator(form.get("operator", look.operator))
-        await self._begin(station, resume_arguments(look.run, operator, self._line.database), look.serial)
+        arguments = resume_arguments(watch.served, look.run, operator, self._line.database)
+        await self._begin(station, arguments, look.serial)
         return _said(words=text("station.resumed"))
 
     async def _begin(self, station: str, arguments: list[str], serial: str) -> None:
         watch = self._line.stations[station]
-        if watch.busy:
-            raise RefusedError(text("station.busy"))
-        watch.started = await run_in_threadpool(start_run, station, arguments, serial)
+        async with self._beginning[station]:  # of two who start at once, the second is refused
+            if watch.busy:
+                raise RefusedError(text("station.busy"))
+            watch.started = await run_in_threadpool(start_run, station, arguments, serial)
         self._line.wake(station)
 
     async def answer(self, station: str, form: dict[str, str]) -> Response:
@@ -86,21 +91,16 @@ class Actions:
         if not (number.isascii() and number.isdigit() and len(number) < 10):
             raise RefusedError(text("prompt.other"))
         answer = validate_reason(form.get("text", ""))
-        why = await channel.ask("answer", by=self._by(station), prompt=int(number), text=answer)
+        why = await channel.ask("answer", by=text("control.at_the_page"), prompt=int(number), text=answer)
         return _said(words=why or text("control.answered"))
 
     def _told(self, do: str) -> Action:
         async def tell(station: str, form: dict[str, str]) -> Response:
-            why = await self._line.stations[station].channel.ask(do, by=self._by(station))
+            why = await self._line.stations[station].channel.ask(do, by=text("control.at_the_page"))
             LOG.info("%s: %s asked for%s", station, do, f", refused: {why}" if why else "")
             return _said(words=why or text(_DONE[do]))
 
         return tell
-
-    def _by(self, station: str) -> str:
-        """Return who asks: the operator of the run, at the page."""
-        control = self._line.stations[station].channel.control
-        return (control.operator if control is not None else "") or text("control.at_the_page")
 
     def _worded(self, action: Action) -> Action:
         async def worded(station: str, form: dict[str, str]) -> Response:

@@ -73,7 +73,7 @@ class ChannelClient:
             try:
                 document = json.loads(line)
                 self._take(document)
-            except (KeyError, TypeError, ValueError) as error:
+            except (AttributeError, KeyError, TypeError, ValueError) as error:
                 LOG.warning("%s: the run's channel sent something else: %r", self._station, error)
 
     def _take(self, document: Mapping[str, Any]) -> None:

@@ -1,14 +1,13 @@
 """Files of runs: found by the run's identifier in the database, never by a name from a request."""
 
 from http import HTTPStatus
-from mimetypes import guess_type
 from pathlib import Path
 from typing import Final
 
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
-from cbsr_qa.config import database_url, reports_folder
+from cbsr_qa.config import PICTURES, database_url, reports_folder
 from cbsr_qa.report import report_name
 from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.runs import RunLook
@@ -16,8 +15,7 @@ from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.guard import REPORT_POLICY
 from cbsr_qa.web.texts import text
 
-#: Pictures of prompts, and how large one may be [B].
-_PICTURES: Final = ("image/png", "image/jpeg", "image/webp", "image/gif")
+#: How large the picture of a prompt may be [B].
 _LARGEST: Final = 5_000_000
 
 
@@ -58,9 +56,9 @@ def prompt_picture(channel: ChannelClient, number: int) -> Response:
     if control is None or control.prompt is None or control.prompt.number != number or not channel.prompt_picture:
         raise HTTPException(HTTPStatus.NOT_FOUND)
     file = Path(channel.prompt_picture)
-    kind = guess_type(file.name)[0]
+    kind = PICTURES.get(file.suffix.lower())
     try:
-        if kind not in _PICTURES or file.stat().st_size > _LARGEST:
+        if kind is None or not file.is_absolute() or file.stat().st_size > _LARGEST:
             raise HTTPException(HTTPStatus.NOT_FOUND)
         return Response(file.read_bytes(), media_type=kind)
     except OSError:

@@ -49,7 +49,7 @@ class Line:
         return self._watcher.trouble
 
     def in_progress(self) -> frozenset[str]:
-        """Return the runs that are going on."""
+        """Return the runs in progress."""
         shown = (one.snapshot for one in self.stations.values())
         return frozenset(one.look.run for one in shown if one is not None and one.look is not None and one.mode.live)
 

@@ -14,7 +14,6 @@ from cbsr_qa.config import Configuration, restore
 from cbsr_qa.domain import CbsrError
 from cbsr_qa.domain.plan import Press, Role
 from cbsr_qa.domain.readings import UNUSABLE, FrameBlock
-from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import Load, LoadRecord
 from cbsr_qa.plugin import Kind, Plugins, create_plugin
 from cbsr_qa.report.draw import Raster
@@ -58,7 +57,6 @@ class LiveView:
     change_percent : change at the dark end of the scale; 0 without an image.
     force_N, conductance_percent : points (time_s, value) of the last :data:`TRACE_S`; the conductance relative to the
         unloaded sheet, as the mean of all readings.
-    frames : so far.
     silent_s : since the last frame, by this computer's clock; None before the first.
     no_image : why there is no image, for people; empty with one.
     """
@@ -73,7 +71,6 @@ class LiveView:
     change_percent: float
     force_N: tuple[tuple[float, float], ...]
     conductance_percent: tuple[tuple[float, float], ...]
-    frames: int
     silent_s: float | None
     no_image: str
 
@@ -105,16 +102,6 @@ class LiveRun:
         self._frame_at: float | None = None
         self._change = 0.0
         self.picture = b""
-
-    @property
-    def end(self) -> EndReason:
-        """End of its latest session, RUNNING until there is one."""
-        return EndReason.RUNNING if self._tail is None else self._tail.end
-
-    @property
-    def detail(self) -> str:
-        """By whom it was stopped, or what broke it."""
-        return "" if self._tail is None else self._tail.detail
 
     def update(self) -> None:
         """Read what is new, and image the latest frame. StoreError if the database cannot be read."""
@@ -150,7 +137,6 @@ class LiveRun:
             change_percent=100 * self._change,
             force_N=thinned(self._force),
             conductance_percent=thinned(self._conductance),
-            frames=self._frames,
             silent_s=None if self._frame_at is None else monotonic() - self._frame_at,
             no_image=self._no_image,
         )

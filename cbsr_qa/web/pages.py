@@ -11,6 +11,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cbsr_qa.domain.results import EndReason, ListedRun
+from cbsr_qa.store.runs import RunLook
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
 from cbsr_qa.web.gate import GateView
 from cbsr_qa.web.line import Line
@@ -76,11 +77,11 @@ def verdict_kind(snapshot: Snapshot) -> str:
     look = snapshot.look
     if look is None:
         return "none"
-    if snapshot.mode is Mode.INTERRUPTED:
+    if look.end is EndReason.RUNNING:
         return "interrupted"
     if look.end in (EndReason.ABORTED, EndReason.BROKEN):
         return str(look.end)
-    return "none" if look.outcome is None else str(look.outcome).replace(" ", "_")
+    return "none" if look.verdict is None else str(look.verdict).replace(" ", "_")
 
 
 def listed_kind(run: ListedRun, in_progress: frozenset[str]) -> str:
@@ -97,13 +98,20 @@ def reason_words(snapshot: Snapshot) -> str:
     look = snapshot.look
     if look is None:
         return ""
-    return look.detail if look.end in (EndReason.ABORTED, EndReason.BROKEN) and look.detail else look.reason
+    return look.detail if look.end in (EndReason.ABORTED, EndReason.BROKEN) and look.detail else decided_words(look)
+
+
+def decided_words(run: RunLook | ListedRun) -> str:
+    """Return what decided the verdict that counts."""
+    if run.decision is None:
+        return run.reason
+    return text("outcome.overridden", by=run.decision.operator, why=run.decision.why)
 
 
 def minutes_left(snapshot: Snapshot) -> str:
     """Return the time left in words, that changes once a minute."""
-    if snapshot.mode is Mode.CONCLUDING:
-        return text("mode.concluding")
+    if snapshot.mode in (Mode.PAUSED, Mode.ASKING, Mode.CONCLUDING):
+        return text(f"mode.{snapshot.mode}")
     ends_at = None if snapshot.control is None else snapshot.control.ends_at
     if ends_at is None:
         return text("page.no_estimate")
@@ -115,7 +123,7 @@ def step_words(snapshot: Snapshot) -> str:
     """Return what the run is doing."""
     control = snapshot.control
     if control is None:
-        return text("station." + ("starting" if snapshot.mode is Mode.STARTING else "concluding"))
+        return text(f"station.{snapshot.mode}")  # without a run: starting, concluding or held
     press = text("live.press", number=control.number, of=control.of) if control.number else ""
     return " · ".join(filter(None, [press, control.step]))
 
@@ -193,6 +201,7 @@ def _environment() -> Environment:
         "verdict_kind": verdict_kind,
         "listed_kind": listed_kind,
         "reason_words": reason_words,
+        "decided_words": decided_words,
         "minutes_left": minutes_left,
         "step_words": step_words,
         "phase_words": phase_words,
@@ -214,6 +223,7 @@ class Pages:
         self._line = line
         self._environment = _environment()
         self._rendered: dict[str, tuple[Snapshot | None, str, list[Part]]] = {}
+        self._cards: dict[str, tuple[Snapshot | None, Part]] = {}
 
     def page(self, template: str, *, control: bool, here: str = "", stream: str = "", **names: Any) -> str:
         """Render a whole page."""
@@ -250,10 +260,15 @@ class Pages:
     def overview_parts(self) -> list[Part]:
         """Return the parts of the overview."""
         parts = [self._part("trouble", trouble=self._line.trouble)]
-        for index, (name, watch) in enumerate(self._line.stations.items()):
-            html = self.fragment("card", s=watch.snapshot, name=name)
-            parts.append(Part.of(f"card-{index}", html))
-        return parts
+        return [*parts, *(self._card(f"card-{index}", name) for index, name in enumerate(self._line.stations))]
+
+    def _card(self, place: str, name: str) -> Part:
+        snapshot = self._line.stations[name].snapshot
+        kept = self._cards.get(name)
+        if kept is None or kept[0] is not snapshot:
+            kept = snapshot, Part.of(place, self.fragment("card", s=snapshot, name=name))
+            self._cards[name] = kept
+        return kept[1]
 
     def station_parts(self, name: str) -> list[Part]:
         """Return the parts of a station's page, the one that holds others first."""

@@ -1,4 +1,4 @@
-"""Processes of runs: each in a session of its own with its own log, so that no end of the page ends a run."""
+"""Processes of runs: each in a session of its own with its own log, so that stopping the page never stops a run."""
 
 import os
 import shutil
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.config import var_folder, writable_folder
+from cbsr_qa.domain import ConfigError
 from cbsr_qa.web.guard import LOG
 
 #: Lines of a log that a page shows.
@@ -56,27 +57,30 @@ def start_run(station: str, arguments: Sequence[str], what: str) -> Started:
 
     Parameters
     ----------
-    station : its name, which names the log.
+    station : its name, which names the folder of the log.
 
     Raises
     ------
     ConfigError
-        If the log cannot be written.
+        If the log cannot be written, or the process cannot be started.
     """
-    folder = writable_folder(var_folder() / "control" / "logs")
-    _forget_old(folder, station)
+    folder = writable_folder(var_folder() / "control" / "logs" / station)
     now = datetime.now(UTC)
-    log = folder / f"{station.replace(' ', '_')}-{now:%Y%m%dT%H%M%S%f}.log"
+    log = folder / f"{now:%Y%m%dT%H%M%S%f}.log"
     program = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "run", *arguments]
-    unit = f"cbsr-qa-run-{log.stem}".replace(".", "_")
-    with log.open("xb") as output:
-        process = subprocess.Popen(  # arguments are checked values, and no shell reads them
-            [*_own_unit(unit), *program],
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
+    unit = f"cbsr-qa-run-{station}-{log.stem}".replace(".", "_").replace(" ", "_")
+    try:
+        _forget_old(folder)
+        with log.open("xb") as output:
+            process = subprocess.Popen(  # arguments are checked values, and no shell reads them
+                [*_own_unit(unit), *program],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ConfigError(f"the run of {what} cannot be started: {error}", remedy=f"see also {folder}") from error
     LOG.info("%s: started the run of %s as process %d; log: %s", station, what, process.pid, log)
     return Started(process, what, log, now)
 
@@ -101,7 +105,7 @@ def _scope() -> tuple[str, ...]:
     return scope
 
 
-def _forget_old(folder: Path, station: str) -> None:
-    logs = sorted(folder.glob(f"{station.replace(' ', '_')}-*.log"))
+def _forget_old(folder: Path) -> None:
+    logs = sorted(folder.glob("*.log"))
     for log in logs[: -_KEPT_LOGS or None]:
         log.unlink(missing_ok=True)

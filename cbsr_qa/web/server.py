@@ -109,7 +109,7 @@ class _Server(uvicorn.Server):
 
 
 class _Unhurried(H11Protocol):
-    """Leaves a connection whose first request does not arrive in time; later ones have the keep-alive's time."""
+    """Closes a connection whose first request does not arrive in time; later ones have the keep-alive's time."""
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
@@ -150,7 +150,7 @@ def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] 
         if loopback:
             return None
         raise ConfigError(
-            f"--host {request.host} is reached from other computers: without TLS the token could be read on the way",
+            f"--host {request.host} is reached from other computers: without TLS the token could be intercepted",
             remedy="give --certificate and --key (PEM files), or leave --host out to serve this computer alone",
         )
     if request.certificate is None or request.key is None:

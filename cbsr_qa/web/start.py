@@ -62,9 +62,9 @@ class StartForm:
         ]
 
 
-def resume_arguments(run: str, operator: str, database: str | None) -> list[str]:
-    """Return the arguments of ``cbsr-qa run`` that resume a run."""
-    return [f"--resume={run}", f"--operator={operator}", *common_arguments(database)]
+def resume_arguments(served: ServedStation, run: str, operator: str, database: str | None) -> list[str]:
+    """Return the arguments of ``cbsr-qa run`` that resume a run; the gate reads the station's file as it is now."""
+    return [f"--resume={run}", f"--station={served.source}", f"--operator={operator}", *common_arguments(database)]
 
 
 def common_arguments(database: str | None) -> list[str]:

@@ -6,7 +6,7 @@ from enum import StrEnum
 from time import monotonic
 from typing import Any
 
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.results import EndReason
 from cbsr_qa.store.runs import RunLook
 from cbsr_qa.web.live_run import LiveView
 
@@ -19,8 +19,8 @@ class Mode(StrEnum):
     RUNNING = "running"
     PAUSED = "paused"
     ASKING = "asking"  #: a prompt waits for an answer
-    CONCLUDING = "concluding"  #: the head is up; the verdict is worked out
-    DONE = "done"  #: with a verdict, also of a run that was stopped
+    CONCLUDING = "concluding"  #: measuring is over; the verdict is worked out
+    DONE = "done"  #: the last run has ended, also one that was stopped or broke
     INTERRUPTED = "interrupted"  #: the run's process has gone without an end
     HELD = "held"  #: something else uses the station
 
@@ -50,17 +50,17 @@ class Control:
 
     Parameters
     ----------
+    run : its identifier; empty before it has begun.
     step : in words.
     place : label of the load under the head; empty for none. ``x_mm``, ``y_mm``: where the head is.
     number, of : which press of how many.
-    ends_at : when the run is expected to end, by ``time.monotonic`` [s]; None if unknown, or if its clock stands.
+    ends_at : when the run is expected to end, by ``time.monotonic`` [s]; None if unknown, or its clock does not wait.
     paused_by, pause_wanted_by : who; None for nobody.
     """
 
     run: str
     serial: str
     recipe: str
-    operator: str
     phase: str
     step: str
     place: str
@@ -110,13 +110,12 @@ class Snapshot:
         return "" if self.look is None else self.look.serial
 
     @property
-    def outcome(self) -> Outcome | None:
-        return None if self.look is None else self.look.outcome
-
-    @property
     def resumable(self) -> bool:
         """Whether the latest run can be continued."""
-        return self.look is not None and self.look.end is not EndReason.FINISHED and not self.mode.runs
+        look = self.look
+        if look is None or self.mode.runs:
+            return False
+        return look.end is not EndReason.FINISHED or look.outcome is None
 
 
 def mode_of(control: Control | None, look: RunLook | None, *, held: bool, starting: bool) -> Mode:
@@ -136,7 +135,7 @@ def mode_of(control: Control | None, look: RunLook | None, *, held: bool, starti
         if unjudged or control is not None:
             return Mode.CONCLUDING
         return Mode.STARTING if starting else Mode.HELD
-    return Mode.READY if look is None else Mode.INTERRUPTED if look.outcome is None else Mode.DONE
+    return Mode.READY if look is None else Mode.INTERRUPTED if look.end is EndReason.RUNNING else Mode.DONE
 
 
 def _ended(control: Control, look: RunLook | None) -> bool:
@@ -157,10 +156,9 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
     """
     load, prompt, paused, wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
     return Control(
-        run=str(hello["run"]),
+        run=str(state.get("run") or ""),  # known once its first row is stored, which may be after the hello
         serial=str(hello["serial"]),
         recipe=str(hello["recipe"]),
-        operator=str(hello.get("operator", "")),
         phase=str(state.get("phase") or ""),
         step=str(state.get("step") or ""),
         place=str(load["label"]) if load and down else "",
@@ -179,6 +177,6 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
 
 
 def _ends_at(state: Mapping[str, Any]) -> float | None:
-    """Return when a run is expected to end: a clock that is not waited for counts as one that is."""
-    remaining_s = state.get("remaining_s")
-    return None if remaining_s is None else monotonic() + float(remaining_s) / float(state.get("clock_speed") or 1.0)
+    """Return when a run is expected to end; None if that is not known, or its clock does not wait."""
+    remaining_s, speed = state.get("remaining_s"), state.get("clock_speed")
+    return None if remaining_s is None or speed is None else monotonic() + float(remaining_s) / float(speed)

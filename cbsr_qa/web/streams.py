@@ -14,7 +14,7 @@ from cbsr_qa.web.pages import Part
 
 #: After so long without news a page is told that the server is here [s].
 _HERE_S: Final = 5.0
-#: A page that does not take what it is sent for so long is left [s].
+#: A page that does not take what it is sent for so long is disconnected [s].
 _SLOW_S: Final = 30.0
 
 

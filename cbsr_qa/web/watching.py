@@ -14,7 +14,7 @@ from cbsr_qa.store import Repository, open_store
 from cbsr_qa.store.runs import ChangeNotice, RunLook
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.guard import LOG
-from cbsr_qa.web.live_run import LiveRun
+from cbsr_qa.web.live_run import LiveRun, LiveView
 from cbsr_qa.web.processes import Started
 from cbsr_qa.web.state import Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
@@ -28,6 +28,8 @@ _IMAGE_S: Final = 0.1
 _QUIET_S: Final = 1.0
 #: Between looks at what changes by the hour [s].
 _HEALTH_S: Final = 15.0
+#: Between attempts to open the store [s].
+_AGAIN_S: Final = 1.0
 #: A run that takes frames and has sent none for so long is in trouble [s].
 SILENT_S: Final = 60.0
 
@@ -38,6 +40,10 @@ class StationWatch:
     Parameters
     ----------
     channel : of its runs; belongs to the event loop, its ``control`` is only read here.
+
+    Attributes
+    ----------
+    failure : why the store could not be read at the last look; None if it could.
     """
 
     def __init__(self, served: ServedStation, channel: ChannelClient) -> None:
@@ -46,13 +52,14 @@ class StationWatch:
         self.live: LiveRun | None = None
         self.look: RunLook | None = None
         self.snapshot: Snapshot | None = None
+        self.failure: Exception | None = None
         self._due, self._next_s = True, 0.0
         self._health, self._healthy, self._health_s = "", True, 0.0
-        self._unread = ""
+        self._said = ""
 
     @property
     def busy(self) -> bool:
-        """Whether a run is going on, or was started and has not ended."""
+        """Whether a run is in progress, or was started and has not ended."""
         if self.started is not None and self.started.ended is None:
             return True
         return self.channel.control is not None or station_holder(self.served.name) is not None
@@ -62,31 +69,44 @@ class StationWatch:
         self._due = True
 
     def refresh(self, store: Repository, plugins: Plugins) -> bool:
-        """Look at station and store if it is time; return whether there is a new snapshot."""
+        """Look at station and store if it is time; return whether there is a new snapshot, with any trouble in it."""
         now_s = monotonic()
         if now_s < self._next_s or not (self._due or now_s >= self._next_s + _QUIET_S - _IMAGE_S):
             return False
         self._due, self._next_s = False, now_s + _IMAGE_S
-        self.look = store.latest_run_at(self.served.name)
+        unread = self._read(store, now_s)
         control, started = self.channel.control, self.started
         holder = station_holder(self.served.name)
         alive = started is not None and started.ended is None
         mode = mode_of(control, self.look, held=holder is not None, starting=alive)
-        trouble = self._follow(store, plugins, mode)
-        self._look_after(store, now_s)
+        trouble = unread or self._follow(store, plugins, mode)
+        if not trouble:
+            self._said = ""
+        live = None if self.live is None else self.live.view("" if control is None else control.place)
         self.snapshot = Snapshot(
             station=self.served.name,
             mode=mode,
             control=control,
             look=self.look,
-            live=None if self.live is None else self.live.view("" if control is None else control.place),
+            live=live,
             starting=started.what if started is not None else "",
             refused=self._refused(),
-            trouble=trouble or self._silence(mode),
+            trouble=trouble or _silence(mode, live),
             health=self._health,
             healthy=self._healthy,
         )
         return True
+
+    def _read(self, store: Repository, now_s: float) -> str:
+        """Read the latest run and check; return what went wrong."""
+        try:
+            self.look = store.latest_run_at(self.served.name)
+            self._look_after(store, now_s)
+        except Exception as error:  # noqa: BLE001 - a run that cannot be read must not stop the watching of others
+            self.failure = error
+            return self._words(error)
+        self.failure = None
+        return ""
 
     def _follow(self, store: Repository, plugins: Plugins, mode: Mode) -> str:
         """Read what the run in progress has stored; return what went wrong."""
@@ -97,38 +117,43 @@ class StationWatch:
             if self.live is None or self.live.run != self.look.run:
                 self.live = LiveRun(store, plugins, self.look.run)
             self.live.update()
-        except CbsrError as error:
-            if error.reason != self._unread:
-                LOG.warning("%s: %s", self.served.name, error.reason)
-            self._unread = error.reason
-            return error.reason
-        self._unread = ""
+        except Exception as error:  # noqa: BLE001 - as above; the run itself goes its way
+            return self._words(error)
         return ""
 
-    def _silence(self, mode: Mode) -> str:
-        view = None if self.live is None else self.live.view("")
-        if mode is not Mode.RUNNING or view is None or view.silent_s is None or view.silent_s < SILENT_S:
-            return ""
-        return text("trouble.silent", seconds=round(view.silent_s))
+    def _words(self, error: Exception) -> str:
+        """Return a failure in words; one that is new is logged."""
+        known = isinstance(error, CbsrError)
+        words = error.reason if isinstance(error, CbsrError) else text("trouble.unforeseen", error=repr(error)[:200])
+        if words != self._said:
+            LOG.warning("%s: %s", self.served.name, words, exc_info=None if known else error)
+        self._said = words
+        return words
 
     def _refused(self) -> str:
         """Return why the run that was started last never began."""
         started = self.started
-        if started is None or not started.ended or (self.look is not None and self.look.started_at > started.at):
+        if started is None or not started.ended or (self.look is not None and self.look.worked_at > started.at):
             return ""
         return started.last_words()
 
     def _look_after(self, store: Repository, now_s: float) -> None:
         if now_s < self._health_s:
             return
-        self._health_s = now_s + _HEALTH_S
         check = store.latest_station_check(self.served.name)
+        self._health_s = now_s + _HEALTH_S
         if check is None:
             self._health, self._healthy = text("health.unchecked"), True
         else:
             self._healthy = check.outcome is not CheckOutcome.FAILED
             key = "health.passed" if self._healthy else "health.failed"
             self._health = text(key, when=f"{check.checked_at:%Y-%m-%d %H:%M}")
+
+
+def _silence(mode: Mode, live: LiveView | None) -> str:
+    if mode is not Mode.RUNNING or live is None or live.silent_s is None or live.silent_s < SILENT_S:
+        return ""
+    return text("trouble.silent", seconds=round(live.silent_s))
 
 
 class Watcher(threading.Thread):
@@ -156,15 +181,17 @@ class Watcher(threading.Thread):
         self.join(timeout=5)
 
     def run(self) -> None:
-        plugins = discover()
         while not self._stopped:
             try:
                 with open_store(self._database, durable=False) as store:
-                    self._watch(store, plugins)
+                    self._watch(store, discover())
+                return
             except CbsrError as error:
                 self._say(f"{error.reason}. {error.remedy}" if error.remedy else error.reason)
-                self._woken.wait(1.0)
-                self._woken.clear()
+            except Exception as error:  # noqa: BLE001 - pages would stay as they are without a word
+                self._say(text("trouble.unforeseen", error=repr(error)[:200]), error)
+            self._woken.wait(_AGAIN_S)
+            self._woken.clear()
 
     def _watch(self, store: Repository, plugins: Plugins) -> None:
         notice: ChangeNotice = store.change_notice()
@@ -176,14 +203,18 @@ class Watcher(threading.Thread):
                     for station in self._stations:
                         station.wake()
                 fresh = [one.served.name for one in self._stations if one.refresh(store, plugins)]
-                self._say("")
                 if fresh:
                     self._publish(fresh)
+                failures = [one.failure for one in self._stations if one.failure is not None]
+                if len(failures) < len(self._stations):
+                    self._say("")
+                elif fresh:  # not one run, but the store
+                    raise failures[0]
 
-    def _say(self, trouble: str) -> None:
+    def _say(self, trouble: str, error: Exception | None = None) -> None:
         if trouble == self.trouble:
             return
         self.trouble = trouble
         if trouble:
-            LOG.error("%s", trouble)
+            LOG.error("%s", trouble, exc_info=error)
         self._publish([one.served.name for one in self._stations])

@@ -1,4 +1,7 @@
-"""The page of a line in a real browser, as an operator uses it; runs at paced simulated stations."""
+"""The page of a line in a real browser, as an operator uses it; runs at paced simulated stations.
+
+Few are for make test: every process of it that takes one starts a server and a browser of its own.
+"""
 
 import re
 import signal
@@ -95,7 +98,7 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
         "/stations/bench-2/answer", form={"prompt": number, "text": "late"}, headers={"origin": line.address}
     )
     assert late.ok
-    assert late.json()["words"] != "The answer was stored."
+    assert late.json()["words"] != "The answer was accepted."
     other.get_by_role("button", name="Answer").click()
     _shows(page, "Running")
     page.get_by_role("button", name="Pause").click()
@@ -104,7 +107,7 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     other.shot("paused")
 
     line.stop(signal.SIGKILL)
-    expect(page.locator("#connection")).to_contain_text("Runs go on")
+    expect(page.locator("#connection")).to_contain_text("Runs continue")
     page.shot("connection-lost")
     line.start()
     expect(page.locator("#connection")).to_be_empty()
@@ -137,12 +140,12 @@ def test_an_instrument_that_dies_is_named_with_what_to_do(pages):
     page = pages("/stations/dying")
     page.locator("#operator").fill("Ada")
     _scan(page, "DIE-1", "five-places")
-    expect(page.locator(".verdict h2")).to_contain_text("Broken off")
+    expect(page.locator(".verdict h2")).to_contain_text("Stopped by a fault")
     expect(page.locator(".verdict .reason")).to_contain_text("its cable was pulled out")
     expect(page.locator(".todo")).to_contain_text("Check the bench first")
     page.shot("broken-off")
     overview = pages("/")
-    expect(overview.locator(".card").nth(2)).to_contain_text("Broken off")
+    expect(overview.locator(".card").nth(2)).to_contain_text("Stopped by a fault")
     overview.shot("overview")
     _accessible(overview)
     shift = pages("/shift")
@@ -155,8 +158,8 @@ def test_an_instrument_that_dies_is_named_with_what_to_do(pages):
     _accessible(shift)
 
 
-@pytest.mark.parametrize("serial", ["../../etc/passwd", "<script>alert(1)</script>", "--resume", "é", "Y" * 65])
-def test_hostile_serials_are_refused_with_what_is_allowed(pages, serial):
+@pytest.mark.parametrize("serial", ["<script>alert(1)</script>", "Y" * 65])
+def test_a_hostile_serial_is_refused_with_what_is_allowed(pages, serial):
     page = pages("/stations/bench-1")
     page.locator("#serial").fill(serial)
     page.keyboard.press("Enter")
@@ -183,6 +186,7 @@ def test_the_gate_refuses_until_somebody_overrides_it(pages):
     _accessible(page)
 
 
+@pytest.mark.rest
 def test_who_is_not_signed_in_is_asked_to(line, chromium, pages):
     with chromium.new_context(base_url=line.address) as stranger:
         page = stranger.new_page()
@@ -193,6 +197,7 @@ def test_who_is_not_signed_in_is_asked_to(line, chromium, pages):
         _accessible(page)
 
 
+@pytest.mark.rest
 def test_pages_fit_a_tablet_and_a_zoomed_screen(pages):
     page = pages("/stations/bench-1")
     for name, width, height in (("tablet", 768, 1024), ("zoom-200", 640, 400)):

@@ -3,6 +3,7 @@
 import http.client
 import socket
 import time
+from urllib.parse import urlencode
 
 import pytest
 from command import cbsr_qa
@@ -63,6 +64,12 @@ def test_a_cookie_changes_nothing_from_another_site(line):
         assert (status, "own pages alone" in words) == (403, True)
     own = {**signed, "Origin": line.address}
     assert _ask(line, "POST", "/stations/bench-1/stop", own, "")[0] == 200
+
+
+@pytest.mark.parametrize("serial", ["../../etc/passwd", "--resume", "a b", "é"])
+def test_hostile_serials_are_refused_with_what_is_allowed(line, serial):
+    status, words, _ = _ask(line, "POST", "/stations/bench-1/check", _FORM, urlencode({"serial": serial}))
+    assert (status, "cannot be used" in words) == (200, True), words
 
 
 def test_the_first_view_is_small_and_complete(line):

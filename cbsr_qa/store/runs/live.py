@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from cbsr_qa.domain.plan import Role
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames
-from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.results import Decision, EndReason, Outcome
 from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord
 from cbsr_qa.store.damage import stored, translated
 from cbsr_qa.store.engine import reading, sqlite_file
@@ -25,8 +25,10 @@ from cbsr_qa.store.tables import (
     LoadRow,
     PhaseRow,
     RunRow,
+    RunStateRow,
     SampleBlockRow,
     UnloadedMarkRow,
+    VerdictOverrideRow,
 )
 
 #: Most blocks of frames, and of samples, that one read returns: the latest ones.
@@ -54,14 +56,11 @@ class RunTail:
 
     Parameters
     ----------
-    end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
     phases, loads : all so far, the loads with the index of their phase.
     frames, samples : new blocks with the index of their phase; of many, the latest :data:`MOST_BLOCKS`.
     frames_seen, samples_seen : (phase, block) of the last ones, for the next look.
     """
 
-    end: EndReason
-    detail: str
     phases: tuple[LivePhase, ...]
     loads: tuple[tuple[int, LoadRecord], ...]
     frames: tuple[tuple[int, FrameBlock], ...]
@@ -81,12 +80,10 @@ def run_tail(
         If the run does not exist, or a block was altered.
     """
     with reading(engine) as connection:
-        state = current_state(connection, run)
+        current_state(connection, run)  # whether it exists
         frames = _latest(connection, FrameBlockRow, run, frames_after)
         samples = _latest(connection, SampleBlockRow, run, samples_after)
         return RunTail(
-            end=EndReason(state.end),
-            detail=state.detail,
             phases=_phases(connection, run),
             loads=_loads(connection, run),
             frames=tuple((row.phase, frame_block(row)) for row in frames),
@@ -113,8 +110,10 @@ class RunLook:
 
     Parameters
     ----------
+    worked_at : when its latest session began, or its latest analysis was made, whichever is later.
     end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
     outcome, reason, calibrated : of its latest analysis; None and empty without one.
+    decision : the latest override of that analysis; None where there is none.
     """
 
     run: str
@@ -124,11 +123,18 @@ class RunLook:
     recipe: str
     operator: str
     started_at: datetime
+    worked_at: datetime
     end: EndReason
     detail: str
     outcome: Outcome | None
     reason: str
     calibrated: bool
+    decision: Decision | None
+
+    @property
+    def verdict(self) -> Outcome | None:
+        """What counts: the override if there is one, else the outcome; None without an analysis."""
+        return self.outcome if self.decision is None else self.decision.outcome
 
 
 def latest_run_at(engine: Engine, station: str) -> RunLook | None:
@@ -143,24 +149,37 @@ def look_at(engine: Engine, run: str) -> RunLook | None:
 
 def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
     columns = [column for column in RunRow.__table__.columns if column.name not in ("setting", "configuration")]
-    analysis = AnalysisRow
+    a = AnalysisRow
     with reading(engine) as connection:
         row = connection.execute(select(*columns).where(which).order_by(RunRow.run.desc()).limit(1)).one_or_none()
         if row is None:
             return None
         state = current_state(connection, row.run)
-        latest = select(analysis.analysis, analysis.outcome, analysis.reason).where(analysis.run == row.run)
-        found = connection.execute(latest.order_by(analysis.analysis.desc()).limit(1)).one_or_none()
+        begun = select(RunStateRow.noted_at).where(RunStateRow.run == row.run, RunStateRow.noted_at.is_not(None))
+        session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1)) or row.started_at
+        latest = select(a.analysis, a.analysed_at, a.outcome, a.reason).where(a.run == row.run)
+        found = connection.execute(latest.order_by(a.analysis.desc()).limit(1)).one_or_none()
         issued = select(CalibrationRow.calibration).where(CalibrationRow.run == row.run).limit(1)
         return of_row(
             RunLook,
             row,
+            worked_at=session_at if found is None else max(session_at, found.analysed_at),
             end=EndReason(state.end),
             detail=state.detail,
             outcome=None if found is None else analysis_outcome(found),
             reason="" if found is None else found.reason,
             calibrated=connection.scalar(issued) is not None,
+            decision=None if found is None else _decision(connection, row.run, found.analysis),
         )
+
+
+def _decision(connection: Connection, run: str, analysis: str) -> Decision | None:
+    o = VerdictOverrideRow
+    query = select(o.outcome, o.operator, o.why).where(o.run == run, o.analysis == analysis)
+    row = connection.execute(query.order_by(o.override_id.desc()).limit(1)).one_or_none()
+    if row is None:
+        return None
+    return Decision(stored(Outcome, row.outcome, "verdict_overrides.outcome", f"run {run}"), row.operator, row.why)
 
 
 class ChangeNotice:

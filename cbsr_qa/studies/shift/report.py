@@ -1,4 +1,4 @@
-"""Lists of runs and sensors, with counts, yields and reasons of failure, for a terminal; and as CSV."""
+"""Lists of runs and sensors, with counts, yields and reasons for failure, for a terminal; and as CSV."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
@@ -88,7 +88,7 @@ def _outcome(found: Any, kind: str, headline: str, table: Table) -> CommandOutco
 def _summary(summary: ShiftSummary) -> Iterator[Section]:
     if summary.reasons:
         limits = [(reason.words, str(reason.sensors), str(reason.runs)) for reason in summary.reasons]
-        yield Section("Reasons of failure", (text_table(_REASONS, ("limit", "sensors", "runs"), limits, (1, 2)),))
+        yield Section("Reasons for failure", (text_table(_REASONS, ("limit", "sensors", "runs"), limits, (1, 2)),))
     blocks: list[Block] = [
         text_table(_PARTS, (kind, "runs", "passed", "failed", "yield", "first pass"), rows, (1, 2, 3))
         for kind, parts in (("station", summary.stations), ("recipe", summary.recipes))

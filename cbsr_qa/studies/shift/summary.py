@@ -1,4 +1,4 @@
-"""Yield, first-pass yield and reasons of failure of the runs of a selection, such as those of a shift."""
+"""Yield, first-pass yield and reasons for failure of the runs of a selection, such as those of a shift."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -70,7 +70,7 @@ class FailureReason:
 
 @dataclass(frozen=True, slots=True)
 class ShiftSummary:
-    """The runs of a selection, all and by station and recipe; reasons of failure, most sensors first."""
+    """The runs of a selection, all and by station and recipe; reasons for failure, most sensors first."""
 
     total: Tally
     stations: tuple[Tally, ...]

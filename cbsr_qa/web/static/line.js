@@ -32,14 +32,13 @@ async function show(address) {
   }
 }
 
-function take({ parts = [], picture = "", words = "", go = "" }) {
+function take({ parts = [], picture = "", words = "" }) {
   parts.forEach(put);
   if (picture) show(picture);
   if (words) {
     say.textContent = words;
     setTimeout(() => { if (say.textContent === words) say.textContent = ""; }, 10000);
   }
-  if (go) location.assign(go);
 }
 
 // One stream for each page that is looked at: a browser allows six connections to a server.
@@ -90,14 +89,6 @@ document.addEventListener("submit", async (event) => {
     if (answer.headers.get("content-type")?.startsWith("application/json")) take(await answer.json());
     else say.textContent = await answer.text();
   } catch { lost(true); } finally { button?.removeAttribute("aria-busy"); }
-});
-
-document.addEventListener("click", (event) => {
-  const link = event.target.closest("[data-clear]");
-  if (!link) return;
-  document.getElementById(link.dataset.clear).replaceChildren();
-  const serial = document.getElementById("serial");
-  if (serial) { serial.value = ""; serial.focus(); }
 });
 
 // What a scanner types goes to the scan field, unless a text is being typed. Where there is none, during a run, it is

@@ -1,4 +1,4 @@
-"""What was tested: verdicts that count, yields, reasons of failure, and lists as JSON and CSV."""
+"""What was tested: verdicts that count, yields, reasons for failure, and lists as JSON and CSV."""
 
 import csv
 import io
@@ -149,4 +149,4 @@ def test_a_table_shows_verdicts_yields_and_reasons(shift, capsys):
     assert "– 6 runs: 2 passed, 3 failed, 1 not finished" in out
     assert "2 of 4, 50 %" in out
     assert "overridden by Bob: scratched" in " ".join(out.split())
-    assert "Reasons of failure" in out
+    assert "Reasons for failure" in out

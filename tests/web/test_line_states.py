@@ -1,0 +1,85 @@
+"""What a station is doing, and what its page says of it: from its run's channel, the store and living processes."""
+
+from dataclasses import replace
+from datetime import timedelta
+
+import pytest
+from stored_lots import store_run
+from stored_runs import identity, journalled, short_run
+
+from cbsr_qa.domain.results import EndReason, Measurement, Outcome
+from cbsr_qa.domain.run import RunEnded, RunStarted
+from cbsr_qa.store import open_store
+from cbsr_qa.web.pages import minutes_left, reason_words, verdict_kind
+from cbsr_qa.web.state import Mode, Snapshot, control_of, mode_of
+
+_HELLO = {"run": None, "serial": "S-1", "recipe": "nine"}
+
+
+@pytest.fixture
+def store(tmp_path):
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as opened:
+        yield opened
+
+
+def _control(**state):
+    return control_of(_HELLO, {"remaining_s": 600.0, "clock_speed": 1.0, **state}, down=False)
+
+
+def _snapshot(look, mode=None, control=None):
+    mode = mode or mode_of(control, look, held=control is not None, starting=False)
+    return Snapshot("bench", mode, control, look, None, "", "", "", "", healthy=True)
+
+
+def _ended(store, *ends):
+    """Store a run of as many sessions, an hour after each other; returns its name."""
+    run = store.new_id()
+    for hour, end in enumerate(ends):
+        who = identity(run)
+        began = RunStarted(replace(who, started_at=who.started_at + timedelta(hours=hour)))
+        measured = short_run(run)[1:-1] if not hour else []
+        ended = [] if end is EndReason.RUNNING else [RunEnded(end, "by Ada", 201.0, ())]
+        journalled(store, [began, *measured, *ended])
+    return run
+
+
+def test_a_page_that_was_there_before_the_run_had_a_name_sees_it_end(store):
+    before = store.look_at(store_run(store, "S-0", ()))
+    look = store.look_at(_ended(store, EndReason.FINISHED))
+    assert mode_of(_control(run=None), before, held=True, starting=True) is Mode.RUNNING
+    assert mode_of(_control(run=look.run), look, held=True, starting=True) is Mode.CONCLUDING
+
+
+@pytest.mark.parametrize(
+    ("end", "mode", "kind"),
+    [
+        (EndReason.RUNNING, Mode.INTERRUPTED, "interrupted"),
+        (EndReason.ABORTED, Mode.DONE, "aborted"),
+        (EndReason.BROKEN, Mode.DONE, "broken"),
+        (EndReason.FINISHED, Mode.DONE, "none"),
+    ],
+)
+def test_a_run_without_a_result_is_interrupted_only_if_it_has_no_end(store, end, mode, kind):
+    found = _snapshot(store.look_at(_ended(store, end)))
+    assert (found.mode, verdict_kind(found), found.resumable) == (mode, kind, True)
+
+
+def test_an_override_is_what_counts_with_who_decided(store):
+    run = store_run(store, "S-1", (Measurement("drift", 0.1, "%/min"),))
+    store.override_verdict(run, Outcome.PASS, operator="Jo", why="tried")
+    store.override_verdict(run, Outcome.FAIL, operator="Bob", why="scratched")
+    found = _snapshot(store.look_at(run))
+    assert (verdict_kind(found), reason_words(found)) == ("fail", "overridden by Bob: scratched")
+    assert found.look.outcome is not Outcome.FAIL
+
+
+def test_a_resumed_run_was_worked_on_when_it_was_resumed(store):
+    look = store.look_at(_ended(store, EndReason.ABORTED, EndReason.BROKEN))
+    assert look.worked_at - look.started_at == timedelta(hours=1)
+
+
+def test_the_time_left_stands_while_a_run_waits_and_is_unknown_on_a_clock_that_does_not(store):
+    assert minutes_left(_snapshot(None, Mode.RUNNING, _control())) == "10 min left"
+    assert minutes_left(_snapshot(None, Mode.PAUSED, _control())) == "Paused"
+    assert minutes_left(_snapshot(None, Mode.ASKING, _control())) == "Needs an answer"
+    assert "not known" in minutes_left(_snapshot(None, Mode.RUNNING, _control(clock_speed=None)))
