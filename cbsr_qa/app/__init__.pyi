@@ -28,7 +28,7 @@ from .changes import (
     list_changes as list_changes,
     override_verdict as override_verdict,
 )
-from .command_hints import database_option as database_option
+from .command_hints import database_option as database_option, own_command as own_command
 from .database import (
     DatabaseStatus as DatabaseStatus,
     Upgrade as Upgrade,

@@ -1,6 +1,7 @@
-"""Commands that continue from what is stored; they name a database other than the default."""
+"""Commands that continue from what is stored, naming a database other than the default; and how to start one."""
 
 import shlex
+import sys
 
 from cbsr_qa.config import database_url
 from cbsr_qa.store import Repository
@@ -23,3 +24,8 @@ def report_command(run: str, store: Repository) -> str:
 
 def _unless_usual(store: Repository) -> str:
     return database_option(None if store.is_at(database_url()) else store.address)
+
+
+def own_command(*arguments: str) -> list[str]:
+    """Return what starts a command of this program in a process of its own, with the same interpreter."""
+    return [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", *arguments]

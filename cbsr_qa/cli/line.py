@@ -110,9 +110,10 @@ class _Line:
 
     def _test(self, serial: str) -> bool:
         """Run one sensor and show its verdict; False if the input has ended meanwhile."""
-        program = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()"]
+        from cbsr_qa.app import own_command
+
         process = subprocess.Popen(
-            [*program, "run", *self.options, "--serial", serial, "--json"],
+            own_command("run", *self.options, "--serial", serial, "--json"),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,  # a log of lines: a bar would be torn by what is typed

@@ -3,7 +3,6 @@
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -11,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+from cbsr_qa.app import own_command
 from cbsr_qa.config import var_folder, writable_folder
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.web.guard import LOG
@@ -67,7 +67,7 @@ def start_run(station: str, arguments: Sequence[str], what: str) -> Started:
     folder = writable_folder(var_folder() / "control" / "logs" / station)
     now = datetime.now(UTC)
     log = folder / f"{now:%Y%m%dT%H%M%S%f}.log"
-    program = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "run", *arguments]
+    program = own_command("run", *arguments)
     unit = f"cbsr-qa-run-{station}-{log.stem}".replace(".", "_").replace(" ", "_")
     try:
         _forget_old(folder)

