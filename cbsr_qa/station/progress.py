@@ -115,7 +115,7 @@ class RunProgress:
             place = f"{load['label']} at ({load['x_mm']:g}, {load['y_mm']:g}) mm"
             figures.append(f"press {load['number']} of {load['of']}, {place}")
         if force_N is not None:
-            figures.append(f"{force_N:.2f} N")
+            figures.append(f"{round(force_N, 2) + 0.0:.2f} N")  # no minus before zero
         if percent is not None:
             figures.append(f"noise {percent:.2g} % of the reading")
         return figures
