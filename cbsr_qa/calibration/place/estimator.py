@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
-from cbsr_qa.calibration.place.features import features_of, spikes_in, squared_distances, strengths
+from cbsr_qa.calibration.place.features import features_of, size_factors, spikes_in, squared_distances, strengths
 from cbsr_qa.calibration.place.held_out import evenly
 from cbsr_qa.calibration.place.mixture import mixed
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
@@ -140,11 +140,9 @@ class PlaceEstimator:
 
     def _without(self, features: Array, lost: Mask) -> tuple[Array, Array]:
         """Features (n, m) whose lost ones are replaced, and the factors (n,) that bring them to their new size."""
-        templates, damping = self._model.templates, self._model.scaling.damping
         known = np.where(lost, 0.0, features)
-        new = filled(templates, known, lost)
-        sizes = np.linalg.norm(known, axis=1) / np.maximum(np.linalg.norm(new, axis=1), np.finfo(float).tiny)
-        factor = sizes**damping
+        new = filled(self._model.templates, known, lost)
+        factor = size_factors(known, new, self._model.scaling)
         return new * factor[:, None], factor
 
     def _mixed(self, features: Array) -> tuple[Array, Array, Array]:

@@ -75,6 +75,21 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
     return strength
 
 
+def size_factors(known: Array, whole: Array, scaling: FeatureScaling) -> Array:
+    """Factors (n,) by which features (n, m) with lost readings filled in are too large: sizes are of the known ones.
+
+    One where nothing is known, or nothing changes.
+
+    Parameters
+    ----------
+    known, whole : (n, m) the features before, zero where they are lost, and after.
+    """
+    before, after = (np.linalg.norm(features, axis=1) for features in (known, whole))
+    some = (before > 0) & (after > 0)
+    factors: Array = (np.where(some, before, 1.0) / np.where(some, after, 1.0)) ** scaling.damping
+    return factors
+
+
 def _roots(readings: Array, scaling: FeatureScaling) -> Array:
     roots: Array = np.sign(readings) * np.minimum(np.abs(readings), scaling.ceiling) ** scaling.exponent
     return roots

@@ -12,6 +12,7 @@ from cbsr_qa.calibration.place.features import (
     ceilings_of,
     features_of,
     pattern_turns,
+    size_factors,
     spikes_among,
     strengths,
     turn_by,
@@ -126,10 +127,9 @@ def learn_place(
     missing &= scaling.ceiling > 0
     less = np.ones(len(changes))
     if missing.any():
-        before = np.linalg.norm(sheet.features, axis=1)
-        sheet = sheet.filled(missing)
+        known, sheet = sheet.features, sheet.filled(missing)
         fault = missing.mean(axis=1) > _MORE_THAN_SPIKES
-        less[fault] = (before[fault] / np.linalg.norm(sheet.features[fault], axis=1)) ** scaling.damping
+        less[fault] = size_factors(known[fault], sheet.features[fault], scaling)
         sheet = replace(sheet, features=sheet.features * less[:, None])
     tell("finding how readings drift")
     learning = sheet.template_learning()

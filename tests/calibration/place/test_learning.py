@@ -173,6 +173,16 @@ def test_frames_that_are_no_such_touch_are_flagged(sheet, learned):
     assert distances(places, locate(frames[:3]).place_mm)[1] < 1
 
 
+def test_a_frame_without_change_and_with_lost_readings_has_no_strength(learned):
+    for lost in (1, 90):
+        silent = np.zeros((1, 192))
+        silent[0, :lost] = np.nan
+        places = PlaceEstimator(learned.model)(silent)
+        assert places.flags & Flag.NOT_DETECTED
+        assert np.isfinite(places.place_mm).all()
+        assert places.strength == 0
+
+
 def test_spikes_cost_little():
     """One reading of twenty, in presses and later frames: it is told by the others, and regions hold."""
     sheet, random = pressed_sheet(240, seed=7, noise=0.05), np.random.default_rng(10)
