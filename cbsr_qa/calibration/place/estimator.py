@@ -5,7 +5,14 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
-from cbsr_qa.calibration.place.features import features_of, size_factors, spikes_in, squared_distances, strengths
+from cbsr_qa.calibration.place.features import (
+    features_of,
+    more_than_spikes,
+    size_factors,
+    spikes_in,
+    squared_distances,
+    strengths,
+)
 from cbsr_qa.calibration.place.held_out import evenly
 from cbsr_qa.calibration.place.mixture import mixed
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
@@ -104,16 +111,16 @@ class PlaceEstimator:
         lost &= whole[:, None]
         changes = np.where(whole[:, None] & used & ~lost, changes, 0.0)
         features = features_of(changes, model.scaling)
-        some = lost.any(axis=1)
-        more = some & ((remarks & ~int(Flag.SPIKE)) != 0)
-        few, less = some & ~more, np.ones(len(features))  # spikes are too few to change the size of a frame
+        more = more_than_spikes(lost, used)
+        few, less = lost.any(axis=1) & ~more, np.ones(len(features))
         features[few] = filled(model.templates, features[few], lost[few])
         features[more], less[more] = self._without(features[more], lost[more])
         place, covariance, misfit = self._mixed(features)
         for frame in np.flatnonzero(more).tolist():
             covariance[frame] += self._unsure(lost[frame])
+        size = np.sqrt((changes**2).sum(axis=1) / (~lost).sum(axis=1))
         flags = remarks | np.where(whole, 0, int(Flag.UNREADABLE))
-        flags |= np.where(np.sqrt((changes**2).mean(axis=1)) < model.least_size, int(Flag.NOT_DETECTED), 0)
+        flags |= np.where(size < model.least_size, int(Flag.NOT_DETECTED), 0)
         flags |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
         like = at_places(model.templates.grid_mm, likeness(self._expected, features), place)
         place = place @ model.axes + model.centre_mm

@@ -10,6 +10,8 @@ from cbsr_qa.domain.sensor import ElectrodeLayout
 
 #: Features that spikes turn against their template are replaced by this share of it.
 _LEAST_LIKENESS: Final = 0.05
+#: A frame that lost more of its readings lost more than spikes: its size is brought to that of all readings.
+_MORE_THAN_SPIKES: Final = 0.05
 #: A reading's ceiling, in 90 % quantiles of its size; and what is taken for a spike, in ceilings: one reading of a
 #: thousand on two real skins, and with adjacent pairs of a simulated one whose presses reach the electrodes.
 _CEILING, _SPIKE = 3.0, 3.5
@@ -73,6 +75,12 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
     size = np.linalg.norm(_roots(readings, scaling), axis=1)
     strength: Array = (np.maximum(likeness, _LEAST_LIKENESS) * size**scaling.damping) ** (1 / scaling.exponent)
     return strength
+
+
+def more_than_spikes(lost: Mask, used: Mask) -> Mask:
+    """Which frames (n,) lost so many of the used readings (m,) that their size tells less; ``lost`` is (n, m)."""
+    more: Mask = np.asarray(lost[:, used].mean(axis=1) > _MORE_THAN_SPIKES)
+    return more
 
 
 def size_factors(known: Array, whole: Array, scaling: FeatureScaling) -> Array:
