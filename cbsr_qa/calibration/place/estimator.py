@@ -19,7 +19,7 @@ from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.calibration.place.process import located
 from cbsr_qa.calibration.place.templates import at_places, expected_features, filled, likeness, match
-from cbsr_qa.calibration.runtime import Flag
+from cbsr_qa.calibration.runtime import LEFT_OUT, Flag, FrameFaults
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import LearnedPlace
 
@@ -32,6 +32,8 @@ _KEPT: Final = 32
 #: elliptic ones, the three that conduct three times better along one direction, and one of three uneven ones.
 _MISSED_REACH: Final = 0.25
 _MISSED_TIMES: Final = 10.0
+#: The modelled sheet's place is not used for frames with one of these flags: it is compared with all readings.
+_NOT_MODELLED: Final = int(Flag.NOT_DETECTED | Flag.UNREADABLE | Flag.MISSING | Flag.OFFSET) | LEFT_OUT
 #: Of dᵀΣ⁻¹d that holds 68 % of a normal distribution over two axes.
 _NORMAL_68: Final = float(-2 * np.log(1 - 0.68))
 
@@ -68,29 +70,35 @@ class PlaceEstimator:
         self._expected = expected_features(model.templates)
         self.q68, self.q95 = model.mixture.quantiles.tolist()
 
-    def __call__(self, changes: Array) -> Places:
+    def __call__(self, changes: Array, faults: FrameFaults | None = None) -> Places:
         """Locate the touches of changes (n, m) of the learned readings, in their unit.
 
         Readings that are not finite, spikes and readings of faulty groups are replaced by what the others let expect,
         and flagged; frames with more than half of their readings lost are UNREADABLE.
+
+        Parameters
+        ----------
+        faults : found in the whole frames, whose readings are left out too.
 
         CalibrationError if the number of readings differs.
         """
         readings = len(self._model.scaling.ceiling)
         if changes.ndim != 2 or changes.shape[1] != readings:
             raise CalibrationError(f"changes of the shape {changes.shape}; (n, {readings}) is expected")
-        parts = [self._located(changes[first : first + _AT_ONCE]) for first in range(0, len(changes), _AT_ONCE)]
-        if not parts:
-            parts = [self._located(np.zeros((0, readings)))]
+        if faults is None:
+            faults = FrameFaults(np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64))
+        starts = range(0, max(len(changes), 1), _AT_ONCE)
+        several = [slice(first, first + _AT_ONCE) for first in starts]
+        parts = [self._located(changes[some], faults.left_out[some], faults.flags[some]) for some in several]
         places = Places(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         return places if self._modelled is None else self._beyond(places, self._modelled(changes))
 
     def _beyond(self, places: Places, modelled: Places) -> Places:
         """Use the modelled sheet for touches that it explains beyond the presses, and the learned places do not."""
         learned = places.in_model & ((places.flags & int(Flag.OUTSIDE)) == 0)
-        silent = (places.flags & int(Flag.NOT_DETECTED | Flag.UNREADABLE)) != 0
-        taken = modelled.in_model & self._outside(modelled.place_mm) & ~learned & ~silent
-        flags = np.where(taken, int(Flag.OUTSIDE), places.flags)
+        unfit = (places.flags & _NOT_MODELLED) != 0
+        taken = modelled.in_model & self._outside(modelled.place_mm) & ~learned & ~unfit
+        flags = np.where(taken, places.flags & ~int(Flag.MORE_THAN_ONE) | int(Flag.OUTSIDE), places.flags)
         place = np.where(taken[:, None], modelled.place_mm, places.place_mm)
         covariance = np.where(taken[:, None, None], modelled.covariance_mm2, places.covariance_mm2)
         return Places(place, covariance, np.where(taken, modelled.misfit, places.misfit), places.strength, flags)
@@ -103,10 +111,10 @@ class PlaceEstimator:
         outside: Mask = np.asarray(nearest > model.reach_mm)
         return outside
 
-    def _located(self, changes: Array) -> tuple[Array, Array, Array, Array, Indices]:
+    def _located(self, changes: Array, left_out: Mask, faults: Indices) -> tuple[Array, Array, Array, Array, Indices]:
         model = self._model
         used = model.scaling.ceiling > 0
-        lost, remarks = self._lost(changes)
+        lost, remarks = self._lost(changes, left_out)
         whole: Mask = np.asarray(lost[:, used].mean(axis=1) <= MOST_FAULTY)
         lost &= whole[:, None]
         changes = np.where(whole[:, None] & used & ~lost, changes, 0.0)
@@ -119,12 +127,12 @@ class PlaceEstimator:
         for frame in np.flatnonzero(more).tolist():
             covariance[frame] += self._unsure(lost[frame])
         size = np.sqrt((changes**2).sum(axis=1) / (~lost).sum(axis=1))
-        flags = remarks | np.where(whole, 0, int(Flag.UNREADABLE))
-        flags |= np.where(size < model.least_size, int(Flag.NOT_DETECTED), 0)
-        flags |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
+        judged = np.where(size < model.least_size, int(Flag.NOT_DETECTED), 0)
+        judged |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
         like = at_places(model.templates.grid_mm, likeness(self._expected, features), place)
         place = place @ model.axes + model.centre_mm
-        flags |= np.where(self._outside(place), int(Flag.OUTSIDE), 0)
+        judged |= np.where(self._outside(place), int(Flag.OUTSIDE), 0)
+        flags = faults | remarks | np.where(whole, judged, int(Flag.UNREADABLE))
         place = np.where(whole[:, None], place, np.nan)
         turned = model.axes.T @ covariance @ model.axes
         return place, turned, misfit / model.misfit, strengths(changes, like / less, model.scaling), flags
@@ -159,12 +167,13 @@ class PlaceEstimator:
         first = located(model.process, model.turns, features)
         return (*mixed(model.mixture, first, second, covariance), misfit)
 
-    def _lost(self, changes: Array) -> tuple[Mask, Indices]:
-        """Readings (n, m) of frames that say nothing, and flags (n,)."""
+    def _lost(self, changes: Array, left_out: Mask) -> tuple[Mask, Indices]:
+        """Readings (n, m) of frames that say nothing, and flags (n,); ``left_out`` is (n, m)."""
         ceiling = self._model.scaling.ceiling
-        lost: Mask = (ceiling > 0) & ~np.isfinite(changes)
-        flags: Indices = np.where(lost.any(axis=1), int(Flag.MISSING), 0).astype(np.int64)
-        changes = np.where(np.isfinite(changes), changes, 0.0)
+        missing: Mask = (ceiling > 0) & ~np.isfinite(changes)
+        flags: Indices = np.where(missing.any(axis=1), int(Flag.MISSING), 0).astype(np.int64)
+        lost: Mask = missing | ((ceiling > 0) & left_out)
+        changes = np.where(lost | ~np.isfinite(changes), 0.0, changes)
         spikes: Mask = (ceiling > 0) & spikes_in(changes, ceiling)
         flags |= np.where(spikes.any(axis=1), int(Flag.SPIKE), 0)
         if self._groups is not None:

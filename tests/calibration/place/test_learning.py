@@ -169,6 +169,7 @@ def test_frames_that_are_no_such_touch_are_flagged(sheet, learned):
     places = locate(missing)
     assert (places.flags & Flag.MISSING).astype(bool).tolist() == [False, True, True]
     assert (places.flags & Flag.UNREADABLE).astype(bool).tolist() == [False, False, True]
+    assert places.flags[2] & ~Flag.SPIKE == Flag.UNREADABLE | Flag.MISSING  # nothing else is judged there
     assert np.isnan(places.place_mm).any(axis=1).tolist() == [False, False, True]
     assert distances(places, locate(frames[:3]).place_mm)[1] < 1
 
