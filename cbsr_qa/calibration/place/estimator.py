@@ -1,11 +1,13 @@
 """Frames in, places out: a learned place in use. Needs numpy alone."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
 from cbsr_qa.calibration.place.features import (
+    LEAST_LIKENESS,
     features_of,
     more_than_spikes,
     size_factors,
@@ -66,7 +68,7 @@ class PlaceEstimator:
         if modelled is not None and held_out_mm is not None:
             most_mm = max(_MISSED_REACH * model.reach_mm, _MISSED_TIMES * held_out_mm)
             self._modelled = modelled if modelled.error_mm <= most_mm else None
-        self._kept: dict[bytes, Array] = {}
+        self._kept: dict[bytes, tuple[Array, float]] = {}
         self._expected = expected_features(model.templates)
         self.q68, self.q95 = model.mixture.quantiles.tolist()
 
@@ -101,7 +103,8 @@ class PlaceEstimator:
         flags = np.where(taken, places.flags & ~int(Flag.MORE_THAN_ONE) | int(Flag.OUTSIDE), places.flags)
         place = np.where(taken[:, None], modelled.place_mm, places.place_mm)
         covariance = np.where(taken[:, None, None], modelled.covariance_mm2, places.covariance_mm2)
-        return Places(place, covariance, np.where(taken, modelled.misfit, places.misfit), places.strength, flags)
+        misfit = np.where(taken, modelled.misfit, places.misfit)
+        return replace(places, place_mm=place, covariance_mm2=covariance, misfit=misfit, flags=flags)
 
     def _outside(self, place_mm: Array) -> Mask:
         """Which places (n, 2) in the frame of the presses are far from all of them."""
@@ -111,7 +114,9 @@ class PlaceEstimator:
         outside: Mask = np.asarray(nearest > model.reach_mm)
         return outside
 
-    def _located(self, changes: Array, left_out: Mask, faults: Indices) -> tuple[Array, Array, Array, Array, Indices]:
+    def _located(
+        self, changes: Array, left_out: Mask, faults: Indices
+    ) -> tuple[Array, Array, Array, Array, Indices, Array]:
         model = self._model
         used = model.scaling.ceiling > 0
         lost, remarks = self._lost(changes, left_out)
@@ -124,8 +129,10 @@ class PlaceEstimator:
         features[few] = filled(model.templates, features[few], lost[few])
         features[more], less[more] = self._without(features[more], lost[more])
         place, covariance, misfit = self._mixed(features)
+        unsure = np.zeros(len(features))
         for frame in np.flatnonzero(more).tolist():
-            covariance[frame] += self._unsure(lost[frame])
+            further, unsure[frame] = self._unsure(lost[frame])
+            covariance[frame] += further
         size = np.sqrt((changes**2).sum(axis=1) / (~lost).sum(axis=1))
         judged = np.where(size < model.least_size, int(Flag.NOT_DETECTED), 0)
         judged |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
@@ -135,23 +142,35 @@ class PlaceEstimator:
         flags = faults | remarks | np.where(whole, judged, int(Flag.UNREADABLE))
         place = np.where(whole[:, None], place, np.nan)
         turned = model.axes.T @ covariance @ model.axes
-        return place, turned, misfit / model.misfit, strengths(changes, like / less, model.scaling), flags
+        strength = strengths(changes, like / less, model.scaling)
+        return place, turned, misfit / model.misfit, strength, flags, unsure
 
-    def _unsure(self, lost: Mask) -> Array:
-        """Covariance (2, 2) by which places are less certain without some readings (m,).
+    def _unsure(self, lost: Mask) -> tuple[Array, float]:
+        """How much less certain a frame is without some readings (m,).
 
-        From where presses that were learned from are found without these readings, and with them.
+        From presses that were learned from, found without these readings, and with them: the covariance (2, 2) of
+        the place, and the standard deviation of the logarithm of the strength.
         """
         key = lost.tobytes()
         if key not in self._kept:
             while len(self._kept) >= _KEPT:
                 self._kept.pop(next(iter(self._kept)))
-            process = self._model.process
+            process, scaling = self._model.process, self._model.scaling
             whole = process.features[evenly(len(process.features), _PRESSES)]
-            fewer = self._without(whole, np.tile(lost, (len(whole), 1)))[0]
-            apart = self._mixed(fewer)[0] - self._mixed(whole)[0]
-            self._kept[key] = apart.T @ apart / len(apart) * (_NORMAL_68 / self.q68)
+            known = np.where(lost, 0.0, whole)
+            smaller = size_factors(known, whole, scaling)  # such a frame is divided by the size of its known readings
+            fewer, less = self._without(known / smaller[:, None], np.tile(lost, (len(whole), 1)))
+            (here, likely), (there, expected) = (self._found(features) for features in (fewer, whole))
+            apart = here - there
+            weaker = np.log(likely * smaller / (less * expected)) / scaling.exponent
+            covariance = apart.T @ apart / len(apart) * (_NORMAL_68 / self.q68)
+            self._kept[key] = covariance, float(np.sqrt((weaker**2).mean()))
         return self._kept[key]
+
+    def _found(self, features: Array) -> tuple[Array, Array]:
+        """Places (n, 2) about the centre, and the likeness (n,) to the templates there."""
+        place, like = self._mixed(features)[0], likeness(self._expected, features)
+        return place, np.maximum(at_places(self._model.templates.grid_mm, like, place), LEAST_LIKENESS)
 
     def _without(self, features: Array, lost: Mask) -> tuple[Array, Array]:
         """Features (n, m) whose lost ones are replaced, and the factors (n,) that bring them to their new size."""

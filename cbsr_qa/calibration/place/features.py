@@ -9,7 +9,7 @@ from cbsr_qa.domain.results import FeatureScaling, PatternTurns
 from cbsr_qa.domain.sensor import ElectrodeLayout
 
 #: Features that spikes turn against their template are replaced by this share of it.
-_LEAST_LIKENESS: Final = 0.05
+LEAST_LIKENESS: Final = 0.05
 #: A frame that lost more of its readings lost more than spikes: its size is brought to that of all readings.
 _MORE_THAN_SPIKES: Final = 0.05
 #: A reading's ceiling, in 90 % quantiles of its size; and what is taken for a spike, in ceilings: one reading of a
@@ -73,7 +73,7 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
     likeness : (n,) of their features to the template, by least squares.
     """
     size = np.linalg.norm(_roots(readings, scaling), axis=1)
-    strength: Array = (np.maximum(likeness, _LEAST_LIKENESS) * size**scaling.damping) ** (1 / scaling.exponent)
+    strength: Array = (np.maximum(likeness, LEAST_LIKENESS) * size**scaling.damping) ** (1 / scaling.exponent)
     return strength
 
 

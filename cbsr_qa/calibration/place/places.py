@@ -17,6 +17,7 @@ class Places:
     misfit : (n,) squared misfit per reading over its limit for learned touches.
     strength : (n,) of the changes, relative to the learned ones at the place; one by the modelled sheet.
     flags : (n,) of :class:`~cbsr_qa.calibration.Flag`.
+    unsure : (n,) standard deviation of the logarithm of the strength for want of lost readings; zero in whole frames.
     """
 
     place_mm: Array
@@ -24,6 +25,7 @@ class Places:
     misfit: Array
     strength: Array
     flags: Indices
+    unsure: Array | float = 0.0
 
     @property
     def in_model(self) -> Mask:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
-from cbsr_qa.calibration.place import PlaceEstimator, mahalanobis
+from cbsr_qa.calibration.place import PlaceEstimator, QuantityEstimator, mahalanobis
 from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.issue import learn_presses
 from cbsr_qa.calibration.runtime import Flag
@@ -131,6 +131,8 @@ def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(wh
     labelled = some(spoilt, np.arange(60)).labelled()
     if whole:
         labelled = replace(labelled, readings=replace(labelled.readings, rest=pressed.unloaded))
+    else:
+        labelled = replace(labelled, presses=replace(labelled.presses, force_N=pressed.force_N[:60]))
     learned = learn_presses(labelled)
     assert [row for row, why in enumerate(learned.why_not) if why] == [12]
     assert "offset" in learned.why_not[12]
@@ -144,4 +146,9 @@ def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(wh
     assert np.linalg.norm(error, axis=1).mean() < 1.5
     ratio = mahalanobis(error[faulty.in_model], faulty.covariance_mm2[faulty.in_model])
     assert (ratio <= locate.q95).mean() > 0.9
+    for quantity in learned.quantities.values():
+        told, force = QuantityEstimator(quantity)(faulty), pressed.force_N[60:, None]
+        inside = [((each - force) * [-1, 1] >= 0).all(axis=1).mean() for each in (told.within_68, told.within_95)]
+        assert inside[0] > 0.6
+        assert inside[1] > 0.85  # 0.54 and 0.63 with the intervals of whole frames
     assert not locate(spoilt.changes[12:13]).in_model.any()
