@@ -84,6 +84,18 @@ def test_a_dead_electrode_costs_neither_pose_nor_place():
     assert error.mean() == pytest.approx(held.mean_mm, abs=4 * held.stderr_mm)
 
 
+def test_an_electrode_that_is_open_in_every_press_is_found_against_the_unloaded_sheet():
+    pressed, random = pressed_sheet(60, noise=0.05), np.random.default_rng(4)
+    of, noise = (pressed.pairs == 5).any(axis=1), 0.05 * np.median(np.abs(pressed.changes))
+    frames = pressed.changes + pressed.unloaded
+    frames[:, of] = noise * random.standard_normal((60, of.sum()))
+    rest, deviation = pressed.unloaded, np.full(len(pressed.pairs), noise)
+    found = find_dead_readings(pressed.pairs, frames - rest, pressed.labels_mm, rest, deviation)
+    np.testing.assert_array_equal(found.dead.all(axis=0), of)
+    (words,) = found.findings
+    assert words.startswith("electrode 5 is dead: its 48 readings")
+
+
 @pytest.mark.parametrize("whole", [False, True])
 def test_clipped_readings_are_told_from_others(whole):
     pressed, rectified = pressed_sheet(60, noise=0.05), pressed_sheet(60, rectified=True)
@@ -136,7 +148,7 @@ def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(wh
     learned = learn_presses(labelled)
     assert [row for row, why in enumerate(learned.why_not) if why] == [12]
     assert "offset" in learned.why_not[12]
-    assert any("faulty pairs or electrodes" in words and "row 8" in words for words in learned.findings)
+    assert any("presses with faulty readings" in words and "row 8" in words for words in learned.findings)
     locate = PlaceEstimator(learned.place.model, pairs=pressed.pairs)
     truth, sound = pressed.labels_mm[60:], locate(pressed.changes[60:])
     assert np.linalg.norm(sound.place_mm - truth, axis=1).mean() < 0.4  # 0.2 mm without these presses
