@@ -29,9 +29,10 @@ _AT_ONCE: Final = 256  # frames at a time, to limit memory
 #: Presses that tell what lost readings cost, and how many sets of lost readings are kept.
 _PRESSES: Final = 100
 _KEPT: Final = 32
-#: The modelled sheet is not trusted beyond the presses if it misses them by more than this share of their reach, and
-#: by more than so many times as much as what was learned. Of 32 simulated sheets it is not trusted on ten: the six
-#: elliptic ones, the three that conduct three times better along one direction, and one of three uneven ones.
+#: The modelled sheet is not trusted beyond the presses if it misses them by more than the spacing of neighbouring
+#: presses, a quarter of their reach, and by more than so many times as much as what was learned. Of 32 simulated
+#: sheets it is not trusted on ten: the six elliptic ones, the three that conduct three times better along one
+#: direction, and one of three uneven ones.
 _MISSED_REACH: Final = 0.25
 _MISSED_TIMES: Final = 10.0
 #: The modelled sheet's place is not used for frames with one of these flags: it is compared with all readings.

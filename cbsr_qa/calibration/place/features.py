@@ -22,7 +22,7 @@ _SAFE, _SAFE_CEILING = 0.8, 4.5
 
 
 def safe_ceilings(changes: Array) -> Array:
-    """The same as :func:`ceilings_of` where up to a fifth of the presses are faulty."""
+    """Like :func:`ceilings_of`, but sound if up to a fifth of the presses are faulty."""
     return _ceilings(changes, _SAFE, _SAFE_CEILING)
 
 
