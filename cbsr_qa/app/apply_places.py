@@ -133,22 +133,20 @@ def apply_to_presses(
     else:
         read = read_press_readings(readings, read_pairs(pattern, issued.electrodes), rest)
     changes = _changes(issued, read, differences=differences)
-    faults = np.zeros(len(changes), dtype=np.int64)
+    whole, faults = changes, None
     if issued.rest is not None and not differences:
         noise = np.zeros(len(issued.rest)) if issued.noise is None else issued.noise
-        found = FaultFinder(issued.pairs, issued.rest, noise)(issued.rest + changes)
-        changes[found.left_out], faults = np.nan, found.flags
+        faults = FaultFinder(issued.pairs, issued.rest, noise)(issued.rest + changes)
+        whole = np.where(faults.left_out, np.nan, changes)
     modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
     estimator = PlaceEstimator(issued.place, modelled, issued.pairs, issued.held_out_mm)
-    places, by_model = estimator(changes), None if modelled is None else modelled(changes)
+    places, by_model = estimator(changes, faults), None if modelled is None else modelled(whole)
     quantities = {
         f"{name}_{{}}{unit}": QuantityEstimator(learned)(places)
         for name, unit in PRESS_QUANTITIES.items()
         if (learned := getattr(issued, name)) is not None
     }
-    frames = tuple(
-        _frame(places, by_model, quantities, number, int(faults[number])) for number in range(len(changes))
-    )
+    frames = tuple(_frame(places, by_model, quantities, number) for number in range(len(changes)))
     return AppliedPlaces(calibration, readings, float(estimator.q68), float(estimator.q95), frames)
 
 
@@ -176,14 +174,12 @@ def _changes(issued: PressCalibration, read: PressReadings, *, differences: bool
     return matched - issued.rest
 
 
-def _frame(
-    places: Places, by_model: Places | None, quantities: Mapping[str, Quantities], row: int, faults: int
-) -> FramePlace:
+def _frame(places: Places, by_model: Places | None, quantities: Mapping[str, Quantities], row: int) -> FramePlace:
     modelled = None
     if by_model is not None:
         share = 1 / (1 + ALLOWANCE * float(by_model.misfit[row]))
         modelled = ByTheModel(*_place(by_model, row), share, bool(by_model.in_model[row]))
-    flags = int(places.flags[row]) | faults
+    flags = int(places.flags[row])
     told: dict[str, Any] = {}
     if not flags & (Flag.NOT_DETECTED | Flag.UNREADABLE):
         for name, each in quantities.items():

@@ -320,7 +320,7 @@ def test_a_recording_of_the_sensor_type_is_turned_into_places(of_recording):
     assert not any({"dead_pair", "open_electrode", "saturated"} & set(frame["flags"]) for frame in frames)
     done = run("calibration", "apply", folder / "OUT.h5", folder / "dead.h5", "--json")
     dead = json.loads(done.stdout)["frames"]
-    assert all("dead_pair" in frame["flags"] for frame in dead[::2])
+    assert all("dead_pair" in frame["flags"] and "missing" not in frame["flags"] for frame in dead[::2])
     beside = [(frame["x_mm"], frame["y_mm"]) for frame in dead[::2]]
     assert np.linalg.norm(beside - sheet.labels_mm[::2], axis=1).mean() < 4
     assert [frame["x_mm"] for frame in dead[1::2]] == [frame["x_mm"] for frame in frames[1::2]]

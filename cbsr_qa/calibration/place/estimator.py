@@ -1,18 +1,27 @@
 """Frames in, places out: a learned place in use. Needs numpy alone."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
-from cbsr_qa.calibration.place.features import features_of, spikes_in, squared_distances, strengths
+from cbsr_qa.calibration.place.features import (
+    LEAST_LIKENESS,
+    features_of,
+    more_than_spikes,
+    size_factors,
+    spikes_in,
+    squared_distances,
+    strengths,
+)
 from cbsr_qa.calibration.place.held_out import evenly
 from cbsr_qa.calibration.place.mixture import mixed
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.calibration.place.process import located
 from cbsr_qa.calibration.place.templates import at_places, expected_features, filled, likeness, match
-from cbsr_qa.calibration.runtime import Flag
+from cbsr_qa.calibration.runtime import LEFT_OUT, Flag, FrameFaults
 from cbsr_qa.domain import Array, CalibrationError, Indices, Mask
 from cbsr_qa.domain.results import LearnedPlace
 
@@ -20,11 +29,14 @@ _AT_ONCE: Final = 256  # frames at a time, to limit memory
 #: Presses that tell what lost readings cost, and how many sets of lost readings are kept.
 _PRESSES: Final = 100
 _KEPT: Final = 32
-#: The modelled sheet is not trusted beyond the presses if it misses them by more than this share of their reach, and
-#: by more than so many times as much as what was learned. Of 32 simulated sheets it is not trusted on ten: the six
-#: elliptic ones, the three that conduct three times better along one direction, and one of three uneven ones.
+#: The modelled sheet is not trusted beyond the presses if it misses them by more than the spacing of neighbouring
+#: presses, a quarter of their reach, and by more than so many times as much as what was learned. Of 32 simulated
+#: sheets it is not trusted on ten: the six elliptic ones, the three that conduct three times better along one
+#: direction, and one of three uneven ones.
 _MISSED_REACH: Final = 0.25
 _MISSED_TIMES: Final = 10.0
+#: The modelled sheet's place is not used for frames with one of these flags: it is compared with all readings.
+_NOT_MODELLED: Final = int(Flag.NOT_DETECTED | Flag.UNREADABLE | Flag.MISSING | Flag.OFFSET) | LEFT_OUT
 #: Of dᵀΣ⁻¹d that holds 68 % of a normal distribution over two axes.
 _NORMAL_68: Final = float(-2 * np.log(1 - 0.68))
 
@@ -57,36 +69,43 @@ class PlaceEstimator:
         if modelled is not None and held_out_mm is not None:
             most_mm = max(_MISSED_REACH * model.reach_mm, _MISSED_TIMES * held_out_mm)
             self._modelled = modelled if modelled.error_mm <= most_mm else None
-        self._kept: dict[bytes, Array] = {}
+        self._kept: dict[bytes, tuple[Array, float]] = {}
         self._expected = expected_features(model.templates)
         self.q68, self.q95 = model.mixture.quantiles.tolist()
 
-    def __call__(self, changes: Array) -> Places:
+    def __call__(self, changes: Array, faults: FrameFaults | None = None) -> Places:
         """Locate the touches of changes (n, m) of the learned readings, in their unit.
 
         Readings that are not finite, spikes and readings of faulty groups are replaced by what the others let expect,
         and flagged; frames with more than half of their readings lost are UNREADABLE.
+
+        Parameters
+        ----------
+        faults : found in the whole frames, whose readings are left out too.
 
         CalibrationError if the number of readings differs.
         """
         readings = len(self._model.scaling.ceiling)
         if changes.ndim != 2 or changes.shape[1] != readings:
             raise CalibrationError(f"changes of the shape {changes.shape}; (n, {readings}) is expected")
-        parts = [self._located(changes[first : first + _AT_ONCE]) for first in range(0, len(changes), _AT_ONCE)]
-        if not parts:
-            parts = [self._located(np.zeros((0, readings)))]
+        if faults is None:
+            faults = FrameFaults(np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64))
+        starts = range(0, max(len(changes), 1), _AT_ONCE)
+        several = [slice(first, first + _AT_ONCE) for first in starts]
+        parts = [self._located(changes[some], faults.left_out[some], faults.flags[some]) for some in several]
         places = Places(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
         return places if self._modelled is None else self._beyond(places, self._modelled(changes))
 
     def _beyond(self, places: Places, modelled: Places) -> Places:
         """Use the modelled sheet for touches that it explains beyond the presses, and the learned places do not."""
         learned = places.in_model & ((places.flags & int(Flag.OUTSIDE)) == 0)
-        silent = (places.flags & int(Flag.NOT_DETECTED | Flag.UNREADABLE)) != 0
-        taken = modelled.in_model & self._outside(modelled.place_mm) & ~learned & ~silent
-        flags = np.where(taken, int(Flag.OUTSIDE), places.flags)
+        unfit = (places.flags & _NOT_MODELLED) != 0
+        taken = modelled.in_model & self._outside(modelled.place_mm) & ~learned & ~unfit
+        flags = np.where(taken, places.flags & ~int(Flag.MORE_THAN_ONE) | int(Flag.OUTSIDE), places.flags)
         place = np.where(taken[:, None], modelled.place_mm, places.place_mm)
         covariance = np.where(taken[:, None, None], modelled.covariance_mm2, places.covariance_mm2)
-        return Places(place, covariance, np.where(taken, modelled.misfit, places.misfit), places.strength, flags)
+        misfit = np.where(taken, modelled.misfit, places.misfit)
+        return replace(places, place_mm=place, covariance_mm2=covariance, misfit=misfit, flags=flags)
 
     def _outside(self, place_mm: Array) -> Mask:
         """Which places (n, 2) in the frame of the presses are far from all of them."""
@@ -96,55 +115,69 @@ class PlaceEstimator:
         outside: Mask = np.asarray(nearest > model.reach_mm)
         return outside
 
-    def _located(self, changes: Array) -> tuple[Array, Array, Array, Array, Indices]:
+    def _located(
+        self, changes: Array, left_out: Mask, faults: Indices
+    ) -> tuple[Array, Array, Array, Array, Indices, Array]:
         model = self._model
         used = model.scaling.ceiling > 0
-        lost, remarks = self._lost(changes)
+        lost, remarks = self._lost(changes, left_out)
         whole: Mask = np.asarray(lost[:, used].mean(axis=1) <= MOST_FAULTY)
         lost &= whole[:, None]
         changes = np.where(whole[:, None] & used & ~lost, changes, 0.0)
         features = features_of(changes, model.scaling)
-        some = lost.any(axis=1)
-        more = some & ((remarks & ~int(Flag.SPIKE)) != 0)
-        few, less = some & ~more, np.ones(len(features))  # spikes are too few to change the size of a frame
+        more = more_than_spikes(lost, used)
+        few, less = lost.any(axis=1) & ~more, np.ones(len(features))
         features[few] = filled(model.templates, features[few], lost[few])
         features[more], less[more] = self._without(features[more], lost[more])
         place, covariance, misfit = self._mixed(features)
+        unsure = np.zeros(len(features))
         for frame in np.flatnonzero(more).tolist():
-            covariance[frame] += self._unsure(lost[frame])
-        flags = remarks | np.where(whole, 0, int(Flag.UNREADABLE))
-        flags |= np.where(np.sqrt((changes**2).mean(axis=1)) < model.least_size, int(Flag.NOT_DETECTED), 0)
-        flags |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
+            further, unsure[frame] = self._unsure(lost[frame])
+            covariance[frame] += further
+        size = np.sqrt((changes**2).sum(axis=1) / (~lost).sum(axis=1))
+        judged = np.where(size < model.least_size, int(Flag.NOT_DETECTED), 0)
+        judged |= np.where(misfit > model.misfit, int(Flag.MORE_THAN_ONE), 0)
         like = at_places(model.templates.grid_mm, likeness(self._expected, features), place)
         place = place @ model.axes + model.centre_mm
-        flags |= np.where(self._outside(place), int(Flag.OUTSIDE), 0)
+        judged |= np.where(self._outside(place), int(Flag.OUTSIDE), 0)
+        flags = faults | remarks | np.where(whole, judged, int(Flag.UNREADABLE))
         place = np.where(whole[:, None], place, np.nan)
         turned = model.axes.T @ covariance @ model.axes
-        return place, turned, misfit / model.misfit, strengths(changes, like / less, model.scaling), flags
+        strength = strengths(changes, like / less, model.scaling)
+        return place, turned, misfit / model.misfit, strength, flags, unsure
 
-    def _unsure(self, lost: Mask) -> Array:
-        """Covariance (2, 2) by which places are less certain without some readings (m,).
+    def _unsure(self, lost: Mask) -> tuple[Array, float]:
+        """How much less certain a frame is without some readings (m,).
 
-        From where presses that were learned from are found without these readings, and with them.
+        From presses that were learned from, found without these readings, and with them: the covariance (2, 2) of
+        the place, and the standard deviation of the logarithm of the strength.
         """
         key = lost.tobytes()
         if key not in self._kept:
             while len(self._kept) >= _KEPT:
                 self._kept.pop(next(iter(self._kept)))
-            process = self._model.process
+            process, scaling = self._model.process, self._model.scaling
             whole = process.features[evenly(len(process.features), _PRESSES)]
-            fewer = self._without(whole, np.tile(lost, (len(whole), 1)))[0]
-            apart = self._mixed(fewer)[0] - self._mixed(whole)[0]
-            self._kept[key] = apart.T @ apart / len(apart) * (_NORMAL_68 / self.q68)
+            known = np.where(lost, 0.0, whole)
+            smaller = size_factors(known, whole, scaling)  # such a frame is divided by the size of its known readings
+            fewer, less = self._without(known / smaller[:, None], np.tile(lost, (len(whole), 1)))
+            (here, likely), (there, expected) = (self._found(features) for features in (fewer, whole))
+            apart = here - there
+            weaker = np.log(likely * smaller / (less * expected)) / scaling.exponent
+            covariance = apart.T @ apart / len(apart) * (_NORMAL_68 / self.q68)
+            self._kept[key] = covariance, float(np.sqrt((weaker**2).mean()))
         return self._kept[key]
+
+    def _found(self, features: Array) -> tuple[Array, Array]:
+        """Places (n, 2) about the centre, and the likeness (n,) to the templates there."""
+        place, like = self._mixed(features)[0], likeness(self._expected, features)
+        return place, np.maximum(at_places(self._model.templates.grid_mm, like, place), LEAST_LIKENESS)
 
     def _without(self, features: Array, lost: Mask) -> tuple[Array, Array]:
         """Features (n, m) whose lost ones are replaced, and the factors (n,) that bring them to their new size."""
-        templates, damping = self._model.templates, self._model.scaling.damping
         known = np.where(lost, 0.0, features)
-        new = filled(templates, known, lost)
-        sizes = np.linalg.norm(known, axis=1) / np.maximum(np.linalg.norm(new, axis=1), np.finfo(float).tiny)
-        factor = sizes**damping
+        new = filled(self._model.templates, known, lost)
+        factor = size_factors(known, new, self._model.scaling)
         return new * factor[:, None], factor
 
     def _mixed(self, features: Array) -> tuple[Array, Array, Array]:
@@ -154,12 +187,13 @@ class PlaceEstimator:
         first = located(model.process, model.turns, features)
         return (*mixed(model.mixture, first, second, covariance), misfit)
 
-    def _lost(self, changes: Array) -> tuple[Mask, Indices]:
-        """Readings (n, m) of frames that say nothing, and flags (n,)."""
+    def _lost(self, changes: Array, left_out: Mask) -> tuple[Mask, Indices]:
+        """Readings (n, m) of frames that say nothing, and flags (n,); ``left_out`` is (n, m)."""
         ceiling = self._model.scaling.ceiling
-        lost: Mask = (ceiling > 0) & ~np.isfinite(changes)
-        flags: Indices = np.where(lost.any(axis=1), int(Flag.MISSING), 0).astype(np.int64)
-        changes = np.where(np.isfinite(changes), changes, 0.0)
+        missing: Mask = (ceiling > 0) & ~np.isfinite(changes)
+        flags: Indices = np.where(missing.any(axis=1), int(Flag.MISSING), 0).astype(np.int64)
+        lost: Mask = missing | ((ceiling > 0) & left_out)
+        changes = np.where(lost | ~np.isfinite(changes), 0.0, changes)
         spikes: Mask = (ceiling > 0) & spikes_in(changes, ceiling)
         flags |= np.where(spikes.any(axis=1), int(Flag.SPIKE), 0)
         if self._groups is not None:

@@ -14,8 +14,8 @@ from cbsr_qa.domain.readings import FEWEST_OF_PAIR
 
 #: Level of a group's changes that is compared: a front end that rectifies leaves half of a pair's readings alone.
 _LEVEL: Final = 0.75
-#: A group is faulty if that level is above so many ceilings, and above _BESIDE times as many times that of the other
-#: readings. Groups of 2500 presses of two real skins stay below 3.2; an open electrode of a simulated sheet is at 60.
+#: A group is faulty if that level is above so many ceilings, and above 3 × 6 times that of the other readings. Groups
+#: of 2500 presses of two real skins stay below 3.2; an open electrode of a simulated sheet is at 60.
 _FAULTY: Final = 6.0
 _BESIDE: Final = 3.0
 #: A group is named as faulty if so large a share of its readings are spikes.

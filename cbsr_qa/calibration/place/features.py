@@ -9,7 +9,9 @@ from cbsr_qa.domain.results import FeatureScaling, PatternTurns
 from cbsr_qa.domain.sensor import ElectrodeLayout
 
 #: Features that spikes turn against their template are replaced by this share of it.
-_LEAST_LIKENESS: Final = 0.05
+LEAST_LIKENESS: Final = 0.05
+#: A frame that lost more of its readings lost more than spikes: its size is brought to that of all readings.
+_MORE_THAN_SPIKES: Final = 0.05
 #: A reading's ceiling, in 90 % quantiles of its size; and what is taken for a spike, in ceilings: one reading of a
 #: thousand on two real skins, and with adjacent pairs of a simulated one whose presses reach the electrodes.
 _CEILING, _SPIKE = 3.0, 3.5
@@ -20,7 +22,7 @@ _SAFE, _SAFE_CEILING = 0.8, 4.5
 
 
 def safe_ceilings(changes: Array) -> Array:
-    """The same as :func:`ceilings_of` where up to a fifth of the presses are faulty."""
+    """Like :func:`ceilings_of`, but sound if up to a fifth of the presses are faulty."""
     return _ceilings(changes, _SAFE, _SAFE_CEILING)
 
 
@@ -71,8 +73,29 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
     likeness : (n,) of their features to the template, by least squares.
     """
     size = np.linalg.norm(_roots(readings, scaling), axis=1)
-    strength: Array = (np.maximum(likeness, _LEAST_LIKENESS) * size**scaling.damping) ** (1 / scaling.exponent)
+    strength: Array = (np.maximum(likeness, LEAST_LIKENESS) * size**scaling.damping) ** (1 / scaling.exponent)
     return strength
+
+
+def more_than_spikes(lost: Mask, used: Mask) -> Mask:
+    """Which frames (n,) lost so many of the used readings (m,) that their size tells less; ``lost`` is (n, m)."""
+    more: Mask = np.asarray(lost[:, used].mean(axis=1) > _MORE_THAN_SPIKES)
+    return more
+
+
+def size_factors(known: Array, whole: Array, scaling: FeatureScaling) -> Array:
+    """Factors (n,) by which features (n, m) with lost readings filled in are too large: sizes are of the known ones.
+
+    One where nothing is known, or nothing changes.
+
+    Parameters
+    ----------
+    known, whole : (n, m) the features before, zero where they are lost, and after.
+    """
+    before, after = (np.linalg.norm(features, axis=1) for features in (known, whole))
+    some = (before > 0) & (after > 0)
+    factors: Array = (np.where(some, before, 1.0) / np.where(some, after, 1.0)) ** scaling.damping
+    return factors
 
 
 def _roots(readings: Array, scaling: FeatureScaling) -> Array:

@@ -11,7 +11,9 @@ from cbsr_qa.calibration.place.drift import Drift, find_drift
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
     features_of,
+    more_than_spikes,
     pattern_turns,
+    size_factors,
     spikes_among,
     strengths,
     turn_by,
@@ -57,8 +59,6 @@ _SIZE_ROOM: Final = 0.5
 _REACH: Final = 4.0
 #: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
 _POOR: Final = 0.6
-#: A press that lost more of its readings lost more than spikes: its size is that of all readings, as in frames.
-_MORE_THAN_SPIKES: Final = 0.05
 
 Tell = Callable[[str], None]
 
@@ -126,10 +126,9 @@ def learn_place(
     missing &= scaling.ceiling > 0
     less = np.ones(len(changes))
     if missing.any():
-        before = np.linalg.norm(sheet.features, axis=1)
-        sheet = sheet.filled(missing)
-        fault = missing.mean(axis=1) > _MORE_THAN_SPIKES
-        less[fault] = (before[fault] / np.linalg.norm(sheet.features[fault], axis=1)) ** scaling.damping
+        known, sheet = sheet.features, sheet.filled(missing)
+        fault = more_than_spikes(missing, scaling.ceiling > 0)
+        less[fault] = size_factors(known[fault], sheet.features[fault], scaling)
         sheet = replace(sheet, features=sheet.features * less[:, None])
     tell("finding how readings drift")
     learning = sheet.template_learning()

@@ -41,7 +41,10 @@ class ModelledEstimator:
 
     @property
     def error_mm(self) -> float:
-        """Root mean square distance of the presses that registered the sheet from where it places them."""
+        """Root mean square distance of the presses that registered the sheet from where it places them.
+
+        Times √(n / (n − 2)) for n presses, because the pose was fitted to them.
+        """
         return float(np.sqrt(2 * self._model.variance_mm2))
 
     def __call__(self, changes: Array) -> Places:

@@ -12,11 +12,12 @@ class Places:
 
     Parameters
     ----------
-    place_mm : (n, 2); NaN if a reading is missing.
+    place_mm : (n, 2); NaN if more than half of the readings are lost, or by the modelled sheet any.
     covariance_mm2 : (n, 2, 2) Σ; the region of 68 % is all d with dᵀΣ⁻¹d at most ``q68`` of the estimator.
     misfit : (n,) squared misfit per reading over its limit for learned touches.
     strength : (n,) of the changes, relative to the learned ones at the place; one by the modelled sheet.
     flags : (n,) of :class:`~cbsr_qa.calibration.Flag`.
+    unsure : (n,) standard deviation of the logarithm of the strength for want of lost readings; zero in whole frames.
     """
 
     place_mm: Array
@@ -24,6 +25,7 @@ class Places:
     misfit: Array
     strength: Array
     flags: Indices
+    unsure: Array | float = 0.0
 
     @property
     def in_model(self) -> Mask:

@@ -38,6 +38,8 @@ _LINE: Final = 30.0
 _MEDIANS: Final = np.array([1.0, 0.2, 0.05, 0.01, 0.01, 0.5])
 _DEVIATIONS: Final = np.array([2.0, 2.0, 2.0, 3.0, 3.0, 0.7])
 _FURTHEST: Final = 4.0  # in those deviations
+#: Standard deviations that hold 68 and 95 % of a normal distribution: how far lost readings may move a value.
+_NORMAL: Final = np.array([0.9945, 1.9600])
 #: Added to a diagonal, in units of the spread, to keep covariances of noiseless presses invertible.
 _LEAST_NOISE: Final = 1e-8
 
@@ -78,7 +80,8 @@ class QuantityEstimator:
         y, stderr = process.expected(places.strength, places.place_mm)
         least, most = process.y.min(), process.y.max()
         beyond = np.maximum(np.maximum(least - y, y - most), 0.0)
-        half = self._quantiles[:, None] * stderr + beyond
+        for_lost = process.change(places.strength, places.place_mm, places.unsure)
+        half = np.hypot(self._quantiles[:, None] * stderr, _NORMAL[:, None] * for_lost) + beyond
         inner, outer = (process.unscaled(np.stack([y - each, y + each], axis=1)) for each in half)
         return Quantities(process.unscaled(y), inner, outer, below=y < least, above=y > most)
 
@@ -154,6 +157,13 @@ class _Process:
         alone = _LINE * (1 + u**2) + self._scales.ring + self._scales.relief + self._scales.curve
         known = np.einsum("kn,kn->k", near @ self._inverse, near)
         return near @ self._weights, np.sqrt(np.maximum(alone - known, 0.0) + _noise(self._scales, u))
+
+    def change(self, strength: Array, places_mm: Array, deviation: Array | float) -> Array:
+        """Change (k,) of scaled values by a standard deviation of the logarithm of the strength."""
+        if not np.any(deviation):
+            return np.zeros(len(strength))
+        above, below = (self.expected(strength * np.exp(way * deviation), places_mm)[0] for way in (1, -1))
+        return np.asarray(above - below) / 2
 
     def left_out(self) -> tuple[Array, Array]:
         """Errors (n,) of presses estimated from all others, and stated ones (Rasmussen & Williams 2006, Eq. 5.12)."""

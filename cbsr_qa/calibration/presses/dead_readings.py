@@ -25,6 +25,8 @@ _MOST_NAMED: Final = 5
 #: Share of readings at one end of their range from which they are clipped, if so many times fewer are at the next
 #: value: coarse readings have ends too, that most of them do not reach.
 _CLIPPED, _TIMES_NEXT = 0.01, 10
+#: A reading that is faulty in a larger share of the presses tells nothing of the place in the others either.
+_MOSTLY: Final = 0.5
 #: Readings, relative to their range, that are equal but for rounding.
 _ROUNDING: Final = 1e-9
 
@@ -61,6 +63,7 @@ def find_dead_readings(
     changes = np.where(spikes | faulty, 0.0, changes)
     followed = _followed(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
     followed[still] = 0.0
+    followed[faulty.mean(axis=0) > _MOSTLY] = 0.0
     dead, findings = np.zeros(len(pairs), dtype=np.bool_), []
     of_electrode = {int(electrode): (pairs == electrode).any(axis=1) for electrode in np.unique(pairs)}
     while not dead.all():  # worst first: its neighbours' readings involve it too
@@ -89,13 +92,14 @@ def find_dead_readings(
             f"{spikes.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
             f" column {reading + 1} of the distinct readings"
         )
-    lost = (faulty & ~dead.all(axis=0)).mean(axis=1) > MOST_FAULTY
+    further = faulty & ~dead
+    lost = further.sum(axis=1) > MOST_FAULTY * (~dead).sum()
     left_out = tuple(_fault_words(flag) if row else "" for row, flag in zip(lost, flags.tolist(), strict=True))
-    some = np.flatnonzero((flags != 0) & ~lost)
+    some = np.flatnonzero(further.any(axis=1) & ~lost)
     if some.size:
         findings.append(
-            f"presses with readings of faulty pairs or electrodes, which are left out: {some.size}; the first is row"
-            f" {some[0] + 1}: {_fault_words(int(flags[some[0]]))}"
+            f"presses with faulty readings, which are left out: {some.size}; the first is row {some[0] + 1}:"
+            f" {_fault_words(int(flags[some[0]]))}"
         )
     return DeadReadings(dead | spikes | faulty | lost[:, None], tuple(findings), left_out)
 

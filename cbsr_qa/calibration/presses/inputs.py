@@ -21,7 +21,8 @@ _ALIKE = 1e-6
 #: Presses were made in the order of their places if these explain more than half of the times' variance, which they
 #: do by chance in one case of a thousand.
 _UNORDERED, _BY_CHANCE = 0.5, 1e-3
-#: Smallest change: the fourth power of smaller ones is no float of full precision.
+#: Least change of a press's largest reading. Fourth powers of changes below about 1e-77 are no floats of full
+#: precision; the rest is room for smaller readings of the press.
 _SMALLEST = 1e-60
 _WHAT_READINGS = "give the readings of the presses, several pairs of electrodes each"
 

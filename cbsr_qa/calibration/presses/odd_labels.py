@@ -26,7 +26,7 @@ def off_the_sheet(presses: PressTable, registration: SheetRegistration) -> Itera
     beyond_mm = away_mm - registration.radius_mm
     rows = np.flatnonzero(beyond_mm > _CLEARLY * np.sqrt(variance) / registration.scale)
     if rows.size:
-        named = _named(rows, [f"{beyond:.1f} mm beyond its edge" for beyond in beyond_mm[rows[:_MOST_NAMED]]])
+        named = _named(rows, [f", {beyond:.1f} mm beyond its edge" for beyond in beyond_mm[rows[:_MOST_NAMED]]])
         yield f"{_count(rows)} outside the sheet of {registration.radius_mm:.3g} mm radius: {named}; check the labels"
 
 
@@ -43,9 +43,10 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
     odd = np.flatnonzero(error_mm > max(_MANY_TIMES * usual_mm, _OF_LARGEST * error_mm.max()))
     odd = odd[np.argsort(-error_mm[odd], kind="stable")]
     if odd.size:
-        named = _named(rows[odd], [f"{error:.3g} mm" for error in error_mm[odd[:_MOST_NAMED]]])
+        named = _named(rows[odd], [f" by {error:.3g} mm" for error in error_mm[odd[:_MOST_NAMED]]])
+        others = "the other presses place it" if len(odd) == 1 else "the others place them"
         yield (
-            f"{_count(odd)} far from where the other presses place it, {named}; the median is {usual_mm:.2g} mm:"
+            f"{_count(odd)} far from where {others}, {named}; the median is {usual_mm:.2g} mm:"
             " check the labels and the readings"
         )
 
@@ -70,9 +71,9 @@ def unused_electrodes(pairs: Indices, electrodes: int) -> Iterator[str]:
 
 
 def _count(rows: Indices) -> str:
-    return "1 press is" if len(rows) == 1 else f"{len(rows)} presses are each"
+    return "1 press is" if len(rows) == 1 else f"{len(rows)} presses are"
 
 
 def _named(rows: Indices, words: list[str]) -> str:
     more = ", …" if len(rows) > len(words) else ""
-    return ", ".join(f"row {row + 1} by {each}" for row, each in zip(rows, words, strict=False)) + more
+    return ", ".join(f"row {row + 1}{each}" for row, each in zip(rows, words, strict=False)) + more

@@ -33,7 +33,8 @@ _Cells = tuple[tuple[str, ...], Sequence[Sequence[object]]]
 #: Columns of a table of presses.
 LABELS: Final = (*_PLACE, *_OPTIONAL)
 _QUANTITIES: Final = {name.rpartition("_")[0]: name for name in LABELS}
-#: Largest share of a pattern's pairs that measure at driven electrodes by mistake: if more do, that is its kind.
+#: Largest share of a pattern's pairs, and of its drives, that measure at driven electrodes by mistake: if more do,
+#: that is its kind. A single drive is few, unless there is no other.
 _FEW_AT_DRIVEN: Final = 0.1
 #: Most electrodes of a pattern.
 _MOST_ELECTRODES: Final = 256
@@ -235,7 +236,9 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
         if plus == minus:
             yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
     at_driven = np.flatnonzero(measures_at_driven(values.astype(np.int64)))
-    if len(at_driven) <= _FEW_AT_DRIVEN * len(values):
+    drives, odd_drives = (len(np.unique(some[:, :2], axis=0)) for some in (values, values[at_driven]))
+    few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)
+    if few and odd_drives <= max(_FEW_AT_DRIVEN * drives, 1) and odd_drives < drives:
         for row in at_driven.tolist():
             yield (
                 f"row {row + 1}: {','.join(f'{number:g}' for number in values[row])} measures at an electrode that it"

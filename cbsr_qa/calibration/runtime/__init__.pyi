@@ -1,4 +1,4 @@
-from .faults import FaultFinder as FaultFinder
+from .faults import FaultFinder as FaultFinder, FrameFaults as FrameFaults
 from .force import (
     LEFT_OUT as LEFT_OUT,
     NO_FORCE as NO_FORCE,

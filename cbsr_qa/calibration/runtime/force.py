@@ -35,7 +35,7 @@ class Flag(IntFlag):
     ABOVE_RANGE = 8  #: the force is above the heaviest calibrated load
     WRONG_SIGN = 16  #: the place changes the other way than under a load (an unloading spike, or a residue)
     MORE_THAN_ONE = 32  #: the frame is not of one head of the given size
-    UNREADABLE = 64  #: a used reading is not a finite number; there is no force
+    UNREADABLE = 64  #: a used reading is not finite (of a learned place: more than half are lost); there is no force
     OTHER_SENSOR = 128  #: the readings as a whole are not of the calibrated sensor; there is no force
     OTHER_HEAD = 256  #: the head's size differs so much from the calibrated one that its field is off by over 3 %
     NOT_AS_MODELLED = 512  #: no touch of the modelled sheet explains the readings
@@ -43,7 +43,7 @@ class Flag(IntFlag):
     DEAD_PAIR = 2048  #: a pair hardly drives, or hardly measures: its readings were left out
     OPEN_ELECTRODE = 4096  #: nothing comes through an electrode: its readings were left out
     SATURATED = 8192  #: several readings stood at one extreme value: they were left out
-    OFFSET = 16384  #: one offset was added to all readings: it was taken out
+    OFFSET = 16384  #: one offset was added to all readings: it was taken out (a learned place is UNREADABLE)
     MISSING = 32768  #: some readings are not finite numbers: they were left out
 
 

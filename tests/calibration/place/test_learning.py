@@ -169,8 +169,19 @@ def test_frames_that_are_no_such_touch_are_flagged(sheet, learned):
     places = locate(missing)
     assert (places.flags & Flag.MISSING).astype(bool).tolist() == [False, True, True]
     assert (places.flags & Flag.UNREADABLE).astype(bool).tolist() == [False, False, True]
+    assert places.flags[2] & ~Flag.SPIKE == Flag.UNREADABLE | Flag.MISSING  # nothing else is judged there
     assert np.isnan(places.place_mm).any(axis=1).tolist() == [False, False, True]
     assert distances(places, locate(frames[:3]).place_mm)[1] < 1
+
+
+def test_a_frame_without_change_and_with_lost_readings_has_no_strength(learned):
+    for lost in (1, 90):
+        silent = np.zeros((1, 192))
+        silent[0, :lost] = np.nan
+        places = PlaceEstimator(learned.model)(silent)
+        assert places.flags & Flag.NOT_DETECTED
+        assert np.isfinite(places.place_mm).all()
+        assert places.strength == 0
 
 
 def test_spikes_cost_little():

@@ -9,6 +9,7 @@ from pressed_sheets import adjacent_pairs, pressed_sheet, some
 from cbsr_qa.calibration import Flag
 from cbsr_qa.calibration.place import ModelledEstimator, PlaceEstimator
 from cbsr_qa.calibration.presses import learn_presses
+from cbsr_qa.calibration.runtime import FrameFaults
 
 _SIMULATED = (
     {"noise": 0.01},
@@ -68,6 +69,19 @@ def test_the_modelled_sheet_takes_over_beyond_the_presses(inner):
     error = (both.place_mm - truth)[taken]
     ratio = np.einsum("na,na->n", error, np.linalg.solve(both.covariance_mm2[taken], error[:, :, None])[:, :, 0])
     assert (ratio <= alone.q95).mean() > 0.8  # the pose's own error is the same for all of one draw
+
+
+def test_the_modelled_sheet_keeps_remarks_and_takes_over_no_faulty_frame(inner):
+    pressed, away, modelled, learned = inner
+    frames = pressed.changes[np.flatnonzero(away > 40)[:40]]
+    locate = PlaceEstimator(learned.place.model, modelled, held_out_mm=learned.place.held_out.mean_mm)
+    whole = locate(frames)
+    taken = whole.in_model & ((whole.flags & Flag.OUTSIDE) > 0)
+    none = np.zeros(frames.shape, dtype=bool)
+    for flag, over in ((Flag.SPIKE, True), (Flag.DEAD_PAIR, False), (Flag.OFFSET, False)):
+        found = locate(frames, FrameFaults(none, np.full(40, int(flag))))
+        assert (found.flags & flag > 0).all()
+        assert np.array_equal(found.place_mm[taken], whole.place_mm[taken]) is over
 
 
 def test_a_learned_place_is_kept_where_a_wrong_model_sees_the_touch_beyond_the_presses(inner):

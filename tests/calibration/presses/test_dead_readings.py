@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
-from cbsr_qa.calibration.place import PlaceEstimator, mahalanobis
+from cbsr_qa.calibration.place import PlaceEstimator, QuantityEstimator, mahalanobis
 from cbsr_qa.calibration.presses.dead_readings import clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.issue import learn_presses
 from cbsr_qa.calibration.runtime import Flag
@@ -84,6 +84,18 @@ def test_a_dead_electrode_costs_neither_pose_nor_place():
     assert error.mean() == pytest.approx(held.mean_mm, abs=4 * held.stderr_mm)
 
 
+def test_an_electrode_that_is_open_in_every_press_is_found_against_the_unloaded_sheet():
+    pressed, random = pressed_sheet(60, noise=0.05), np.random.default_rng(4)
+    of, noise = (pressed.pairs == 5).any(axis=1), 0.05 * np.median(np.abs(pressed.changes))
+    frames = pressed.changes + pressed.unloaded
+    frames[:, of] = noise * random.standard_normal((60, of.sum()))
+    rest, deviation = pressed.unloaded, np.full(len(pressed.pairs), noise)
+    found = find_dead_readings(pressed.pairs, frames - rest, pressed.labels_mm, rest, deviation)
+    np.testing.assert_array_equal(found.dead.all(axis=0), of)
+    (words,) = found.findings
+    assert words.startswith("electrode 5 is dead: its 48 readings")
+
+
 @pytest.mark.parametrize("whole", [False, True])
 def test_clipped_readings_are_told_from_others(whole):
     pressed, rectified = pressed_sheet(60, noise=0.05), pressed_sheet(60, rectified=True)
@@ -131,10 +143,12 @@ def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(wh
     labelled = some(spoilt, np.arange(60)).labelled()
     if whole:
         labelled = replace(labelled, readings=replace(labelled.readings, rest=pressed.unloaded))
+    else:
+        labelled = replace(labelled, presses=replace(labelled.presses, force_N=pressed.force_N[:60]))
     learned = learn_presses(labelled)
     assert [row for row, why in enumerate(learned.why_not) if why] == [12]
     assert "offset" in learned.why_not[12]
-    assert any("faulty pairs or electrodes" in words and "row 8" in words for words in learned.findings)
+    assert any("presses with faulty readings" in words and "row 8" in words for words in learned.findings)
     locate = PlaceEstimator(learned.place.model, pairs=pressed.pairs)
     truth, sound = pressed.labels_mm[60:], locate(pressed.changes[60:])
     assert np.linalg.norm(sound.place_mm - truth, axis=1).mean() < 0.4  # 0.2 mm without these presses
@@ -144,4 +158,9 @@ def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(wh
     assert np.linalg.norm(error, axis=1).mean() < 1.5
     ratio = mahalanobis(error[faulty.in_model], faulty.covariance_mm2[faulty.in_model])
     assert (ratio <= locate.q95).mean() > 0.9
+    for quantity in learned.quantities.values():
+        told, force = QuantityEstimator(quantity)(faulty), pressed.force_N[60:, None]
+        inside = [((each - force) * [-1, 1] >= 0).all(axis=1).mean() for each in (told.within_68, told.within_95)]
+        assert inside[0] > 0.6
+        assert inside[1] > 0.85  # 0.54 and 0.63 with the intervals of whole frames
     assert not locate(spoilt.changes[12:13]).in_model.any()

@@ -29,13 +29,16 @@ def test_a_press_with_a_wrong_place_is_named_and_one_off_the_sheet():
     assert not list(off_the_sheet(presses, learned.registration))
     presses.place_mm[7] = centre + np.array([80.5, 3.0])
     (words,) = off_the_sheet(presses, learned.registration)
-    assert words.startswith("1 press is outside the sheet of 73 mm radius: row 8 by ")
+    assert words.startswith("1 press is outside the sheet of 73 mm radius: row 8, ")
 
 
 def test_errors_of_usual_size_accuse_no_press():
     labelled, random = pressed_sheet(40, seed=41, noise=0.05).labelled(), np.random.default_rng(0)
     found_mm = labelled.presses.place_mm + random.standard_normal((40, 2))
     assert not list(far_from_their_labels(labelled.presses, np.arange(40), found_mm))
+    found_mm[:3] += 30.0
+    (words,) = far_from_their_labels(labelled.presses, np.arange(40), found_mm)
+    assert words.startswith("3 presses are far from where the others place them, row ")
 
 
 def test_columns_that_are_no_labels_are_named():

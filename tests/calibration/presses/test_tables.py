@@ -115,3 +115,15 @@ def test_pairs_at_a_driven_electrode_as_no_others_and_electrodes_from_one_are_re
         read_pairs(written(tmp_path, text), 16)
     every = [f"0,8,{plus},{(plus + 1) % 16}" for plus in range(16)]  # a quarter of such a pattern does
     assert len(read_pairs(written(tmp_path, "\n".join(["source,sink,plus,minus", *every])), 16)) == 16
+
+
+def test_a_pattern_that_measures_at_all_driven_electrodes_is_read_however_many_there_are(tmp_path):
+    """Three of the 32 measurements of each drive: less than a tenth of the pairs."""
+    every = [f"{d},{(d + 1) % 32},{m},{(m + 1) % 32}" for d in range(32) for m in range(32)]
+    assert len(read_pairs(written(tmp_path, "\n".join(["source,sink,plus,minus", *every])), 32)) == 1024
+    one_drive = [f"0,32,{m},{(m + 1) % 64}" for m in range(64)]
+    assert len(read_pairs(written(tmp_path, "\n".join(["source,sink,plus,minus", *one_drive])), 64)) == 64
+    opposite = [f"{d},{d + 8},{m},{m + 1}" for d in range(8) for m in range(15) if not {d, d + 8} & {m, m + 1}]
+    opposite[0] = "0,8,0,2"
+    with pytest.raises(RecordingError, match="row 1: 0,8,0,2 measures at an electrode that it drives"):
+        read_pairs(written(tmp_path, "\n".join(["source,sink,plus,minus", *opposite])), 16)
