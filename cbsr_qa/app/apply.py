@@ -141,7 +141,7 @@ _SAID: Final = {
     Flag.ABOVE_RANGE: "above the calibrated forces",
     Flag.WRONG_SIGN: "changes the other way than under a load",
     Flag.MORE_THAN_ONE: "not that of one such head",
-    Flag.UNREADABLE: "a reading is missing or saturated",
+    Flag.UNREADABLE: "readings are missing or unusable",
     Flag.OTHER_SENSOR: "not a frame of this sensor",
     Flag.OTHER_HEAD: "a head of another size than was calibrated",
     Flag.NOT_AS_MODELLED: "not as on the modelled sheet",
@@ -149,7 +149,7 @@ _SAID: Final = {
     Flag.DEAD_PAIR: "a pair hardly drives or measures: left out",
     Flag.OPEN_ELECTRODE: "nothing comes through an electrode: left out",
     Flag.SATURATED: "readings stand at one extreme value: left out",
-    Flag.OFFSET: "one offset on all readings: taken out",
+    Flag.OFFSET: "one offset on all readings",
     Flag.MISSING: "some readings are missing: left out",
 }
 
