@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from cbsr_qa.calibration.place.drift import Drift, find_drift
+from cbsr_qa.calibration.place.drift import Drift, Session, find_drift, session_of
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
     features_of,
@@ -64,17 +64,33 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaceLearned:
-    """A learned place, its errors on left-out presses, and remarks.
+class FoundPresses:
+    """Presses (k,) as they were found when they were left out, a re-check at the end with them.
 
     Parameters
     ----------
-    strength : (count,) of the changes by presses left out; see :class:`~cbsr_qa.calibration.place.Places`.
+    presses : (k,) their indices, in the order in which they were made.
+    place_mm, strength : (k, 2) and (k,) of the changes; see :class:`~cbsr_qa.calibration.place.Places`.
+    visits : (k,) the same for presses at one place.
+    session : when they were made.
+    drifts : whether readings were found to drift over it.
     """
+
+    presses: Indices
+    place_mm: Array
+    strength: Array
+    visits: Indices
+    session: Session
+    drifts: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceLearned:
+    """A learned place, its errors on left-out presses, and remarks."""
 
     model: LearnedPlace
     held_out: HeldOut
-    strength: Array
+    found: FoundPresses
     warnings: tuple[str, ...] = ()
 
 
@@ -132,11 +148,13 @@ def learn_place(
         sheet = replace(sheet, features=sheet.features * less[:, None])
     tell("finding how readings drift")
     learning = sheet.template_learning()
-    drift = find_drift(*learning.left_out(), time_s)
-    growth, later, late = 1.0, None, 0
+    apart = learning.left_out()
+    session = session_of(apart[0], time_s)
+    drift = find_drift(*apart, session)
+    growth, later = 1.0, None
+    late = 0 if drift is None else drift.late
     if drift is not None:
-        growth = sheet.misfit_growth(learning, drift.horizon)
-        later, late = drift.later, drift.late
+        growth, later = sheet.misfit_growth(learning, drift.horizon), drift.later
         sheet = replace(sheet, features=sheet.features + drift.since)
         learning = sheet.template_learning()
     tell("locating presses that were left out")
@@ -163,14 +181,21 @@ def learn_place(
         reach_mm=_reach(about[np.unique(sheet.visits)]),
     )
     held_out = coverage_of(early, sheet.places_mm)
-    like = at_places(model.templates.grid_mm, early.likeness, held_out.found_mm)
-    strength = strengths(changes[early.presses], like / less[early.presses], scaling)
-    found_mm = held_out.found_mm @ axes + centre
-    held_out = replace(held_out, presses=order[held_out.presses], found_mm=found_mm)
-    warnings = [*_warnings(held_out, sheet, process.scales)]
-    if drift is not None:
-        warnings.append(_drift_words(drift, np.sqrt(growth * wider)))
-    return PlaceLearned(model, held_out, strength, tuple(warnings))
+    left_mm = sheet.places_mm[out.presses] - out.apart(mixture, sheet.places_mm)[0]
+    left_mm[~rechecks] = held_out.found_mm
+    like = at_places(model.templates.grid_mm, out.likeness, left_mm) / less[out.presses]
+    strength, visits = strengths(changes[out.presses], like, scaling), sheet.visits[out.presses]
+    found = FoundPresses(
+        order[out.presses],
+        left_mm @ axes + centre,
+        strength,
+        visits,
+        session.of(out.presses),
+        drifts=drift is not None,
+    )
+    held_out = replace(held_out, presses=order[held_out.presses], found_mm=held_out.found_mm @ axes + centre)
+    drifts = () if drift is None else (_drift_words(drift, np.sqrt(growth * wider)),)
+    return PlaceLearned(model, held_out, found, (*_warnings(held_out, sheet, process.scales), *drifts))
 
 
 def _check(changes: Array, places_mm: Array) -> None:
