@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from cbsr_qa.calibration.place.drift import Drift, Session, find_drift, session_of
+from cbsr_qa.calibration.place.faulty import noisy_readings
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
     features_of,
@@ -138,15 +139,12 @@ def learn_place(
     tell("finding how the electrodes lie")
     scaling, axes, centre = _frame(changes, places_mm, turns, axes, centre_mm)
     about = places_mm - centre
-    sheet = PressedSheet(turns, features_of(changes, scaling), about @ axes.T)
-    missing &= scaling.ceiling > 0
-    less = np.ones(len(changes))
-    if missing.any():
-        known, sheet = sheet.features, sheet.filled(missing)
-        fault = more_than_spikes(missing, scaling.ceiling > 0)
-        less[fault] = size_factors(known[fault], sheet.features[fault], scaling)
-        sheet = replace(sheet, features=sheet.features * less[:, None])
+    sheet, less = _sheet(turns, changes, about @ axes.T, missing, scaling)
     tell("finding how readings drift")
+    noisy = noisy_readings(pairs, sheet.features, sheet.template_learning().left_out()[0])
+    if noisy.any():
+        changes = np.where(noisy, 0.0, changes)
+        sheet, less = _sheet(turns, changes, about @ axes.T, missing | noisy, scaling)
     learning = sheet.template_learning()
     apart = learning.left_out()
     session = session_of(apart[0], time_s)
@@ -195,7 +193,31 @@ def learn_place(
     )
     held_out = replace(held_out, presses=order[held_out.presses], found_mm=held_out.found_mm @ axes + centre)
     drifts = () if drift is None else (_drift_words(drift, np.sqrt(growth * wider)),)
-    return PlaceLearned(model, held_out, found, (*_warnings(held_out, sheet, process.scales), *drifts))
+    warnings = *_warnings(held_out, sheet, process.scales), *_noise_words(noisy[np.argsort(order)]), *drifts
+    return PlaceLearned(model, held_out, found, warnings)
+
+
+def _sheet(
+    turns: PatternTurns, changes: Array, places_mm: Array, missing: Mask, scaling: FeatureScaling
+) -> tuple[PressedSheet, Array]:
+    """Features of presses, whose missing readings (n, m) are filled in, and how much less their sizes are (n,)."""
+    sheet, less = PressedSheet(turns, features_of(changes, scaling), places_mm), np.ones(len(changes))
+    missing = missing & (scaling.ceiling > 0)
+    if missing.any():
+        known, sheet = sheet.features, sheet.filled(missing)
+        fault = more_than_spikes(missing, scaling.ceiling > 0)
+        less[fault] = size_factors(known[fault], sheet.features[fault], scaling)
+        sheet = replace(sheet, features=sheet.features * less[:, None])
+    return sheet, less
+
+
+def _noise_words(noisy: Mask) -> Iterator[str]:
+    rows = np.flatnonzero(noisy.any(axis=1))
+    if rows.size:
+        yield (
+            f"presses in which the readings of one electrode are noise, and are left out: {rows.size}; the first is"
+            f" press {rows[0] + 1} of those used"
+        )
 
 
 def _check(changes: Array, places_mm: Array) -> None:
