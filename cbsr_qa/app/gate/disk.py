@@ -37,9 +37,7 @@ def enough_disk(asked: Asked) -> Finding:
         words += "; the disk of the database server is not seen from here"
     if free[0] >= needed:
         return Finding(True, words)
-    return Finding(
-        False, words, "free some space, or name another folder in CBSR_QA_VAR, another database with --database"
-    )
+    return Finding(False, words, "free some space, or use another folder or database", "CBSR_QA_VAR, --database")
 
 
 def needed_bytes(asked: Asked) -> float:

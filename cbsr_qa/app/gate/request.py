@@ -74,11 +74,15 @@ class GateRequest:
 
 
 class Finding(NamedTuple):
-    """What a check found: whether all is well (None: there was nothing to check), in words, and what to do."""
+    """What a check found: whether all is well (None: there was nothing to check), in words, and what to do.
+
+    ``remedy`` is for people wherever they are, ``command`` is how to do it at the command line.
+    """
 
     well: bool | None
     words: str
     remedy: str = ""
+    command: str = ""
 
 
 @dataclass(frozen=True, slots=True)

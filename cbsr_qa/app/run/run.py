@@ -8,7 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Self
 
-from cbsr_qa.app.gate import GateRequest, GateShown, Override, ask_before, gate_outcome, gate_refusal
+from cbsr_qa.app.gate import GateRequest, GateShown, Override, ask_before, asks_pin, gate_outcome, gate_refusal
 from cbsr_qa.app.run.control import Control, controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.planned import PlannedRun
@@ -112,8 +112,12 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
         return PlannedRun.of(session.walk(), _history(request, configuration), plugins.failures, answers)
 
 
-def preview_gate(request: RunRequest) -> CommandOutcome[GateShown]:
-    """Ask the gate about a run without making it; no instrument is opened, no PIN asked for, nothing written.
+def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -> CommandOutcome[GateShown]:
+    """Ask the gate about a run without making it; no instrument is opened, nothing written.
+
+    Parameters
+    ----------
+    pin : as for :func:`run_sensor`; without it a PIN is not asked for.
 
     Raises
     ------
@@ -122,8 +126,15 @@ def preview_gate(request: RunRequest) -> CommandOutcome[GateShown]:
     """
     plugins, _ = _checked(request.checked())
     configuration = request.configuration(0)
-    answers = _gate(request, configuration, plugins, preview=True)
-    return gate_outcome(request.serial, configuration.station.name, configuration.recipe.name, answers)
+    answers = _gate(request, configuration, plugins, pin=pin, preview=pin is None)
+    station = configuration.station
+    return gate_outcome(
+        request.serial,
+        station.name,
+        configuration.recipe.name,
+        answers,
+        asks_pin=asks_pin(station.gate, request.operator),
+    )
 
 
 def _nobody_in_a_dry_run(text: str) -> str:
