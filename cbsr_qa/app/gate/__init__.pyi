@@ -6,7 +6,7 @@ from .gate import (
     gate_refusal as gate_refusal,
 )
 from .instrument_dates import past_due as past_due
-from .people import asks_pin as asks_pin
+from .people import asks_pin as asks_pin, is_pin_of as is_pin_of
 from .releases import Released as Released, ReleaseRequest as ReleaseRequest, release_file as release_file
 from .request import GateRequest as GateRequest, Override as Override
 from .shown import GateShown as GateShown, gate_outcome as gate_outcome

@@ -49,6 +49,12 @@ def asks_pin(settings: GateSettings, operator: str) -> bool:
     return settings.policy(GateCheck.OPERATOR) is not GatePolicy.OFF and known is not None and bool(known.pin)
 
 
+def is_pin_of(settings: GateSettings, operator: str, pin: str) -> bool:
+    """Whether a PIN is that of a listed operator, who has one."""
+    known = _listed(settings, operator)
+    return known is not None and bool(known.pin) and pin_matches(pin, known.pin)
+
+
 def _listed(settings: GateSettings, name: str) -> Operator | None:
     return next((one for one in settings.operators if _same(one.name, name)), None)
 
