@@ -35,8 +35,8 @@ class RunProgress:
     """A subscriber that displays a run: a bar on a terminal, otherwise one line per phase and per press.
 
     The bar's thread only reads the clock, so that the time left counts down through a rest of four minutes without
-    documents. On a virtual clock that does not wait a percentage is shown instead. Leaving the context removes the bar, even if the run
-    was refused. The stream is by default stderr.
+    documents. On a virtual clock that does not wait a percentage is shown instead. Leaving the context removes the
+    bar, even if the run was refused. The stream is by default stderr.
 
     Parameters
     ----------

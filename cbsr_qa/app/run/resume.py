@@ -9,7 +9,7 @@ from cbsr_qa.app.gate import ASKED_AGAIN, GateRequest, Override, ask_gate, gate_
 from cbsr_qa.app.run.control import controlled
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.preflight import check_recipe
-from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded
+from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded, deliver_verdict
 from cbsr_qa.config import (
     Configuration,
     calibrations_folder,
@@ -120,7 +120,9 @@ def _resumed(
                 remedy=f"{report_command(run, store)} writes its report and calibration file again",
             )
         check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
-        return concluded(run, store, configuration, plugins, Stages(tell), changed)
+        outcome = concluded(run, store, configuration, plugins, Stages(tell), changed)
+        deliver_verdict(outcome, identity, configuration, plugins)
+        return outcome
     check_configuration(configuration, plugins)
     done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run), store.prompts_shown(run))
     who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}

@@ -121,7 +121,12 @@ class RunStatus:
             case StepRetried(attempt=attempt, why=why) if len(self._warnings) < _MOST_WARNINGS:
                 self._warnings.append(f"attempt {attempt} failed, retrying: {why}")
             case RunEnded(end=end, detail=detail):
-                self._facts |= {"ended": {"end": str(end), "detail": detail}, "load": None, "next": None, "remaining_s": 0.0}
+                self._facts |= {
+                    "ended": {"end": str(end), "detail": detail},
+                    "load": None,
+                    "next": None,
+                    "remaining_s": 0.0,
+                }
 
     def _step(self, event: StepStarted) -> None:
         self._facts |= {
