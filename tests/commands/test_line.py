@@ -1,17 +1,13 @@
 """Sensors scanned one after the other: PIN, questions, what is no serial number, what comes during a run, signals."""
 
-import io
 import os
 import signal
 import subprocess
-import sys
 
 import pytest
 from command import PROGRAM
 from killing import write_files
 
-from cbsr_qa.cli.line import line
-from cbsr_qa.domain import RefusedError
 from cbsr_qa.system import hashed_pin
 
 _GATE = '[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "Ada"\npin = "{pin}"\n\n[indenter]'
@@ -28,13 +24,6 @@ def folder(tmp_path):
     station.write_text(paced.replace("[indenter]", _GATE.format(pin=hashed_pin("4711")), 1))
     recipe.write_text(recipe.read_text().replace("\n[[phases]]", _ASKS, 1))
     return tmp_path
-
-
-@pytest.mark.parametrize("pin", ["4712", ""])
-def test_a_wrong_pin_is_refused_before_the_first_scan(folder, monkeypatch, pin):
-    monkeypatch.setattr(sys, "stdin", io.StringIO(f"{pin}\nS-1\n"))
-    with pytest.raises(RefusedError, match="the PIN given is not that of Ada"):
-        line(str(folder / "station.toml"), str(folder / "recipe.toml"), operator="Ada")
 
 
 @pytest.mark.rest

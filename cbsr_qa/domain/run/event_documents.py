@@ -379,8 +379,8 @@ class RunConcludedDocument:
     end: EndReason
     outcome: Outcome
     reason: str
-    report: str | None
-    calibration: str | None
+    report: str | None = None
+    calibration: str | None = None
 
 
 @_document.register

@@ -34,7 +34,9 @@ def test_the_events_of_a_run_are_all_documented():
     assert len(get_args(EventDocument)) == len(get_args(RunEvent)) + 1  # and the verdict
 
 
-CONCLUDED = RunConcluded(EndReason.FINISHED, Outcome.PASS, "all limits are met", "var/reports/S-1.html", "")
+CONCLUDED = RunConcluded(
+    EndReason.FINISHED, Outcome.PASS, "all limits are met", "var/reports/S-1.html", "var/calibrations/S-1.h5"
+)
 
 
 @pytest.mark.parametrize("event", [*short_run("run-1"), CONCLUDED], ids=lambda event: type(event).__name__)
@@ -94,7 +96,7 @@ def test_the_reference_shows_a_message_and_an_example_of_every_event():
     message, *examples = [json.loads(block) for block in blocks(page, "json")]
     assert list(message) == [field.name for field in fields(EventMessage)]
     TypeAdapter(EventMessage).validate_python(message)
-    real = {document["type"]: document for document in map(event_document, short_run("run-1"))}
+    real = {document["type"]: document for document in map(event_document, [*short_run("run-1"), CONCLUDED])}
     assert [example["type"] for example in examples] == re.findall(
         r"`(\w+)`", "".join(re.findall(r"^### .*", page.read_text(), re.M))
     )
