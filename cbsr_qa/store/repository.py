@@ -144,6 +144,7 @@ class Repository:
 
     save_release = _of_engine(releases.save_release)
     latest_release = _of_engine(releases.latest_release)
+    all_releases = _of_engine(releases.all_releases)
 
     def sensor_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
         """Return the runs of a sensor that began before a run (empty: all), as seen from a run of this recipe."""

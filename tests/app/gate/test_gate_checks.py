@@ -8,7 +8,16 @@ import pytest
 from stored_lots import judged, store_run
 from stored_runs import identity, journalled, short_run
 
-from cbsr_qa.app.gate import GateRequest, Override, ReleaseRequest, ask_gate, asks_pin, gate_refusal, release_file
+from cbsr_qa.app.gate import (
+    GateRequest,
+    Override,
+    ReleaseRequest,
+    ask_gate,
+    asks_pin,
+    gate_refusal,
+    list_releases,
+    release_file,
+)
 from cbsr_qa.config import load_material, load_recipe, load_sensor_type, load_station, merge
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import GateCheck, GatePolicy, GateSettings, Operator
@@ -246,6 +255,16 @@ def test_files_are_released_by_their_content_until_that_is_withdrawn(ask, store,
     answer = ask("released")
     assert answer.outcome is GateOutcome.REFUSED
     assert "recipe nine-locations (withdrawn by Grace" in answer.words
+    shown = list_releases(database)
+    assert [(one.name, one.action, one.holds) for one in shown.result.releases] == [
+        ("simulated", "released", True),
+        ("nine-locations", "released", False),
+        ("disc-100mm", "released", True),
+        ("cbsr-8wt", "released", True),
+        ("base", "released", True),
+        ("nine-locations", "withdrawn", True),
+    ]
+    assert shown.page.banner.headline == "4 contents released"
     with pytest.raises(ConfigError, match="is not released"):
         release_file(ReleaseRequest(str(own), "Grace", "twice", withdraw=True, database=database))
 
