@@ -99,6 +99,10 @@ class Repository:
         with locks.seed_claimed(self._engine, serial, seed, locks.this_process(operator)) as claimed:
             yield claimed and seed not in self.seeds_of(serial)
 
+    def sensor_claimed(self, serial: str, recipe: str, operator: str = "") -> AbstractContextManager[str]:
+        """Claim a sensor for a run of a recipe while entered; yields who else tests it now, empty for nobody."""
+        return locks.sensor_claimed(self._engine, serial, recipe, locks.this_process(operator))
+
     seeds_of = _of_engine(outcomes.seeds_of)
     writer_of = _of_engine(locks.writer_of)
 

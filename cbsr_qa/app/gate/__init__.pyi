@@ -3,6 +3,7 @@ from .gate import (
     OVERRIDE_AT_COMMAND_LINE as OVERRIDE_AT_COMMAND_LINE,
     ask_before as ask_before,
     ask_gate as ask_gate,
+    asked_again as asked_again,
     gate_refusal as gate_refusal,
 )
 from .instrument_dates import past_due as past_due

@@ -30,7 +30,8 @@ def enough_disk(asked: Asked) -> Finding:
     needed = needed_bytes(asked) if stated is None else stated * _GB
     file = sqlite_file(parsed_url(asked.request.database))
     folders = [*([] if file is None else [file.parent]), *asked.request.folders]
-    free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in folders)
+    on_disks = {_there(one).stat().st_dev: one for one in reversed(folders)}  # each is asked once: others write too
+    free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in on_disks.values())
     what = "the estimate for this run" if stated is None else "disk_GB of the station"
     words = f"{free[0] / _GB:.1f} GB free at {free[1]}, {needed / _GB:.1f} GB needed ({what})"
     if file is None:

@@ -74,6 +74,21 @@ def ask_before(
         return ask_gate(request, configuration, plugins, store, checks)
 
 
+def asked_again(
+    answers: Iterable[GateAnswer],
+    checks: Collection[GateCheck],
+    request: GateRequest,
+    configuration: Configuration,
+    plugins: Plugins,
+    store: Repository,
+) -> tuple[GateAnswer, ...]:
+    """Return answers with those of some checks as they are now. RefusedError if one of them refuses."""
+    now = {one.check: one for one in ask_gate(request, configuration, plugins, store, checks)}
+    if (refused := gate_refusal(now.values())) is not None:
+        raise refused
+    return tuple(now.get(one.check, one) for one in answers)
+
+
 def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:
     """Return the one error for all checks that refuse; None if none does."""
     refused = [one for one in answers if one.outcome is GateOutcome.REFUSED]

@@ -57,6 +57,7 @@ class GateRequest:
     resumed : whether the run goes on with earlier loads.
     pin : asks for the operator's PIN; None if nobody can be asked. Called only if the station file has one.
     preview : whether the answers are only shown; no PIN is asked for.
+    tested_by : another process that tests the sensor with this recipe now; empty for none.
     database : URL.
     folders : other folders the run writes to.
     """
@@ -71,6 +72,7 @@ class GateRequest:
     resumed: bool = False
     pin: Callable[[str], str] | None = None
     preview: bool = False
+    tested_by: str = ""
 
 
 class Finding(NamedTuple):

@@ -1,6 +1,7 @@
 """Resume an interrupted run from the database."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Final
 
@@ -73,9 +74,13 @@ def resume_run(
         on_real_clock = restore(_configuration(store, run)).station.clock == "real"
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
-    with open_store(url, create=False, durable=on_real_clock) as store, store.writing_alone(run, operator):
+    with ExitStack() as held:
+        store = held.enter_context(open_store(url, create=False, durable=on_real_clock))
+        held.enter_context(store.writing_alone(run, operator))
+        stored = store.identity(run)
+        held.enter_context(store.sensor_claimed(stored.sensor.serial, stored.recipe, operator))
         asked = GateRequest(
-            serial=store.identity(run).sensor.serial,
+            serial=stored.sensor.serial,
             operator=operator,
             database=url,
             folders=(reports_folder(), calibrations_folder()),

@@ -149,7 +149,7 @@ class Session:
         self._stages = stages
         self._asks = ask
         self._why = why
-        self._gate = gate
+        self.gate = tuple(gate)
         self._done = done or Done()
         self._progress: RunProgress | None = None
         self._events = 0
@@ -201,7 +201,7 @@ class Session:
             If the run or its result could not be stored or read back; stored rows are kept.
         """
         self.warnings += filter(None, [store.from_the_future()])
-        self.warnings += gate_warnings(self._gate)
+        self.warnings += gate_warnings(self.gate)
         with self._stages.stage("running the station"):
             ended = self._drive(identity, store)
         _refuse_unstored(identity.run, ended, store)
@@ -224,7 +224,7 @@ class Session:
             indenter=configuration.station.indenter,
             tell=on_stderr,
             why=self._why,
-            gate=self._gate,
+            gate=self.gate,
         )
         sinks = EventSinks(configuration.station.events, self._plugins, identity, self.warnings.append)
         watching = self._watching()
