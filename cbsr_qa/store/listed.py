@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import Any, Final, TypeAlias
 
-from sqlalchemy import Connection, Engine, Row, Select, exists, select
+from sqlalchemy import Connection, Engine, Row, Select, exists, func, select
 
 from cbsr_qa.domain.results import Decision, EndReason, ListedRun, MetricKey, Outcome, RunSelection
 from cbsr_qa.store.chain import AT_ONCE
@@ -40,6 +40,13 @@ def listed_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[Liste
     """
     with reading(engine) as connection:
         return naming_runs(connection, conditions(selection), _listed)
+
+
+def run_count(engine: Engine, selection: RunSelection = _EVERY) -> int:
+    """Return how many runs are selected. StoreError if the database cannot be read."""
+    with reading(engine) as connection:
+        query = select(func.count()).select_from(RunRow).where(*conditions(selection))
+        return connection.scalar(query) or 0
 
 
 def _listed(connection: Connection, chosen: Conditions) -> tuple[ListedRun, ...]:

@@ -82,6 +82,7 @@ document.addEventListener("submit", async (event) => {
   const mine = ++turn;
   button?.setAttribute("aria-busy", "true");
   say.textContent = "";
+  say.classList.remove("unsent");
   document.querySelector(":popover-open")?.hidePopover();
   try {
     const fields = new URLSearchParams(new FormData(form));
@@ -91,6 +92,7 @@ document.addEventListener("submit", async (event) => {
     else say.textContent = await answer.text();
   } catch {
     lost(true);
+    say.classList.add("unsent");
     say.textContent = form.dataset.unsent ?? body.dataset.unsent;
   } finally { button?.removeAttribute("aria-busy"); }
 });
