@@ -12,7 +12,7 @@ from starlette.responses import JSONResponse, Response
 
 from cbsr_qa.config import validate_operator, validate_reason
 from cbsr_qa.domain import CbsrError, RefusedError
-from cbsr_qa.web.gate import gate_view
+from cbsr_qa.web.gate import check_pin, gate_view
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
@@ -75,8 +75,10 @@ class Actions:
         if look is None or look.run != form.get("run"):
             raise RefusedError(text("problem.no_run"))
         operator = validate_operator(form.get("operator", look.operator))
+        pin = form.get("pin", "")
+        await run_in_threadpool(check_pin, watch.served, operator, pin)
         arguments = resume_arguments(watch.served, look.run, operator, self._line.database)
-        await self._begin(station, arguments, look.serial, form.get("pin", ""))
+        await self._begin(station, arguments, look.serial, pin)
         return _said(words=text("station.resumed"))
 
     async def _begin(self, station: str, arguments: list[str], serial: str, pin: str) -> None:

@@ -2,11 +2,15 @@
 
 from dataclasses import dataclass
 
+from cbsr_qa.app.gate import asks_pin, is_pin_of
 from cbsr_qa.app.run import RunRequest, preview_gate
+from cbsr_qa.config import load_station
+from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.plan import GateCheck
 from cbsr_qa.domain.run import GateAnswer, GateOutcome
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.stations import ServedStation
+from cbsr_qa.web.texts import text
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,3 +56,13 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
     quiet = (GateOutcome.PASSED, GateOutcome.OFF)
     answers = tuple(one for one in shown.answers if one.outcome not in quiet)
     return GateView(shown.refused is None, shown.asks_pin, answers)
+
+
+def check_pin(served: ServedStation, operator: str, pin: str) -> None:
+    """Check the PIN of whoever resumes a run by the station file as it is now, as the run's process does again.
+
+    RefusedError if the gate asks for one, and this is not it.
+    """
+    gate = load_station(served.source).value.gate
+    if asks_pin(gate, operator) and not is_pin_of(gate, operator, pin):
+        raise RefusedError(text("gate.wrong_pin", operator=operator))
