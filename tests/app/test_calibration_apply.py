@@ -13,7 +13,7 @@ from stored_runs import SENSOR_TYPE
 from typer.testing import CliRunner
 
 from cbsr_qa.analysis import write_recording
-from cbsr_qa.app.apply import flag_words, recorded_frames
+from cbsr_qa.app.apply import _in_order, flag_words, recorded_frames
 from cbsr_qa.calibration import Calibration, Flag
 from cbsr_qa.calibration.file import write_calibration
 from cbsr_qa.cli import app
@@ -140,6 +140,14 @@ def test_a_missing_or_saturated_reading_is_left_out(calibration):
     assert (found.flags & Flag.MISSING > 0).tolist() == [False] * 4 + [True, True, False]
     with pytest.raises(RecordingError, match=r"first 5 frames of press\.h5 is missing or saturated"):
         recorded_frames(calibration, _recording(flags=flags), 5)
+
+
+@pytest.mark.parametrize(
+    ("time_s", "in_order"),
+    [([], True), ([0.0, 2.5], True), ([2.5, 0.0], False), ([1.0, 1.0], False), ([np.nan], False)],
+)
+def test_loads_are_followed_only_over_times_in_order(time_s, in_order):
+    assert _in_order(np.array(time_s)) is in_order
 
 
 def test_every_flag_has_words():
