@@ -19,7 +19,7 @@ _HEAD: Final = """\
 -- Roles of a cbsr-qa database: {station} stores runs and deletes nothing, {reader} reads.
 -- Run this as the owner of the tables, connected to the database, after `cbsr-qa db upgrade`, and again after every
 -- upgrade; it may be run any number of times:  cbsr-qa db roles | psql --single-transaction -v ON_ERROR_STOP=1 URL
--- Then give each station and each person a login of their own:
+-- Then give each station and each person a separate login:
 --   CREATE ROLE bench_3 LOGIN PASSWORD '...' IN ROLE {station};
 --   CREATE ROLE ada LOGIN PASSWORD '...' IN ROLE {reader};
 """

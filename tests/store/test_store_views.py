@@ -41,7 +41,7 @@ def test_one_row_of_each_view_is_what_holds(analysed_twice):
     (row,) = rows("SELECT * FROM v_runs")
     assert (row["run"], row["analysis"], row["state"]) == (run, analysis, "finished")
     assert (row["verdict"], row["outcome"], row["overridden_by"], row["overridden_why"]) == (
-        *("fail", "marginal", "Ada", "scratched"),
+        *("fail", "pass", "Ada", "scratched"),
     )
     assert (bool(row["simulated"]), bool(row["of_check"]), row["station_s"]) == (True, False, 201.0)
     values = rows("SELECT * FROM v_measurements ORDER BY number")

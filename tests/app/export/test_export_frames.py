@@ -117,7 +117,7 @@ def test_phases_of_different_currents_and_other_channels(tmp_path):
     request = ExportRequest(tmp_path / "rest.mat", "S-0", phase="relaxation")
     assert export_data(request, database=url, tell=str).result.frames == 2
     read = scipy.io.loadmat(tmp_path / "rest.mat", simplify_cells=True)
-    assert np.isnan(read["run"]["current_A"])
+    assert np.isnan(read["cbsr"]["current_A"])
     assert np.abs(read["fmdl"]["stimulation"][0]["stim_pattern"].toarray()).max() == 1.0
 
 
@@ -139,7 +139,7 @@ def test_eidors_patterns_reproduce_the_readings_from_the_sheets_impedances(writt
 
 def test_eidors_files_hold_what_was_going_on(written, pressed):
     file = written(".mat")
-    beside = scipy.io.loadmat(file, simplify_cells=True)["run"]
+    beside = scipy.io.loadmat(file, simplify_cells=True)["cbsr"]
     assert (beside["serial"], beside["unit"], beside["current_A"]) == ("S-1", "V", 4e-4)
     assert beside["electrode_positions_mm"] == pytest.approx(SENSOR_TYPE.electrodes.positions_mm())
     assert [beside["load_stages"][stage] for stage in beside["load_stage"]][2] == "hold"

@@ -171,12 +171,10 @@ def test_a_file_is_replaced_only_on_demand_and_only_by_a_whole_one(exported, fiv
             raise OSError(errno.ENOSPC, "No space left on device")
         return read(store, selection)
 
-    with (
-        monkeypatch.context() as patched,
-        pytest.raises(RefusedError, match=r"runs\.csv cannot be written: No space"),
-    ):
+    with monkeypatch.context() as patched:
         patched.setattr(Repository, "listed_runs", full)
-        exported("runs.csv", force=True)
+        with pytest.raises(RefusedError, match=r"runs\.csv cannot be written: No space"):
+            exported("runs.csv", force=True)
     assert file.read_text() == "mine"
     assert list(tmp_path.iterdir()) == [file]
     exported("runs.csv", force=True)
