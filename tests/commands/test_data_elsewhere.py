@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import scipy.io
+from command import cbsr_qa
 from exported_runs import five_runs
 from pages import HOW_TO, blocks, commands, typed
 
@@ -33,6 +34,14 @@ def test_the_snippets_run_on_what_the_commands_wrote(folder, monkeypatch, capsys
     assert read["used"].sizes["time"] == 1
     assert int(read["used"].notnull().sum()) <= 208
     read["frames"].close()
+
+
+def test_the_commands_wrote_what_their_options_select(folder):
+    assert (folder / "outcomes.xml").read_text().count("<testsuite ") == 4  # the fifth run is of another recipe
+    assert len((folder / "runs.csv").read_text().splitlines()) == 1 + 5
+    refused = cbsr_qa(folder, "export", "S-1", "--failed", "--to", "x.csv", check=False)
+    assert (refused.returncode, (folder / "x.csv").exists()) == (2, False)
+    assert "a RUN, and options that select runs" in refused.stderr
 
 
 def test_every_variable_is_named_on_the_page(folder):
