@@ -75,7 +75,7 @@ imports: $(VENV)/.dev-stamp ## The import contract
 check: lint types imports ## Style, types and import contract
 
 site: $(VENV)/.dev-stamp ## Build the documentation as a site, to read in a browser: site/index.html
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet && echo "site/index.html"
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict  # --quiet would hide warnings, and let them pass
 
 bench: $(VENV)/.dev-stamp ## Time what matters, as ratios (see benchmarks/)
 	@$(BIN)/python -m benchmarks

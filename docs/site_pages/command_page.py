@@ -16,7 +16,8 @@ _BEGIN = """\
 # Commands
 
 This page lists every command of `cbsr-qa`, its arguments and options. It is written from the code.
-`cbsr-qa COMMAND --help` prints the same, and `cbsr-qa --version` the version.
+`cbsr-qa COMMAND --help` prints the same, and `cbsr-qa --version` the version. After `cbsr-qa --install-completion`, a
+new terminal (bash, zsh, fish) completes commands and options when you press Tab.
 
 | exit code | means |
 | --- | --- |

@@ -35,7 +35,8 @@ after them.
 
 def schemas() -> str:
     """Return the page on what commands print with ``--json``."""
-    lines, parts = [_SCHEMAS], {}
+    lines = [_SCHEMAS]
+    parts: dict[str, Any] = {}
     for words, kind in documents().items():
         schema = _with_own_names(json_schema(kind), words, parts)
         parts |= schema.pop("$defs", {})
@@ -105,8 +106,8 @@ def hooks() -> str:
         "# Hooks",
         "",
         "This page lists the functions that a plugin's module may have, each under `@hookimpl` of `cbsr_qa.plugin`.",
-        "It is written from `cbsr_qa/plugin/hooks.py`. [Write a plugin](../how-to/write-a-plugin.md) shows how to use",
-        "them; [the Python interface](python.md) lists the classes that they take.",
+        "It is written from the code. [Write a plugin](../how-to/write-a-plugin.md) shows how to use them;",
+        "[the Python interface](python.md) lists the classes that they take.",
     ]
     named = vars(hook_module).items()
     for name, hook in named:
@@ -173,7 +174,7 @@ def _markdown(value: Any) -> str:
 
 
 def _plain(docstring: str) -> str:
-    text = re.sub(r":\w+:`~?([^`<]*?)(?: <[^>]*>)?`", lambda role: f"`{role[1].rpartition('.')[2] or role[1]}`", docstring)
+    text = re.sub(r":\w+:`~?([^`<]*?)(?: <[^>]*>)?`", lambda role: f"`{role[1].rpartition('.')[2]}`", docstring)
     text = re.sub(r"docs/reference/([\w-]+\.md)", r"[\1](\1)", text.replace("``", "`"))
     text = re.sub(r"^(\w[\w ]*)\n-+\n", r"**\1**\n\n", text, flags=re.M)
     return re.sub(r"^(\w+(?:, \w+)*) : ", r"- `\1`: ", text, flags=re.M)

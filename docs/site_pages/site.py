@@ -28,7 +28,7 @@ BESIDE = {
 SECTIONS = {"Tutorials": "tutorials", "How-to": "how-to", "Explanation": "explanation", "Reference": "reference"}
 
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
-_FENCED = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.M | re.S)
+_FENCED = re.compile(r"(^```.*?^```)", re.M | re.S)
 
 _made: dict[str, str] = {}
 
@@ -59,37 +59,26 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Lead links to pages beside docs/ to their place on the site; links to code become its path."""
+    """Lead links to pages beside docs/ to their place on the site; of links to code, only the text is left."""
     name = page.file.src_uri
-    home = {site: beside for beside, site in BESIDE.items()}.get(name)
-    folder = TOP if home else (DOCS / name).parent
+    beside = {site: beside for beside, site in BESIDE.items()}.get(name)
+    if name in _made and not beside:
+        return markdown
+    folder = TOP if beside else (DOCS / name).parent
 
     def link(found: re.Match[str]) -> str:
         image, text, target = found.groups()
         path, mark, anchor = target.partition("#")
-        if not path or "://" in path or name in _made and not home:
-            return found[0]
         place = (folder / path).resolve()
-        beside = str(place.relative_to(TOP)) if place.is_relative_to(TOP) else ""
-        if beside in BESIDE:
-            site = BESIDE[beside]
-        elif place.is_relative_to(DOCS):
-            site = str(place.relative_to(DOCS))
-        elif place.exists():
-            return text
-        else:
+        if not path or "://" in path or not place.exists():
             return found[0]
+        site = BESIDE.get(os.path.relpath(place, TOP)) or os.path.relpath(place, DOCS)
+        if site.startswith(".."):
+            return text
         return f"{image}[{text}]({os.path.relpath(site, Path(name).parent)}{mark}{anchor})"
 
     parts = _FENCED.split(markdown)
-    # Code keeps its text; a link around code is found over both.
-    whole, kept = "", []
-    for part in parts:
-        if part.startswith("```"):
-            kept.append(part)
-            part = f"\x00{len(kept) - 1}\x00"
-        whole += part
-    return re.sub(r"\x00(\d+)\x00", lambda found: kept[int(found[1])], _LINK.sub(link, whole))
+    return "".join(part if part.startswith("```") else _LINK.sub(link, part) for part in parts)
 
 
 def _names(folder: str, pattern: str) -> list[str]:
