@@ -15,7 +15,7 @@ from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, stations
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url
-from cbsr_qa.store.listed import listed_runs, run_count
+from cbsr_qa.store.listed import judged_measurements, listed_runs, measurement_rows, run_count, run_names
 from cbsr_qa.store.results import analyses as analysed, calibrations as issued, calibrations_of_before as of_before
 from cbsr_qa.store.runs import ChangeNotice, Journal, attendance, latest_id, live, outcomes, runs, sessions
 from cbsr_qa.store.types import IdSource, made_at
@@ -132,6 +132,9 @@ class Repository:
     fleet = _of_engine(fleets.fleet_table)
     listed_runs = _of_engine(listed_runs)
     run_count = _of_engine(run_count)
+    run_names = _of_engine(run_names)
+    judged_measurements = _of_engine(judged_measurements)
+    measurement_rows = _of_engine(measurement_rows)
     changes = _of_engine(changed.all_changes)
     overrides = _of_engine(changed.overrides)
     calibrations = _of_engine(issued.calibrations_of)
