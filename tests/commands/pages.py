@@ -29,6 +29,7 @@ TYPED = {
     "docs/how-to/what-to-do-when-it-stops.md": "commands/test_resume.py",
     "docs/reference/recordings.md": "commands/test_documentation.py",
     "docs/tutorials/your-first-recipe.md": "commands/test_tutorials.py",
+    "docs/tutorials/your-own-bench.md": "commands/test_tutorials.py",
 }
 #: Pages that take too long for ``make test-all``, and what is tested there; ``make soak`` types them as printed.
 SHORTENED = {
