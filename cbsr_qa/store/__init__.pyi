@@ -9,4 +9,10 @@ from .engine import (
 from .opening import check_usable as check_usable, database_exists as database_exists, open_store as open_store
 from .repository import Repository as Repository
 from .schema import HEAD as HEAD, Age as Age, found_version as found_version, refusal as refusal, upgrade as upgrade
-from .types import IdSource as IdSource, PlainText as PlainText, made_at as made_at
+from .types import (
+    IdSource as IdSource,
+    PlainText as PlainText,
+    compact as compact,
+    made_at as made_at,
+    restored as restored,
+)
