@@ -127,11 +127,15 @@ def compact(data: bytes, width: int, *, steps: bool = False) -> bytes:
     steps : whether each number is replaced by its distance from the one before, as 64-bit integers: for times, whose
         steps are alike. Exact: the bits of a float64 are taken as an integer, and integers wrap around.
     """
+    if len(data) == width:
+        return data
     numbers = np.frombuffer(data, dtype=f"<u{width}")
     if steps:
-        numbers = np.diff(numbers, prepend=numbers.dtype.type(0))
-    columns = np.ascontiguousarray(numbers).view(np.uint8).reshape(-1, width).T
-    deflated = zlib.compress(columns.tobytes(), wbits=_NO_HEADER)
+        before, numbers = numbers, numbers.copy()
+        numbers[1:] -= before[:-1]
+    columns = numbers.view(np.uint8).reshape(-1, width).T.tobytes() if width > 1 else data
+    deflating = zlib.compressobj(1, wbits=-12, memLevel=6)
+    deflated = deflating.compress(columns) + deflating.flush()
     return deflated if len(deflated) < len(data) else data
 
 

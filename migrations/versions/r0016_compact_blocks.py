@@ -140,8 +140,6 @@ def _plain(table: str, names: list[str]) -> sa.TableClause:
 def _copied(table: str, names: list[str], *, up: bool) -> Iterator[list[dict[str, object]]]:
     key = {"run", "phase", "block", "number", "check_id"}
     order: list[sa.ColumnElement[Any]] = [sa.column(name) for name in names if name in key]
-        sa.column(name) for name in names if name in ("run", "phase", "block", "number", "check_id")
-    ]
     query = sa.select(_plain(f"{table}_of_before", names)).order_by(*order)
     for rows in op.get_bind().execute(query, execution_options={"yield_per": _AT_ONCE}).mappings().partitions():
         yield [_recoded(table, dict(row), up=up) for row in rows]
