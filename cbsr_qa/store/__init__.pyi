@@ -3,6 +3,7 @@ from .engine import (
     open_engine as open_engine,
     parsed_url as parsed_url,
     reading as reading,
+    shrink as shrink,
     sqlite_file as sqlite_file,
     writing as writing,
 )

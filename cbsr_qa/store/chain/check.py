@@ -9,6 +9,7 @@ from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
+from cbsr_qa.store.archives import checked_bytes
 from cbsr_qa.store.chain.links import SigningKey, few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
@@ -86,6 +87,8 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
         raise _broken(run, f"link {min(missing)} in run_links is missing")
     for link in links:
         _check_link(run, link, key_id, key)
+    if not kinds:
+        checked_bytes(connection, run)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
     if not key_id:
         return ChainState("chained")

@@ -1,4 +1,19 @@
-from . import attendance as attendance, live as live, outcomes as outcomes, runs as runs, sessions as sessions
+from . import (
+    archiving as archiving,
+    attendance as attendance,
+    live as live,
+    outcomes as outcomes,
+    runs as runs,
+    sessions as sessions,
+)
+from .archiving import (
+    ArchivedRun as ArchivedRun,
+    archivable as archivable,
+    archive_folder as archive_folder,
+    archive_problems as archive_problems,
+    archive_run as archive_run,
+    unarchive_run as unarchive_run,
+)
 from .codec import (
     decoded_indenter as decoded_indenter,
     decoded_material as decoded_material,

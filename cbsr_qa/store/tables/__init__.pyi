@@ -5,6 +5,7 @@ from .gate import (
 from .records import (
     FEW_LINKS as FEW_LINKS,
     MANY_LINKS as MANY_LINKS,
+    ArchiveRow as ArchiveRow,
     ChartReferenceRow as ChartReferenceRow,
     ConfigurationChangeRow as ConfigurationChangeRow,
     LinkRow as LinkRow,

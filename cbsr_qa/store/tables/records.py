@@ -153,3 +153,15 @@ class LinkRow(Base):
     content_sha256: Mapped[str] = mapped_column(Digest)  #: of these rows
     sha256: Mapped[str] = mapped_column(Digest)  #: of the previous link, kind, document and content
     mac: Mapped[str | None] = mapped_column(Digest)  #: HMAC-SHA256 of ``sha256``; None if no key was set
+
+
+class ArchiveRow(Base):
+    """The file that holds the frames of a run; their rows are then without arrays. Removed when they come back."""
+
+    __tablename__ = "archives"
+
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
+    file: Mapped[str]  #: its path from the folder of a SQLite database, else in full
+    file_bytes: Mapped[int]
+    file_sha256: Mapped[str] = mapped_column(Digest)
+    archived_at: Mapped[datetime]
