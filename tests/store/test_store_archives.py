@@ -142,7 +142,7 @@ def test_a_file_that_is_not_the_runs_is_left_and_nothing_moves(kept, tmp_path):
 
 
 def killed_at(module, name, call, work):
-    """Fork, kill the child when it calls a function the nth time or has called it, and say whether it came to that."""
+    """Fork, kill the child when it calls a function or has called it, and say whether it came to that."""
     child = os.fork()
     if not child:
         original, calls = getattr(module, name), []
