@@ -9,8 +9,8 @@ from alembic import op
 
 from cbsr_qa.store import compact, restored
 
-revision = "0016"
-down_revision = "0015"
+revision = "0017"
+down_revision = "0016"
 branch_labels = None
 depends_on = None
 
