@@ -3,7 +3,6 @@ from .engine import (
     open_engine as open_engine,
     parsed_url as parsed_url,
     reading as reading,
-    shrink as shrink,
     sqlite_file as sqlite_file,
     writing as writing,
 )

@@ -6,14 +6,7 @@ from . import (
     runs as runs,
     sessions as sessions,
 )
-from .archiving import (
-    ArchivedRun as ArchivedRun,
-    archivable as archivable,
-    archive_folder as archive_folder,
-    archive_problems as archive_problems,
-    archive_run as archive_run,
-    unarchive_run as unarchive_run,
-)
+from .archiving import ArchivedRun as ArchivedRun
 from .codec import (
     decoded_indenter as decoded_indenter,
     decoded_material as decoded_material,

@@ -94,7 +94,7 @@ def archive_folder(engine: Engine, to: Path | None) -> Path:
     if to is not None:
         return to
     if database is None:
-        raise StoreError("a PostgreSQL database has no folder of its own", remedy="name one with --to FOLDER")
+        raise StoreError("a PostgreSQL database has no folder", remedy="name one with --to FOLDER")
     return database.with_name(f"{database.stem}-archive")
 
 
