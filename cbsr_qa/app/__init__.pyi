@@ -13,6 +13,7 @@ from .apply_places import (
     places_csv as places_csv,
     places_outcome as places_outcome,
 )
+from .archive import Archived as Archived, archive_runs as archive_runs, unarchive_runs as unarchive_runs
 from .calibrate import PressesCalibrated as PressesCalibrated, calibrate_from_presses as calibrate_from_presses
 from .calibration_file import (
     Converted as Converted,

@@ -1,5 +1,10 @@
 """``cbsr-qa db``: looks after the database."""
 
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
 from cbsr_qa.cli.output import emit_json, say, show
@@ -13,6 +18,41 @@ def upgrade(database: Database = None, as_json: AsJson = False) -> None:
     from cbsr_qa.app import upgrade_database
 
     show(upgrade_database(database), as_json=as_json)
+
+
+@command("db archive", prints="cbsr_qa.app:Archived")
+def archive(
+    older_than: Annotated[
+        str, typer.Option("--older-than", metavar="AGE", help="Runs that began longer ago: 90d, 12w or 2y.")
+    ],
+    to: Annotated[
+        Path | None,
+        typer.Option("--to", metavar="FOLDER", help="Folder of the files; by default beside the SQLite file."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show which runs; nothing is moved.")] = False,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Move the frames of passed sensors' old runs to files, one a run.
+
+    They are found and read there as before. Frames of runs that failed, were overridden, broke off or are not
+    finished stay.
+    """
+    from cbsr_qa.app import archive_runs
+
+    show(archive_runs(database, older_than, to, dry_run=dry_run), as_json=as_json)
+
+
+@command("db unarchive", prints="cbsr_qa.app:Archived")
+def unarchive(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Run, or the serial number of a sensor: its latest run.")],
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Bring the archived frames of a run back into the database; the file stays."""
+    from cbsr_qa.app import unarchive_runs
+
+    show(unarchive_runs(database, run), as_json=as_json)
 
 
 @command("db status", prints="cbsr_qa.app:DatabaseStatus")

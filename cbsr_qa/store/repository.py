@@ -14,10 +14,10 @@ from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, VerdictO
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, stations
 from cbsr_qa.store.damage import address, shown
-from cbsr_qa.store.engine import look_afresh, parsed_url
+from cbsr_qa.store.engine import look_afresh, parsed_url, shrink, size_bytes
 from cbsr_qa.store.listed import judged_measurements, listed_runs, measurement_rows, run_count, run_names
 from cbsr_qa.store.results import analyses as analysed, calibrations as issued, calibrations_of_before as of_before
-from cbsr_qa.store.runs import ChangeNotice, Journal, attendance, latest_id, live, outcomes, runs, sessions
+from cbsr_qa.store.runs import ChangeNotice, Journal, archiving, attendance, latest_id, live, outcomes, runs, sessions
 from cbsr_qa.store.types import IdSource, made_at
 
 P = ParamSpec("P")
@@ -120,6 +120,14 @@ class Repository:
     prompts_shown = _of_engine(attendance.prompts_shown)
     incomplete_runs = _of_engine(sessions.incomplete_runs)
     counts = _of_engine(sessions.counts)
+
+    archivable = _of_engine(archiving.archivable)
+    archive_folder = _of_engine(archiving.archive_folder)
+    archive_run = _of_engine(archiving.archive_run)
+    unarchive_run = _of_engine(archiving.unarchive_run)
+    archive_problems = _of_engine(archiving.archive_problems)
+    size_bytes = _of_engine(size_bytes)
+    shrink = _of_engine(shrink)
 
     change_notice = _of_engine(ChangeNotice)
     run_tail = _of_engine(live.run_tail)

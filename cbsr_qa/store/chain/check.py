@@ -9,7 +9,8 @@ from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.run import ChainState
-from cbsr_qa.store.chain.links import SigningKey, key_id_of, link_digest, signing_key
+from cbsr_qa.store.archives import checked_bytes
+from cbsr_qa.store.chain.links import SigningKey, few_links, key_id_of, link_digest, signing_key
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
     KEYS,
@@ -22,7 +23,7 @@ from cbsr_qa.store.chain.run_documents import (
     tables,
 )
 from cbsr_qa.store.damage import foreign_cell
-from cbsr_qa.store.tables import AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
+from cbsr_qa.store.tables import MANY_LINKS, AnalysisRow, Base, CalibrationRow, LinkRow, PhaseRow, RunRow
 
 #: Columns read of a run to judge its outcome and to identify it.
 RESULTS: Final = frozenset(
@@ -86,6 +87,8 @@ def _checked(connection: Connection, run: str, kinds: Collection[str]) -> ChainS
         raise _broken(run, f"link {min(missing)} in run_links is missing")
     for link in links:
         _check_link(run, link, key_id, key)
+    if not kinds:
+        checked_bytes(connection, run)
     _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
     if not key_id:
         return ChainState("chained")
@@ -100,7 +103,11 @@ def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence
         .where(link.run == run)
         .order_by(link.number)
     )
-    return connection.execute(query.where(link.kind.in_(kinds)) if kinds else query).all()
+    if kinds:
+        query = query.where(link.kind.in_(kinds))
+        if not set(kinds).intersection(MANY_LINKS):
+            query = query.where(few_links())
+    return connection.execute(query).all()
 
 
 def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: SigningKey | None) -> None:

@@ -57,7 +57,7 @@ from cbsr_qa.store.tables import (
     VerdictOverrideRow,
     WarningRow,
 )
-from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole, Word
+from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word
 
 _JSON: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
@@ -116,6 +116,7 @@ _CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
     (Boolean, lambda value: bool(value) if value in (0, 1) else _foreign(value)),
     (JSON, lambda value: value),
     (Word, str),
+    (Digest, str),
 )
 
 

@@ -3,6 +3,9 @@ from .gate import (
     ReleaseRow as ReleaseRow,
 )
 from .records import (
+    FEW_LINKS as FEW_LINKS,
+    MANY_LINKS as MANY_LINKS,
+    ArchiveRow as ArchiveRow,
     ChartReferenceRow as ChartReferenceRow,
     ConfigurationChangeRow as ConfigurationChangeRow,
     LinkRow as LinkRow,

@@ -119,7 +119,7 @@ EDITS = {
         "frame block 1 of phase 0 of run .* its digest does not match",
     ),
     "a frame's digest": (
-        "update frame_blocks set sha256 = replace(sha256, 'a', 'b') where phase = 0 and block = 1",
+        "update frame_blocks set sha256 = zeroblob(32) where phase = 0 and block = 1",
         r"frame_blocks \(phase 0, block 1\) was changed",
     ),
     "a sample": (
@@ -169,7 +169,7 @@ EDITS = {
         "link 4 in run_links.* does not follow",
     ),
     "a link's content": (
-        "update run_links set content_sha256 = replace(content_sha256, 'a', 'b')",
+        "update run_links set content_sha256 = sha256",
         "link .* in run_links.* does not follow",
     ),
     "text for a number": ("update loads set x_mm = 'far'", r"loads\.x_mm \("),
@@ -233,12 +233,15 @@ def test_bytes_in_any_column_are_refused_with_table_and_column(copied, table):
     with open_store(f"sqlite:///{path}") as store:
         add_checks(store, run)
     whole = path.read_bytes()
+    key = ", ".join(column.name for column in Base.metadata.tables[table].primary_key)
     for column in Base.metadata.tables[table].columns:
         if isinstance(column.type, LargeBinary | Boolean) or column.foreign_keys or column.name == "station":
             continue
         path.write_bytes(whole)
         with closing(sqlite3.connect(path)) as database, database:
-            database.execute(f"update {table} set {column.name} = x'ff006a' where rowid = 1")
+            database.execute(
+                f"update {table} set {column.name} = x'ff006a' where ({key}) in (select {key} from {table} limit 1)"
+            )
         with open_store(f"sqlite:///{path}") as store:
             named = any(f"{table}.{column.name} (" in reason for reason in refusals(store, run))
         assert named, column.name
@@ -393,9 +396,9 @@ def forged(path, run):
         ((_, content),) = documents(Base.metadata.tables["loads"], [row])
         before = ""
         for link in database.execute("select * from run_links where run = ? order by number", (run,)).fetchall():
-            own = content if link["kind"] == "loads" else link["content_sha256"]
+            own = content if link["kind"] == "loads" else link["content_sha256"].hex()
             before = link_digest(before, link["kind"], link["document"], own)
-            place = (own, before, run, link["number"])
+            place = (bytes.fromhex(own), bytes.fromhex(before), run, link["number"])
             database.execute(
                 "update run_links set content_sha256 = ?, sha256 = ? where run = ? and number = ?", place
             )
