@@ -16,7 +16,13 @@ from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, 
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url
 from cbsr_qa.store.listed import listed_runs
-from cbsr_qa.store.results import analyses as analysed, calibrations as issued, calibrations_of_before as of_before
+from cbsr_qa.store.results import (
+    Reanalysis,
+    analyses as analysed,
+    calibrations as issued,
+    calibrations_of_before as of_before,
+    reanalyses,
+)
 from cbsr_qa.store.runs import ChangeNotice, Journal, attendance, latest_id, live, outcomes, runs, sessions
 from cbsr_qa.store.types import IdSource, made_at
 
@@ -124,6 +130,10 @@ class Repository:
     look_at = _of_engine(live.look_at)
 
     analyses = _of_engine(analysed.analyses_of)
+    data_sha256 = _of_engine(reanalyses.data_sha256)
+    find_reanalysis = _of_engine(reanalyses.find_reanalysis)
+    reanalysis = _of_engine(reanalyses.load_reanalysis)
+    adoptions = _of_engine(reanalyses.adoptions)
     run_lines = _of_engine(fleets.run_lines)
     fleet = _of_engine(fleets.fleet_table)
     listed_runs = _of_engine(listed_runs)
@@ -173,6 +183,18 @@ class Repository:
         )
         look_afresh(self._engine)
         self.analyses(result.record.identity.run)
+        return analysis
+
+    def save_reanalysis(self, made: Reanalysis) -> str:
+        """Store a re-analysis beside the valid analysis of its run, and return its identifier."""
+        reanalysis = self.new_id()
+        reanalyses.save_reanalysis(self._engine, made, reanalysis=reanalysis, analysed_at=self._wall())
+        return reanalysis
+
+    def adopt(self, reanalysis: str, *, operator: str, why: str) -> str:
+        """Make a re-analysis the valid analysis of its run, and return that; see :mod:`.results.reanalyses`."""
+        analysis, now = self.new_id(), self._wall()
+        reanalyses.adopt(self._engine, reanalysis, analysis=analysis, operator=operator, why=why, adopted_at=now)
         return analysis
 
     def change_history(self, record: RunRecord) -> ChangeHistory:

@@ -1,2 +1,8 @@
-from . import analyses as analyses, calibrations as calibrations, calibrations_of_before as calibrations_of_before
-from .analyses import StoredAnalysis as StoredAnalysis, analysis_outcome as analysis_outcome
+from . import (
+    analyses as analyses,
+    calibrations as calibrations,
+    calibrations_of_before as calibrations_of_before,
+    reanalyses as reanalyses,
+)
+from .analyses import Adoption as Adoption, StoredAnalysis as StoredAnalysis, analysis_outcome as analysis_outcome
+from .reanalyses import AdoptedRuns as AdoptedRuns, Reanalysis as Reanalysis, key_of as key_of
