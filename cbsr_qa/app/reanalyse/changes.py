@@ -63,7 +63,7 @@ class Flip:
     ----------
     was, now, reason : outcome of the valid analysis (None: there was none) and of the new one, with its reason.
     overridden_to : what a person decided against the valid verdict; None without that.
-    calibration : that the valid analysis issued and that is still stored; None without one.
+    calibration : that an earlier analysis of the run issued and that is still stored; None without one.
     """
 
     run: str

@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import cache
@@ -24,7 +24,7 @@ from cbsr_qa.config import (
     validate_operator,
     validate_reason,
 )
-from cbsr_qa.domain import CbsrError, ConfigError, RefusedError, StoreError
+from cbsr_qa.domain import CbsrError, ConfigError, RefusedError, StoreError, filled
 from cbsr_qa.domain.plan import PhaseSpec
 from cbsr_qa.domain.results import SEVERITY, Outcome, RunLine, RunSelection
 from cbsr_qa.plugin import Plugins, discover, software_versions
@@ -36,6 +36,8 @@ from cbsr_qa.system import RealClock
 
 #: Least time between two lines of progress [s].
 _SPOKEN_S: Final = 5.0
+#: What takes less has no progress [s].
+_PATIENCE_S: Final = 1.0
 
 Tell = Callable[[str], None]
 #: Enters workers that do the work of jobs.
@@ -80,7 +82,7 @@ class _Progress:
     def step(self) -> None:
         self.done += 1
         now_s = self.clock.now()
-        if self.done < self.of and now_s - self.spoken_s < _SPOKEN_S:
+        if now_s - self.spoken_s < (_SPOKEN_S if self.done < self.of else _PATIENCE_S):
             return
         self.spoken_s = now_s
         rate = self.done / max(now_s, 1e-3)
@@ -191,7 +193,8 @@ class _Session:
         progress = _Progress("comparing", len(self.stored), self._tell)
         for line in [line for line in self.lines.values() if line.run in self.stored]:
             try:
-                valid = next(iter(self._store.analyses(line.run)), None)
+                analyses = self._store.analyses(line.run)
+                valid = next(iter(analyses), None)
                 new = self._store.reanalysis(self.stored[line.run])
             except StoreError as error:
                 self._cannot(line, error.reason)
@@ -201,7 +204,7 @@ class _Session:
             warnings.update(set(new.warnings).difference(() if valid is None else valid.warnings))
             overridden = None if valid is None else decided.get(valid.analysis)
             if valid is None or valid.verdict.outcome is not new.verdict.outcome:
-                flips.append(_flip(line, valid, new, overridden))
+                flips.append(_flip(line, analyses, new, overridden))
             unchanged += valid is not None and (valid.measurements, valid.verdict) == (new.measurements, new.verdict)
             if self._request.adopt and overridden is not None:
                 left.append(NamedRun.of(line, f"overridden to {overridden}"))
@@ -323,17 +326,15 @@ def _option(key: str, value: Any) -> str:
     return f"no {key}" if value is None else f"{key} = {value}"
 
 
-def _flip(line: RunLine, valid: StoredAnalysis | None, new: Reanalysis, overridden: Outcome | None) -> Flip:
-    return Flip(
-        line.run,
-        line.serial,
-        line.started_at,
-        line.station,
-        None if valid is None else valid.verdict.outcome,
-        new.verdict.outcome,
-        new.verdict.reason,
-        overridden,
-        None if valid is None else valid.calibration,
+def _flip(line: RunLine, analyses: Sequence[StoredAnalysis], new: Reanalysis, overridden: Outcome | None) -> Flip:
+    return filled(
+        Flip,
+        line,
+        was=analyses[0].verdict.outcome if analyses else None,
+        now=new.verdict.outcome,
+        reason=new.verdict.reason,
+        overridden_to=overridden,
+        calibration=next((one.calibration for one in analyses if one.calibration is not None), None),
     )
 
 

@@ -69,7 +69,6 @@ class Workers(Generic[Job, Result]):
                 deaths[number[id(lost[0])]] += 1
             for job in lost:
                 if deaths[number[id(job)]] >= _DEATHS:
-                    in_a_row = 0
                     yield job, f"its worker was killed {plural(_DEATHS, 'time')} (out of memory?)"
                 else:
                     suspects.append(job)
