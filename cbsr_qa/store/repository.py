@@ -12,7 +12,7 @@ from sqlalchemy import Engine
 from cbsr_qa.domain.results import Outcome, RunResult
 from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, VerdictOverride
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, stations
+from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, soundness, stations
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url
 from cbsr_qa.store.listed import listed_runs
@@ -151,6 +151,11 @@ class Repository:
     latest_golden_check = _of_engine(stations.latest_golden_check)
     runs_since = _of_engine(stations.runs_since)
     station_check_ring = _of_engine(stations.ring_of)
+
+    file_problems = _of_engine(soundness.file_problems)
+    selected_runs = _of_engine(soundness.selected_runs)
+    check_stored_run = _of_engine(soundness.check_stored_run)
+    ring_problems = _of_engine(soundness.ring_problems)
 
     save_release = _of_engine(releases.save_release)
     latest_release = _of_engine(releases.latest_release)

@@ -1,7 +1,7 @@
 """Where jobs are done: processes of this computer or a Dask cluster, through the interface of an Executor."""
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Final, Generic, TypeVar
@@ -96,9 +96,9 @@ class Workers(Generic[Job, Result]):
                     yield from self._collected(set(under_way), under_way, lost)
 
     def _collected(
-        self, finished: Iterable[Future[Result]], under_way: dict[Future[Result], Job], lost: list[Job]
+        self, finished: Set[Future[Result]], under_way: dict[Future[Result], Job], lost: list[Job]
     ) -> Iterator[tuple[Job, Result | str]]:
-        for future in finished:
+        for future in [one for one in under_way if one in finished]:  # in the order of the jobs
             job = under_way.pop(future)
             try:
                 result = future.result()
