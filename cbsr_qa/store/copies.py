@@ -86,7 +86,7 @@ def put_back(engine: Engine, backup: Path, aside: Path, count: Count = lambda wh
         )
     if target.exists() and backup.samefile(target):
         raise RefusedError(f"{backup} is the database itself; {_UNCHANGED}", remedy="name a backup of it")
-    if aside.exists():
+    if target.exists() and aside.exists():
         raise RefusedError(f"{aside} exists already; {_UNCHANGED}", remedy="move it away, or try again in a second")
     with _temporary(target) as partial:
         count("copying", 0, 1)

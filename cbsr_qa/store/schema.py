@@ -122,7 +122,7 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
         case Age.OLDER:
             return StoreError(
                 f"{shown(engine.url)} has schema {version.revision}, older than this program's {HEAD}",
-                remedy=f"upgrade it (a SQLite file is copied first): cbsr-qa db upgrade --database {address(engine.url)}",
+                remedy=f"run: cbsr-qa db upgrade --database {address(engine.url)} (it copies a SQLite file first)",
             )
         case Age.NEWER:
             return StoreError(
