@@ -20,9 +20,7 @@ def main(database: str) -> None:
         request = ReanalyseRequest(RunSelection(), workers=workers, fresh=True, database=database)
         done = reanalyse(request)
         took_s[workers] = done.elapsed_s
-        print(
-            f"{workers} workers: {done.computed} runs in {done.elapsed_s:.1f} s, {done.peak_worker_mb or 0:.0f} MB at most"
-        )
+        print(f"{workers} workers: {done.computed} runs in {done.elapsed_s:.1f} s, {done.peak_worker_mb or 0:.0f} MB")
     print(f"two workers are {took_s[1] / took_s[2]:.2f} times as fast; load {os.getloadavg()[0]:.1f}")
 
 

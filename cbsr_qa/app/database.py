@@ -15,6 +15,8 @@ from cbsr_qa.report import answer
 from cbsr_qa.station import on_stderr
 from cbsr_qa.store import (
     HEAD,
+    READER,
+    STATION,
     Age,
     copy_database,
     found_version,
@@ -23,6 +25,7 @@ from cbsr_qa.store import (
     open_store,
     parsed_url,
     refusal,
+    roles_script,
     sqlite_file,
     upgrade,
 )
@@ -147,6 +150,20 @@ def upgrade_database(
     undo = f"cbsr-qa db restore {shlex.quote(str(kept))}{database_option(option)}"
     printed = (("Backup", str(kept)), ("Undone by", undo)) if kept else ()
     return answer(done, url, words, printed=printed)
+
+
+@dataclass(frozen=True, slots=True)
+class Roles:
+    """An SQL script for PostgreSQL, and the roles it makes."""
+
+    station: str
+    reader: str
+    sql: str
+
+
+def database_roles() -> Roles:
+    """Return the script that makes the roles of stations and readers; nothing is run."""
+    return Roles(STATION, READER, roles_script())
 
 
 def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:

@@ -9,7 +9,7 @@ import typer
 
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database, Since, to_day
-from cbsr_qa.cli.output import Counting, show
+from cbsr_qa.cli.output import Counting, emit_json, say, show
 
 group("db", "Maintain the database.")
 
@@ -111,3 +111,20 @@ def changes(database: Database = None, as_json: AsJson = False) -> None:
     from cbsr_qa.app import list_changes
 
     show(list_changes(database), as_json=as_json)
+
+
+@command("db roles", prints="cbsr_qa.app:Roles")
+def roles(as_json: AsJson = False) -> None:
+    """Print an SQL script that makes roles for stations and for readers of a PostgreSQL database; runs nothing.
+
+    Stations may add rows and delete none; readers may read tables and views. For example:
+    cbsr-qa db roles | psql --single-transaction -v ON_ERROR_STOP=1 URL
+    """
+    from cbsr_qa.app import database_roles
+    from cbsr_qa.report import json_document
+
+    made = database_roles()
+    if as_json:
+        emit_json(json_document(made))
+    else:
+        say(made.sql.removesuffix("\n"))

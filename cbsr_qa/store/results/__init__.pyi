@@ -4,5 +4,10 @@ from . import (
     calibrations_of_before as calibrations_of_before,
     reanalyses as reanalyses,
 )
-from .analyses import Adoption as Adoption, StoredAnalysis as StoredAnalysis, analysis_outcome as analysis_outcome
+from .analyses import (
+    Adoption as Adoption,
+    StoredAnalysis as StoredAnalysis,
+    analysis_outcome as analysis_outcome,
+    as_measurement as as_measurement,
+)
 from .reanalyses import AdoptedRuns as AdoptedRuns, Reanalysis as Reanalysis, key_of as key_of

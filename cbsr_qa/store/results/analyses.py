@@ -163,10 +163,7 @@ def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
         StoredAnalysis,
         row,
         verdict=Verdict(analysis_outcome(row), row.reason),
-        measurements=tuple(
-            stored_measurement(values, f"analysis {row.analysis}, measurement {values['number']},")
-            for values in connection.execute(measured.order_by(MeasurementRow.number)).mappings()
-        ),
+        measurements=tuple(map(as_measurement, connection.execute(measured.order_by(MeasurementRow.number)))),
         warnings=tuple(connection.scalars(warnings)),
         calibration=connection.scalar(issued),
         adoption=_adoption(connection, row.analysis),
@@ -184,6 +181,11 @@ def _adoption(connection: Connection, analysis: str) -> Adoption | None:
 def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
     """Return the outcome in a row of analyses. StoreError if it is invalid."""
     return stored(Outcome, row.outcome, "analyses.outcome", f"analysis {row.analysis}")
+
+
+def as_measurement(row: Row[Any]) -> Measurement:
+    """Return the measurement of a row. StoreError if a cell of it is damaged."""
+    return stored_measurement(row._mapping, f"analysis {row.analysis}, measurement {row.number},")
 
 
 def stored_measurement(values: Mapping[Any, Any], key: str) -> Measurement:
