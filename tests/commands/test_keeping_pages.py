@@ -22,7 +22,7 @@ def test_the_pages_on_backups_and_re_analyses_run_as_printed(tmp_path):
     assert stored["peak_worker_mb"] is None
     typed(tmp_path, adopt)
     assert "limit of the customer" in typed(tmp_path, changes).stdout
-    assert "adopted by Ada" in typed(tmp_path, "cbsr-qa report Y-1").stdout
+    assert "adopted by Ada" in " ".join(typed(tmp_path, "cbsr-qa report Y-1").stdout.split())
 
     backup, check, restore = commands(HOW_TO / "back-up-a-station.md")
     for command in (backup, check, restore):

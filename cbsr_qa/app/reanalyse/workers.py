@@ -4,6 +4,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from importlib import import_module
 from typing import Final, Generic, TypeVar
 
 from cbsr_qa.domain import BrokenError, RefusedError
@@ -130,7 +131,7 @@ def cluster_workers(scheduler: str, work: Callable[[Job], Result]) -> Iterator[W
         If distributed is not installed, no scheduler answers, it has no workers, or these have several threads.
     """
     try:
-        from distributed import Client
+        Client = import_module("distributed").Client  # noqa: N806 - as it is called there
     except ModuleNotFoundError as error:
         raise RefusedError(
             f"--scheduler needs {error.name}, which is not installed; {_NOTHING}",
@@ -138,7 +139,7 @@ def cluster_workers(scheduler: str, work: Callable[[Job], Result]) -> Iterator[W
         ) from error
     with ExitStack() as stack:
         try:
-            client = stack.enter_context(Client(scheduler, timeout=_REACHED_S, set_as_default=False))  # type: ignore[no-untyped-call]
+            client = stack.enter_context(Client(scheduler, timeout=_REACHED_S, set_as_default=False))
         except (OSError, ValueError, TypeError) as error:
             raise RefusedError(
                 f"no Dask scheduler answers at {scheduler[:100]!r}: {str(error).partition(chr(10))[0]}; {_NOTHING}",

@@ -5,7 +5,6 @@ from . import (
     reanalyses as reanalyses,
 )
 from .analyses import (
-    Adoption as Adoption,
     StoredAnalysis as StoredAnalysis,
     analysis_outcome as analysis_outcome,
     as_measurement as as_measurement,
