@@ -131,7 +131,7 @@ def cluster_workers(scheduler: str, work: Callable[[Job], Result]) -> Iterator[W
         If distributed is not installed, no scheduler answers, it has no workers, or these have several threads.
     """
     try:
-        Client = import_module("distributed").Client  # noqa: N806 - as it is called there
+        Client = import_module("distributed").Client
     except ModuleNotFoundError as error:
         raise RefusedError(
             f"--scheduler needs {error.name}, which is not installed; {_NOTHING}",
