@@ -39,4 +39,12 @@ from .database import (
     upgrade_database as upgrade_database,
 )
 from .export import Exported as Exported, ExportRequest as ExportRequest, export_data as export_data
+from .keeping import (
+    Backup as Backup,
+    DatabaseCheck as DatabaseCheck,
+    Restored as Restored,
+    back_up as back_up,
+    check_database as check_database,
+    restore_backup as restore_backup,
+)
 from .press_calibration_shown import ShownPressCalibration as ShownPressCalibration

@@ -1,3 +1,4 @@
+from .copies import copy_database as copy_database, put_back as put_back
 from .damage import shown as shown
 from .engine import (
     open_engine as open_engine,

@@ -110,7 +110,15 @@ def test_data_survive_every_step_up_and_down(engine):
     assert content(engine) == before
     schema.upgrade(engine)
     concluded |= {"calibration_forces", *CHECKS, *CHANGES, records.ChartReferenceRow.__tablename__}
-    concluded |= {LINKS, AttendanceRow.__tablename__, "gate_answers", "releases", "archives"}
+    concluded |= {
+        LINKS,
+        AttendanceRow.__tablename__,
+        "gate_answers",
+        "releases",
+        "archives",
+        "reanalyses",
+        "adoptions",
+    }
     # Eased, notes; chain; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]

@@ -18,6 +18,7 @@ from cbsr_qa.store.chain.run_documents import (
     covered,
     documents,
     phase_end,
+    sha256,
     shown,
     stored_figures,
     tables,
@@ -31,6 +32,8 @@ RESULTS: Final = frozenset(
 )
 IDENTITY: Final = frozenset({"runs", "instruments"})
 ALL_KINDS: Final = frozenset({*KEYS, PHASE_END, FIGURES})
+#: Documents that state what followed from the data of a run, or what people decided.
+_CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}
 _REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
@@ -56,6 +59,17 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
         return _checked(connection, run, kinds)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise unreadable(connection, run, error) from error
+
+
+def data_digest(connection: Connection, run: str) -> str:
+    """Return the digest of everything that was measured in a run: the chain up to the last link of its data.
+
+    Without a chain, the digest of the rows, which hold the digests of frames and samples.
+    """
+    link = LinkRow
+    of_data = select(link.sha256).where(link.run == run, link.kind.not_in(_CONCLUDED))
+    head = connection.scalar(of_data.order_by(link.number.desc()).limit(1))
+    return head or sha256(*map("/".join, _documents(connection, run, ALL_KINDS - _CONCLUDED)))
 
 
 def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:

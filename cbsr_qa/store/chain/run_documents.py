@@ -32,6 +32,7 @@ from sqlalchemy import (
 )
 
 from cbsr_qa.store.tables import (
+    AdoptionRow,
     AnalysisRow,
     AttendanceRow,
     Base,
@@ -47,6 +48,7 @@ from cbsr_qa.store.tables import (
     MeasurementRow,
     OverlapBandRow,
     PhaseRow,
+    ReanalysisRow,
     RelaxationRow,
     RunRow,
     RunStateRow,
@@ -88,6 +90,8 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (FitParameterRow, ("calibration",)),
         (OverlapBandRow, ("calibration",)),
         (VerdictOverrideRow, ("override_id",)),
+        (ReanalysisRow, ("reanalysis",)),
+        (AdoptionRow, ("analysis",)),
     )
 }
 #: Columns that are filled in later. The end of a phase has its own link; that a calibration is superseded follows

@@ -15,6 +15,7 @@ from .records import (
     VerdictOverrideRow as VerdictOverrideRow,
 )
 from .results import (
+    AdoptionRow as AdoptionRow,
     AnalysisRow as AnalysisRow,
     BaselineRow as BaselineRow,
     CalibrationRow as CalibrationRow,
@@ -22,6 +23,7 @@ from .results import (
     ForceRow as ForceRow,
     MeasurementRow as MeasurementRow,
     OverlapBandRow as OverlapBandRow,
+    ReanalysisRow as ReanalysisRow,
     RelaxationRow as RelaxationRow,
     SettlingRow as SettlingRow,
     WarningRow as WarningRow,

@@ -32,6 +32,7 @@ from cbsr_qa.store import open_store
 from cbsr_qa.store.chain import fleet
 from cbsr_qa.store.chain.links import VARIABLE, SigningKey
 from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
+from cbsr_qa.store.results import Reanalysis
 from cbsr_qa.store.tables import Base, records as check_tables
 from cbsr_qa.store.types import FiniteDouble, Whole
 
@@ -56,6 +57,9 @@ def filled(url):
         issued = calibration(store.new_id(), first)
         model = sample_force(int(issued.reconstruction.problem.used.sum()))
         issued = stamped(replace(issued, force=model, digest="", record_digest=""))
+        software = (("cbsr-qa", "0.2.0"),)
+        again = Reanalysis(first, 64 * "0", "{}", software, decide(MEASURED), MEASURED, ("one",), "equal", None, ())
+        store.adopt(store.save_reanalysis(again), operator="Zoë", why="corrected")
         store.save_result(RunResult(record, None, MEASURED, decide(MEASURED), issued, "", warnings=("one\0", "two")))
         store.override_verdict(first, Outcome.FAIL, operator="Zoë", why="seen")
     return first
@@ -154,6 +158,12 @@ EDITS = {
         "calibration_baselines .* was changed",
     ),
     "an override": ("update verdict_overrides set outcome = 'pass'", "verdict_overrides .* was changed"),
+    "a re-analysis": ("update reanalyses set outcome = 'fail'", "reanalyses .* was changed"),
+    "a value of a re-analysis": (
+        "update reanalyses set measurements = replace(measurements, '4.0', '3.0')",
+        "reanalyses .* was changed",
+    ),
+    "who adopted it": ("update adoptions set operator = 'Ada'", "adoptions .* was changed"),
     "no override": ("delete from verdict_overrides", "verdict_overrides .* was removed"),
     "a link less": ("delete from run_links where number = 7", "link 7 in run_links is missing"),
     "the first link": ("delete from run_links where number = 0", "link 0 in run_links is missing"),
