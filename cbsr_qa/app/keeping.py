@@ -151,7 +151,7 @@ def check_database(
     with open_store(database_url(option), create=False) as store:
         count("checking the file", 0, 1)
         problems += [FoundProblem(None, what) for what in store.file_problems()]
-        runs = store.selected_runs(RunSelection(since=since))
+        runs = store.run_names(RunSelection(since=since))
         for run in runs:
             count("checking runs", checked, len(runs))
             try:

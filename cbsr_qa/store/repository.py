@@ -131,7 +131,6 @@ class Repository:
     archive_folder = _of_engine(archiving.archive_folder)
     archive_run = _of_engine(archiving.archive_run)
     unarchive_run = _of_engine(archiving.unarchive_run)
-    archive_problems = _of_engine(archiving.archive_problems)
     size_bytes = _of_engine(size_bytes)
     shrink = _of_engine(shrink)
 
@@ -169,7 +168,6 @@ class Repository:
     station_check_ring = _of_engine(stations.ring_of)
 
     file_problems = _of_engine(soundness.file_problems)
-    selected_runs = _of_engine(soundness.selected_runs)
     check_stored_run = _of_engine(soundness.check_stored_run)
     ring_problems = _of_engine(soundness.ring_problems)
 

@@ -5,15 +5,13 @@ from collections.abc import Iterator
 from sqlalchemy import Connection, Engine, select, text
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.domain.results import RunSelection
 from cbsr_qa.domain.run import ChainState
 from cbsr_qa.store.chain import check_run
 from cbsr_qa.store.engine import file_problem, reading, sqlite_file
 from cbsr_qa.store.results import calibrations
 from cbsr_qa.store.runs import runs
-from cbsr_qa.store.selected import conditions
 from cbsr_qa.store.stations import ring_of
-from cbsr_qa.store.tables import Base, CalibrationRow, RunRow, StationCheckFramesRow
+from cbsr_qa.store.tables import Base, CalibrationRow, StationCheckFramesRow
 
 #: Rows of one table that refer to nothing and are named; the rest is counted.
 _MOST_NAMED = 10
@@ -37,18 +35,13 @@ def file_problems(engine: Engine) -> Iterator[str]:
             yield f"{_row(connection, row[0], row[1])} refers to a row of {row[2]} that is missing"
 
 
-def _row(connection: Connection, table: str, rowid: int) -> str:
-    """Name a row by its primary key."""
+def _row(connection: Connection, table: str, rowid: int | None) -> str:
+    """Name a row by its primary key, where its table has row numbers."""
+    if rowid is None:
+        return f"a row of {table}"
     key = [column.name for column in Base.metadata.tables[table].primary_key]
     found = connection.execute(text(f"SELECT {', '.join(key)} FROM {table} WHERE rowid = :rowid"), {"rowid": rowid})
     return f"{table} ({', '.join(f'{name} {value}' for name, value in zip(key, found.one(), strict=True))})"
-
-
-def selected_runs(engine: Engine, selection: RunSelection) -> tuple[str, ...]:
-    """Return the selected runs, oldest first, whatever else in their rows is damaged."""
-    query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
-    with reading(engine) as connection:
-        return tuple(connection.scalars(query))
 
 
 def check_stored_run(engine: Engine, run: str, *, frames: bool) -> ChainState:

@@ -58,7 +58,7 @@ def test_archived_frames_are_read_as_before_and_come_back(store, tmp_path):
     assert store.frames_between(run, 0, 4.0, 12.0).voltages.tobytes() == parts
     assert [block.voltages.tobytes() for _, block in store.run_tail(run).frames] == tail
     assert store.counts()["frames"] == 11
-    assert store.archive_problems() == ()
+    assert store.check_stored_run(run, frames=True).chained
 
     back = store.unarchive_run(run)
     assert (back.frames, back.database_bytes) == (11, done.database_bytes)
@@ -109,8 +109,8 @@ def test_an_archive_that_is_missing_or_altered_is_named_with_its_run(kept, spoil
             with pytest.raises(StoreError, match=said) as refused:
                 read(run)
             assert run in refused.value.reason
-        (problem,) = store.archive_problems()
-        assert run in problem
+        with pytest.raises(StoreError, match=run):
+            store.check_stored_run(run, frames=True)
         assert store.identity(run).run == run
 
 

@@ -1,7 +1,7 @@
 """Moves frames of runs to archives and back. At every moment all are in the database, in a file, or in both."""
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -185,18 +185,3 @@ def _rows(connection: Connection, run: str) -> list[Any]:
     row = FrameBlockRow
     query = select(*row.__table__.columns).where(row.run == run).order_by(row.phase, row.block)
     return list(connection.execute(query).all())
-
-
-def archive_problems(engine: Engine, each: Callable[[int, int], None] = lambda done, of: None) -> tuple[str, ...]:
-    """Return what is wrong with the archives of a database, naming the runs; each file is read and compared."""
-    problems = []
-    with reading(engine) as connection:
-        runs = connection.scalars(select(ArchiveRow.run).order_by(ArchiveRow.run)).all()
-        for done, run in enumerate(runs):
-            each(done, len(runs))
-            try:
-                for _ in _blocks(connection, run):
-                    pass
-            except StoreError as error:
-                problems.append(error.reason)
-    return tuple(problems)
