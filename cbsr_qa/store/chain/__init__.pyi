@@ -1,4 +1,11 @@
-from .check import IDENTITY as IDENTITY, RESULTS as RESULTS, check_run as check_run, unreadable as unreadable
+from .check import (
+    IDENTITY as IDENTITY,
+    RESULTS as RESULTS,
+    check_run as check_run,
+    of_run as of_run,
+    stored_documents as stored_documents,
+    unreadable as unreadable,
+)
 from .fleet import (
     AT_ONCE as AT_ONCE,
     Figures as Figures,
@@ -20,10 +27,16 @@ from .run_documents import (
     BETWEEN as BETWEEN,
     FIGURES as FIGURES,
     JOINED as JOINED,
+    KEYS as KEYS,
+    PHASE_END as PHASE_END,
     RUN_COLUMNS as RUN_COLUMNS,
     documents as documents,
     facts as facts,
     phase_end as phase_end,
+    row_text as row_text,
+    sha256 as sha256,
+    shown as shown,
     stored_figures as stored_figures,
+    tables as tables,
     words as words,
 )

@@ -59,7 +59,7 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
 
 def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:
     """Return the error for a run that cannot be read: the cell of the wrong type if there is one, else the cause."""
-    rows = [(table, _of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
+    rows = [(table, of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
     return foreign_cell(connection, rows, f"run {run}") or _broken(
         run, f"it cannot be read: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
     )
@@ -120,7 +120,7 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
     """Raise StoreError if rows were changed, added or removed."""
     figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
     of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
-    for stored, links in ((_documents(connection, run, kinds), linked), (of_figures, figures)):
+    for stored, links in ((stored_documents(connection, run, kinds), linked), (of_figures, figures)):
         for kind, document, content in stored:
             expected = links.pop((kind, document), None)
             if expected is None:
@@ -131,14 +131,17 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
             raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
 
 
-def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
+def stored_documents(
+    connection: Connection, run: str, kinds: Collection[str] = ALL_KINDS
+) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, key and content digest of the stored documents of a run, figures left out."""
     for table in (one for one in tables() if one.name in kinds):
         # Every number but 0 is read as true, so the flag itself selects the rows.
         columns = (
             type_coerce(one, Integer).label(one.name) if isinstance(one.type, Boolean) else one
             for one in covered(table)
         )
-        query = select(*columns).where(_of_run(table, run))
+        query = select(*columns).where(of_run(table, run))
         for key, content in documents(table, connection.execute(query).mappings()):
             yield table.name, key, content
     if PHASE_END in kinds:
@@ -152,7 +155,7 @@ def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]
         yield FIGURES, analysis, stored_figures(connection, analysis)
 
 
-def _of_run(table: Table, run: str) -> Any:
+def of_run(table: Table, run: str) -> Any:
     """Select a run's rows of a table: by run, analysis or calibration."""
     if "run" in table.columns:
         return table.c.run == run

@@ -37,3 +37,8 @@ from .runs import (
     StepRow as StepRow,
     UnloadedMarkRow as UnloadedMarkRow,
 )
+from .sync import (
+    OutboxRow as OutboxRow,
+    SyncAcceptsRow as SyncAcceptsRow,
+    SyncRefusalRow as SyncRefusalRow,
+)
