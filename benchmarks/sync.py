@@ -41,7 +41,8 @@ def rows() -> Iterator[Row]:
         spent_s, sent = _send(stations, centre)
     runs, stored, size = (sum(one[k] for one in sent) for k in range(3))
     per_s = runs / spent_s
-    what = f"{runs} nine-location runs ({stored // runs} rows, {size / runs / 1e6:.1f} MB each) from {_STATIONS} stations"
+    each = f"{stored // runs} rows, {size / runs / 1e6:.1f} MB each"
+    what = f"{runs} nine-location runs ({each}) from {_STATIONS} stations"
     yield Row(f"{what}: runs", "≥ 10 runs/s", f"{per_s:.1f} runs/s", "", per_s >= 10)
     yield Row(f"{what}: bytes", "≥ 20 MB/s", f"{size / spent_s / 1e6:.0f} MB/s", "", size / spent_s >= 20e6)
 
@@ -104,16 +105,10 @@ class Copied:
 
     def __init__(self, connection: Connection) -> None:
         (self._run,) = connection.scalars(select(RunRow.run)).all()
-        metadata = Base.metadata.tables
-        self._rows = {
-            name: [
-                dict(row)
-                for row in connection.execute(
-                    select(metadata[name]).where(of_run(metadata[name], self._run)).order_by(*metadata[name].primary_key)
-                ).mappings()
-            ]
-            for name in KEYS
-        }
+        self._rows = {}
+        for name, table in ((name, Base.metadata.tables[name]) for name in KEYS):
+            query = select(table).where(of_run(table, self._run)).order_by(*table.primary_key)
+            self._rows[name] = [dict(row) for row in connection.execute(query).mappings()]
         self._sensor = dict(connection.execute(select(SensorRow.__table__)).mappings().one())
 
     def store(self, engine: Engine, ids: IdSource, serial: str) -> None:
@@ -140,6 +135,4 @@ class Copied:
                 if name == AnalysisRow.__tablename__:
                     analyses = [row["analysis"] for row in copies]
                 if name == "measurements":
-                    add_links(
-                        connection, run, [(FIGURES, one, stored_figures(connection, one)) for one in analyses]
-                    )
+                    add_links(connection, run, [(FIGURES, one, stored_figures(connection, one)) for one in analyses])

@@ -37,3 +37,10 @@ from .database import (
 )
 from .export import Exported as Exported, export_run as export_run
 from .press_calibration_shown import ShownPressCalibration as ShownPressCalibration
+from .sync import (
+    Synchronised as Synchronised,
+    decide_item as decide_item,
+    sync_status as sync_status,
+    synchronise as synchronise,
+    watch as watch,
+)

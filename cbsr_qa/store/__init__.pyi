@@ -1,4 +1,4 @@
-from .damage import shown as shown
+from .damage import address as address, shown as shown
 from .engine import (
     open_engine as open_engine,
     parsed_url as parsed_url,
@@ -6,6 +6,7 @@ from .engine import (
     sqlite_file as sqlite_file,
     writing as writing,
 )
+from .locks import this_process as this_process
 from .opening import check_usable as check_usable, database_exists as database_exists, open_store as open_store
 from .repository import Repository as Repository
 from .schema import HEAD as HEAD, Age as Age, found_version as found_version, refusal as refusal, upgrade as upgrade

@@ -110,12 +110,16 @@ def test_data_survive_every_step_up_and_down(engine):
     schema.upgrade(engine)
     concluded |= {"calibration_forces", *CHECKS, *CHANGES, records.ChartReferenceRow.__tablename__}
     concluded |= {LINKS, AttendanceRow.__tablename__, "gate_answers", "releases"}
+    announced = {name: content(engine)[name] for name in ("outbox", "sync_accepts")}
+    concluded |= {*announced, "sync_refusals"}
     # Eased, notes; chain; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]
         for name, columns in (("loads", 1), ("instruments", 1), ("runs", 1), ("run_states", 3))
     }
-    assert content(engine) == before | later | {name: [] for name in concluded}
+    assert content(engine) == before | later | {name: [] for name in concluded} | announced
+    assert [row[:2] for row in announced["outbox"]] == [("run", "x")]
+    assert announced["sync_accepts"] == [(schema.OLDEST_SENDER,)]
 
     schema.downgrade(engine, "base")
     assert table_names(engine) == set()

@@ -30,6 +30,7 @@ from .run_documents import (
     KEYS as KEYS,
     PHASE_END as PHASE_END,
     RUN_COLUMNS as RUN_COLUMNS,
+    document_of as document_of,
     documents as documents,
     facts as facts,
     phase_end as phase_end,

@@ -12,6 +12,7 @@ from cbsr_qa.store.chain import (
     FIGURES,
     KEYS,
     PHASE_END,
+    document_of,
     documents,
     link_digest,
     phase_end,
@@ -22,7 +23,7 @@ from cbsr_qa.store.chain import (
     unreadable,
 )
 from cbsr_qa.store.runs import current_state, frame_block, sample_block
-from cbsr_qa.store.sync.rows import counts_of, is_bytes, raw_select, rows_of, within
+from cbsr_qa.store.sync.rows import counts_of, is_bytes, raw_select, within
 from cbsr_qa.store.tables import (
     Base,
     CalibrationRow,
@@ -234,22 +235,25 @@ def _linked_rows(
     for table in tables():
         contents = wanted.get(table.name)
         if contents:
-            rows = rows_of(connection, table, run, contents)
-            _check_rows(run, table, rows, contents)
-            yield table.name, rows
+            yield table.name, _rows(connection, run, table, contents)
     for analysis, content in wanted.get(FIGURES, {}).items():
         _match(run, FIGURES, analysis, stored_figures(connection, analysis), content)
 
 
-def _check_rows(run: str, table: Table, rows: Sequence[Row[Any]], contents: Mapping[str, str]) -> None:
+def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str, str]) -> Sequence[Row[Any]]:
     names = table.columns.keys()
-    stored = dict(documents(table, [dict(zip(names, row, strict=True)) for row in rows]))
+    rows = connection.execute(raw_select(table).where(within(table, run, contents))).all()
+    mappings = [dict(zip(names, row, strict=True)) for row in rows]
+    stored = dict(documents(table, mappings))
     for key, content in contents.items():
         _match(run, table.name, key, stored.get(key), content)
+    if len(stored) > len(contents):  # of earlier or later parcels
+        rows = [row for row, mapping in zip(rows, mappings, strict=True) if document_of(table, mapping) in contents]
     decode = _DECODED.get(table.name)
     if decode is not None:
         for row in rows:
             decode(row)  # raises where bytes do not match the digest in their row
+    return rows
 
 
 def _match(run: str, kind: str, key: str, stored: str | None, content: str) -> None:

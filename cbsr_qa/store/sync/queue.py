@@ -17,6 +17,9 @@ from cbsr_qa.store.tables import LinkRow, OutboxRow, RunStateRow
 _ORDER: Final = tuple(Kind)
 
 
+QUARANTINED: Final = str(EntryState.QUARANTINED)
+
+
 @dataclass(frozen=True, slots=True)
 class Entry:
     """One announcement.
@@ -70,21 +73,23 @@ def mark(engine: Engine, kind: str, item: str, state: EntryState, why: str) -> N
         connection.execute(update(OutboxRow).where(*_is(kind, item)).values(state=str(state), why=why))
 
 
-def decide(engine: Engine, item: str, state: EntryState) -> Entry:
-    """Change the state of the entry that somebody names, quarantined or let go.
+def send_again(engine: Engine, item: str) -> None:
+    """Have an item wait again that was quarantined or let go; StoreError if none of that name was."""
+    _decide(engine, item, EntryState.WAITING)
 
-    Raises
-    ------
-    StoreError
-        If no such entry is held.
-    """
+
+def let_go(engine: Engine, item: str) -> None:
+    """Note that a quarantined item is not to be sent; StoreError if none of that name is held."""
+    _decide(engine, item, EntryState.LET_GO)
+
+
+def _decide(engine: Engine, item: str, state: EntryState) -> None:
     for entry in held(engine):
         if entry.item == item:
             mark(engine, entry.kind, item, state, "" if state is EntryState.WAITING else entry.why)
-            return entry
+            return
     raise StoreError(
-        f"nothing named {item[:64]!r} is quarantined or was let go",
-        remedy="cbsr-qa db sync --status lists what is",
+        f"nothing named {item[:64]!r} is quarantined or was let go", remedy="cbsr-qa db sync --status lists what is"
     )
 
 

@@ -11,7 +11,6 @@ from sqlalchemy import (
     Connection,
     Integer,
     LargeBinary,
-    Row,
     Select,
     Table,
     and_,
@@ -27,27 +26,13 @@ from cbsr_qa.store.tables import Base
 from cbsr_qa.store.types import Instant, Whole
 
 
-def rows_of(connection: Connection, table: Table, run: str, keys: Collection[str]) -> Sequence[Row[Any]]:
-    """Return the rows of some documents of a run."""
-    names = KEYS[table.name]
-    rows = connection.execute(raw_select(table).where(within(table, run, keys))).all()
-    if not names:
-        return rows
-    places = [table.columns.keys().index(name) for name in names]
-    if len(places) == 1:
-        (at,) = places
-        return [row for row in rows if str(row[at]) in keys]
-    return [row for row in rows if "/".join(str(row[at]) for at in places) in keys]
-
-
 def within(table: Table, run: str, keys: Collection[str]) -> ColumnElement[bool]:
     """Condition that holds for the rows of some documents, and for few others."""
     names = KEYS[table.name]
     if not names:
-        return of_run(table, run)
+        return and_(of_run(table, run))
     if not isinstance(table.c[names[0]].type, Whole):
-        key: ColumnElement[Any] = table.c[names[0]]
-        return key.in_(list(keys))
+        return and_(table.c[names[0]].in_(list(keys)))
     parts = [tuple(map(int, key.split("/"))) for key in keys]
     first = min(part[0] for part in parts)
     wanted = [of_run(table, run), table.c[names[0]] >= first]
