@@ -40,7 +40,7 @@ from .press_calibration_shown import ShownPressCalibration as ShownPressCalibrat
 from .sync import (
     Synchronised as Synchronised,
     decide_item as decide_item,
+    keep_synchronised as keep_synchronised,
     sync_status as sync_status,
     synchronise as synchronise,
-    watch as watch,
 )

@@ -125,7 +125,7 @@ def synchronise(
         return _outcome(station, address(centre.url), sent, time.monotonic() - begun_s, limit_h)
 
 
-def watch(
+def keep_synchronised(
     option: str | None,
     to: str | None,
     every_s: float,

@@ -61,20 +61,20 @@ def sync(
     Exit code 0 if everything was sent, 1 if something is quarantined or too old, 2 if the central database cannot be
     used.
     """
-    from cbsr_qa import app
+    from cbsr_qa.app import decide_item, keep_synchronised, sync_status, synchronise
 
     given = [option for option, value in {"--watch": watch, "--status": status, "--let-go": let_go}.items() if value]
     given += ["--retry"] if retry and (let_go or status) else []
     if len(given) > 1:
         raise ConfigError(f"{' and '.join(given)} cannot be given together", remedy="give one of them")
     if let_go:
-        return show(app.decide_item(database, let_go, again=False), as_json=as_json)
+        return show(decide_item(database, let_go, again=False), as_json=as_json)
     if retry:
-        app.decide_item(database, retry, again=True)
+        decide_item(database, retry, again=True)
     if status:
-        return show(app.sync_status(database, to, limit_h=limit_h), as_json=as_json)
+        return show(sync_status(database, to, limit_h=limit_h), as_json=as_json)
     if watch is not None:
-        return show(app.watch(database, to, watch, note, limit_h=limit_h), as_json=as_json)
+        return show(keep_synchronised(database, to, watch, note, limit_h=limit_h), as_json=as_json)
     with Counting("items") as counting:
-        done = app.synchronise(database, to, limit_h=limit_h, progress=lambda one, of, _: counting.count(one, of))
+        done = synchronise(database, to, limit_h=limit_h, progress=lambda one, of, _: counting.count(one, of))
     return show(done, as_json=as_json)

@@ -34,6 +34,7 @@ _KNOWN = (
     ("could not translate host", "has an unknown host", "correct its address in the database URL"),
     ("failed to resolve host", "has an unknown host", "correct its address in the database URL"),
     ("server closed the connection", "closed the connection", "check the server; all committed data is kept"),
+    ("connection is lost", "closed the connection", "check the server; all committed data is kept"),
     ("connection is closed", "closed the connection", "check the server; all committed data is kept"),
     ("timeout expired", "does not answer", "start the server, or correct its address in the database URL"),
     ("ssl syscall error", "closed the connection", "check the server; all committed data is kept"),

@@ -15,6 +15,7 @@ from .fleet import (
 )
 from .links import (
     KEY_OPTION as KEY_OPTION,
+    OF_A_SESSION as OF_A_SESSION,
     SigningKey as SigningKey,
     add_links as add_links,
     add_rows as add_rows,

@@ -89,7 +89,7 @@ def _insertion(table: Any) -> Insert:
 
 
 #: What a session stores as it goes on. It is not announced, document by document: an open run stays in the outbox.
-_OF_A_SESSION: Final = frozenset(
+OF_A_SESSION: Final = frozenset(
     one.__tablename__
     for one in (PhaseRow, StepRow, FrameBlockRow, SampleBlockRow, LoadRow, UnloadedMarkRow, AttendanceRow)
 )
@@ -165,7 +165,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
         values = {"kind": kind, "document": document, "content_sha256": content, "sha256": before, "mac": mac}
         rows.append({"run": run, "number": number, **values})
     connection.execute(_insertion(LinkRow), rows)
-    if any(row["kind"] not in _OF_A_SESSION for row in rows):
+    if any(row["kind"] not in OF_A_SESSION for row in rows):
         announce(connection, Kind.RUN, [run], number + 1)
 
 

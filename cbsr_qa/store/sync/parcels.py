@@ -11,6 +11,7 @@ from cbsr_qa.domain.results import EndReason
 from cbsr_qa.store.chain import (
     FIGURES,
     KEYS,
+    OF_A_SESSION,
     PHASE_END,
     document_of,
     documents,
@@ -25,6 +26,7 @@ from cbsr_qa.store.chain import (
 from cbsr_qa.store.runs import current_state, frame_block, sample_block
 from cbsr_qa.store.sync.rows import counts_of, is_bytes, raw_select, within
 from cbsr_qa.store.tables import (
+    AnalysisRow,
     Base,
     CalibrationRow,
     FrameBlockRow,
@@ -33,11 +35,16 @@ from cbsr_qa.store.tables import (
     RunRow,
     SampleBlockRow,
     SensorRow,
+    VerdictOverrideRow,
 )
 
 #: Most documents and bytes of blocks in one parcel: a second of work, and memory of a few times the bytes.
 MOST_LINKS: Final = 4000
 MOST_BYTES: Final = 16_000_000
+
+#: More links than anything that is stored at once has, and the kinds of links with which it begins.
+_MOST_AT_ONCE: Final = 64
+_BEGINS: Final = OF_A_SESSION | {PHASE_END, AnalysisRow.__tablename__, VerdictOverrideRow.__tablename__}
 
 #: Checks of the bytes of a row, which no digest of its document covers.
 _DECODED: Final[Mapping[str, Any]] = {
@@ -198,9 +205,22 @@ def unchained_parcel(connection: Connection, run: str, centre: Mapping[tuple[str
 
 
 def _links(connection: Connection, run: str, number: int) -> list[Row[Any]]:
-    """Links that follow a number, as many as make a parcel."""
+    """Links that follow a number, as many as make a parcel; what the station stored at once is not divided."""
     query = raw_select(Base.metadata.tables[LinkRow.__tablename__]).where(LinkRow.run == run, LinkRow.number > number)
-    links = connection.execute(query.order_by(LinkRow.number).limit(MOST_LINKS)).all()
+    links = list(connection.execute(query.order_by(LinkRow.number).limit(MOST_LINKS + _MOST_AT_ONCE)).all())
+    sizes = _sizes(connection, run, links)
+    total, ends = 0, len(links)
+    for place, link in enumerate(links):
+        if link.kind in _BEGINS and place:
+            ends = place
+            if place >= MOST_LINKS or total > MOST_BYTES:
+                return links[:place]
+        total += sizes.get((link.kind, link.document), 0)
+    return links if len(links) < MOST_LINKS + _MOST_AT_ONCE else links[:ends]
+
+
+def _sizes(connection: Connection, run: str, links: Sequence[Row[Any]]) -> dict[tuple[str, str], int]:
+    """Bytes of blocks, by kind and document."""
     sizes: dict[tuple[str, str], int] = {}
     for table in (Base.metadata.tables[name] for name in _DECODED):
         keys = [link.document for link in links if link.kind == table.name]
@@ -208,12 +228,7 @@ def _links(connection: Connection, run: str, number: int) -> list[Row[Any]]:
             blobs = [func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)]
             query = select(table.c.phase, table.c.block, *blobs).where(within(table, run, keys))
             sizes.update({(table.name, f"{row[0]}/{row[1]}"): sum(row[2:]) for row in connection.execute(query)})
-    total = 0
-    for place, link in enumerate(links):
-        total += sizes.get((link.kind, link.document), 0)
-        if total > MOST_BYTES and place:
-            return list(links[:place])
-    return list(links)
+    return sizes
 
 
 def _check_chain(run: str, links: Sequence[Row[Any]], number: int, before: str) -> None:

@@ -160,10 +160,10 @@ def _send_item(station: Engine, centre: Engine, entry: Entry, sent: Sent) -> Non
         item = read_item(connection, kind, entry.item)
     if item is None:
         raise AlteredError(f"{entry.kind} {entry.item} is announced, and not in the database")
-    store_item(centre, kind, entry.item, item)
+    new = store_item(centre, kind, entry.item, item)
     confirm(station, entry, entry.version, more=False)
     sent.items += 1
-    sent.rows += sum(map(len, item.rows.values()))
+    sent.rows += sum(map(len, item.rows.values())) if new else 0
 
 
 def _names(station: Engine, entry: Entry) -> tuple[str | None, str]:

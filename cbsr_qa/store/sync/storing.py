@@ -73,8 +73,13 @@ def store_parcel(engine: Engine, parcel: Parcel) -> None:
             _compare_counts(connection, parcel)
 
 
-def store_item(engine: Engine, kind: Kind, name: str, item: Item) -> None:
-    """Store a station check, a reference of a chart or a release; errors as :func:`store_parcel`."""
+def store_item(engine: Engine, kind: Kind, name: str, item: Item) -> bool:
+    """Store a station check, a reference of a chart or a release; errors as :func:`store_parcel`.
+
+    Returns
+    -------
+    False if the centre had it.
+    """
     with _one_transaction(engine) as connection:
         stored = read_item(connection, kind, name)
         if stored is None:
@@ -82,6 +87,7 @@ def store_item(engine: Engine, kind: Kind, name: str, item: Item) -> None:
             _add_rows(connection, item.rows)
         elif stored.sha256 != item.sha256:
             raise AlteredError(f"{kind} {name} differs from the centre's", item.sha256, stored.sha256)
+    return stored is None
 
 
 @contextmanager
