@@ -167,8 +167,9 @@ def _written(table: Table) -> tuple[tuple[str, str, Callable[[Any], str]], ...]:
 
 def row_text(table: Table, row: Mapping[str, Any] | RowMapping) -> str:
     """Return a row as canonical JSON: floats to the last bit, instants in UTC, keys sorted."""
-    cells = [(key, how, row.get(name)) for name, key, how in _written(table)]
-    return f"{{{','.join([key + how(cell) for key, how, cell in cells if cell is not None])}}}"
+    get = row.get
+    cells = [key + how(cell) for name, key, how in _written(table) if (cell := get(name)) is not None]
+    return f"{{{','.join(cells)}}}"
 
 
 def sha256(*parts: str) -> str:

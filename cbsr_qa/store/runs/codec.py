@@ -53,10 +53,8 @@ def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
     StoreError
         If the digest or a length does not match.
     """
+    check_frames(row)
     shape = row.frames, row.drives, row.measures
-    parts = row.time_s, row.voltages, row.flags, row.reading_time_s or b""
-    if digest(_frame_header(shape, row.unit, row.current_a), parts) != row.sha256:
-        raise _damaged("frame", row.run, row.phase, row.block)
     return FrameBlock(
         unpacked(row.time_s, shape[:1]),
         unpacked(row.voltages, shape),
@@ -65,6 +63,14 @@ def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
         row.current_a,
         None if row.reading_time_s is None else unpacked(row.reading_time_s, shape),
     )
+
+
+def check_frames(row: Row[Any] | FrameBlockRow) -> None:
+    """Raise StoreError if the arrays of a row do not match their digest."""
+    shape = row.frames, row.drives, row.measures
+    parts = row.time_s, row.voltages, row.flags, row.reading_time_s or b""
+    if digest(_frame_header(shape, row.unit, row.current_a), parts) != row.sha256:
+        raise _damaged("frame", row.run, row.phase, row.block)
 
 
 def sample_values(block: SampleBlock) -> dict[str, Any]:
@@ -84,10 +90,15 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
 
 def sample_block(row: Row[Any]) -> SampleBlock:
     """Return the block of a row; StoreError as for :func:`frame_block`."""
-    if digest(f"{row.channel}|{row.unit}|{row.samples}", (row.time_s, row.sample_values)) != row.sha256:
-        raise _damaged("sample", row.run, row.phase, row.block)
+    check_samples(row)
     shape = (row.samples,)
     return SampleBlock(row.channel, row.unit, unpacked(row.time_s, shape), unpacked(row.sample_values, shape))
+
+
+def check_samples(row: Row[Any]) -> None:
+    """Raise StoreError if the arrays of a row do not match their digest."""
+    if digest(f"{row.channel}|{row.unit}|{row.samples}", (row.time_s, row.sample_values)) != row.sha256:
+        raise _damaged("sample", row.run, row.phase, row.block)
 
 
 def _frame_header(shape: tuple[int, ...], unit: str, current_A: float | None) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from sqlalchemy import Connection, Row, Table, func, select
+from sqlalchemy import Connection, Row, Table, func, literal, select
 
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason
@@ -23,7 +23,7 @@ from cbsr_qa.store.chain import (
     tables,
     unreadable,
 )
-from cbsr_qa.store.runs import current_state, frame_block, sample_block
+from cbsr_qa.store.runs import check_frames, check_samples, current_state
 from cbsr_qa.store.sync.rows import counts_of, is_bytes, raw_select, within
 from cbsr_qa.store.tables import (
     AnalysisRow,
@@ -47,9 +47,9 @@ _MOST_AT_ONCE: Final = 64
 _BEGINS: Final = OF_A_SESSION | {PHASE_END, AnalysisRow.__tablename__, VerdictOverrideRow.__tablename__}
 
 #: Checks of the bytes of a row, which no digest of its document covers.
-_DECODED: Final[Mapping[str, Any]] = {
-    FrameBlockRow.__tablename__: frame_block,
-    SampleBlockRow.__tablename__: sample_block,
+_CHECKED: Final[Mapping[str, Any]] = {
+    FrameBlockRow.__tablename__: check_frames,
+    SampleBlockRow.__tablename__: check_samples,
 }
 #: Where a run stands at the centre: number and digest of its last link.
 Tail = tuple[int, str]
@@ -105,7 +105,12 @@ class Parcel:
     @property
     def size(self) -> int:
         """Bytes of its arrays and files."""
-        return sum(len(cell) for rows in self.rows.values() for row in rows for cell in row if type(cell) is bytes)
+        total = 0
+        for name, rows in self.rows.items():
+            columns = Base.metadata.tables[name].columns
+            for at in (place for place, column in enumerate(columns) if is_bytes(column)):
+                total += sum([len(row[at] or b"") for row in rows])
+        return total
 
 
 def next_parcel(connection: Connection, run: str, tail: Tail) -> Parcel:
@@ -220,14 +225,18 @@ def _links(connection: Connection, run: str, number: int) -> list[Row[Any]]:
 
 
 def _sizes(connection: Connection, run: str, links: Sequence[Row[Any]]) -> dict[tuple[str, str], int]:
-    """Bytes of blocks, by kind and document."""
+    """Bytes of blocks, by kind and document; empty if all of them are few."""
     sizes: dict[tuple[str, str], int] = {}
-    for table in (Base.metadata.tables[name] for name in _DECODED):
+    for table in (Base.metadata.tables[name] for name in _CHECKED):
         keys = [link.document for link in links if link.kind == table.name]
         if keys:
-            blobs = [func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)]
-            query = select(table.c.phase, table.c.block, *blobs).where(within(table, run, keys))
-            sizes.update({(table.name, f"{row[0]}/{row[1]}"): sum(row[2:]) for row in connection.execute(query)})
+            size = sum((func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)), literal(0))
+            of_keys = within(table, run, keys)
+            if (connection.scalar(select(func.sum(size)).where(of_keys)) or 0) > MOST_BYTES // len(_CHECKED):
+                query = select(table.c.phase, table.c.block, size).where(of_keys)
+                sizes.update(
+                    {(table.name, f"{phase}/{block}"): count for phase, block, count in connection.execute(query)}
+                )
     return sizes
 
 
@@ -264,10 +273,10 @@ def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str,
         _match(run, table.name, key, stored.get(key), content)
     if len(stored) > len(contents):  # of earlier or later parcels
         rows = [row for row, mapping in zip(rows, mappings, strict=True) if document_of(table, mapping) in contents]
-    decode = _DECODED.get(table.name)
-    if decode is not None:
+    check = _CHECKED.get(table.name)
+    if check is not None:
         for row in rows:
-            decode(row)  # raises where bytes do not match the digest in their row
+            check(row)  # raises where bytes do not match the digest in their row
     return rows
 
 
