@@ -3,6 +3,7 @@
 from alembic import context
 from sqlalchemy import Connection, create_engine
 
+from cbsr_qa.store import create_views, drop_views
 from cbsr_qa.store.tables import AnalysisRow, Base
 
 # Importing the results' tables registers them beside the runs'.
@@ -18,7 +19,10 @@ def _migrate(connection: Connection) -> None:
         transactional_ddl=True,
     )
     with context.begin_transaction():
+        drop_views(connection)  # a table below a view cannot be changed
         context.run_migrations()
+        if context.get_context().get_current_revision() == context.get_head_revision():
+            create_views(connection)
 
 
 def _run() -> None:

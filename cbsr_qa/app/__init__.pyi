@@ -31,11 +31,13 @@ from .changes import (
 from .command_hints import database_option as database_option, own_command as own_command
 from .database import (
     DatabaseStatus as DatabaseStatus,
+    Roles as Roles,
     Upgrade as Upgrade,
+    database_roles as database_roles,
     database_status as database_status,
     upgrade_database as upgrade_database,
 )
-from .export import Exported as Exported, export_run as export_run
+from .export import Exported as Exported, ExportRequest as ExportRequest, export_data as export_data
 from .press_calibration_shown import ShownPressCalibration as ShownPressCalibration
 from .sync import (
     Synchronised as Synchronised,

@@ -10,7 +10,20 @@ from cbsr_qa.domain.results import CommandOutcome, EndReason
 from cbsr_qa.domain.run import run_named
 from cbsr_qa.report import answer
 from cbsr_qa.station import on_stderr
-from cbsr_qa.store import HEAD, Age, found_version, made_at, open_engine, open_store, parsed_url, refusal, upgrade
+from cbsr_qa.store import (
+    HEAD,
+    READER,
+    STATION,
+    Age,
+    found_version,
+    made_at,
+    open_engine,
+    open_store,
+    parsed_url,
+    refusal,
+    roles_script,
+    upgrade,
+)
 from cbsr_qa.store.runs import IncompleteRun, counts, incomplete_runs, runs_without_result
 
 #: Ends of runs that were stopped, unlike those that were interrupted.
@@ -120,6 +133,20 @@ def upgrade_database(option: str | None) -> CommandOutcome[Upgrade]:
     url, found = engine.url.render_as_string(hide_password=True), before.revision
     done = Upgrade(url, found, HEAD, changed=found != HEAD)
     return answer(done, url, f"schema {found or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date")
+
+
+@dataclass(frozen=True, slots=True)
+class Roles:
+    """An SQL script for PostgreSQL, and the roles it makes."""
+
+    station: str
+    reader: str
+    sql: str
+
+
+def database_roles() -> Roles:
+    """Return the script that makes the roles of stations and readers; nothing is run."""
+    return Roles(STATION, READER, roles_script())
 
 
 def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:

@@ -6,7 +6,7 @@ import typer
 
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
-from cbsr_qa.cli.output import Counting, note, show
+from cbsr_qa.cli.output import Counting, emit_json, note, say, show
 from cbsr_qa.domain import ConfigError
 
 group("db", "Maintain the database.")
@@ -78,3 +78,20 @@ def sync(
     with Counting("items") as counting:
         done = synchronise(database, to, limit_h=limit_h, progress=lambda one, of, _: counting.count(one, of))
     return show(done, as_json=as_json)
+
+
+@command("db roles", prints="cbsr_qa.app:Roles")
+def roles(as_json: AsJson = False) -> None:
+    """Print an SQL script that makes roles for stations and for readers of a PostgreSQL database; runs nothing.
+
+    Stations may add rows and delete none; readers may read tables and views. For example:
+    cbsr-qa db roles | psql --single-transaction -v ON_ERROR_STOP=1 URL
+    """
+    from cbsr_qa.app import database_roles
+    from cbsr_qa.report import json_document
+
+    made = database_roles()
+    if as_json:
+        emit_json(json_document(made))
+    else:
+        say(made.sql.removesuffix("\n"))

@@ -1,4 +1,4 @@
-"""``cbsr-qa report``, ``export`` and ``verdict``: reports, recordings and overrides of stored runs."""
+"""``cbsr-qa report`` and ``verdict``: reports and overrides of stored runs."""
 
 from pathlib import Path
 from typing import Annotated
@@ -28,20 +28,6 @@ def report(
     from cbsr_qa.app.run import render_stored, rendered_outcome
 
     show(rendered_outcome(render_stored(run, database=database, folder=to)), as_json=as_json)
-
-
-@command("export", prints="cbsr_qa.app:Exported")
-def export(
-    run: _Run,
-    to: Annotated[Path, typer.Option("--to", help="File to write; must not exist yet.")],
-    phase: Annotated[str | None, typer.Option(help="Export this phase only.")] = None,
-    database: Database = None,
-    as_json: AsJson = False,
-) -> None:
-    """Write the frames, force and presses of a stored run to one HDF5 recording."""
-    from cbsr_qa.app import export_run
-
-    show(export_run(run, to, phase=phase, database=database), as_json=as_json)
 
 
 group("verdict", "Override verdicts.")

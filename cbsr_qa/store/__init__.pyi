@@ -9,5 +9,11 @@ from .engine import (
 from .locks import this_process as this_process
 from .opening import check_usable as check_usable, database_exists as database_exists, open_store as open_store
 from .repository import Repository as Repository
+from .roles import (
+    READER as READER,
+    STATION as STATION,
+    roles_script as roles_script,
+)
 from .schema import HEAD as HEAD, Age as Age, found_version as found_version, refusal as refusal, upgrade as upgrade
 from .types import IdSource as IdSource, PlainText as PlainText, made_at as made_at
+from .views import create_views as create_views, drop_views as drop_views

@@ -1,15 +1,16 @@
 """Runs as a shift lists them, by columns and indices: only the selected runs and their latest results are read."""
 
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Final, TypeAlias
 
-from sqlalchemy import Connection, Engine, Row, Select, exists, select
+from sqlalchemy import Connection, Engine, Row, Select, exists, func, select
 
-from cbsr_qa.domain.results import Decision, EndReason, ListedRun, MetricKey, Outcome, RunSelection
+from cbsr_qa.domain.results import Decision, EndReason, ListedRun, Measurement, MetricKey, Outcome, RunSelection
 from cbsr_qa.store.chain import AT_ONCE
 from cbsr_qa.store.damage import stored
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.results import analysis_outcome
+from cbsr_qa.store.results import analysis_outcome, as_measurement
 from cbsr_qa.store.selected import Conditions, conditions, latest_of, naming_runs
 from cbsr_qa.store.tables import (
     AnalysisRow,
@@ -42,11 +43,60 @@ def listed_runs(engine: Engine, selection: RunSelection = _EVERY) -> tuple[Liste
         return naming_runs(connection, conditions(selection), _listed)
 
 
+def run_count(engine: Engine, selection: RunSelection = _EVERY) -> int:
+    """Return how many runs are selected. StoreError if the database cannot be read."""
+    with reading(engine) as connection:
+        query = select(func.count()).select_from(RunRow).where(*conditions(selection))
+        return connection.scalar(query) or 0
+
+
+def run_names(engine: Engine, selection: RunSelection = _EVERY) -> tuple[str, ...]:
+    """Return the identifiers of the selected runs in the order they were made in. StoreError as for listed_runs."""
+    with reading(engine) as connection:
+        query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
+        return tuple(connection.scalars(query.execution_options(yield_per=AT_ONCE)))
+
+
+def judged_measurements(engine: Engine, runs: Sequence[str]) -> dict[str, list[Measurement]]:
+    """Return the measurements with a limit by run, as :func:`measurement_rows` reads them."""
+    found: dict[str, list[Measurement]] = {}
+    for row in measurement_rows(engine, runs, limited=True):
+        found.setdefault(row.run, []).append(as_measurement(row))
+    return found
+
+
+def measurement_rows(engine: Engine, runs: Sequence[str], *, limited: bool = False) -> Sequence[_Found]:
+    """Return the rows of what runs measured, with ``run``, ordered by run and number: of their latest analyses.
+
+    Chains of digests are not checked.
+
+    Parameters
+    ----------
+    limited : only those with a limit.
+
+    Raises
+    ------
+    StoreError
+        If the database cannot be read, or a cell of one of the runs is damaged; the message names the run.
+    """
+    a, m = AnalysisRow, MeasurementRow
+
+    def read(connection: Connection, chosen: Conditions) -> Sequence[_Found]:
+        ours = select(a.run, func.max(a.analysis).label("analysis")).join(RunRow, RunRow.run == a.run)
+        latest = ours.where(*chosen).group_by(a.run).subquery()
+        query = select(latest.c.run, *m.__table__.columns).join(m, m.analysis == latest.c.analysis)
+        query = query.where(m.limited) if limited else query
+        return connection.execute(query.order_by(latest.c.run, m.number)).all()
+
+    with reading(engine) as connection:
+        return naming_runs(connection, [RunRow.run.in_(runs)], read)
+
+
 def _listed(connection: Connection, chosen: Conditions) -> tuple[ListedRun, ...]:
     s, a = RunStateRow, AnalysisRow
-    ends = latest_of(connection, select(s.run, s.end, s.time_s).order_by(s.number), chosen)
+    ends = latest_of(connection, select(s.run, s.end, s.detail, s.time_s).order_by(s.number), chosen)
     analyses = latest_of(connection, select(a.run, a.analysis, a.outcome, a.reason).order_by(a.analysis), chosen)
-    decisions = _decisions(connection, chosen)
+    decisions = decisions_of(connection, chosen)
     failed = _failed(connection, chosen)
     earlier = _earlier(connection, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
@@ -93,6 +143,7 @@ def _run(
         earlier=earlier,
         of_check=of_check,
         simulated=bool(row.simulated),
+        end_detail="" if end is None else end.detail,
     )
 
 
@@ -101,7 +152,7 @@ def _of(query: Select[*tuple[Any, ...]], chosen: Conditions) -> Select[*tuple[An
     return query.where(query.selected_columns.run.in_(select(RunRow.run).where(*chosen))) if chosen else query
 
 
-def _decisions(connection: Connection, chosen: Conditions) -> dict[tuple[str, str], Decision]:
+def decisions_of(connection: Connection, chosen: Conditions) -> dict[tuple[str, str], Decision]:
     """Return the latest override of each run and analysis."""
     o = VerdictOverrideRow
     query = _of(select(o.run, o.analysis, o.outcome, o.operator, o.why, o.override_id), chosen)

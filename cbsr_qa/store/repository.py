@@ -15,7 +15,7 @@ from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store import changes as changed, fleet as fleets, locks, releases, stations
 from cbsr_qa.store.damage import address, shown
 from cbsr_qa.store.engine import look_afresh, parsed_url
-from cbsr_qa.store.listed import listed_runs
+from cbsr_qa.store.listed import judged_measurements, listed_runs, measurement_rows, run_count, run_names
 from cbsr_qa.store.results import analyses as analysed, calibrations as issued, calibrations_of_before as of_before
 from cbsr_qa.store.runs import ChangeNotice, Journal, attendance, latest_id, live, outcomes, runs, sessions
 from cbsr_qa.store.types import IdSource, made_at
@@ -99,6 +99,10 @@ class Repository:
         with locks.seed_claimed(self._engine, serial, seed, locks.this_process(operator)) as claimed:
             yield claimed and seed not in self.seeds_of(serial)
 
+    def sensor_claimed(self, serial: str, recipe: str, operator: str = "") -> AbstractContextManager[str]:
+        """Claim a sensor for a run of a recipe while entered; yields who else tests it now, empty for nobody."""
+        return locks.sensor_claimed(self._engine, serial, recipe, locks.this_process(operator))
+
     seeds_of = _of_engine(outcomes.seeds_of)
     writer_of = _of_engine(locks.writer_of)
 
@@ -127,6 +131,10 @@ class Repository:
     run_lines = _of_engine(fleets.run_lines)
     fleet = _of_engine(fleets.fleet_table)
     listed_runs = _of_engine(listed_runs)
+    run_count = _of_engine(run_count)
+    run_names = _of_engine(run_names)
+    judged_measurements = _of_engine(judged_measurements)
+    measurement_rows = _of_engine(measurement_rows)
     changes = _of_engine(changed.all_changes)
     overrides = _of_engine(changed.overrides)
     calibrations = _of_engine(issued.calibrations_of)
@@ -144,6 +152,7 @@ class Repository:
 
     save_release = _of_engine(releases.save_release)
     latest_release = _of_engine(releases.latest_release)
+    all_releases = _of_engine(releases.all_releases)
 
     def sensor_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
         """Return the runs of a sensor that began before a run (empty: all), as seen from a run of this recipe."""

@@ -15,6 +15,8 @@ from cbsr_qa.plugin import echo
 from cbsr_qa.report import named, plural
 from cbsr_qa.store import Repository
 
+#: Reason of a failure that no limit gave: an operator decided it.
+BY_OPERATOR: Final = "decided by an operator"
 #: Runs may be stored slightly out of order of their start; beyond this a clock was wrong.
 _CLOCK_STEP: Final = timedelta(days=1)
 #: Tables of a recipe that affect judgement or display, but no number.

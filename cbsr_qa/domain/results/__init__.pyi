@@ -68,6 +68,7 @@ from .measurement import (
     Verdict as Verdict,
     decide as decide,
     explained as explained,
+    judged_words as judged_words,
     metric_words as metric_words,
     relative_margin as relative_margin,
     worst as worst,

@@ -32,6 +32,7 @@ class ListedRun:
     earlier : finished runs of the sensor and recipe made before this one, checks of stations not counted.
     of_check : whether it is a golden sensor's, made to check its station.
     simulated : whether anything was simulated.
+    end_detail : by whom it was aborted, or what broke it.
     """
 
     run: str
@@ -51,6 +52,7 @@ class ListedRun:
     earlier: int
     of_check: bool
     simulated: bool
+    end_detail: str = ""
 
     @property
     def finished(self) -> bool:

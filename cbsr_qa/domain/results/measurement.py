@@ -250,20 +250,26 @@ def relative_margin(measurement: Measurement) -> float:
     return limit.margin(measurement.value) / (size or 1.0)
 
 
-def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
-    if measurement.value is None:
-        return f"{measurement.label} could not be measured: {measurement.how}"
+def judged_words(measurement: Measurement) -> str:
+    """Return the value of a judged measurement and its limit in words, or why there is no value."""
     limit = measurement.limit
     assert limit is not None
+    if measurement.value is None:
+        return f"{measurement.label} could not be measured: {measurement.how}"
     bounds = [f"at least {_number(limit.lower)}"] if limit.lower is not None else []
     bounds += [f"at most {_number(limit.upper)}"] if limit.upper is not None else []
     least = "at least " if measurement.bound is Bound.LOWER else ""
     said = f"{measurement.label} is {least}{_number(measurement.value)} {_shown(measurement.unit)}".rstrip()
     allowed = f"allowed: {' and '.join(bounds)} {_shown(limit.unit)}".rstrip()
-    if outcome is Outcome.PASS:
-        met = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"
-        return f"{met}: {said} ({allowed})"
     return f"{said} ({allowed})"
+
+
+def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
+    words = judged_words(measurement)
+    if outcome is not Outcome.PASS:
+        return words
+    met = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"
+    return f"{met}: {words}"
 
 
 def _number(value: float) -> str:

@@ -3,6 +3,7 @@
 The optional key that signs the links of runs: it never reaches a log, a message, a document or the database.
 """
 
+import hashlib
 import hmac
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Self
 
-from sqlalchemy import Connection, Insert, bindparam, insert, select
+from sqlalchemy import Connection, Insert, bindparam, func, insert, select
 
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.store.chain.run_documents import documents, sha256
@@ -100,9 +101,10 @@ _NEWEST: Final = (
     .where(RunRow.run == bindparam("of_run"))
     .order_by(LinkRow.number.desc())
     .limit(1)
-    # Two programs that add to one run must not both follow the same link.
-    .with_for_update(of=RunRow, key_share=True)
 )
+#: Two programs that add to one run must not both follow the same link. SQLite has one writer; on PostgreSQL this
+#: lasts to the end of the transaction. To lock the run's row would need the right to update it.
+_ALONE: Final = select(func.pg_advisory_xact_lock(bindparam("number")))
 
 
 def signing_key(connection: Connection) -> SigningKey | None:
@@ -152,6 +154,9 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
     StoreError
         As :func:`key_to_continue`.
     """
+    if connection.dialect.name == "postgresql":
+        number = int.from_bytes(hashlib.sha256(f"cbsr-qa chain {run}".encode()).digest()[:8], signed=True)
+        connection.execute(_ALONE, {"number": number})
     chain, last, before = connection.execute(_NEWEST, {"of_run": run}).one()
     key = key_to_continue(connection, run, chain)
     if chain is None:

@@ -126,7 +126,7 @@ def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
         StoredAnalysis,
         row,
         verdict=Verdict(analysis_outcome(row), row.reason),
-        measurements=tuple(map(_measurement, connection.execute(measured.order_by(MeasurementRow.number)))),
+        measurements=tuple(map(as_measurement, connection.execute(measured.order_by(MeasurementRow.number)))),
         warnings=tuple(connection.scalars(warnings)),
         calibration=connection.scalar(issued),
     )
@@ -137,7 +137,8 @@ def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
     return stored(Outcome, row.outcome, "analyses.outcome", f"analysis {row.analysis}")
 
 
-def _measurement(row: Row[Any]) -> Measurement:
+def as_measurement(row: Row[Any]) -> Measurement:
+    """Return the measurement of a row. StoreError if a cell of it is damaged."""
     key = f"analysis {row.analysis}, measurement {row.number},"
     return of_row(
         Measurement,

@@ -1,9 +1,13 @@
 from .lists import (
+    LATEST_RUNS as LATEST_RUNS,
     ListRequest as ListRequest,
+    RunEntry as RunEntry,
     RunList as RunList,
+    RunPage as RunPage,
     SensorList as SensorList,
     list_runs as list_runs,
     list_sensors as list_sensors,
+    run_pages as run_pages,
     sensor_runs as sensor_runs,
 )
 from .report import (
@@ -12,6 +16,7 @@ from .report import (
     runs_outcome as runs_outcome,
     sensors_csv as sensors_csv,
     sensors_outcome as sensors_outcome,
+    table_cell as table_cell,
     yield_words as yield_words,
 )
 from .summary import (

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any, Final
 
 from cbsr_qa.domain.results import Banner, Block, Cell, CommandOutcome, EndReason, Outcome, Page, Section, Table
@@ -148,16 +148,17 @@ def _moment(moment: datetime) -> str:
 
 def _csv(kind: type, entries: Sequence[Any]) -> str:
     names = [field.name for field in fields(kind)]
-    rows = ([_cell(getattr(entry, name)) for name in names] for entry in entries)
+    rows = ([table_cell(getattr(entry, name)) for name in names] for entry in entries)
     return csv_text([names, *rows], line_end="\r\n")
 
 
-def _cell(value: Any) -> str | float | None:
+def table_cell(value: Any) -> str | float | None:
+    """Return a value as a cell of a CSV file: times in UTC (ISO 8601), ``true`` and ``false``."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):
         return "; ".join(value)
     if isinstance(value, datetime):
-        return value.isoformat()
+        return value.astimezone(UTC).isoformat()
     cell: str | float | None = value
     return cell

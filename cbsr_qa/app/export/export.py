@@ -1,0 +1,257 @@
+"""``cbsr-qa export``: what to write of which runs, in which format."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from cbsr_qa.analysis import write_recording
+from cbsr_qa.app.export.eidors import write_eidors
+from cbsr_qa.app.export.formats import ExportFormat, ExportTable, check_target, format_of
+from cbsr_qa.app.export.frames import run_frames
+from cbsr_qa.app.export.junit import suite, suites
+from cbsr_qa.app.export.netcdf import netcdf_file
+from cbsr_qa.app.export.recording import as_recording
+from cbsr_qa.app.export.tables import rows_of, table_writer
+from cbsr_qa.config import database_url
+from cbsr_qa.domain import RefusedError, did_you_mean
+from cbsr_qa.domain.results import CommandOutcome, ListedRun, RunSelection
+from cbsr_qa.domain.run import PhaseRecord, RunRecord, VerdictOverride
+from cbsr_qa.plugin import echo
+from cbsr_qa.report import answer, plural
+from cbsr_qa.store import Repository, open_store
+from cbsr_qa.studies.shift import ListRequest, RunPage, run_pages
+from cbsr_qa.system import writing, written_whole
+
+#: Runs in memory at a time.
+_PAGE: Final = 1000
+#: Progress is shown so many times at most.
+_STEPS: Final = 10
+
+
+@dataclass(frozen=True, slots=True)
+class ExportRequest:
+    """What to export.
+
+    Parameters
+    ----------
+    to : file to write; its folder exists.
+    run : a run, or a serial number for its latest run; None for the runs of ``runs``.
+    runs : the selected runs; None if nothing selects them.
+    format : of the file; None for that of the suffix.
+    table : what a row is; None for runs. Of tables only.
+    phase : name of the only phase whose frames are written; None for all. Of frames only.
+    force : replace a file that exists.
+    """
+
+    to: Path
+    run: str | None = None
+    runs: ListRequest | None = None
+    format: str | None = None
+    table: str | None = None
+    phase: str | None = None
+    force: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written.
+
+    Parameters
+    ----------
+    runs : how many of them the file is about.
+    run : the only run, where the file is about one that was named; else null.
+    table, rows : what a row is, and how many; null unless the file is a table.
+    frames, loads, overrides : frames and presses of the run, and overrides of its verdict; null and empty unless the
+        file holds frames.
+    """
+
+    file: Path
+    format: ExportFormat
+    size_bytes: int
+    runs: int
+    run: str | None = None
+    table: ExportTable | None = None
+    rows: int | None = None
+    frames: int | None = None
+    loads: int | None = None
+    overrides: tuple[VerdictOverride, ...] = field(default=())
+
+
+def export_data(
+    request: ExportRequest, *, database: str | None, tell: Callable[[str], None]
+) -> CommandOutcome[Exported]:
+    """Write stored runs to one file, whole or not at all.
+
+    Parameters
+    ----------
+    tell : called with progress.
+
+    Raises
+    ------
+    RefusedError
+        If the options do not go together, no run is selected, the file exists and is not to be replaced, cannot be
+        written, or its format lacks a library or cannot hold the run.
+    StoreError
+        If there is no such run, or it is damaged.
+    """
+    kind = format_of(request.to, request.format)
+    table = _table(request, kind)
+    _check(request, kind)
+    check_target(request.to, force=request.force)
+    with open_store(database_url(database), create=False) as store:
+        run = None if request.run is None else store.resolve(request.run)
+        if kind.of_frames:
+            assert run is not None
+            return _export_frames(store, run, request, kind, tell)
+        return _export_runs(store, run, request, kind, table, tell)
+
+
+def _table(request: ExportRequest, kind: ExportFormat) -> ExportTable:
+    if request.table is None:
+        return ExportTable.RUNS
+    if not kind.of_table:
+        raise RefusedError(f"--table with {kind}", remedy="it is for csv and parquet")
+    if request.table not in list(ExportTable):
+        hint = f"{did_you_mean(request.table, [*map(str, ExportTable)])} allowed: {', '.join(ExportTable)}"
+        raise RefusedError(f"--table {echo(request.table, 64)} is not known", remedy=hint.lstrip())
+    return ExportTable(request.table)
+
+
+def _check(request: ExportRequest, kind: ExportFormat) -> None:
+    """Refuse options that do not go together."""
+    if request.run is not None and request.runs is not None:
+        raise RefusedError("a RUN, and options that select runs", remedy="give one of them")
+    if kind.of_frames and request.run is None:
+        raise RefusedError(
+            f"{kind} holds the frames of one run",
+            remedy="name it: cbsr-qa export RUN --to FILE, or its serial number",
+        )
+    if request.phase is not None and not kind.of_frames:
+        raise RefusedError(f"--phase with {kind}", remedy="it is for files of frames: recording, netcdf, eidors")
+
+
+def _export_frames(
+    store: Repository, run: str, request: ExportRequest, kind: ExportFormat, tell: Callable[[str], None]
+) -> CommandOutcome[Exported]:
+    to = request.to
+    tell("reading the run")
+    record, overrides = store.load_run(run), store.overrides(run)
+    phases = record.phases if request.phase is None else (record.phase(request.phase),)
+    if kind is ExportFormat.RECORDING:
+        recording = as_recording(record, to, phases, overrides)
+        write_recording(to, recording)
+        frames = len(recording.frames)
+    else:
+        (listed,) = store.listed_runs(RunSelection(up_to=run, latest=1))
+        frames = _write_frames(record, phases, listed, to, kind)
+    loads = sum(len(phase.loads) + len(phase.loops) for phase in phases)
+    size_bytes = to.stat().st_size
+    exported = Exported(to, kind, size_bytes, 1, run, frames=frames, loads=loads, overrides=overrides)
+    words = f"{plural(frames, 'frame')} and {plural(loads, 'press', 'presses')}"
+    return _outcome(exported, words, (("Run", record.identity.words),))
+
+
+def _write_frames(
+    record: RunRecord, phases: tuple[PhaseRecord, ...], listed: ListedRun, to: Path, kind: ExportFormat
+) -> int:
+    """Write frames for other programs; returns their number."""
+    frames = run_frames(record, phases)
+    attributes = _attributes(record, listed)
+    with writing(to), written_whole(to) as file:
+        if kind is ExportFormat.EIDORS:
+            write_eidors(file, record, frames, attributes)
+        else:
+            file.write(netcdf_file(record, phases, frames, attributes))
+    return len(frames.frames)
+
+
+def _attributes(record: RunRecord, listed: ListedRun) -> dict[str, str | float]:
+    """Return what traces the frames, for the file as a whole."""
+    identity = record.identity
+    return {
+        "title": f"Frames of {identity.words}",
+        "source": "simulated: " + "; ".join(identity.simulated) if identity.simulated else "measured",
+        "run": identity.run,
+        "serial": identity.sensor.serial,
+        "batch": identity.sensor.batch,
+        "sensor_type": identity.sensor.sensor_type,
+        "material": record.material.name,
+        "station": identity.station,
+        "recipe": identity.recipe,
+        "operator": identity.operator,
+        "started_at": identity.started_at.astimezone(UTC).isoformat(),
+        "end": str(record.end),
+        "verdict": str(listed.verdict or "none"),
+        "software": ", ".join(f"{name} {version}" for name, version in identity.software),
+        "head": record.indenter.words(),
+    }
+
+
+def _export_runs(
+    store: Repository,
+    run: str | None,
+    request: ExportRequest,
+    kind: ExportFormat,
+    table: ExportTable,
+    tell: Callable[[str], None],
+) -> CommandOutcome[Exported]:
+    to = request.to
+    chosen = request.runs or ListRequest(RunSelection(checks=False))
+    of_run = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
+    pages = run_pages(store, of_run or chosen, _PAGE)
+    runs = rows = 0
+    with writing(to), written_whole(to) as file:
+        with _writer(store, file, kind, table) as write:
+            for page in pages:
+                rows += write(page.runs)
+                runs += len(page.runs)
+                _tell(page, tell)
+        if not runs:
+            raise RefusedError(
+                "no run is selected: there is nothing to export",
+                remedy="cbsr-qa runs with the same options lists what they select",
+            )
+    of_table = (table, rows) if kind.of_table else (None, None)
+    exported = Exported(to, kind, to.stat().st_size, runs, run, *of_table)
+    words = plural(runs, "run")
+    return _outcome(exported, f"{plural(rows, 'row')}, {words}" if kind.of_table else words)
+
+
+@contextmanager
+def _writer(
+    store: Repository, file: BinaryIO, kind: ExportFormat, table: ExportTable
+) -> Iterator[Callable[[Sequence[ListedRun]], int]]:
+    """Yield what writes some runs and returns the number of its rows."""
+    if kind is ExportFormat.JUNIT:
+
+        def add_suites(runs: Sequence[ListedRun]) -> int:
+            judged = store.judged_measurements([run.run for run in runs])
+            file.writelines(suite(run, judged.get(run.run, ())) for run in runs)
+            return len(runs)
+
+        with suites(file):
+            yield add_suites
+        return
+    with table_writer(file, kind, table) as writer:
+
+        def add_rows(runs: Sequence[ListedRun]) -> int:
+            rows = rows_of(store, table, runs)
+            writer.write(rows)
+            return len(rows)
+
+        yield add_rows
+
+
+def _tell(page: RunPage, tell: Callable[[str], None]) -> None:
+    """Report every tenth part of many runs."""
+    before = max(page.done - _PAGE, 0)
+    if page.total > _PAGE and page.done * _STEPS // page.total > before * _STEPS // page.total:
+        tell(f"{page.done} of {page.total} runs")
+
+
+def _outcome(exported: Exported, words: str, facts: tuple[tuple[str, str], ...] = ()) -> CommandOutcome[Exported]:
+    label = "Recording" if exported.format is ExportFormat.RECORDING else "File"
+    return answer(exported, "exported", words, facts, printed=((label, str(exported.file)),))

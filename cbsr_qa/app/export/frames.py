@@ -1,0 +1,157 @@
+"""Frames of a run with what was going on at each: phase, press, place, strain."""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock, join_frames, join_samples
+from cbsr_qa.domain.run import LoadRecord, PhaseRecord, RunRecord
+
+
+class LoadStage(IntEnum):
+    """What the head was doing."""
+
+    NONE = 0  #: nothing that is recorded as a press held to its end
+    PRESS = 1  #: it moves down
+    HOLD = 2
+    EASE = 3  #: it moves to another strain without leaving the sheet
+    RELEASE = 4  #: it moves up
+    REST = 5  #: it is up, and the sheet recovers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunFrames:
+    """Frames of some phases of a run, in order.
+
+    Parameters
+    ----------
+    frames : n frames; ``current_A`` is None where it is not the same for all.
+    current_A : (n,) drive current [A]; NaN where not stated.
+    phase : (n,) index into ``phases``.
+    load : (n,) index into ``loads``; −1 where none is in progress.
+    stage : (n,) uint8 of :class:`LoadStage`.
+    strain : (n,) compressive strain as a fraction, NaN except in HOLD.
+    phases, loads : names of the phases; presses, each with the index of its phase.
+    """
+
+    frames: FrameBlock
+    current_A: NDArray[np.float64]
+    phase: NDArray[np.int32]
+    load: NDArray[np.int32]
+    stage: NDArray[np.uint8]
+    strain: NDArray[np.float64]
+    phases: tuple[str, ...]
+    loads: tuple[tuple[int, LoadRecord], ...]
+
+    def of_load(self, value: str) -> NDArray[Any]:
+        """Return a field of :class:`~cbsr_qa.domain.run.Load` for each frame.
+
+        Returns
+        -------
+        (n,) float64 with NaN, or object with empty text, where no press is in progress.
+        """
+        values = [getattr(record.load, value) for _, record in self.loads]
+        absent = "" if value == "label" else np.nan
+        kind = object if value == "label" else np.float64
+        return np.array([*values, absent], dtype=kind)[self.load]
+
+    @property
+    def readings(self) -> NDArray[np.float64]:
+        """Readings (n, drives, measures) in their unit, NaN where a reading is missing."""
+        missing = self.frames.flags & ReadingFlag.MISSING.value != 0
+        return np.where(missing, np.nan, self.frames.voltages)
+
+
+def run_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RunFrames:
+    """Return the frames of some phases of a run that count.
+
+    Raises
+    ------
+    RefusedError
+        If they hold no frame, or differ in the unit or shape of their frames.
+    """
+    measured = [(p, p.frames) for p in phases if p.frames is not None and len(p.frames)]
+    if not measured:
+        raise no_frames(record, phases)
+    loads = tuple((n, load) for n, (p, _) in enumerate(measured) for load in _loads(p))
+    counts = [len(frames) for _, frames in measured]
+    which = np.repeat(np.arange(len(measured), dtype=np.int32), counts)
+    currents = [np.nan if frames.current_A is None else frames.current_A for _, frames in measured]
+    frames = _joined([frames for _, frames in measured])
+    return RunFrames(
+        frames,
+        np.repeat(np.array(currents, dtype=np.float64), counts),
+        which,
+        *_loaded(frames.time_s, which, loads),
+        tuple(p.name for p, _ in measured),
+        loads,
+    )
+
+
+def no_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RefusedError:
+    """Return the refusal of phases without a frame."""
+    names = ", ".join(phase.name for phase in phases) or "any phase"
+    return RefusedError(
+        f"run {record.identity.run} of sensor {record.identity.sensor.serial} holds no frames in {names}"
+    )
+
+
+def joined_samples(phases: tuple[PhaseRecord, ...]) -> tuple[SampleBlock, ...]:
+    """Return the samples of each channel, of all phases together."""
+    channels: dict[str, list[SampleBlock]] = {}
+    for phase in phases:
+        for block in phase.samples:
+            channels.setdefault(block.channel, []).append(block)
+    return tuple(join_samples(blocks) for blocks in channels.values())
+
+
+def _loads(phase: PhaseRecord) -> list[LoadRecord]:
+    return sorted((*phase.loads, *phase.loops), key=lambda load: load.index)
+
+
+def _joined(blocks: list[FrameBlock]) -> FrameBlock:
+    """Join blocks that may differ in current, or in whether each reading's own time was recorded."""
+    current_A = blocks[0].current_A if len({block.current_A for block in blocks}) == 1 else None
+    if any(block.reading_time_s is not None for block in blocks):
+        blocks = [
+            replace(block, reading_time_s=np.full(block.voltages.shape, np.nan))
+            if block.reading_time_s is None
+            else block
+            for block in blocks
+        ]
+    try:
+        return join_frames([replace(block, current_A=current_A) for block in blocks])
+    except RefusedError as error:
+        raise RefusedError(
+            "phases of this run differ in the unit or the shape of their frames",
+            remedy="export one phase at a time with --phase",
+        ) from error
+
+
+def _loaded(
+    time_s: NDArray[np.float64], phase: NDArray[np.int32], loads: tuple[tuple[int, LoadRecord], ...]
+) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.float64]]:
+    """Return load, stage and strain of each frame."""
+    number = np.full(len(time_s), -1, dtype=np.int32)
+    stage = np.zeros(len(time_s), dtype=np.uint8)
+    strain = np.full(len(time_s), np.nan)
+    for n, (own, load) in enumerate(loads):
+        eased = load.eased
+        moves_s = [moment for step in eased for moment in (step.start_s, step.hold_start_s)]
+        ends_s = (load.release_start_s, load.release_end_s, load.rest_end_s)
+        between = np.searchsorted([load.press_start_s, load.hold_start_s, *moves_s, *ends_s], time_s, side="right")
+        begins = [LoadStage.PRESS, LoadStage.HOLD, *[LoadStage.EASE, LoadStage.HOLD] * len(eased)]
+        stages = np.array(
+            [LoadStage.NONE, *begins, LoadStage.RELEASE, LoadStage.REST, LoadStage.NONE], dtype=np.uint8
+        )
+        strains = np.full(len(stages), np.nan)
+        strains[stages == LoadStage.HOLD] = [held.strain for held in load.held]
+        during = (phase == own) & (stages[between] != LoadStage.NONE)
+        number[during] = n
+        stage[during] = stages[between][during]
+        strain[during] = strains[between][during]
+    return number, stage, strain

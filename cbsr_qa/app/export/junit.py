@@ -1,0 +1,103 @@
+"""Outcomes of runs as JUnit XML, as Jenkins and other servers read it: a suite a run, a case a judged measurement."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC
+from typing import BinaryIO, Final
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from cbsr_qa.domain.results import EndReason, ListedRun, Measurement, Outcome, judged_words
+from cbsr_qa.domain.run import run_named
+
+_BEGIN: Final = b'<?xml version="1.0" encoding="UTF-8"?>\n<testsuites name="cbsr-qa">\n'
+_END: Final = b"</testsuites>\n"
+#: Characters that XML 1.0 does not allow.
+_NO_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+_ENDS: Final = {
+    EndReason.RUNNING: "the run began and did not end",
+    EndReason.ABORTED: "the run was aborted",
+    EndReason.BROKEN: "the run broke off",
+}
+_PROPERTIES: Final = ("run", "serial", "batch", "sensor_type", "station", "recipe", "operator", "end", "verdict")
+
+
+@contextmanager
+def suites(file: BinaryIO) -> Iterator[None]:
+    """Write what is around the suites."""
+    file.write(_BEGIN)
+    yield
+    file.write(_END)
+
+
+def suite(run: ListedRun, judged: Sequence[Measurement]) -> bytes:
+    """Return the suite of one run.
+
+    A value beyond its limit is a failure; one that could not be measured, a run that did not finish and a run without
+    a result are errors. If the verdict was overridden to a pass, they are skipped, with the reason; if to a failure,
+    the verdict itself is a case that failed.
+
+    Parameters
+    ----------
+    judged : measurements with a limit, of the run's latest analysis.
+    """
+    element = Element("testsuite", name=_text(run_named(run.serial, run.started_at, run.run)))
+    properties = SubElement(element, "properties")
+    for name in _PROPERTIES:
+        SubElement(properties, "property", name=name, value=_text(str(getattr(run, name) or "")))
+    results = Counter[str]()
+    for name, kind, category, words in _cases(run, judged):
+        case = SubElement(element, "testcase", classname=_class(run), name=_text(name))
+        results[kind] += 1
+        if kind in ("failure", "error"):
+            SubElement(case, kind, message=_text(words), type=category).text = _text(words)
+        elif kind == "skipped":
+            SubElement(case, kind, message=_text(words))
+        elif words:
+            SubElement(case, "system-out").text = _text(words)
+    counts = {"failures": results["failure"], "errors": results["error"], "skipped": results["skipped"]}
+    element.attrib |= {"tests": str(results.total()), **{name: str(count) for name, count in counts.items()}}
+    began = run.started_at.astimezone(UTC)
+    element.attrib |= {"time": f"{run.station_s:.3f}", "timestamp": f"{began:%Y-%m-%dT%H:%M:%S}"}
+    element.attrib |= {"hostname": _text(run.station), "id": run.run, "package": _text(run.recipe)}
+    return tostring(element, encoding="unicode").encode() + b"\n"
+
+
+def _cases(run: ListedRun, judged: Sequence[Measurement]) -> Iterator[tuple[str, str, str, str]]:
+    """Yield each case: its name, what it is (empty for a pass), the kind of failure, and words."""
+    if not run.finished:
+        yield "run", "error", str(run.end), ": ".join(filter(None, (_ENDS[run.end], run.end_detail)))
+        return
+    if run.outcome is None:
+        yield "run", "error", "no result", "the run is finished and has no result; cbsr-qa run --resume makes it"
+        return
+    override = "" if run.decision is None else f"overridden by {run.decision.operator}: {run.decision.why}"
+    if override and run.verdict is Outcome.FAIL:
+        yield "verdict", "failure", "override", override
+    names = Counter[str]()
+    for measurement in judged:
+        name = _name(measurement)
+        names[name] += 1
+        name = name if names[name] == 1 else f"{name} ({names[name]})"
+        kind = {Outcome.FAIL: "failure", Outcome.NOT_MEASURED: "error"}.get(measurement.outcome, "")
+        words = judged_words(measurement)
+        if kind and override and run.passed:
+            kind, words = "skipped", f"{override}; {words}"
+        marginal = f"marginal: {words}" if measurement.outcome is Outcome.MARGINAL else ""
+        yield name, kind, str(measurement.outcome), words if kind else marginal
+
+
+def _name(measurement: Measurement) -> str:
+    strain = "" if measurement.strain is None else f"strain {100 * measurement.strain:.4g} %"
+    return ", ".join(part for part in (measurement.label, measurement.phase, strain) if part)
+
+
+def _class(run: ListedRun) -> str:
+    """Recipe and sensor: servers take what is before the last dot for a package."""
+    return ".".join(_text(name).replace(".", "_") for name in (run.recipe, run.serial))
+
+
+def _text(text: str) -> str:
+    return _NO_XML.sub("\ufffd", text)

@@ -1,0 +1,88 @@
+"""``cbsr-qa export``: stored runs as files that other programs read."""
+
+from inspect import signature
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cbsr_qa.cli.command import command
+from cbsr_qa.cli.options import AsJson, Database, Since, Until, given_options
+from cbsr_qa.cli.output import announce, show
+from cbsr_qa.cli.selecting import (
+    Batch,
+    Checks,
+    Failed,
+    Limit,
+    Operator,
+    Recipe,
+    Station,
+    Today,
+    list_request,
+)
+
+#: Parameters that select runs.
+_SELECTING = frozenset(signature(list_request).parameters)
+
+
+@command("export", prints="cbsr_qa.app:Exported")
+def export(
+    context: typer.Context,
+    to: Annotated[Path, typer.Option("--to", help="File to write; its suffix says the format.")],
+    run: Annotated[
+        str | None,
+        typer.Argument(help="Run, or a serial number for the latest run of that sensor; without it, selected runs."),
+    ] = None,
+    format_: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="FORMAT",
+            help="csv or parquet (.parquet), a table of runs or measurements; junit (.xml), outcomes;"
+            " recording (.h5), netcdf (.nc) or eidors (.mat), the frames of RUN. By default that of the suffix.",
+        ),
+    ] = None,
+    table: Annotated[
+        str | None,
+        typer.Option(metavar="runs|measurements", help="What a row of a table is; by default a run."),
+    ] = None,
+    phase: Annotated[str | None, typer.Option(help="Frames of this phase only.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file if it exists.")] = False,
+    today: Today = False,
+    since: Since = None,
+    until: Until = None,
+    station: Station = None,
+    batch: Batch = None,
+    operator: Operator = None,
+    recipe: Recipe = None,
+    failed: Failed = False,
+    limit: Limit = "",
+    latest: Annotated[int | None, typer.Option(help="Only so many of the latest.")] = None,
+    checks: Checks = False,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write stored runs to a file that other programs read: tables, frames, or outcomes.
+
+    Tables and outcomes are of RUN, or of the runs that the options select, as cbsr-qa runs lists them. For example:
+    cbsr-qa export --table measurements --batch 42 --to measurements.parquet
+    """
+    from cbsr_qa.app import ExportRequest, export_data
+
+    selected = None
+    if _SELECTING & given_options(context):
+        selected = list_request(
+            today,
+            since,
+            until,
+            station,
+            batch,
+            operator,
+            recipe,
+            failed=failed,
+            limit=limit,
+            latest=latest,
+            checks=checks,
+        )
+    request = ExportRequest(to, run, selected, format_, table, phase, force)
+    show(export_data(request, database=database, tell=announce), as_json=as_json)

@@ -1,0 +1,82 @@
+"""The least rights on PostgreSQL that stations and readers need, as a script for the database's owner."""
+
+from collections.abc import Iterator, Sequence
+from textwrap import fill
+from typing import Final
+
+from cbsr_qa.store.schema import VERSION_TABLE
+from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow
+from cbsr_qa.store.views import VIEWS
+
+STATION: Final = "cbsr_station"
+READER: Final = "cbsr_reader"
+
+#: The only cells that are filled in later, each once, by table; all other rows are added and never changed.
+FILLED_LATER: Final = {"phases": ("ended_s",), "calibrations": ("superseded_by",)}
+#: Tables that say what is still to be done, not what happened: their rows change and go.
+_QUEUES: Final = ("outbox",)
+#: Cells that a database which takes in others' rows changes: the earliest date of several stations holds.
+_MERGED: Final = {"sensors": ("first_seen",)}
+#: Tables to which only an upgrade adds rows.
+_OF_UPGRADES: Final = ("sync_accepts",)
+
+_HEAD: Final = """\
+-- Roles of a cbsr-qa database: {station} stores runs and deletes nothing, {reader} reads.
+-- Run this as the owner of the tables, connected to the database, after `cbsr-qa db upgrade`, and again after every
+-- upgrade; it may be run any number of times:  cbsr-qa db roles | psql --single-transaction -v ON_ERROR_STOP=1 URL
+-- Then give each station and each person a separate login:
+--   CREATE ROLE bench_3 LOGIN PASSWORD '...' IN ROLE {station};
+--   CREATE ROLE ada LOGIN PASSWORD '...' IN ROLE {reader};
+"""
+_ROLE: Final = """\
+DO $$ BEGIN
+    IF NOT EXISTS (SELECT FROM pg_roles WHERE rolname = '{role}') THEN
+        CREATE ROLE {role} NOLOGIN;
+    END IF;
+END $$;
+REVOKE ALL ON ALL TABLES IN SCHEMA public FROM {role};
+REVOKE ALL ON SCHEMA public FROM {role};
+GRANT USAGE ON SCHEMA public TO {role};
+"""
+
+
+def roles_script(station: str = STATION, reader: str = READER) -> str:
+    """Return an SQL script for PostgreSQL that makes two roles and gives them rights on every table and view.
+
+    Parameters
+    ----------
+    station, reader : names of the roles, in lower case.
+    """
+    # All files of tables are registered.
+    assert AnalysisRow.metadata is ChartReferenceRow.metadata is ReleaseRow.metadata is RunRow.metadata
+    tables = sorted(RunRow.metadata.tables)
+    read = [*tables, VERSION_TABLE, *VIEWS]
+    return "\n".join(
+        (
+            _HEAD.format(station=station, reader=reader),
+            _ROLE.format(role=station),
+            _grant("SELECT", read, station),
+            *_writing(tables, station),
+            "",
+            _ROLE.format(role=reader),
+            _grant("SELECT", read, reader),
+            "-- An upgrade makes views, and may make tables: readers may read those too.",
+            f"ALTER DEFAULT PRIVILEGES IN SCHEMA public GRANT SELECT ON TABLES TO {reader};",
+            "",
+        )
+    )
+
+
+def _writing(tables: Sequence[str], station: str) -> Iterator[str]:
+    """Yield the rights to add rows, and to change the few cells that may change."""
+    yield _grant("INSERT", [name for name in tables if name not in _OF_UPGRADES], station)
+    queues = [name for name in _QUEUES if name in tables]
+    for table, columns in (FILLED_LATER | (_MERGED if queues else {})).items():
+        yield _grant(f"UPDATE ({', '.join(columns)})", [table], station)
+    if queues:
+        yield _grant("UPDATE, DELETE", queues, station)
+
+
+def _grant(right: str, names: Sequence[str], role: str) -> str:
+    listed = fill(", ".join(names), 116, initial_indent="    ", subsequent_indent="    ")
+    return f"GRANT {right} ON\n{listed}\nTO {role};"

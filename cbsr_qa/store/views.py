@@ -1,0 +1,76 @@
+"""Read-only views for people who query the database themselves: what holds now of runs, measurements, calibrations.
+
+They are no part of a schema version: they are dropped before a migration, which may change the tables below them, and
+created again at the latest version. The program itself reads tables.
+"""
+
+from typing import Final
+
+from sqlalchemy import Connection, inspect, text
+
+_RUNS: Final = """
+SELECT
+    r.run, r.serial, r.batch, r.sensor_type, r.station, r.recipe, r.operator, r.started_at,
+    COALESCE(s."end", 'running') AS state,
+    s.detail AS state_detail,
+    s.time_s AS station_s,
+    CASE WHEN s."end" = 'finished' THEN COALESCE(o.outcome, a.outcome) END AS verdict,
+    a.outcome, a.reason,
+    o.operator AS overridden_by,
+    o.why AS overridden_why,
+    a.analysis, a.analysed_at,
+    r.run IN (SELECT c.golden_run FROM station_checks AS c WHERE c.golden_run IS NOT NULL) AS of_check,
+    CAST(r.simulated AS TEXT) <> '[]' AS simulated
+FROM runs AS r
+LEFT JOIN run_states AS s
+    ON s.run = r.run AND s.number = (SELECT max(x.number) FROM run_states AS x WHERE x.run = r.run)
+LEFT JOIN analyses AS a
+    ON a.run = r.run AND a.analysis = (SELECT max(x.analysis) FROM analyses AS x WHERE x.run = r.run)
+LEFT JOIN verdict_overrides AS o
+    ON o.run = r.run AND o.override_id = (
+        SELECT max(x.override_id) FROM verdict_overrides AS x WHERE x.run = r.run AND x.analysis = a.analysis
+    )
+"""
+
+_MEASUREMENTS: Final = """
+SELECT
+    r.run, r.serial, r.batch, r.station, r.recipe, r.started_at, a.analysis,
+    m.number, m.name, m.value, m.unit, m.uncertainty, m.bound,
+    m.phase, m.location, m.trial, m.qualifier, m.load_index, m.strain,
+    m.outcome, m.lower_limit, m.upper_limit, m.marginal, m.how
+FROM runs AS r
+JOIN analyses AS a
+    ON a.run = r.run AND a.analysis = (SELECT max(x.analysis) FROM analyses AS x WHERE x.run = r.run)
+JOIN measurements AS m
+    ON m.analysis = a.analysis
+"""
+
+_CALIBRATIONS: Final = """
+SELECT
+    c.serial, c.calibration, c.run, r.batch, r.sensor_type, r.station, r.recipe, c.issued_at, r.verdict,
+    c.content_sha256, c.file_sha256
+FROM calibrations AS c
+JOIN v_runs AS r
+    ON r.run = c.run
+WHERE c.superseded_by IS NULL
+"""
+
+#: Name of each view and its query, the same on SQLite and PostgreSQL; a view may read those before it.
+VIEWS: Final = {"v_runs": _RUNS, "v_measurements": _MEASUREMENTS, "v_calibrations": _CALIBRATIONS}
+
+
+def create_views(connection: Connection) -> None:
+    """Create all views; there is none of them yet."""
+    for name, query in VIEWS.items():
+        connection.execute(text(f"CREATE VIEW {name} AS {query.strip()}"))
+
+
+def drop_views(connection: Connection) -> None:
+    """Drop those views that exist."""
+    for name in reversed(VIEWS):
+        connection.execute(text(f"DROP VIEW IF EXISTS {name}"))
+
+
+def views_missing(connection: Connection) -> bool:
+    """Whether a view does not exist: a later version of the program took the database back to this one's schema."""
+    return not set(VIEWS) <= set(inspect(connection).get_view_names())
