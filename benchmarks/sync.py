@@ -28,7 +28,8 @@ _CENTRE = "cbsr_qa_benchmark_sync"
 _SEND = (
     "import sys; from cbsr_qa.store import open_engine, parsed_url; from cbsr_qa.store.sync import send_waiting;"
     "station, centre = (open_engine(parsed_url(url)) for url in sys.argv[1:]);"
-    "input(); sent = send_waiting(station, centre, 'benchmark'); print(sent.runs, sent.rows, sent.size)"
+    "print('ready', flush=True); input(); sent = send_waiting(station, centre, 'benchmark');"
+    "print(sent.runs, sent.rows, sent.size)"
 )
 
 
@@ -51,7 +52,9 @@ def _send(stations: list[str], centre: str) -> tuple[float, list[list[int]]]:
     """Have every station send at once; wall time and what each says of runs, rows and bytes."""
     pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     senders = [subprocess.Popen([sys.executable, "-c", _SEND, one, centre], **pipes) for one in stations]
-    time.sleep(3)  # until all have loaded what they need
+    for sender in senders:
+        assert sender.stdout is not None
+        sender.stdout.readline()
     begun_s = time.monotonic()
     for sender in senders:
         assert sender.stdin is not None

@@ -260,7 +260,7 @@ def _outcome(
     )
     quarantined = [entry for entry in kept if entry.state == QUARANTINED]
     facts = [("Database", address(station.url))]
-    facts += [("Waits", _backlog(entries))] if entries else []
+    facts += [("Waits", _backlog(entries))] if entries and centre else []
     facts += [(f"quarantined {entry.kind}", f"{entry.item}: {entry.why}") for entry in quarantined[:_LISTED]]
     facts += [(f"blocked {entry.kind}", f"{entry.item}: {entry.why}") for entry in result.blocked[:_LISTED]]
     facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
