@@ -2,6 +2,7 @@ from .check import (
     IDENTITY as IDENTITY,
     RESULTS as RESULTS,
     check_run as check_run,
+    data_digest as data_digest,
     of_run as of_run,
     stored_documents as stored_documents,
     unreadable as unreadable,

@@ -33,6 +33,7 @@ from sqlalchemy import (
 )
 
 from cbsr_qa.store.tables import (
+    AdoptionRow,
     AnalysisRow,
     AttendanceRow,
     Base,
@@ -48,6 +49,7 @@ from cbsr_qa.store.tables import (
     MeasurementRow,
     OverlapBandRow,
     PhaseRow,
+    ReanalysisRow,
     RelaxationRow,
     RunRow,
     RunStateRow,
@@ -58,7 +60,7 @@ from cbsr_qa.store.tables import (
     VerdictOverrideRow,
     WarningRow,
 )
-from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole, Word
+from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole, Word
 
 _JSON: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
 
@@ -89,6 +91,8 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (FitParameterRow, ("calibration",)),
         (OverlapBandRow, ("calibration",)),
         (VerdictOverrideRow, ("override_id",)),
+        (ReanalysisRow, ("reanalysis",)),
+        (AdoptionRow, ("analysis",)),
     )
 }
 #: Columns that are filled in later. The end of a phase has its own link; that a calibration is superseded follows
@@ -140,6 +144,7 @@ _WRITERS: Final[tuple[tuple[type, Callable[[Any], str]], ...]] = (
     (Boolean, _boolean),
     (JSON, canonical),
     (Word, lambda value: encode_basestring(str(value))),
+    (Digest, lambda value: encode_basestring(str(value))),
 )
 
 

@@ -27,11 +27,13 @@ from cbsr_qa.store.runs import check_frames, check_samples, current_state
 from cbsr_qa.store.sync.rows import counts_of, is_bytes, raw_select, within
 from cbsr_qa.store.tables import (
     AnalysisRow,
+    ArchiveRow,
     Base,
     CalibrationRow,
     FrameBlockRow,
     LinkRow,
     PhaseRow,
+    ReanalysisRow,
     RunRow,
     SampleBlockRow,
     SensorRow,
@@ -44,7 +46,10 @@ MOST_BYTES: Final = 16_000_000
 
 #: More links than anything that is stored at once has, and the kinds of links with which it begins.
 _MOST_AT_ONCE: Final = 64
-_BEGINS: Final = OF_A_SESSION | {PHASE_END, AnalysisRow.__tablename__, VerdictOverrideRow.__tablename__}
+_BEGINS: Final = OF_A_SESSION | {
+    PHASE_END,
+    *(one.__tablename__ for one in (AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
+}
 
 #: Checks of the bytes of a row, which no digest of its document covers.
 _CHECKED: Final[Mapping[str, Any]] = {
@@ -275,6 +280,9 @@ def _rows(connection: Connection, run: str, table: Table, contents: Mapping[str,
         rows = [row for row, mapping in zip(rows, mappings, strict=True) if document_of(table, mapping) in contents]
     check = _CHECKED.get(table.name)
     if check is not None:
+        if connection.scalar(select(ArchiveRow.run).where(ArchiveRow.run == run)) is not None:
+            what = f"cbsr-qa db unarchive {run} brings its frames back, --retry sends it then"
+            raise AlteredError(f"run {run} was archived before it was sent: {what}")
         for row in rows:
             check(row)  # raises where bytes do not match the digest in their row
     return rows

@@ -23,7 +23,7 @@ from sqlalchemy.types import NullType
 
 from cbsr_qa.store.chain import KEYS, of_run
 from cbsr_qa.store.tables import Base
-from cbsr_qa.store.types import Instant, Whole
+from cbsr_qa.store.types import Digest, Instant, Whole
 
 
 def within(table: Table, run: str, keys: Collection[str]) -> ColumnElement[bool]:
@@ -65,7 +65,7 @@ def raw_select(table: Table) -> Select[Any]:
 def _raw(table: Table, column: Any) -> ColumnElement[Any]:
     if (table.name, column.name) in (("calibrations", "superseded_by"), ("phases", "ended_s")):
         return null().label(column.name)  # filled in later, at the centre too
-    if isinstance(column.type, (JSON, Instant)):
+    if isinstance(column.type, (JSON, Instant, Digest)):
         return column  # type: ignore[no-any-return]
     if isinstance(column.type, Boolean):
         return type_coerce(column, Integer).label(column.name)

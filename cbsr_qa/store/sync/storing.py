@@ -1,6 +1,6 @@
 """Parcels and items added to the central database, each in one transaction; PostgreSQL takes rows by COPY."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ from cbsr_qa.store.sync.items import Item, read_item
 from cbsr_qa.store.sync.parcels import AlteredError, Parcel
 from cbsr_qa.store.sync.rows import counts_of
 from cbsr_qa.store.tables import Base, CalibrationRow, ConfigurationChangeRow, PhaseRow, RunRow, SensorRow
-from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole
+from cbsr_qa.store.types import Digest, FiniteDouble, Instant, PlainText, Whole
 
 #: Types of PostgreSQL in binary form; words are "varchar".
 _TYPES: Final = (
@@ -38,6 +38,7 @@ _TYPES: Final = (
     (Instant, "timestamptz"),
     (JSON, "json"),
     (LargeBinary, "bytea"),
+    (Digest, "bytea"),
     (Boolean, "bool"),
 )
 
@@ -162,10 +163,23 @@ def _copy(connection: Connection, table: Table, rows: Sequence[Sequence[Any]]) -
     try:
         with driver.cursor() as cursor, cursor.copy(statement) as copy:
             copy.set_types(types)
-            for row in rows:
+            for row in _with_bytes(table, rows):
                 copy.write_row(row)
     except dbapi.Error as error:
         raise DBAPIError.instance(statement, None, error, dbapi.Error, dialect=connection.dialect) from error
+
+
+def _with_bytes(table: Table, rows: Iterable[Sequence[Any]]) -> Iterator[Sequence[Any]]:
+    """Yield rows with digests as the bytes they are stored as."""
+    places = [place for place, column in enumerate(table.columns) if isinstance(column.type, Digest)]
+    if not places:
+        yield from rows
+        return
+    for row in rows:
+        cells = list(row)
+        for place in places:
+            cells[place] = None if cells[place] is None else bytes.fromhex(cells[place])
+        yield cells
 
 
 def _end_phase(connection: Connection, run: str, phase: int, ended_s: float) -> None:

@@ -7,8 +7,8 @@ older senders would not fit, or would not match their digests, sets ``oldest_sch
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0017"
-down_revision = "0016"
+revision = "0020"
+down_revision = "0019"
 branch_labels = None
 depends_on = None
 
