@@ -48,3 +48,10 @@ from .keeping import (
     restore_backup as restore_backup,
 )
 from .press_calibration_shown import ShownPressCalibration as ShownPressCalibration
+from .sync import (
+    Synchronised as Synchronised,
+    decide_item as decide_item,
+    keep_synchronised as keep_synchronised,
+    sync_status as sync_status,
+    synchronise as synchronise,
+)

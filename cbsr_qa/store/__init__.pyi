@@ -1,5 +1,5 @@
 from .copies import copy_database as copy_database, put_back as put_back
-from .damage import shown as shown
+from .damage import address as address, shown as shown
 from .engine import (
     open_engine as open_engine,
     parsed_url as parsed_url,
@@ -7,6 +7,7 @@ from .engine import (
     sqlite_file as sqlite_file,
     writing as writing,
 )
+from .locks import this_process as this_process
 from .opening import check_usable as check_usable, database_exists as database_exists, open_store as open_store
 from .repository import Repository as Repository
 from .roles import (

@@ -30,6 +30,14 @@ _PATIENCE_MS = 1_000
 #: Key under which a connection keeps the identity of its file.
 _FILE = "cbsr_qa file"
 
+#: How long a server may be silent before the connection counts as lost (libpq; [s], the last one [ms]).
+_PATIENCE: Final = {
+    "connect_timeout": 10,
+    "keepalives_idle": 30,
+    "keepalives_interval": 10,
+    "tcp_user_timeout": 60_000,
+}
+
 _DRIVERS = {"sqlite": "sqlite", "postgresql": "postgresql+psycopg"}
 
 
@@ -77,8 +85,9 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
     StoreError
         If the driver of this kind of database is not installed.
     """
+    given = {} if url.get_backend_name() == "sqlite" else {k: v for k, v in _PATIENCE.items() if k not in url.query}
     try:
-        engine = create_engine(url)
+        engine = create_engine(url, connect_args=given)
     except ModuleNotFoundError as error:
         raise StoreError(
             f"{shown(url)} needs {error.name}, which is not installed", remedy="pip install 'cbsr-qa[postgres]'"

@@ -17,6 +17,7 @@ TYPED = {
     "docs/how-to/bring-up-a-station.md": "commands/test_documentation.py",
     "docs/how-to/build-this-bench.md": "commands/test_documentation.py",
     "docs/how-to/calibrate-from-presses.md": "commands/test_documentation.py",
+    "docs/how-to/central-database.md": "commands/test_synchronisation_commands.py",
     "docs/how-to/characterise-a-material.md": "commands/test_characterisation.py",
     "docs/how-to/choose-a-recipe.md": "commands/test_documentation.py",
     "docs/how-to/describe-a-sensor.md": "commands/test_documentation.py",

@@ -119,6 +119,8 @@ def test_data_survive_every_step_up_and_down(engine):
         "reanalyses",
         "adoptions",
     }
+    announced = {name: content(engine)[name] for name in ("outbox", "sync_accepts")}
+    concluded |= {*announced, "sync_refusals"}
     # Eased, notes; chain; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]
@@ -126,7 +128,9 @@ def test_data_survive_every_step_up_and_down(engine):
     }
     # Digests are bytes; the arrays of these rows have no length that fits, and stay as they are.
     later |= {name: [(*row[:-1], b"x") for row in before[name]] for name in ("frame_blocks", "sample_blocks")}
-    assert content(engine) == before | later | {name: [] for name in concluded}
+    assert content(engine) == before | later | {name: [] for name in concluded} | announced
+    assert [row[:2] for row in announced["outbox"]] == [("run", "x")]
+    assert announced["sync_accepts"] == [(schema.OLDEST_SENDER,)]
 
     schema.downgrade(engine, "base")
     assert table_names(engine) == set()

@@ -69,12 +69,12 @@ def data_digest(connection: Connection, run: str) -> str:
     link = LinkRow
     of_data = select(link.sha256).where(link.run == run, link.kind.not_in(_CONCLUDED))
     head = connection.scalar(of_data.order_by(link.number.desc()).limit(1))
-    return head or sha256(*map("/".join, _documents(connection, run, ALL_KINDS - _CONCLUDED)))
+    return head or sha256(*map("/".join, stored_documents(connection, run, ALL_KINDS - _CONCLUDED)))
 
 
 def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:
     """Return the error for a run that cannot be read: the cell of the wrong type if there is one, else the cause."""
-    rows = [(table, _of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
+    rows = [(table, of_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
     return foreign_cell(connection, rows, f"run {run}") or _broken(
         run, f"it cannot be read: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
     )
@@ -141,7 +141,7 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
     """Raise StoreError if rows were changed, added or removed."""
     figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
     of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
-    for stored, links in ((_documents(connection, run, kinds), linked), (of_figures, figures)):
+    for stored, links in ((stored_documents(connection, run, kinds), linked), (of_figures, figures)):
         for kind, document, content in stored:
             expected = links.pop((kind, document), None)
             if expected is None:
@@ -152,14 +152,17 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
             raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
 
 
-def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
+def stored_documents(
+    connection: Connection, run: str, kinds: Collection[str] = ALL_KINDS
+) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, key and content digest of the stored documents of a run, figures left out."""
     for table in (one for one in tables() if one.name in kinds):
         # Every number but 0 is read as true, so the flag itself selects the rows.
         columns = (
             type_coerce(one, Integer).label(one.name) if isinstance(one.type, Boolean) else one
             for one in covered(table)
         )
-        query = select(*columns).where(_of_run(table, run))
+        query = select(*columns).where(of_run(table, run))
         for key, content in documents(table, connection.execute(query).mappings()):
             yield table.name, key, content
     if PHASE_END in kinds:
@@ -173,7 +176,7 @@ def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]
         yield FIGURES, analysis, stored_figures(connection, analysis)
 
 
-def _of_run(table: Table, run: str) -> Any:
+def of_run(table: Table, run: str) -> Any:
     """Select a run's rows of a table: by run, analysis or calibration."""
     if "run" in table.columns:
         return table.c.run == run

@@ -15,7 +15,19 @@ from sqlalchemy import Connection, Insert, TextClause, bindparam, func, insert, 
 
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.store.chain.run_documents import documents, sha256
-from cbsr_qa.store.tables import FEW_LINKS, LinkRow, RunRow
+from cbsr_qa.store.outbox import Kind, announce
+from cbsr_qa.store.tables import (
+    FEW_LINKS,
+    AttendanceRow,
+    FrameBlockRow,
+    LinkRow,
+    LoadRow,
+    PhaseRow,
+    RunRow,
+    SampleBlockRow,
+    StepRow,
+    UnloadedMarkRow,
+)
 
 VARIABLE: Final = "CBSR_QA_SIGNING_KEY"
 _LEAST: Final = 16
@@ -78,6 +90,12 @@ def _insertion(table: Any) -> Insert:
     return insert(table.__table__)
 
 
+#: What a session stores as it goes on. It is not announced, document by document: an open run stays in the outbox.
+OF_A_SESSION: Final = frozenset(
+    one.__tablename__
+    for one in (PhaseRow, StepRow, FrameBlockRow, SampleBlockRow, LoadRow, UnloadedMarkRow, AttendanceRow)
+)
+
 _NEWEST: Final = (
     select(RunRow.chain, LinkRow.number, LinkRow.sha256)
     .outerjoin(LinkRow, LinkRow.run == RunRow.run)
@@ -135,6 +153,8 @@ def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mappin
 def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str, str]]) -> None:
     """Append links of (kind, document, content digest) to a run's chain; an unchained run gets none.
 
+    The run is announced for synchronisation (see :mod:`cbsr_qa.store.outbox`).
+
     Raises
     ------
     StoreError
@@ -146,6 +166,7 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
     chain, last, before = connection.execute(_NEWEST, {"of_run": run}).one()
     key = key_to_continue(connection, run, chain)
     if chain is None:
+        announce(connection, Kind.RUN, [run])
         return
     number, before = (-1, "") if last is None else (last, before)
     rows = []
@@ -155,6 +176,8 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
         values = {"kind": kind, "document": document, "content_sha256": content, "sha256": before, "mac": mac}
         rows.append({"run": run, "number": number, **values})
     connection.execute(_insertion(LinkRow), rows)
+    if any(row["kind"] not in OF_A_SESSION for row in rows):
+        announce(connection, Kind.RUN, [run], number + 1)
 
 
 def chain_head(connection: Connection, run: str) -> str:

@@ -8,6 +8,8 @@ from . import (
 )
 from .archiving import ArchivedRun as ArchivedRun
 from .codec import (
+    check_frames as check_frames,
+    check_samples as check_samples,
     decoded_indenter as decoded_indenter,
     decoded_material as decoded_material,
     decoded_sensor_type as decoded_sensor_type,

@@ -54,8 +54,20 @@ def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
         If the digest or a length does not match.
     """
     shape = row.frames, row.drives, row.measures
-    readings = row.frames * row.drives * row.measures
-    own = row.reading_time_s
+    parts = check_frames(row)
+    return FrameBlock(
+        unpacked(parts[0], shape[:1]),
+        unpacked(parts[1], shape),
+        unpacked_flags(parts[2], shape),
+        VoltageUnit(row.unit),
+        row.current_a,
+        None if row.reading_time_s is None else unpacked(parts[3], shape),
+    )
+
+
+def check_frames(row: Row[Any] | FrameBlockRow) -> tuple[bytes, bytes, bytes, bytes]:
+    """Return the arrays of a row as they were measured; StoreError if they do not match their digest."""
+    readings, own = row.frames * row.drives * row.measures, row.reading_time_s
     try:
         parts = (
             restored(row.time_s, 8 * row.frames, 8, steps=True),
@@ -65,16 +77,10 @@ def frame_block(row: Row[Any] | FrameBlockRow) -> FrameBlock:
         )
     except ValueError as error:
         raise _damaged("frame", row.run, row.phase, row.block) from error
+    shape = row.frames, row.drives, row.measures
     if digest(_frame_header(shape, row.unit, row.current_a), parts) != row.sha256:
         raise _damaged("frame", row.run, row.phase, row.block)
-    return FrameBlock(
-        unpacked(parts[0], shape[:1]),
-        unpacked(parts[1], shape),
-        unpacked_flags(parts[2], shape),
-        VoltageUnit(row.unit),
-        row.current_a,
-        None if own is None else unpacked(parts[3], shape),
-    )
+    return parts
 
 
 def sample_values(block: SampleBlock) -> dict[str, Any]:
@@ -94,14 +100,19 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
 
 def sample_block(row: Row[Any]) -> SampleBlock:
     """Return the block of a row; StoreError as for :func:`frame_block`."""
-    shape = (row.samples,)
+    return SampleBlock(row.channel, row.unit, *(unpacked(part, (row.samples,)) for part in check_samples(row)))
+
+
+def check_samples(row: Row[Any]) -> tuple[bytes, bytes]:
+    """Return the arrays of a row as they were measured; StoreError if they do not match their digest."""
+    size = 8 * row.samples
     try:
-        parts = restored(row.time_s, 8 * row.samples, 8, steps=True), restored(row.sample_values, 8 * row.samples, 8)
+        parts = restored(row.time_s, size, 8, steps=True), restored(row.sample_values, size, 8)
     except ValueError as error:
         raise _damaged("sample", row.run, row.phase, row.block) from error
     if digest(f"{row.channel}|{row.unit}|{row.samples}", parts) != row.sha256:
         raise _damaged("sample", row.run, row.phase, row.block)
-    return SampleBlock(row.channel, row.unit, *(unpacked(part, shape) for part in parts))
+    return parts
 
 
 def _frame_header(shape: tuple[int, ...], unit: str, current_A: float | None) -> str:

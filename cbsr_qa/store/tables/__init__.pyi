@@ -42,3 +42,8 @@ from .runs import (
     StepRow as StepRow,
     UnloadedMarkRow as UnloadedMarkRow,
 )
+from .sync import (
+    OutboxRow as OutboxRow,
+    SyncAcceptsRow as SyncAcceptsRow,
+    SyncRefusalRow as SyncRefusalRow,
+)

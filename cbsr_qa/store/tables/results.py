@@ -6,7 +6,7 @@ Judging a run again adds an analysis. Only ``calibrations.superseded_by`` is fil
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ForeignKey, Index
+from sqlalchemy import DDL, ForeignKey, Index, event
 from sqlalchemy.orm import Mapped, mapped_column
 
 from cbsr_qa.store.tables.runs import Base, Identifier
@@ -159,6 +159,16 @@ class CalibrationRow(Base):
     assumed: Mapped[list[Any] | None]  #: names of parameters not measured on this sensor
     simulated: Mapped[list[Any] | None]
     setting: Mapped[dict[str, Any] | None]  #: sensor type and indenter, see runs/codec.py
+
+
+# PostgreSQL would try to compress these files, which takes half of the time of storing a run, and fail.
+event.listen(
+    CalibrationRow.__table__,
+    "after_create",
+    DDL("ALTER TABLE calibrations ALTER COLUMN file SET STORAGE EXTERNAL").execute_if(  # type: ignore[no-untyped-call]
+        dialect="postgresql"
+    ),
+)
 
 
 class ForceRow(Base):
