@@ -116,11 +116,17 @@ def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     return CommandOutcome(rendered, page)
 
 
-def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:
+def rebuilt(
+    run: str, store: Repository, plugins: Plugins, *, imaged: bool = True
+) -> tuple[RunResult, tuple[str, ...]]:
     """Rebuild the result of a stored run.
 
     Measurements, verdict and calibration are those of the latest stored analysis; images are computed again from the
     stored frames and configuration. A run that was never analysed is analysed here, without storing the result.
+
+    Parameters
+    ----------
+    imaged : whether to compute the images of a run whose analysis is stored, which takes seconds.
 
     Returns
     -------
@@ -135,7 +141,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         now = _analysed_now(record, recipe, plugins)
         return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
-    observation, characterisation, why = _computed(record, recipe, plugins)
+    observation, characterisation, why = _computed(record, recipe, plugins) if imaged else (None, None, "")
     calibration, unseen = _calibration(store, stored, observation)
     result = RunResult(
         record=record,
