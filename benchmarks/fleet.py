@@ -10,7 +10,7 @@ from sqlalchemy import create_engine
 from sqlalchemy.exc import OperationalError
 from statsmodels.regression.mixed_linear_model import MixedLM
 
-from benchmarks.fleet_comparison import fill, timed
+from benchmarks.fleet_comparison import exported, fill, timed
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare
 from cbsr_qa.stats import Crossing, crossing
@@ -41,7 +41,7 @@ def rows() -> Iterator[Row]:
         20.0,
     )
     with tempfile.TemporaryDirectory() as folder:
-        yield _whole("SQLite", f"sqlite:///{folder}/fleet.db", Path(folder))
+        yield from _whole("SQLite", f"sqlite:///{folder}/fleet.db", Path(folder))
         yield from _on_server(Path(folder))
 
 
@@ -68,17 +68,26 @@ def _fleet() -> tuple[Crossing, Array, Array]:
     return crossing(*names), sensor, values
 
 
-def _whole(database: str, url: str, folder: Path) -> Row:
+def _whole(database: str, url: str, folder: Path) -> Iterator[Row]:
     runs = fill(url, 10_000, 30, 3)
     times = [timed(url, folder / "page.html") for _ in range(3)]
     spent_s, memory_mb = min(one for one, _ in times), max(one for _, one in times)
-    return Row(
+    yield Row(
         f"`cbsr-qa compare` with its page, 10 000 sensors, {runs} runs, 30 metrics, {database}",
         "≤ 10 s in ≤ 1 GB",
         f"{spent_s:.1f} s, {memory_mb:.0f} MB",
         "",
         spent_s <= 10 and memory_mb <= 1000,
     )
+    for suffix in ("csv", "parquet"):
+        spent_s, memory_mb = exported(url, folder / f"measurements.{suffix}")
+        yield Row(
+            f"`cbsr-qa export` of 770 000 measurements to .{suffix}, {database}",
+            "≤ 60 s in ≤ 500 MB",
+            f"{spent_s:.1f} s, {memory_mb:.0f} MB",
+            "",
+            spent_s <= 60 and memory_mb <= 500,
+        )
 
 
 def _on_server(folder: Path) -> Iterator[Row]:
@@ -92,7 +101,7 @@ def _on_server(folder: Path) -> Iterator[Row]:
     except OperationalError:
         return
     try:
-        yield _whole("PostgreSQL", f"postgresql://postgres@127.0.0.1:5432/{name}", folder)
+        yield from _whole("PostgreSQL", f"postgresql://postgres@127.0.0.1:5432/{name}", folder)
     finally:
         with server.connect() as connection:
             connection.exec_driver_sql(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")

@@ -178,6 +178,12 @@ def timed(url: str, page: Path) -> tuple[float, float]:
     return whole_command([*command, "--database", url, "--output", str(page)])
 
 
+def exported(url: str, table: Path) -> tuple[float, float]:
+    """Export all measurements in a separate process; return its time [s] and peak memory [MB]."""
+    command = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "export"]
+    return whole_command([*command, "--database", url, "--table", "measurements", "--to", str(table), "--force"])
+
+
 def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--sensors", type=int, default=10_000)

@@ -1,5 +1,6 @@
 """``cbsr-qa export``: stored runs as files that other programs read."""
 
+from inspect import signature
 from pathlib import Path
 from typing import Annotated
 
@@ -21,19 +22,7 @@ from cbsr_qa.cli.selecting import (
 )
 
 #: Parameters that select runs.
-_SELECTING = {
-    "today",
-    "since",
-    "until",
-    "station",
-    "batch",
-    "operator",
-    "recipe",
-    "failed",
-    "limit",
-    "latest",
-    "checks",
-}
+_SELECTING = frozenset(signature(list_request).parameters)
 
 
 @command("export", prints="cbsr_qa.app:Exported")

@@ -1,9 +1,8 @@
 """The least rights on PostgreSQL that stations and readers need, as a script for the database's owner."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from textwrap import fill
 from typing import Final
-
-from sqlalchemy import Table
 
 from cbsr_qa.store.schema import VERSION_TABLE
 from cbsr_qa.store.tables import AnalysisRow, ChartReferenceRow, ReleaseRow, RunRow
@@ -14,12 +13,18 @@ READER: Final = "cbsr_reader"
 
 #: The only cells that are filled in later, each once, by table; all other rows are added and never changed.
 FILLED_LATER: Final = {"phases": ("ended_s",), "calibrations": ("superseded_by",)}
+#: Tables that say what is still to be done, not what happened: their rows change and go.
+_QUEUES: Final = ("outbox",)
+#: Cells that a database which takes in others' rows changes: the earliest date of several stations holds.
+_MERGED: Final = {"sensors": ("first_seen",)}
+#: Tables to which only an upgrade adds rows.
+_OF_UPGRADES: Final = ("sync_accepts",)
 
 _HEAD: Final = """\
 -- Roles of a cbsr-qa database: {station} stores runs and deletes nothing, {reader} reads.
 -- Run this as the owner of the tables, connected to the database, after `cbsr-qa db upgrade`, and again after every
 -- upgrade; it may be run any number of times:  cbsr-qa db roles | psql --single-transaction -v ON_ERROR_STOP=1 URL
--- Then give each station and each person a login of their own:
+-- Then give each station and each person a separate login:
 --   CREATE ROLE bench_3 LOGIN PASSWORD '...' IN ROLE {station};
 --   CREATE ROLE ada LOGIN PASSWORD '...' IN ROLE {reader};
 """
@@ -42,28 +47,36 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
     ----------
     station, reader : names of the roles, in lower case.
     """
-    return "\n".join((_HEAD.format(station=station, reader=reader), *_roles(station, reader)))
-
-
-def _roles(station: str, reader: str) -> Iterator[str]:
-    names = [table.name for table in _tables()]
-    read = [*names, VERSION_TABLE, *VIEWS]
-    yield _ROLE.format(role=station)
-    yield _grant("SELECT", read, station)
-    yield _grant("INSERT", names, station)
-    for table, columns in FILLED_LATER.items():
-        yield _grant(f"UPDATE ({', '.join(columns)})", [table], station)
-    yield _ROLE.format(role=reader)
-    yield _grant("SELECT", read, reader)
-    yield "-- An upgrade makes views, and may make tables: readers may read those too."
-    yield f"ALTER DEFAULT PRIVILEGES IN SCHEMA public GRANT SELECT ON TABLES TO {reader};\n"
-
-
-def _tables() -> list[Table]:
     # All files of tables are registered.
     assert AnalysisRow.metadata is ChartReferenceRow.metadata is ReleaseRow.metadata is RunRow.metadata
-    return RunRow.metadata.sorted_tables
+    tables = sorted(RunRow.metadata.tables)
+    read = [*tables, VERSION_TABLE, *VIEWS]
+    return "\n".join(
+        (
+            _HEAD.format(station=station, reader=reader),
+            _ROLE.format(role=station),
+            _grant("SELECT", read, station),
+            *_writing(tables, station),
+            "",
+            _ROLE.format(role=reader),
+            _grant("SELECT", read, reader),
+            "-- An upgrade makes views, and may make tables: readers may read those too.",
+            f"ALTER DEFAULT PRIVILEGES IN SCHEMA public GRANT SELECT ON TABLES TO {reader};",
+            "",
+        )
+    )
 
 
-def _grant(right: str, names: list[str], role: str) -> str:
-    return f"GRANT {right} ON\n    {', '.join(names)}\nTO {role};"
+def _writing(tables: Sequence[str], station: str) -> Iterator[str]:
+    """Yield the rights to add rows, and to change the few cells that may change."""
+    yield _grant("INSERT", [name for name in tables if name not in _OF_UPGRADES], station)
+    queues = [name for name in _QUEUES if name in tables]
+    for table, columns in (FILLED_LATER | (_MERGED if queues else {})).items():
+        yield _grant(f"UPDATE ({', '.join(columns)})", [table], station)
+    if queues:
+        yield _grant("UPDATE, DELETE", queues, station)
+
+
+def _grant(right: str, names: Sequence[str], role: str) -> str:
+    listed = fill(", ".join(names), 116, initial_indent="    ", subsequent_indent="    ")
+    return f"GRANT {right} ON\n{listed}\nTO {role};"

@@ -22,6 +22,7 @@ TYPED = {
     "docs/how-to/propose-limits.md": "commands/test_limits_commands.py",
     "docs/how-to/sign-runs.md": "commands/test_documentation.py",
     "docs/how-to/simulate-a-scene.md": "commands/test_documentation.py",
+    "docs/how-to/take-your-data-elsewhere.md": "commands/test_data_elsewhere.py",
     "docs/how-to/use-a-calibration.md": "commands/test_calibration_page.py",
     "docs/how-to/verify-a-fielded-sensor.md": "commands/test_documentation.py",
     "docs/how-to/watch-a-station.md": "app/station_check/test_station_pages.py",

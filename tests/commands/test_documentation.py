@@ -208,6 +208,7 @@ _RUN_ABOVE |= {
     "use-a-calibration.md",
     "calibration-file.md",
     "calibrate-from-presses.md",
+    "take-your-data-elsewhere.md",
 }  # on a file that is made for them
 
 

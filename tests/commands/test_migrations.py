@@ -11,7 +11,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from cbsr_qa.domain import StoreError
-from cbsr_qa.store import open_engine, parsed_url, reading, schema, writing
+from cbsr_qa.store import open_engine, parsed_url, reading, schema, views, writing
 from cbsr_qa.store.tables import (
     AnalysisRow,
     AttendanceRow,
@@ -122,6 +122,11 @@ def test_data_survive_every_step_up_and_down(engine):
     assert schema.found_version(engine).age is schema.Age.EMPTY
     schema.upgrade(engine)
     assert table_names(engine) == measured | concluded
+
+
+def view_names(engine):
+    with reading(engine) as connection:
+        return set(sa.inspect(connection).get_view_names())
 
 
 CALLED = {"truncated-svd": "components kept", "pyeit-greit": "pyEIT's lamb", "gauss-newton-noser": "λ", "x": "λ"}
@@ -262,10 +267,10 @@ def test_calibrations_of_before_keep_their_rows_and_files_are_lost_on_the_way_ba
 
 
 def described(engine):
-    """Everything a database says of its tables, in an order of its own; migrations append columns."""
+    """Everything a database says of its tables and views, in an order of its own; migrations append columns."""
     with reading(engine) as connection:
         found = sa.inspect(connection)
-        return {
+        return {name: found.get_view_definition(name) for name in found.get_view_names()} | {
             name: {
                 "columns": sorted(repr(sorted(one.items())) for one in found.get_columns(name)),
                 "key": found.get_pk_constraint(name),
@@ -282,7 +287,9 @@ def test_a_new_database_has_the_tables_that_the_migrations_make(engine, monkeypa
     schema.upgrade(engine)
     migrated = described(engine)
     assert schema.VERSION_TABLE in migrated
+    assert set(views.VIEWS) <= set(migrated)
     with writing(engine) as connection:
+        views.drop_views(connection)
         for table in [*reversed(Base.metadata.sorted_tables), sa.table(schema.VERSION_TABLE)]:
             connection.execute(sa.text(f"DROP TABLE {table.name}"))
     monkeypatch.setattr(schema, "_create", at_once)
@@ -296,6 +303,7 @@ def test_a_new_database_can_be_taken_back_to_every_schema(engine, monkeypatch, a
     schema.upgrade(engine)
     for revision in reversed(schema.REVISIONS[:-1]):
         schema.downgrade(engine, revision)
+        assert view_names(engine) == set()
     schema.downgrade(engine, "base")
     assert table_names(engine) == set()
     schema.upgrade(engine)  # Alembic leaves an empty table of versions
@@ -316,6 +324,14 @@ def test_a_difference_would_be_found(engine):
     with reading(engine) as connection:
         (difference,) = compare_metadata(MigrationContext.configure(connection), Base.metadata)
     assert difference[0] == "remove_column"
+
+
+def test_an_upgrade_makes_views_that_a_later_version_took_away(engine):
+    schema.upgrade(engine)
+    with writing(engine) as connection:
+        views.drop_views(connection)
+    assert schema.upgrade(engine).age is schema.Age.CURRENT
+    assert view_names(engine) == set(views.VIEWS)
 
 
 def test_upgrading_twice_changes_nothing(engine):

@@ -17,7 +17,7 @@ _LARGEST: Final = 2**31
 
 
 def write_eidors(file: BinaryIO, record: RunRecord, frames: RunFrames, attributes: Mapping[str, str | float]) -> None:
-    """Write the frames with the stimulation that EIDORS needs, and what was going on at each frame.
+    """Write the frames with the stimulation that EIDORS needs, and what was going on at each frame (``cbsr``).
 
     ``vv`` holds all readings, index measures·drive + measure; ``fmdl.stimulation`` those that touch no driven
     electrode, which ``fmdl.meas_select`` selects from ``vv``, as ``mk_stim_patterns`` returns both.
@@ -45,7 +45,7 @@ def write_eidors(file: BinaryIO, record: RunRecord, frames: RunFrames, attribute
     content = {
         "vv": _vectors(frames.readings),
         "fmdl": _model(record, float(current_A[0])),
-        "run": _beside(record, frames, attributes, float(current_A[0])),
+        "cbsr": _beside(record, frames, attributes, float(current_A[0])),
     }
     savemat(cast(Any, file), content, do_compression=True, long_field_names=True, oned_as="row")
 

@@ -115,7 +115,7 @@ def _table(request: ExportRequest, kind: ExportFormat) -> ExportTable:
     if not kind.of_table:
         raise RefusedError(f"--table with {kind}", remedy="it is for csv and parquet")
     if request.table not in list(ExportTable):
-        hint = f"{did_you_mean(request.table, list(ExportTable))} allowed: {', '.join(ExportTable)}"
+        hint = f"{did_you_mean(request.table, [*map(str, ExportTable)])} allowed: {', '.join(ExportTable)}"
         raise RefusedError(f"--table {echo(request.table, 64)} is not known", remedy=hint.lstrip())
     return ExportTable(request.table)
 
@@ -145,7 +145,7 @@ def _export_frames(
         write_recording(to, recording)
         frames = len(recording.frames)
     else:
-        (listed,) = store.listed_runs(_only(run))
+        (listed,) = store.listed_runs(RunSelection(up_to=run, latest=1))
         frames = _write_frames(record, phases, listed, to, kind)
     loads = sum(len(phase.loads) + len(phase.loops) for phase in phases)
     size_bytes = to.stat().st_size
@@ -191,10 +191,6 @@ def run_attributes(record: RunRecord, verdict: Outcome | None) -> dict[str, str 
     }
 
 
-def _only(run: str) -> RunSelection:
-    return RunSelection(up_to=run, latest=1)
-
-
 def _export_runs(
     store: Repository,
     run: str | None,
@@ -205,7 +201,8 @@ def _export_runs(
 ) -> CommandOutcome[Exported]:
     to = request.to
     chosen = request.runs or ListRequest(RunSelection(checks=False))
-    pages = run_pages(store, chosen if run is None else ListRequest(_only(run)), _PAGE)
+    of_run = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
+    pages = run_pages(store, of_run or chosen, _PAGE)
     runs = rows = 0
     with writing(to), written_whole(to) as file:
         with _writer(store, file, kind, table) as write:

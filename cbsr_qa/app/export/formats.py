@@ -53,15 +53,13 @@ def format_of(to: Path, given: str | None) -> ExportFormat:
     if given is not None:
         if given not in list(ExportFormat):
             known = ", ".join(ExportFormat)
-            hint = f"{did_you_mean(given, list(ExportFormat))} allowed: {known}".lstrip()
+            hint = f"{did_you_mean(given, [*map(str, ExportFormat)])} allowed: {known}".lstrip()
             raise RefusedError(f"--format {echo(given, 64)} is not known", remedy=hint)
         return ExportFormat(given)
     if to.suffix.lower() not in _SUFFIXES:
         known = ", ".join(f"{suffix} ({kind})" for suffix, kind in _SUFFIXES.items())
-        what = f"the suffix {echo(to.suffix, 64)} of {to}" if to.suffix else f"{to} has no suffix, which"
-        raise RefusedError(
-            f"{what} says no format of an export", remedy=f"use one of {known}, or name a format with --format"
-        )
+        what = f"unknown suffix {echo(to.suffix, 64)}" if to.suffix else "no suffix"
+        raise RefusedError(f"{to}: {what}", remedy=f"use one of {known}, or name a format with --format")
     return _SUFFIXES[to.suffix.lower()]
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from importlib import import_module
+from operator import itemgetter
 from typing import Any, BinaryIO, Final, Protocol, TypeAlias
 
 from cbsr_qa.app.export.formats import ExportFormat, ExportTable
@@ -77,10 +78,10 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
         entries = map(RunEntry.of, runs)
         return [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
     of_run = {run.run: tuple(getattr(run, name) for name in _OF_RUN) for run in runs}
-    # names in order, so that a row needs no look-up of its columns
-    return [
-        (*of_run[row.run], *(row._mapping[name] for name in _MEASURED)) for row in store.measurement_rows([*of_run])
-    ]
+    measured = store.measurement_rows([*of_run])
+    # By position: a row is looked up by name ten times slower, and there are millions of cells.
+    pick = itemgetter(*(measured[0]._fields.index(name) for name in _MEASURED)) if measured else tuple
+    return [(*of_run[row.run], *pick(row)) for row in measured]
 
 
 @contextmanager
