@@ -1,7 +1,7 @@
 """Calibration and quality assurance of soft pressure sensors read by electrical impedance tomography.
 
-``import cbsr_qa as qa`` offers the names below to notebooks and scripts; importing it loads nothing heavy: no scipy, no
-database, no plugin. Everything a plugin author needs is in :mod:`cbsr_qa.domain` (the words of the trade) and
+``import cbsr_qa as qa`` offers the names of its stub to notebooks and scripts; importing it loads nothing heavy: no
+scipy, no database, no plugin. What a plugin author needs is in :mod:`cbsr_qa.domain` (the words of the trade) and
 :mod:`cbsr_qa.plugin` (what to implement, and how to be found).
 """
 

@@ -38,4 +38,5 @@ from .database import (
     upgrade_database as upgrade_database,
 )
 from .export import Exported as Exported, ExportRequest as ExportRequest, export_data as export_data
+from .imaging import ImagedFrames as ImagedFrames, image_frames as image_frames, imaged_outcome as imaged_outcome
 from .press_calibration_shown import ShownPressCalibration as ShownPressCalibration

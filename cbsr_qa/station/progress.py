@@ -44,7 +44,15 @@ class RunProgress:
     tell : called with every line instead; no bar is shown then.
     """
 
-    def __init__(self, phases: int, clock: Clock, status: RunStatus, *, stream: TextIO | None = None, tell: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self,
+        phases: int,
+        clock: Clock,
+        status: RunStatus,
+        *,
+        stream: TextIO | None = None,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
         self._phases = phases
         self._clock = clock
         self._status = status

@@ -14,7 +14,7 @@ from cbsr_qa.app.export.frames import joined_samples, run_frames
 from cbsr_qa.app.export.junit import suite, suites
 from cbsr_qa.app.export.netcdf import frame_variables, netcdf_file
 from cbsr_qa.app.export.recording import as_recording
-from cbsr_qa.app.export.tables import rows_of, table_writer
+from cbsr_qa.app.export.tables import AT_ONCE, rows_of, table_writer
 from cbsr_qa.config import database_url
 from cbsr_qa.domain import RefusedError, did_you_mean
 from cbsr_qa.domain.results import CommandOutcome, ListedRun, Outcome, RunSelection
@@ -25,8 +25,6 @@ from cbsr_qa.store import Repository, open_store
 from cbsr_qa.studies.shift import ListRequest, RunPage, run_pages
 from cbsr_qa.system import writing, written_whole
 
-#: Runs in memory at a time.
-_PAGE: Final = 1000
 #: Progress is shown so many times at most.
 _STEPS: Final = 10
 
@@ -202,7 +200,7 @@ def _export_runs(
     to = request.to
     chosen = request.runs or ListRequest(RunSelection(checks=False))
     of_run = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
-    pages = run_pages(store, of_run or chosen, _PAGE)
+    pages = run_pages(store, of_run or chosen, AT_ONCE)
     runs = rows = 0
     with writing(to), written_whole(to) as file:
         with _writer(store, file, kind, table) as write:
@@ -248,8 +246,8 @@ def _writer(
 
 def _tell(page: RunPage, tell: Callable[[str], None]) -> None:
     """Report every tenth part of many runs."""
-    before = max(page.done - _PAGE, 0)
-    if page.total > _PAGE and page.done * _STEPS // page.total > before * _STEPS // page.total:
+    before = max(page.done - AT_ONCE, 0)
+    if page.total > AT_ONCE and page.done * _STEPS // page.total > before * _STEPS // page.total:
         tell(f"{page.done} of {page.total} runs")
 
 

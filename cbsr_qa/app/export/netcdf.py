@@ -36,7 +36,12 @@ def frame_variables(
     """Return frames, what was going on at each, their pairs and electrodes, and the samples taken beside them."""
     coordinates = [*_of_frames(frames), *_of_pairs(sensor_type)]
     named = " ".join(variable.name for variable in coordinates)
-    variables = [*_dimensions(sensor_type, frames), *coordinates, *_readings(frames, named), *_electrodes(sensor_type)]
+    variables = [
+        *_dimensions(sensor_type, frames),
+        *coordinates,
+        *_readings(frames, named),
+        *_electrodes(sensor_type),
+    ]
     taken = {variable.name for variable in variables}
     for block in samples:
         variables += _samples(block, taken)

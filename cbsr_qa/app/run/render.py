@@ -9,8 +9,10 @@ from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis import characterise_run, evaluate_run
 from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.app.command_hints import resume_command
 from cbsr_qa.app.run.decided_again import check_decided
 from cbsr_qa.app.run.material_output import material_path, why_no_material, write_material
+from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.app.run.outputs import calibration_path, report_sections
 from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.calibration.force import prepared_force
@@ -116,6 +118,34 @@ def rendered_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     return CommandOutcome(rendered, page)
 
 
+def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutcome:
+    """Return the outcome of a stored run without imaging it: ``reconstruction`` and ``place`` are None.
+
+    Files are named where they are in ``var/``.
+
+    Raises
+    ------
+    StoreError
+        If the run was altered.
+    """
+    result, _ = rebuilt(run, store, plugins, imaged=False)
+    identity = result.record.identity
+    report = reports_folder() / report_name(identity.sensor.serial, identity.run)
+    calibration = calibration_path(identity)
+    why = "" if result.characterisation is None else why_no_material(result)
+    material = None if result.characterisation is None or why else material_path(result)
+    return RunOutcome.of(
+        result,
+        report=report if report.exists() else None,
+        calibration=calibration if result.calibration is not None and calibration.exists() else None,
+        material=(material if material is not None and material.exists() else None, why),
+        warnings=result.warnings,
+        compute_s=sum(seconds for _, seconds in result.compute_s),
+        seed=restore(store.configuration(run)).seed,
+        resume="" if result.record.end is EndReason.FINISHED else resume_command(run, store),
+    )
+
+
 def rebuilt(
     run: str, store: Repository, plugins: Plugins, *, imaged: bool = True
 ) -> tuple[RunResult, tuple[str, ...]]:
@@ -141,7 +171,7 @@ def rebuilt(
         now = _analysed_now(record, recipe, plugins)
         return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
     check_decided(record, stored, recipe.limits)
-    observation, characterisation, why = _computed(record, recipe, plugins) if imaged else (None, None, "")
+    observation, characterisation, why = _computed(record, recipe, plugins if imaged else None)
     calibration, unseen = _calibration(store, stored, observation)
     result = RunResult(
         record=record,
@@ -164,9 +194,12 @@ def rebuilt(
 
 
 def _computed(
-    record: RunRecord, recipe: Recipe, plugins: Plugins
+    record: RunRecord, recipe: Recipe, plugins: Plugins | None
 ) -> tuple[RunObservation | None, Characterisation | None, str]:
-    """Compute images, or the material of a strip, from the stored frames; otherwise return a reason."""
+    """Compute images, or the material of a strip, from the stored frames; otherwise return a reason.
+
+    Without plugins nothing is imaged.
+    """
     if record.end is not EndReason.FINISHED:
         return None, None, ""
     try:
@@ -174,8 +207,8 @@ def _computed(
             return None, characterise_run(record, recipe.characterisation), ""
     except NumericsError as error:
         return None, None, f"the material cannot be characterised: {error.reason}"
-    if all(phase.frames is None for phase in record.phases):
-        return None, None, "the run holds no frames, so that there are no images"
+    if plugins is None or all(phase.frames is None for phase in record.phases):
+        return None, None, "" if plugins is None else "the run holds no frames, so that there are no images"
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     try:
         return observe_run(record, reconstruction, recipe.analysis), None, ""
